@@ -12,8 +12,7 @@ The algebraic fit of Li & Griffiths gives the ellipsoid without a start (`quadri
 
 Geometric fit: least squares on |M⁻¹(y − b)| − m with the covariances of the readings as weights, Gauss–Newton from the
 algebraic fit. In programmes that surround the sphere it changes the values by a hundredth of their uncertainties; it is
-there for weights, robustness and covariance. Of n sensors a reading says n − 2 things, y − b − m M t/|t| with the two
-directions projected out in which t may turn (`sphere_rows`); for a triad that is the same.
+there for weights, robustness and covariance.
 
 Readings one after another of a triad that is waved about err alike in neighbours, by noise with a memory and by what
 the model does not have, so that their number says nothing of u. Whole blocks of them are then left out in turn (the
@@ -33,7 +32,6 @@ Plans, ch. 3; by blocks Künsch (1989), The Annals of Statistics 17, 1217-1241.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,10 +41,18 @@ from tumble.brief import Brief
 from tumble.diagnosis.observability import Refusal, undetermined
 from tumble.errors import InputError
 from tumble.inference.estimate import Fit
-from tumble.methods.least_squares import Solution, as_normal, least_squares, sigmas, with_scatter
+from tumble.methods.least_squares import (
+    MAX_ITERATIONS,
+    SCATTER_ROUNDS,
+    Solution,
+    as_normal,
+    least_squares,
+    scatter_of,
+    sigmas,
+    unexplained,
+)
 from tumble.methods.quadric import fit_many
-from tumble.rotation import unit_vector
-from tumble.sensors.model import Block, SensorModel, beyond_turning, to_accelerometer_frame
+from tumble.sensors.model import Block, SensorModel, to_accelerometer_frame
 from tumble.units import Array, BoolArray, IntArray
 
 TRIAD = Block(kind="accel", axes=np.eye(3))
@@ -211,75 +217,76 @@ class _Task:
         own = SensorModel(matrix=some.matrix[0] @ handed, bias=some.bias[0])
         return np.asarray(self.block.parameters(to_accelerometer_frame(self.block, own, None)[0]))
 
-    def rows(self, values: Array, scatter: float) -> SphereRows:
-        """What the readings say, linearised about values."""
-        return sphere_rows(self.block, self.readings, self.covariance, self.modulus, values, scatter)
+    def residuals(self, values: Array) -> _SphereResiduals:
+        """Residuals of all readings at parameter values (9,)."""
+        model = self.block.model(values)
+        true = model.apply(self.readings)
+        length = np.linalg.norm(true, axis=1)
+        direction = true / length[:, None]
+        normal = direction @ model.inverse()
+        homogeneous = np.concatenate([self.modulus * direction, np.ones((len(direction), 1))], axis=1)
+        return _SphereResiduals(
+            residual=length - self.modulus,
+            jacobian=np.einsum("ip,pqm,iq->im", normal, self.block.jacobian(values), homogeneous),
+            variance=np.einsum("ip,ipq,iq->i", normal, self.covariance, normal),
+            by_scatter=(normal**2).sum(axis=1),
+        )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class SphereRows:
-    """Whitened residuals (N, n − 2) and their derivatives with respect to the parameters (N, n − 2, m), to minus
-    the readings (N, n − 2, n) and to the modulus (N, n − 2)."""
+class _SphereResiduals:
+    """Residuals |M⁻¹(y − b)| − m (N,) and minus their derivative (N, 9) with respect to the parameters. Their
+    variance is `variance` + scatter² · `by_scatter`, both (N,)."""
 
     residual: Array
     jacobian: Array
-    reading: Array
-    modulus: Array
+    variance: Array
+    by_scatter: Array
 
-    def solution(self, spread: Array, used: BoolArray | slice = slice(None)) -> Solution:
-        """The step of the parameters, of spreads (m,), by the readings that are used."""
-        return least_squares(self.jacobian[used].reshape(-1, len(spread)), self.residual[used].ravel(), spread)
+    def sigma(self, scatter: float) -> Array:
+        """Standard uncertainties (N,)."""
+        return np.sqrt(self.variance + scatter**2 * self.by_scatter)
 
+    def chi_square(self, scatter: float, used: BoolArray) -> float:
+        """χ² of the used readings."""
+        return float(((self.residual / self.sigma(scatter))[used] ** 2).sum())
 
-def sphere_rows(
-    block: Block, readings: Array, covariance: Array, modulus: float, values: Array, scatter: float
-) -> SphereRows:
-    """What readings (N, n) of covariance (N, n, n) and of a scatter say of the sensors of a block that measure a vector
-    of this length, linearised about values (m,)."""
-    model, covariance = block.model(values), covariance + scatter**2 * np.eye(block.size)
-    direction = unit_vector(model.apply(readings))
-    if block.size == 3:
-        normal = direction @ model.inverse()
-        whiten = (normal / np.sqrt(np.einsum("ip,ipq,iq->i", normal, covariance, normal))[:, None])[:, None]
-    else:
-        lower = np.linalg.cholesky(covariance)
-        free = beyond_turning(np.linalg.solve(lower, model.matrix), direction)
-        whiten = np.swapaxes(np.linalg.solve(np.swapaxes(lower, 1, 2), free), 1, 2)
-    homogeneous = np.concatenate([modulus * direction, np.ones((len(direction), 1))], axis=1)
-    return SphereRows(
-        residual=np.einsum("irp,ip->ir", whiten, readings - model.predict(modulus * direction)),
-        jacobian=np.einsum("irp,pqm,iq->irm", whiten, block.jacobian(values), homogeneous),
-        reading=whiten,
-        modulus=np.einsum("irp,pk,ik->ir", whiten, model.matrix, direction),
-    )
+    def solution(self, scatter: float, used: BoolArray, spread: Array) -> Solution:
+        """The step of the parameters, of spreads (9,), by the used readings."""
+        sigma = self.sigma(scatter)[used]
+        return least_squares(self.jacobian[used] / sigma[:, None], self.residual[used] / sigma, spread)
 
 
 def _fitted(task: _Task, used: BoolArray) -> EllipsoidFit | None:
-    """The geometric fit through the used readings with the scatter that explains its residuals; None where the
-    algebraic fit finds no ellipsoid to start from, or where what it finds is not determined."""
+    """Geometric fit through the used readings, with the scatter that explains its residuals.
+
+    None if the algebraic fit finds no ellipsoid to start from, or the readings do not determine the parameters."""
     start, spread, degrees = task.start(used), SPREAD * np.repeat([task.modulus, 1.0, 1.0], 3), int(used.sum()) - 9
     if start is None:
         return None
-
-    def agreement_at(values: Array) -> tuple[Callable[[float], float], float, float]:
-        rows = task.rows(values, 0.0)
-        sigma = 1.0 / rows.modulus[used, 0]
-        square = (sigma * rows.residual[used, 0]) ** 2
-        by_scatter = (sigma[:, None] ** 2 * rows.reading[used, 0] ** 2).sum(axis=1)
-        size = float(np.sqrt(np.mean(square / by_scatter)))
-        return lambda scatter: float(np.sum(square / (sigma**2 + scatter**2 * by_scatter))), degrees, size
-
-    values, scatter, steps = with_scatter(
-        lambda at, size: task.rows(at, size).solution(spread, used), agreement_at, start, spread, FLOOR * spread
-    )
-    rows = task.rows(values, scatter)
-    solution, whitened, sigma = rows.solution(spread, used), rows.jacobian[:, 0], 1.0 / rows.modulus[:, 0]
+    values, scatter, increments = start, 0.0, [start]
+    for scatter_round in range(1 + SCATTER_ROUNDS):
+        rows = task.residuals(values)
+        if scatter_round == 1 and not unexplained(rows.chi_square(0.0, used), degrees):
+            break
+        if scatter_round:
+            size = float(np.sqrt(np.mean((rows.residual**2 / rows.by_scatter)[used])))
+            scatter = scatter_of(lambda trial, rows=rows: rows.chi_square(trial, used) - degrees, size)  # type: ignore[misc]
+        for _ in range(MAX_ITERATIONS):
+            solution = task.residuals(values).solution(scatter, used, spread)
+            # far from any solution the linearisation says nothing: no parameter moves by more than its spread
+            increments.append(solution.step / max(1.0, float(np.max(np.abs(solution.step) / spread))))
+            values = values + increments[-1]
+            if solution.negligible(FLOOR * spread):
+                break
+    rows = task.residuals(values)
+    solution, sigma, residual = rows.solution(scatter, used, spread), rows.sigma(scatter), rows.residual
     if len(solution.null):
         return None
-    residual = sigma * rows.residual[:, 0]
-    leverage = np.einsum("im,mn,in->i", whitened, solution.covariance, whitened)  # variance that the fit predicts
-    # the variance of a residual over that against the fit through all others; one that these do not determine shows
-    # nothing
+    whitened = rows.jacobian / sigma[:, None]
+    leverage = np.einsum("im,mn,in->i", whitened, solution.covariance, whitened)
+    # variance of a residual relative to that against the fit through all others; if these do not determine it, the
+    # residual shows nothing
     free = np.where(used, np.maximum(1.0 - leverage, 0.0), 1.0 / (1.0 + leverage))
     shown = free > SHOWN
     free = np.where(shown, free, 1.0)
@@ -291,7 +298,7 @@ def _fitted(task: _Task, used: BoolArray) -> EllipsoidFit | None:
     by_noise, modulus_u = solution.covariance, task.modulus_u
     noise_degrees = float(degrees) if scatter > 0.0 else np.inf
     if task.blocks is not None:
-        by_noise = _jackknife(whitened, rows.residual[:, 0], task.blocks, spread)
+        by_noise = _jackknife(whitened, residual / sigma, task.blocks, spread)
         noise_degrees, modulus_u = float(task.blocks.max()), float(np.hypot(modulus_u, scatter**2 / task.modulus))
     by_modulus = -modulus_u * (solution.gain / sigma[used]).sum(axis=1)
     return EllipsoidFit(
@@ -307,11 +314,11 @@ def _fitted(task: _Task, used: BoolArray) -> EllipsoidFit | None:
         sigmas=out,
         used=used,
         doubtful=(),
-        chi_square=agreement_at(values)[0](scatter),
+        chi_square=rows.chi_square(scatter, used),
         degrees=degrees,
         scatter=scatter,
         worst=None,
-        increments=(start, *steps),
+        increments=tuple(increments),
         converged=solution.negligible(FLOOR * spread),
     )
 

@@ -286,7 +286,7 @@ def check_calibration(
     grade, guessed_from = grade_of(session, observations)
 
     # each rest against gravity
-    residuals = residuals_in(given, observations, observed.sha256, grade)
+    residuals = residuals_in(given, observations, observed.sha256)
     at, kelvin = observations.rests, observations.rests.temperature
     times = zip(at.start.tolist(), at.stop.tolist(), strict=True)
     rests = tuple(
@@ -307,12 +307,6 @@ def check_calibration(
         rest_limit=residuals.limit,
         notes=given.absent,
     )
-    beyond = sum(rest.sigmas is not None and abs(rest.sigmas) > residuals.limit for rest in rests)
-    if beyond:
-        does = "explains them" if residuals.by_turn_on else "does not explain them"
-        turned_on = f"{beyond} rests differ from gravity by more than their u: a usual change from one power-on to the "
-        turned_on += f"next {does}"
-        by_rests = replace(by_rests, notes=(*by_rests.notes, *(() if residuals.left_out else (turned_on,))))
     if residuals.left_out or given.frame == "case":
         return by_rests
 

@@ -22,11 +22,7 @@ which is exact for a linear fit. The plain residual would be too small by √(1 
 The largest |Δg|/u of N positions is compared with the quantile that it exceeds by chance with the probability CHANCE,
 by Bonferroni's inequality over the positions. It is one of Student's t distribution if the scatter was estimated.
 
-What turning the device on again changes is not a part of u. Whether it explains the differences is tested with
-
-    Δgᵀ V⁻¹ Δg,   V = diag(variance of the positions) + J (Σ + 2 diag(s_g²)) Jᵀ + u(g)²                          (4)
-
-where s_g is the standard deviation from launch to launch that is usual for the grade of the device.
+What turning the device on again changes is not a part of u; `tumble.use.check` tests the parameters with it.
 """
 
 from __future__ import annotations
@@ -48,7 +44,6 @@ from tumble.result.calibration import Calibration
 from tumble.run.case import Verticals, verticals_of
 from tumble.run.readings_table import ReadingsTable, read_table
 from tumble.sensors.frames import Convention, frame_of, triad_axes
-from tumble.sensors.grades import TURN_ON, spread_of
 from tumble.sensors.instrument import Instrument, functions
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import Variable, beyond_linear, group_name, sensor_kind
@@ -79,8 +74,6 @@ class PositionResiduals:
         The quantile that the largest |Δg|/u is compared with.
     left_out : bool
         Whether the positions are those of the calibration.
-    by_turn_on : bool
-        Whether the changes usual from one power-on to the next explain the differences, Eq. (4).
     """
 
     difference: Array
@@ -88,7 +81,6 @@ class PositionResiduals:
     sigmas: Array
     limit: float
     left_out: bool
-    by_turn_on: bool = False
 
 
 def table_observations(calibration: Calibration, path: Path) -> tuple[Observations, ReadingsTable]:
@@ -139,10 +131,8 @@ def _accelerometer_fit(calibration: Calibration) -> Fit:
     return calibration.fits.get("accelerometers", nothing)
 
 
-def residuals_in(
-    calibration: Calibration, observations: Observations, sha256: str, grade: str | None = None
-) -> PositionResiduals:
-    """Differences in check positions by an accepted calibration, Eq. (1) to (4).
+def residuals_in(calibration: Calibration, observations: Observations, sha256: str) -> PositionResiduals:
+    """Differences in check positions by an accepted calibration, Eq. (1) to (3).
 
     Parameters
     ----------
@@ -150,8 +140,6 @@ def residuals_in(
         The positions, as rests.
     sha256
         SHA-256 of their log or table.
-    grade
-        Grade of the device, for Eq. (4).
 
     Raises
     ------
@@ -202,26 +190,12 @@ def residuals_in(
     by_gravity = -(there.gravity_u**2) if shared else there.gravity_u**2
     u = np.sqrt(variance + np.maximum(by_parameters + by_gravity, 0.0))
     by_scatter = float(np.max(fit.scatter**2 * (across[:, 0] ** 2).sum(axis=1) / u**2))
-
-    # Eq. (4), for a device of a known grade
-    by_turn_on = False
-    if grade is not None:
-        spread, linear = TURN_ON[grade], block.names
-        turned_on = np.zeros(len(names))
-        turned_on[: len(linear)] = [2.0 * spread_of(spread, name) ** 2 for name in linear]
-        V = np.diag(variance) + by_gravity + J @ (seen.parameter_covariance + np.diag(turned_on)) @ J.T
-        N, square = len(difference), float(difference @ np.linalg.solve(V, difference))
-        if fit.scatter == 0.0 or np.isinf(fit.degrees):
-            by_turn_on = square < float(scipy.special.chdtri(N, CHANCE))
-        else:
-            by_turn_on = square / N < float(scipy.special.fdtri(N, fit.degrees, 1.0 - CHANCE))
     return PositionResiduals(
         difference=difference,
         u=u,
         sigmas=difference / u,
         limit=limit(fit.degrees / by_scatter**2 if by_scatter > 0.0 else np.inf),  # Welch–Satterthwaite
         left_out=False,
-        by_turn_on=by_turn_on,
     )
 
 

@@ -16,8 +16,6 @@ All functions take any leading axes. Source: §2 to §4 of the turntable method 
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 
 from tumble.errors import ProgrammeError
@@ -31,8 +29,6 @@ EXACT = 1e-6
 
 PAIRS = ((0, 1), (0, 2), (1, 2))
 """The accelerometers between whose axes the angles yx, zx, zy are."""
-
-Form = Literal["quadratic", "norm"]
 
 
 # The sequential vector method
@@ -126,18 +122,11 @@ def scalar_rows(u: Array) -> Array:
     return np.concatenate([u, u**2, products], axis=-1)
 
 
-def scalar_differences(readings: Array, gravity: Array, form: Form) -> Array:
-    """Differences z (..., N) of the measured modulus: (ŵ² − g²)/2g², Eq. (12), or in norm form (|ŵ| − g)/g, which
-    differs by half the square of the error along the vertical."""
+def scalar_fit(readings: Array, verticals: Array, gravity: Array) -> SensorModel:
+    """Model of a triad from readings (..., N, 3) at N ≥ 9 rests by least squares of (ŵ² − g²)/2g², Eqs. (12), (13),
+    with the verticals (..., N, 3) of the programme or of `unit_vector(readings)`. The model is exact, Eq. (1)."""
     g = np.asarray(gravity)[..., None]
-    square = (readings**2).sum(axis=-1)
-    return np.asarray((square - g**2) / (2.0 * g**2) if form == "quadratic" else np.sqrt(square) / g - 1.0)
-
-
-def scalar_fit(readings: Array, verticals: Array, gravity: Array, form: Form = "quadratic") -> SensorModel:
-    """Model of a triad from readings (..., N, 3) at N ≥ 9 rests by least squares, Eq. (13), with the verticals
-    (..., N, 3) of the programme or of `unit_vector(readings)`. The model is the exact one of Eq. (1)."""
-    X = solved(scalar_rows(verticals), scalar_differences(readings, gravity, form))
+    X = solved(scalar_rows(verticals), ((readings**2).sum(axis=-1) - g**2) / (2.0 * g**2))
     return triad_model(np.asarray(gravity)[..., None] * X[..., :3], X[..., 3:6], X[..., 6:])
 
 

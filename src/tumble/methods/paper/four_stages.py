@@ -34,7 +34,7 @@ import numpy as np
 from tumble.earth import earth_rate
 from tumble.errors import InputError, ProgrammeError, SessionError
 from tumble.inference.estimate import Estimate
-from tumble.methods.least_squares import Residuals, explaining, solved
+from tumble.methods.least_squares import Residuals, scatter_of, solved, unexplained
 from tumble.methods.paper.accelerometers import by_modulus, by_vector, check_for_modulus, check_for_vector
 from tumble.methods.paper.gyros import (
     STANDING,
@@ -62,9 +62,17 @@ NEGLIGIBLE = 1e-2
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PaperMethod:
-    """What tells the pipelines apart. `accelerometers(readings, nominal, gravity)` is stages 1 and 2, and
-    `check(nominal)` raises ProgrammeError where the rests, with nominal verticals (N, 3), are not enough;
-    `gyro_bias(rates, force, earth_rate, nominal)` is stage 3."""
+    """A method of the paper.
+
+    Attributes
+    ----------
+    accelerometers : callable
+        Stages 1 and 2: `accelerometers(readings, nominal, gravity)` returns a model.
+    check : callable
+        `check(nominal)` raises ProgrammeError if rests with the nominal verticals (N, 3) are not enough.
+    gyro_bias : callable
+        Stage 3: `gyro_bias(rates, force, earth_rate, nominal)` returns the biases.
+    """
 
     name: str
     accelerometers: Callable[[Array, Array, Array], SensorModel]
@@ -77,17 +85,13 @@ SCALAR = PaperMethod(name="scalar", accelerometers=by_modulus, check=check_for_m
 
 
 def sequential(observations: Observations, iterations: int = 2) -> Estimate:
-    """The paper's method with the sequential vector method for the accelerometers.
-
-    Raises ProgrammeError if the session's programme has not the positions or the known turns it needs."""
+    """Estimate of the paper's method with the sequential vector method for accelerometers. Raises as `iterated`."""
     return iterated(observations, SEQUENTIAL, iterations)
 
 
 def scalar(observations: Observations, iterations: int = 2) -> Estimate:
-    """The paper's method with the scalar method for the accelerometers, with the estimated orientation and on all
-    rests of the programme.
-
-    Raises ProgrammeError if the session's programme has not the positions or the known turns it needs."""
+    """Estimate of the paper's method with the scalar method on all rests, in the estimated orientation. Raises as
+    `iterated`."""
     return iterated(observations, SCALAR, iterations)
 
 
@@ -106,27 +110,6 @@ class ProgrammeCourse:
 # One pass
 
 
-def accelerometer_pass(
-    method: PaperMethod, course: ProgrammeCourse, readings: Array, gravity: Array, before: SensorModel
-) -> SensorModel:
-    """Stages 1 and 2: the model after a pass over readings (..., N, 3), given the one before."""
-    return before.composed(method.accelerometers(before.apply(readings), course.nominal, gravity))
-
-
-def gyro_bias_pass(
-    course: ProgrammeCourse, rates: Array, force: Array, before: SensorModel, method: PaperMethod = SEQUENTIAL
-) -> SensorModel:
-    """Stage 3: the gyro model with the biases of this pass, from rates (..., N, 3) and calibrated specific forces."""
-    bias = method.gyro_bias(before.apply(rates), force, course.earth_rate, course.nominal)
-    return before.composed(SensorModel(matrix=np.eye(3), bias=bias))
-
-
-def gyro_matrix_pass(course: ProgrammeCourse, rates: Array, force: Array, C: Array, before: SensorModel) -> SensorModel:
-    """Stage 4: the gyro model after a pass, with turns C (..., K, 3, 3) integrated about the model `before`."""
-    x = solved(course.matrix, differences(course, rates, force, C, before))
-    return before.composed(triad_model(np.zeros_like(x[..., :3]), x[..., :3], x[..., 3:]))
-
-
 def one_pass(
     method: PaperMethod,
     course: ProgrammeCourse,
@@ -135,16 +118,34 @@ def one_pass(
     gravity: Array,
     before: tuple[SensorModel, SensorModel],
 ) -> tuple[SensorModel, SensorModel]:
-    """The models of accelerometers and gyros after all stages, from readings at rest (..., N, 3) of both and from
-    turns, which `turn` integrates about a model; after those of the rests without, and of accelerometers alone where
-    there are no rates."""
-    force, rates = rests
-    accel, gyro = accelerometer_pass(method, course, force, gravity, before[0]), before[1]
+    """Models of accelerometers and gyros after all stages.
+
+    Parameters
+    ----------
+    method, course
+        The method, and the rests and turns of the session.
+    rests
+        Readings (..., N, 3) of accelerometers and gyros at rest; without gyros the latter have N = 0.
+    turn
+        Function from a gyro model to the turns (..., K, 3, 3) that are integrated with it. If it is None, the pass ends
+        with stage 3.
+    gravity
+        Gravity (...), m/s².
+    before
+        Models of the pass before.
+    """
+    readings, rates = rests
+    accel, gyro = before
+    accel = accel.composed(method.accelerometers(accel.apply(readings), course.nominal, gravity))
     if not rates.shape[-2]:
         return accel, gyro
-    corrected = accel.apply(force)
-    gyro = gyro_bias_pass(course, rates, corrected, gyro, method)
-    return accel, gyro if turn is None else gyro_matrix_pass(course, rates, corrected, turn(gyro), gyro)
+    force = accel.apply(readings)
+    bias = method.gyro_bias(gyro.apply(rates), force, course.earth_rate, course.nominal)
+    gyro = gyro.composed(SensorModel(matrix=np.eye(3), bias=bias))
+    if turn is None:
+        return accel, gyro
+    x = solved(course.matrix, differences(course, rates, force, turn(gyro), gyro))
+    return accel, gyro.composed(triad_model(np.zeros_like(x[..., :3]), x[..., :3], x[..., 3:]))
 
 
 def differences(course: ProgrammeCourse, rates: Array, force: Array, C: Array, model: SensorModel) -> Array:
@@ -418,12 +419,13 @@ def _estimate(launch: _SessionData, values: Array, derivative: Array, increments
 
     scatter = dict[str, float]()
     for name in groups:
-
-        def at(trial: float, name: str = name, known: Mapping[str, float] = dict(scatter)) -> Residuals:
-            return residuals_of(name, {**known, name: trial})
-
-        noise = np.diag(launch.covariance({}))[launch.kinds[name]]
-        scatter[name] = explaining(at, float(np.sqrt(np.median(noise))))
+        scatter[name] = 0.0
+        if unexplained(*residuals_of(name, scatter).chi_square()):
+            noise = np.diag(launch.covariance({}))[launch.kinds[name]]
+            scatter[name] = scatter_of(
+                lambda trial, name=name: residuals_of(name, {**scatter, name: trial}).excess(),  # type: ignore[misc]
+                float(np.sqrt(np.median(noise))),
+            )
     fits, outliers = {}, {}
     for name, (unit, size) in groups.items():
         residuals = residuals_of(name, scatter)

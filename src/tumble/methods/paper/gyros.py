@@ -1,13 +1,12 @@
 """The paper's methods for gyros: biases from rests, stage 3, and scale factors and axis angles from turns, stage 4.
 
-Stage 3 compares what gyros read at rest with the Earth's rate Ω, in three ways. Bias is the reading minus the true
+Stage 3 compares the readings of gyros at rest with the Earth's rate Ω, in two ways. Bias is the reading minus the true
 rate.
 
     vector          ω̂ − L̂ᵀΩ, L̂ by TRIAD                  Eq. (16); at the pole (17), vertical (18)
     scalar          (ω̂² − Ω²)/2Ω = û^Ω·δω                 after (12), (13)
-    dot product     û·ω̂ − Ω sin B = û·δω                  not in the paper
 
-What levels them is the accelerometers: an error δw of theirs leaves Ω cos B δw/g in every one.
+Both are levelled by the accelerometers, an error δw of which leaves Ω cos B δw/g in each.
 
 Stage 4, the indirect method, sees what errors of the gyros do to the horizontal after a turn. A series of turns starts
 from an attitude by TRIAD, which the gyros carry through the turns and which is held during rests. Each turn by 180°
@@ -89,13 +88,6 @@ def scalar_bias(rate: Array, force: Array, earth_rate: Array) -> Array:
     Ω = float(np.linalg.norm(earth_rate))
     polar = earth_rate @ triad(force, rate) / Ω
     return solved(polar, ((rate**2).sum(axis=-1) - Ω**2) / (2.0 * Ω))
-
-
-def invariant_bias(rate: Array, force: Array, earth_rate: Array) -> Array:
-    """Bias (..., 3) from the dot-product invariant û·ω̂ − Ω sin B = û·δω by least squares: linear in the bias, and
-    without an azimuth. Not in the paper, where the scalar method has to take its place."""
-    u = unit_vector(force)
-    return solved(u, (u * rate).sum(axis=-1) - earth_rate[1])
 
 
 # Stage 4: the programmed turns
