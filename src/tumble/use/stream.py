@@ -155,7 +155,7 @@ class StreamCheck:
             events.append(Notice(time=float(chunk.time[since]), text=text))
         piece = replace(chunk, file=0, gyro=None if self._gyro is None else chunk.gyro)
         if chunk.temperature is not None:
-            piece = replace(piece, temperature=corrected.temperature.copy())
+            piece = replace(piece, temperature=corrected.temperature)
         return [*events, *map(self._checked, self._finder.feed(piece))]
 
     def finish(self) -> list[Event]:
