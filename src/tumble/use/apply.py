@@ -253,27 +253,26 @@ def _corrected(
     stream: Stream,
     interval: float,
 ) -> Iterator[tuple[pl.DataFrame, dict[str, Array]]]:
-    """Tables of one file and the true vectors (N, 3) of their rows by kind of sensor, increments where the readings
-    are. They come by the delay of the stream later than the rows: the last one with the next table."""
+    """Tables of one file with the true vectors (N, 3) of their rows by kind of sensor, or their increments. With a
+    stream that has a delay, a table comes after the next one is read."""
     spec, increments = session.log, [part.kind for part in parts if part.increments]
     irregular = spec.time is not None and not spec.regular and (stream.moved or bool(increments))
     warm = compensator.warm and bool(compensator.references)
-    table, dt, whole, late = None, dict[str, Array](), dict[str, Array](), 0
-    last: float | None = None
-    for following in chain((t for t in tables if t.height or not stream.delay), [None]):
-        intervals = dict[str, Array]()
-        if following is None:
+    ready = {kind: np.zeros((0, 3)) for kind in ("accel", "gyro")[: 1 + stream.gyros]}
+    waiting, last = list[tuple[pl.DataFrame, Array | None]](), None
+    for table in chain(tables, [None]):
+        if table is None:
             now = stream.finish()
         else:
-            time = celsius = None
+            time = celsius = intervals = None
             with rows_of_numbers(path):
                 if irregular:
-                    time = times_of(following[spec.time or ""], spec)
+                    time = times_of(table[spec.time or ""], spec)
                 if spec.temperature is not None and warm:
-                    numbers = following.select(pl.col(spec.temperature.columns).cast(pl.Float64)).to_numpy()
+                    numbers = table.select(pl.col(spec.temperature.columns).cast(pl.Float64)).to_numpy()
                     celsius = np.asarray(spec.temperature.to_celsius(numbers), dtype=float)
             if increments:  # each is the integral over its step in time, less the samples that are missing in it
-                steps = np.full(following.height, interval)
+                steps = np.full(table.height, interval)
                 if time is not None:
                     steps = np.diff(time, prepend=time[0] - interval if last is None else last)
                     last = float(time[-1])
@@ -283,25 +282,24 @@ def _corrected(
                             f"{path}: expected times that increase, found {at:.9g} s after a later one; cut the log"
                         )
                     steps /= np.maximum(np.floor(steps / interval + 0.5), 1.0)
-                intervals = dict.fromkeys(increments, steps[:, None])
+                intervals = steps[:, None]
             means = {
-                part.kind: part.readings(following) / intervals.get(part.kind, 1.0)
+                part.kind: part.readings(table) / (intervals if intervals is not None and part.increments else 1.0)
                 for part in parts
-                if part.kind != "mag"
+                if part.kind in ("accel", "gyro")
             }
             now = stream.add(means["accel"], means.get("gyro"), time, celsius)
-        true = {"accel": now.force} | ({} if now.rate is None else {"gyro": now.rate})
-        if table is not None:
-            late = stream.delay
-            for kind, vectors in true.items():
-                whole[kind][-late:] = vectors[:late]
-            yield table, whole | {kind: whole[kind] * step for kind, step in dt.items()}
-        if not stream.delay and following is not None:
-            yield following, true | {kind: true[kind] * step for kind, step in intervals.items()}
-        elif following is not None:
-            table, dt, whole = following, intervals, {kind: np.empty((following.height, 3)) for kind in true}
-            for kind, vectors in true.items():
-                whole[kind][: len(vectors) - late] = vectors[late:]
+            waiting.append((table, intervals))
+        for kind, vectors in (("accel", now.force), ("gyro", now.rate)):
+            if vectors is not None:
+                ready[kind] = np.concatenate([ready[kind], vectors])
+        while waiting and len(ready["accel"]) >= waiting[0][0].height:
+            table, intervals = waiting.pop(0)
+            yield table, {
+                kind: vectors[: table.height] * (intervals if intervals is not None and kind in increments else 1.0)
+                for kind, vectors in ready.items()
+            }
+            ready = {kind: vectors[table.height :] for kind, vectors in ready.items()}
 
 
 def check_device(calibration: Calibration, session: Session) -> None:
