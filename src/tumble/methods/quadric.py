@@ -37,18 +37,9 @@ not determine the ellipsoid. Good programmes have 0.01 to 0.06."""
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Ellipsoids:
-    """U ellipsoids (y − centre)ᵀ shape (y − centre) = 1.
-
-    Attributes
-    ----------
-    centre, shape : (U, 3) and (U, 3, 3) array
-        Not a number where there is no ellipsoid.
-    found : (U,) array
-        Whether the readings lie on an ellipsoid.
-    determined : (U,) array
-        Whether no other ellipsoids go through the readings as well, because the positions are too few or too much
-        alike.
-    """
+    """U ellipsoids (y − centre)ᵀ shape (y − centre) = 1: `centre` (U, 3) and `shape` (U, 3, 3), not a number where the
+    readings lie on no ellipsoid (`found` (U,) is false). `determined` (U,) is false where other ellipsoids go through
+    the readings as well, because the positions are too few or too much alike."""
 
     centre: Array
     shape: Array

@@ -62,19 +62,9 @@ _OVER_TEMPERATURE: dict[Variable, int] = {"temperature": 1, "temperature²": 2}
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PositionResiduals:
-    """Differences in N positions, Eq. (1), without the position itself where `left_out`, Eq. (3).
-
-    Attributes
-    ----------
-    difference, u : (N,) array
-        Δg and its standard uncertainty, m/s²; not a number where nothing but the position determines it.
-    sigmas : (N,) array
-        Δg/u, studentised for positions that are left out.
-    limit : float
-        The quantile that the largest |Δg|/u is compared with.
-    left_out : bool
-        Whether the positions are those of the calibration.
-    """
+    """Differences Δg (N,) from gravity with their u, m/s², and Δg/u, `sigmas`, the largest of which is compared with the
+    quantile `limit`. If the positions are those of the calibration, each is `left_out`, Eq. (3): Δg is not a number where
+    nothing but the position determines it, and Δg/u is studentised."""
 
     difference: Array
     u: Array

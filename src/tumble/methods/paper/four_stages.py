@@ -62,17 +62,9 @@ NEGLIGIBLE = 1e-2
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PaperMethod:
-    """A method of the paper.
-
-    Attributes
-    ----------
-    accelerometers : callable
-        Stages 1 and 2: `accelerometers(readings, nominal, gravity)` returns a model.
-    check : callable
-        `check(nominal)` raises ProgrammeError if rests with the nominal verticals (N, 3) are not enough.
-    gyro_bias : callable
-        Stage 3: `gyro_bias(rates, force, earth_rate, nominal)` returns the biases.
-    """
+    """A method of the paper: stages 1 and 2, `accelerometers(readings, nominal, gravity)`, and stage 3,
+    `gyro_bias(rates, force, earth_rate, nominal)`. `check(nominal)` raises ProgrammeError if rests with the nominal
+    verticals (N, 3) are not enough."""
 
     name: str
     accelerometers: Callable[[Array, Array, Array], SensorModel]
@@ -118,22 +110,10 @@ def one_pass(
     gravity: Array,
     before: tuple[SensorModel, SensorModel],
 ) -> tuple[SensorModel, SensorModel]:
-    """Models of accelerometers and gyros after all stages.
+    """Models of accelerometers and gyros after all stages, from those of the pass before.
 
-    Parameters
-    ----------
-    method, course
-        The method, and the rests and turns of the session.
-    rests
-        Readings (..., N, 3) of accelerometers and gyros at rest; without gyros the latter have N = 0.
-    turn
-        Function from a gyro model to the turns (..., K, 3, 3) that are integrated with it. If it is None, the pass ends
-        with stage 3.
-    gravity
-        Gravity (...), m/s².
-    before
-        Models of the pass before.
-    """
+    `rests` are the readings (..., N, 3) of accelerometers and gyros at rest; without gyros the latter have N = 0.
+    `turn` gives the turns (..., K, 3, 3) integrated with a gyro model; if it is None, the pass ends with stage 3."""
     readings, rates = rests
     accel, gyro = before
     accel = accel.composed(method.accelerometers(accel.apply(readings), course.nominal, gravity))
