@@ -208,10 +208,10 @@ def measurement_update(R: Array, d: Array, P: Array) -> tuple[Array, Array, Arra
 class Evidence:
     """A session, whitened by the prior, for the tests of changes.
 
-    `z` (p,) and `G` (p, k) are those of Eq. (1) for the x before the session, whose first 1 + m elements are gravity and
-    the parameters. `values` (m,), with derivative `by_x` (m, k) with respect to this x, and `covariance` (m, m) are those
-    of the parameters by prior and session, if nothing has changed. `squares` is the sum of squares that no x explains,
-    `degrees` the degrees of freedom of this sum and |z|² together."""
+    `z` (p,) and `G` (p, k) are those of Eq. (1) for the x before the session, whose first 1 + m elements are gravity
+    and the parameters. `values` (m,), with derivative `by_x` (m, k) with respect to this x, and `covariance` (m, m) are
+    those of the parameters by prior and session, if nothing has changed. `squares` is the sum of squares that no x
+    explains, `degrees` the degrees of freedom of this sum and |z|² together."""
 
     z: Array
     G: Array

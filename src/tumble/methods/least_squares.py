@@ -32,9 +32,9 @@ NORMAL = 1e8
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Solution:
-    """Solution of a weighted least-squares problem: the `step` (m,) of the parameters, its derivative `gain` (m, r) with
-    respect to the whitened residuals, the combinations `null` (q, m) that the data do not determine, in units of the
-    spreads, and the `covariance` (m, m), which includes the spreads of the null space."""
+    """Solution of a weighted least-squares problem: the `step` (m,) of the parameters, its derivative `gain` (m, r)
+    with respect to the whitened residuals, the combinations `null` (q, m) that the data do not determine, in units of
+    the spreads, and the `covariance` (m, m), which includes the spreads of the null space."""
 
     step: Array
     gain: Array

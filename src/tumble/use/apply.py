@@ -1,17 +1,12 @@
 """Recordings corrected with a calibration: a log in, a log out, sample by sample.
 
-The whole model is undone, as `Compensator` does; at the temperature of the row, where the log has a thermometer, or at
-that of sensors which follow it with the calibration's lag, as warm as it where a file begins. Where
-the accelerometers have lever arms and the session has gyros, they are moved to the last one: ω̇ is a central difference
-of the corrected rates, one row of look-ahead. The delays of the accelerometers are not undone. Rows are neither added
-nor bridged: a number that is not finite stays so in its row. What a column gets is what a perfect sensor in that place
-would read, d · true with its nominal axis d, those of a magnetometer being the axes of its own frame; for three sensors
-along the body axes that is the true vector itself. It is in SI, unless the names of the columns say the log's unit:
-"ax [g]" stays in g. A redundant block is solved by least squares first, and its vector is added in the columns accel_x,
-accel_y, accel_z and gyro_x, gyro_y, gyro_z, in SI.
+Each row is corrected by `tumble.use.corrector` at its temperature. Rows are neither added nor bridged, and a number that
+is not finite stays so. A column gets what a perfect sensor in its place would read, d · true, with its nominal axis d,
+in SI, or in the log's unit if the names of the columns state it, as in "ax [g]". A redundant block is solved by least
+squares, and its vector is added in the columns accel_x, accel_y, accel_z and gyro_x, gyro_y, gyro_z, in SI.
 
-Increments stay increments: an integral over an interval T is corrected by bias · T, and its interval is the step in
-time, as in `log`, less the samples that are missing in it.
+Increments stay increments: an integral over an interval T is corrected by bias · T. T is the step in time, less the
+samples that are missing in it.
 """
 
 from __future__ import annotations
@@ -53,8 +48,8 @@ _SLICE = 1 << 12
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Correction:
-    """The sensors of one kind and what corrects them; where they are not in the calibration, they are `copied`, and
-    others feel what they read."""
+    """The sensors of one kind and their model. If they are not in the calibration, their columns are `copied`, and their
+    readings are used in the correction of others."""
 
     kind: str
     channels: Channels
@@ -63,8 +58,7 @@ class _Correction:
 
     @cached_property
     def written(self) -> Channels:
-        """What the corrected columns are: in the log's own unit, with its nominal scale and offset, where the names of
-        the columns say it, else in SI."""
+        """The corrected columns: in the log's unit, scale and offset if their names state them, else in SI."""
         named = {unit_of_name(self.kind, column) for column in self.channels.columns}
         if self.copied or named == {self.channels.unit_name}:
             return self.channels
@@ -157,8 +151,7 @@ def apply_to_session(
 
 
 def applied(calibration: Calibration | FilePath, session: Session | FilePath) -> tuple[str, ...]:
-    """In sentences, what of the larger model `apply_to_session` corrects and what it leaves, where the calibration has
-    such parameters."""
+    """Sentences on the parameters beyond the linear model that `apply_to_session` corrects, and that it does not."""
     calibration, session = accepted_part(calibration_from(calibration)), session_from(session)
     compensator = calibration.compensator
     found = positions_by_group(p.name for p in calibration.parameters)
@@ -185,7 +178,7 @@ def applied(calibration: Calibration | FilePath, session: Session | FilePath) ->
 
 
 def _parts(calibration: Calibration, session: Session) -> tuple[_Correction, ...]:
-    """What is to be corrected; the calibration is that of the session's device."""
+    """The sensors to correct. Raises InputError for a calibration of another device or of other sensors."""
     check_device(calibration, session)
     copied = calibration.accel is None
     wanted: list[tuple[str, SensorModel | None, Channels]] = [

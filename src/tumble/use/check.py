@@ -4,27 +4,24 @@ The parameters at the time of the check have the values of the calibration and t
 
     P = Σ + diag(s²),   D = N Σ N + diag(s²/√ν_s),   N = diag(ν^(−1/4))                                         (1)
 
-Σ is the covariance of the calibration, estimated with ν degrees of freedom for each parameter, and s² the variance of
-what turning the device on again changes. It is twice the variance s_g² that is usual for the grade
-(`tumble.sensors.grades`), with 1/ν_s = 0: a single launch is as far from the mean of all launches as the one that is
-checked. If several launches of the device are known, those behind the calibration and those behind its other ones in a
-registry, with the pooled variance s_L² of ν_L degrees of freedom, s_g² is replaced by
+Σ is the covariance of the calibration, estimated with ν degrees of freedom for each parameter, and D the uncertainty of
+P (`tumble.methods.field_check`, Eq. (3)). s² is the variance of what turning the device on again changes: 2 s_g², with
+s_g the usual standard deviation for the grade and 1/ν_s = 0, as a single launch is as far from the mean of all launches
+as the one that is checked. If several launches of the device are known, with the pooled variance s_L² of ν_L degrees of
+freedom, s_g² is replaced by
 
     s² = max(s_L², [4 s_g² + ν_L s_L²]/(ν_L + 4)),   ν_s = ν_L or ν_L + 4                                         (2)
 
 because two launches that happen to agree do not predict that the third will: s_g² counts as if it had been estimated
-with four degrees of freedom. If the calibration is the mean of several launches, Σ contains the uncertainty of this
-mean, and the factor two is absent. D is the uncertainty of P itself (`tumble.methods.field_check`, Eq. (3)).
+with four degrees of freedom. If the calibration is the mean of several launches, the factor two is absent.
 
-Groups of parameters that the calibration does not have, and drifts, which belong to a session, are zero with the
-standard deviation usual for the grade. If the temperatures of calibration and check are known, the parameters are
-taken to that of the check by their slopes and curvatures, unknown ones with their usual size. If both use the same
-stated gravity, the error of this gravity is in the scale factors too, with the opposite sign.
+Groups of parameters that the calibration does not have, and drifts, which belong to a session, are zero with the usual
+standard deviation for the grade. If the temperatures of calibration and check are known, the parameters are taken to
+that of the check. If both use the same stated gravity, its error is in the scale factors too, with the opposite sign.
+Scatter is that of the calibration, and in-run biases have the usual size for the grade.
 
-Rests and turns scatter as they did in the calibration, and in-run biases have the size usual for the grade. With this
-prior the changes are tested as in `tumble.methods.field_check`. The rests are also compared with gravity one by one, as
-in `tumble.use.positions`. These differences alone decide for a table of readings, for the rests of the calibration
-itself, whose parameters cannot be tested with themselves, and for a calibration in the frame of the case.
+The rests are also compared with gravity one by one (`tumble.use.positions`). This alone decides for a table of
+readings, for the rests of the calibration itself, and for a calibration in the frame of the case.
 """
 
 from __future__ import annotations
@@ -90,19 +87,13 @@ class CheckedRest:
     difference : float
         Gravity less the modulus of the corrected reading, m/s².
     u, sigmas : float or None
-        Standard uncertainty of the difference, m/s², and the difference in units of it. In a stream they are those of
-        the prediction by the calibration, the power-on and the rests before. None, or not a number, if nothing predicts
-        the rest.
-    start, stop : float or None
-        Times, s.
-    celsius : float or None
-        Temperature, °C.
-    outside : tuple of str
-        Of "temperature" and "force", what is outside of the range that was calibrated; in a stream only.
-    judged : JudgedRest or None
-        In a stream, the tests of the biases by this rest.
-    why : str
-        In a stream, why a quiet stretch is not used as a rest; empty if it is.
+        Standard uncertainty of the difference, m/s², and the difference in units of it; in a stream as the calibration
+        and the rests before predict it. None, or not a number, if nothing predicts the rest.
+    start, stop, celsius : float or None
+        Times, s, and temperature, °C.
+    outside, judged, why : tuple of str, JudgedRest or None, str
+        In a stream only: which of "temperature" and "force" are outside of the calibrated range, the tests of the
+        biases by this rest, and why a quiet stretch is not used as a rest.
     """
 
     label: str
@@ -126,9 +117,7 @@ class FieldCheck(Judged):
     source : str
         The session, table or stream.
     rests : tuple of CheckedRest
-        Its rests or positions.
-    left_out : bool
-        Whether these are the calibration's own, each left out in turn.
+        Its rests or positions; if `left_out`, those of the calibration, each left out in turn.
     rest_limit : float or None
         What the largest |difference|/u exceeds by chance in one of 100 cases; None in a stream.
     turns : int
@@ -142,9 +131,7 @@ class FieldCheck(Judged):
     unseen : tuple of str
         Groups of parameters that the rests and turns do not determine.
     misfit : Fit or None
-        Residuals that no change explains.
-    rests_agree : bool
-        Whether the rests alone show no change, where no change explains the whole session.
+        Residuals that no change explains; `rests_agree` if they are those of the turns alone.
     notes : tuple of str
         What was assumed.
     updated : Calibration or None
@@ -408,19 +395,9 @@ def prior_at_check(
     data_sheet: Mapping[str, float],
     launches: Sequence[LaunchVariances] = (),
 ) -> CheckPrior:
-    """The prior of the parameters at the check, Eq. (1).
-
-    Parameters
-    ----------
-    calibration
-        In the frame `accelerometer`.
-    observations
-        The rests and turns of the check.
-    grade, data_sheet
-        Grade of the device, and standard deviations that its data sheet states instead, by group.
-    launches
-        Launches behind other calibrations of the device.
-    """
+    """The prior of the parameters at the check, Eq. (1), by a calibration in the frame `accelerometer`, the grade of the
+    device or the standard deviations by group that its data sheet states instead, and launches behind other
+    calibrations of the device."""
     usual = usual_sizes(grade, data_sheet)
     instrument = Instrument.of(
         observations.accel_block, observations.gyro_block, set(usual), variables_of(observations)

@@ -5,9 +5,8 @@ If accelerometers have lever arms and the rate is read, their specific force is 
 
     f = f_p − ω̇ × r − ω × (ω × r),     ω̇ᵢ = (ωᵢ₊₁ − ωᵢ₋₁) / (tᵢ₊₁ − tᵢ₋₁)
 
-so that a sample is corrected when the next one has come: `delay` is 1. If its neighbours are more than LONGEST_STEP
-usual intervals apart, or in the wrong order, ω̇ is unknown and the sample is not transferred. The delays of the
-accelerometers are not undone. `apply_to_session` corrects a log with the same stream.
+so that a sample is corrected one sample later. If its neighbours are more than LONGEST_STEP usual intervals apart, or in
+the wrong order, ω̇ is unknown and the sample is not transferred. The delays of the accelerometers are not undone.
 """
 
 from __future__ import annotations
@@ -93,24 +92,9 @@ class Ranges:
 class Stream:
     """Corrects the rows of one stream with a compensator.
 
-    Parameters
-    ----------
-    compensator
-        The model.
-    interval
-        Usual interval of samples, s.
-    gyros
-        Whether rates are read.
-    thermometers
-        Number of the thermometer of each accelerometer and of each gyro.
-    heat
-        How many thermometers there are.
-    ranges
-        Ranges outside of which samples are flagged.
-    zero
-        0 °C in the unit of the temperatures.
-    latest
-        LATEST, or 0 for stamps that are in order.
+    The usual `interval` of samples is in s. With `gyros` rates are read. Of `heat` thermometers, `thermometers` are the
+    numbers of those of each accelerometer and of each gyro; `zero` is 0 °C in the unit of their temperatures. Samples
+    outside of the `ranges` are flagged. `latest` is LATEST, or 0 for stamps that are in order.
     """
 
     def __init__(
@@ -223,9 +207,8 @@ class Corrector:
 
     Notes
     -----
-    A sample whose stamp is not after the last one is late. It is dropped, and counted in `dropped`. If it is earlier by
-    more than LATEST (1 s), the clock has started anew, as after a restart of the device, which is a gap. Across a gap ω̇
-    is unknown.
+    A sample whose stamp is not after the last one is dropped, and counted in `dropped`. If it is earlier by more than
+    LATEST (1 s), the clock has started anew, which is a gap. Across a gap ω̇ is unknown.
 
     Examples
     --------
@@ -272,8 +255,7 @@ class Corrector:
 
     @property
     def delay(self) -> int:
-        """Number of samples by which a corrected one is late: 1 with lever arms, for which ω̇ needs the next rate, else
-        0."""
+        """Number of samples by which a corrected one is late: 1 with lever arms, else 0."""
         return self._stream.delay
 
     @property

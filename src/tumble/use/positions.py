@@ -62,9 +62,9 @@ _OVER_TEMPERATURE: dict[Variable, int] = {"temperature": 1, "temperature²": 2}
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PositionResiduals:
-    """Differences Δg (N,) from gravity with their u, m/s², and Δg/u, `sigmas`, the largest of which is compared with the
-    quantile `limit`. If the positions are those of the calibration, each is `left_out`, Eq. (3): Δg is not a number where
-    nothing but the position determines it, and Δg/u is studentised."""
+    """Differences Δg (N,) from gravity with their u, m/s², and Δg/u, `sigmas`, the largest of which is compared with
+    the quantile `limit`. If the positions are those of the calibration, each is `left_out`, Eq. (3): Δg is not a number
+    where nothing but the position determines it, and Δg/u is studentised."""
 
     difference: Array
     u: Array
@@ -74,18 +74,11 @@ class PositionResiduals:
 
 
 def table_observations(calibration: Calibration, path: Path) -> tuple[Observations, ReadingsTable]:
-    """The rows of a table of readings as rests, and the table.
+    """The rows of a table of readings as rests, and the table, which has the unit, scale and gravity of the calibration
+    and the noise of its rests, or of a row of its table.
 
-    They have the unit and the scale of the readings that the calibration was made from, and its gravity. Their noise is
-    that of its rests, or that of a row of its table.
-
-    Raises
-    ------
-    InputError
-        For a table that cannot be read.
-    CalibrationError
-        If the calibration does not say what a reading is worth, or how uncertain it is.
-    """
+    Raises InputError for a table that cannot be read, and CalibrationError for a calibration that does not state the
+    unit of a reading or its uncertainty."""
     table, worth = read_table(path), calibration.readings.get("accel")
     if calibration.accel is None or worth is None or worth.increments or calibration.site is None:
         raise CalibrationError(
@@ -122,23 +115,11 @@ def _accelerometer_fit(calibration: Calibration) -> Fit:
 
 
 def residuals_in(calibration: Calibration, observations: Observations, sha256: str) -> PositionResiduals:
-    """Differences in check positions by an accepted calibration, Eq. (1) to (3).
+    """Differences by an accepted calibration, Eq. (1) to (3), in check positions whose log or table has this SHA-256.
 
-    Parameters
-    ----------
-    observations
-        The positions, as rests.
-    sha256
-        SHA-256 of their log or table.
-
-    Raises
-    ------
-    CalibrationError
-        For a calibration without all parameters of its accelerometers.
-    InputError
-        For positions of other sensors, of one of several launches behind the calibration, or where each of its own
-        positions is determined by nothing but itself.
-    """
+    Raises CalibrationError for a calibration without all parameters of its accelerometers, and InputError for positions
+    of other sensors or of one of several launches behind the calibration, and if each of its own positions is determined
+    by nothing but itself."""
     seen, J, names, length = _seen(calibration, observations)
     rests, there, block = observations.rests, observations.site, observations.accel_block
     assert calibration.accel is not None
@@ -190,9 +171,7 @@ def residuals_in(calibration: Calibration, observations: Observations, sha256: s
 
 
 def _unlearned(calibration: Calibration, names: tuple[str, ...], J: Array) -> Array:
-    """Part (N,) of the variance of |true| in the calibration's own positions from parameters that have only a prior.
-
-    Given the values of these, |true| is as well determined as in the fit."""
+    """Part (N,) of the variance of |true| in the positions of the calibration from parameters that have only a prior."""
     unlearned = [p.name for p in calibration.parameters if p.learned == 0.0]
     every = calibration.covariance_of([*names, *unlearned])
     if every is None or not unlearned:
@@ -208,8 +187,7 @@ def verticals(calibration: Calibration, observations: Observations) -> Verticals
 
 
 def _seen(calibration: Calibration, observations: Observations) -> tuple[Verticals, Array, tuple[str, ...], Array]:
-    """The verticals, the derivative J (N, m) of |true|, the names of the m parameters that a reading of the
-    accelerometers at rest depends on, and |true| (N,)."""
+    """The verticals, J (N, m), the names of the m parameters that readings at rest depend on, and |true| (N,)."""
     assert calibration.accel is not None
     block, reference = observations.accel_block, calibration.reference_temperature
     rests, celsius = observations.rests, None
