@@ -1,9 +1,9 @@
 """Recordings corrected with a calibration: a log in, a log out, sample by sample.
 
-Each row is corrected by `tumble.use.corrector` at its temperature. Rows are neither added nor bridged, and a number that
-is not finite stays so. A column gets what a perfect sensor in its place would read, d · true, with its nominal axis d,
-in SI, or in the log's unit if the names of the columns state it, as in "ax [g]". A redundant block is solved by least
-squares, and its vector is added in the columns accel_x, accel_y, accel_z and gyro_x, gyro_y, gyro_z, in SI.
+Each row is corrected by `tumble.use.corrector` at its temperature. Rows are neither added nor bridged, and a number
+that is not finite stays so. A column gets what a perfect sensor in its place would read, d · true, with its nominal
+axis d, in SI, or in the log's unit if the names of the columns state it, as in "ax [g]". A redundant block is solved by
+least squares, and its vector is added in the columns accel_x, accel_y, accel_z and gyro_x, gyro_y, gyro_z, in SI.
 
 Increments stay increments: an integral over an interval T is corrected by bias · T. T is the step in time, less the
 samples that are missing in it.
@@ -48,8 +48,8 @@ _SLICE = 1 << 12
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Correction:
-    """The sensors of one kind and their model. If they are not in the calibration, their columns are `copied`, and their
-    readings are used in the correction of others."""
+    """The sensors of one kind and their model. If they are not in the calibration, their columns are `copied`, and
+    their readings are used in the correction of others."""
 
     kind: str
     channels: Channels
@@ -288,10 +288,13 @@ def _corrected(
                 ready[kind] = np.concatenate([ready[kind], vectors])
         while waiting and len(ready["accel"]) >= waiting[0][0].height:
             table, intervals = waiting.pop(0)
-            yield table, {
-                kind: vectors[: table.height] * (intervals if intervals is not None and kind in increments else 1.0)
-                for kind, vectors in ready.items()
-            }
+            yield (
+                table,
+                {
+                    kind: vectors[: table.height] * (intervals if intervals is not None and kind in increments else 1.0)
+                    for kind, vectors in ready.items()
+                },
+            )
             ready = {kind: vectors[table.height :] for kind, vectors in ready.items()}
 
 

@@ -395,8 +395,8 @@ def prior_at_check(
     data_sheet: Mapping[str, float],
     launches: Sequence[LaunchVariances] = (),
 ) -> CheckPrior:
-    """The prior of the parameters at the check, Eq. (1), by a calibration in the frame `accelerometer`, the grade of the
-    device or the standard deviations by group that its data sheet states instead, and launches behind other
+    """The prior of the parameters at the check, Eq. (1), by a calibration in the frame `accelerometer`, the grade of
+    the device or the standard deviations by group that its data sheet states instead, and launches behind other
     calibrations of the device."""
     usual = usual_sizes(grade, data_sheet)
     instrument = Instrument.of(

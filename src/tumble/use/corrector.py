@@ -5,8 +5,8 @@ If accelerometers have lever arms and the rate is read, their specific force is 
 
     f = f_p − ω̇ × r − ω × (ω × r),     ω̇ᵢ = (ωᵢ₊₁ − ωᵢ₋₁) / (tᵢ₊₁ − tᵢ₋₁)
 
-so that a sample is corrected one sample later. If its neighbours are more than LONGEST_STEP usual intervals apart, or in
-the wrong order, ω̇ is unknown and the sample is not transferred. The delays of the accelerometers are not undone.
+so that a sample is corrected one sample later. If its neighbours are more than LONGEST_STEP usual intervals apart, or
+in the wrong order, ω̇ is unknown and the sample is not transferred. The delays of the accelerometers are not undone.
 """
 
 from __future__ import annotations

@@ -118,8 +118,8 @@ def residuals_in(calibration: Calibration, observations: Observations, sha256: s
     """Differences by an accepted calibration, Eq. (1) to (3), in check positions whose log or table has this SHA-256.
 
     Raises CalibrationError for a calibration without all parameters of its accelerometers, and InputError for positions
-    of other sensors or of one of several launches behind the calibration, and if each of its own positions is determined
-    by nothing but itself."""
+    of other sensors or of one of several launches behind the calibration, and if each of its own positions is
+    determined by nothing but itself."""
     seen, J, names, length = _seen(calibration, observations)
     rests, there, block = observations.rests, observations.site, observations.accel_block
     assert calibration.accel is not None
@@ -171,7 +171,8 @@ def residuals_in(calibration: Calibration, observations: Observations, sha256: s
 
 
 def _unlearned(calibration: Calibration, names: tuple[str, ...], J: Array) -> Array:
-    """Part (N,) of the variance of |true| in the positions of the calibration from parameters that have only a prior."""
+    """Part (N,) of the variance of |true| in the positions of the calibration from parameters that have only a
+    prior."""
     unlearned = [p.name for p in calibration.parameters if p.learned == 0.0]
     every = calibration.covariance_of([*names, *unlearned])
     if every is None or not unlearned:
