@@ -4,9 +4,9 @@
 
 N readings y (N, 3), in units of the true quantity after nominal scale and polarity, lie on an ellipsoid. Its centre is
 the bias; its shape gives M Mᵀ, the lengths of the rows of M (scale factors) and the angles between them
-(nonorthogonality). M itself is known up to a rotation, which is chosen so that M is in the accelerometer frame (see
-`model`); nine parameters. Accelerometers at rest (m = g), magnetometers (m = the field) and gyros on a table that turns
-at a constant rate (m = that rate) are the same problem.
+(nonorthogonality). M is determined up to a rotation, which is chosen so that M is in the accelerometer frame.
+Accelerometers at rest (m = g), magnetometers (m = the field) and gyros on a table that turns at a constant rate (m =
+that rate) are the same problem.
 
 The algebraic fit of Li & Griffiths gives the ellipsoid without a start (`quadric`).
 
@@ -14,13 +14,13 @@ Geometric fit: least squares on |M⁻¹(y − b)| − m with the covariances of 
 algebraic fit. In programmes that surround the sphere it changes the values by a hundredth of their uncertainties; it is
 there for weights, robustness and covariance.
 
-Readings one after another of a triad that is waved about err alike in neighbours, by noise with a memory and by what
-the model does not have, so that their number says nothing of u. Whole blocks of them are then left out in turn (the
+Readings one after another of a triad that is waved about have similar errors, by coloured noise and by what the model
+does not have, so that u does not fall with their number. Whole blocks of them are then left out in turn (the
 jackknife):
 
     δ_b = −(Σ − Σ_b)⁻¹ J_bᵀ r_b,   Σ = Σ_b Σ_b = JᵀJ,      cov = (B − 1)/B Σ_b (δ_b − δ̄)(δ_b − δ̄)ᵀ
 
-with B − 1 degrees of freedom; and what errs across the vector makes it longer by σ²/m, in u of the modulus.
+with B − 1 degrees of freedom. Errors across the vector make it longer by σ²/m, which is added to u of the modulus.
 
 The polarity of a channel is not in the data, since t and −t have the same length: it comes from the nominal scale or
 from roughly known positions (`readings`).
@@ -59,11 +59,11 @@ TRIAD = Block(kind="accel", axes=np.eye(3))
 """Three sensors along X, Y, Z with the parameters bias, scale and the angles yx, zx, zy of their own frame."""
 
 SPREAD = np.full(9, 10.0)
-"""How far the parameters may be from nominal, biases in parts of the modulus: what is known worse than a tenth of it,
-the modulus itself, is not determined. Positions that determine less are refused before."""
+"""Spreads of the parameters, biases in parts of the modulus: a parameter with a larger u than a tenth of its spread,
+the modulus itself, is not determined."""
 
 BAD_SIGMAS = 5.0
-"""A position so far from the fit through all others is bad, unless stated otherwise: it is named and left out."""
+"""Distance from the fit through all others at which a position is bad, unless stated otherwise."""
 
 FLOOR = 1e-13
 """Part of the modulus: no reading is taken to be better known, one without noise included."""
@@ -72,11 +72,11 @@ MOST_BAD = 0.2
 """Where more than this part of the positions is bad, none of them can be told from the good ones."""
 
 RIVAL_CHANCE = 1e-3
-"""Leaving out another position instead is as good an explanation where the variance of the others is then not larger by
-more than chance makes it in this part of all cases."""
+"""Leaving out another position explains as much if the variance of the others is then not larger by more than chance
+makes it with this probability."""
 
 SHOWN = 1e-6
-"""Of the variance of a residual: one of which the fit leaves no more shows nothing."""
+"""Part of the variance of a residual that must remain after the fit for it to show anything."""
 
 _LEFT_OUT_EACH = 50
 """Up to so many positions, each is left out in turn to find a bad one."""
@@ -84,9 +84,9 @@ _LEFT_OUT_EACH = 50
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class WorstPosition:
-    """The used position that is furthest, in `sigmas`, from the fit through all others, and the scatter of these; it
-    need not be bad. Without one of the `rivals` the others fit about as well: if one is bad, the positions do not tell
-    which. So it is with opposite edges of a cube where nothing but edges was taken."""
+    """The used position that is furthest, in `sigmas`, from the fit through all others, and the scatter of these.
+    Without one of the `rivals` instead, the others fit about as well, as with opposite edges of a cube if only edges
+    were taken: the positions do not tell which one is bad, if any is."""
 
     position: int
     sigmas: float
@@ -139,12 +139,12 @@ def fit_ellipsoid(
     bad_sigmas: float = BAD_SIGMAS,
     blocks: IntArray | None = None,
 ) -> EllipsoidFit | Refusal:
-    """The parameters of a triad from readings (N, 3) of a vector of length `modulus` in N unknown orientations, in
-    the unit of the modulus after nominal scale and polarity, in the frame that `block` fixes.
+    """Calibrate a triad from readings (N, 3) of a vector of length `modulus` in N unknown orientations, in the unit of
+    the modulus after nominal scale and polarity, in the frame that `block` fixes.
 
-    `covariance` (N, 3, 3) is what is known of their noise; a scatter is estimated on top of it. Without it all are
-    equally good. A position more than `bad_sigmas` from the fit through the others is left out, and says so. Where the
-    readings are samples one after another, `blocks` (N,) are the numbers, from 0, of the blocks they are judged by.
+    `covariance` (N, 3, 3) is that of their noise, in addition to which a scatter is estimated; without it all are
+    equally good. A position more than `bad_sigmas` from the fit through the others is left out. For samples one after
+    another, `blocks` (N,) are the numbers, from 0, of the blocks that the jackknife leaves out.
 
     >>> import numpy as np, tumble
     >>> faces = np.vstack([np.eye(3), -np.eye(3)])

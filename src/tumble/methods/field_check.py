@@ -16,15 +16,12 @@ be normal. P is estimated, and t_j has Student's t distribution with ν_j degree
 
     1/√ν_j = q_jᵀ D q_j,   q_j = Gᵀ g_j u_j   (3)
 
-where D is the uncertainty of P (`tumble.use.check`, Eq. (1)): if a part of P is wrong by some factor, the same part of
-the variance of t_j is. All parts of P are taken as wrong together. The largest |t_j| is compared with the quantile of
-the largest of such numbers that is exceeded with the probability CHANCE. If it is larger, its parameter is given a
-wide prior, everything is solved again, and so on, which gives the changes together. By Bonferroni's inequality, the
-probability that chance makes the largest of m statistics as large is at most 2 m T_ν(−|t|), with T_ν the distribution
-function of Student's t. What no change explains is judged by χ² = |z|² and the residuals, at MISFIT_CHANCE.
-
-The prior is not a part of a change: the change is what goes beyond it. A change that is smaller than what turning the
-device on again does is not detected. `tumble.methods.rest_chain` tests one rest after the other in the same way.
+where D is the uncertainty of P (`tumble.use.check`, Eq. (1)), all parts of which are taken as wrong together. The
+largest |t_j| is compared with the quantile of the largest of such numbers that is exceeded with the probability CHANCE.
+If it is larger, its parameter is given a wide prior, everything is solved again, and so on, which gives the changes
+together. By Bonferroni's inequality, the probability that chance makes the largest of m statistics as large is at most
+2 m T_ν(−|t|), with T_ν the distribution function of Student's t. What no change explains is judged by χ² = |z|² and the
+residuals, at MISFIT_CHANCE. A change that is smaller than what turning the device on again does is not detected.
 """
 
 from __future__ import annotations

@@ -5,21 +5,17 @@
     3  biases of the gyros                                from rests in which each is vertical, Eq. (18)
     4  scale factors and axis angles of the gyros         from turns, by the indirect method
 
-All stages together are a pass. It starts from the models of the pass before (at first from nominal sensors), looks at
-readings compensated by them, and composes what it finds with them, exactly. Stage 3 is the one of the paper's ways that
-needs neither more positions nor an azimuth: it holds for any bias, where the polar axis (17) and the scalar method want
-one far below the Earth's rate. Stage 4 uses the programme matrix of §6.3 and plain least squares, as the paper has it.
+All stages together are a pass. It starts from the models of the pass before (at first from nominal sensors), takes
+readings compensated by them, and composes the new models with them, exactly. Stage 3 is the only one of the paper's
+ways that holds for any bias. Stage 4 uses the programme matrix of §6.3 and plain least squares. An iteration is one
+pass over the same data, with the turns integrated about the gyro model of the pass.
 
-An iteration is one pass over the same data, with the turns integrated about the gyro model of the pass. Its increment
-measures what the pass before erred by its own method, not the noise, which is common to all.
+The covariance is that of the data, propagated by the derivative of the passes with respect to every mean reading, turn,
+gravity and start value, by central differences, chained. If the residuals need more than the noise within rests and
+turns, scatter between rests and of turns is estimated from them. The error of the last pass by its method is the
+difference from where further passes would lead; there the residuals are taken, too.
 
-Uncertainty is propagated through the passes as they are: the derivative of each pass with respect to every mean
-reading, turn, gravity and the values it starts from, by central differences, chained. Noise within rests and turns
-comes with the observations; where the residuals need more, scatter between rests and of turns is estimated from them
-and included. What the last pass errs by its own method is included, too: it is judged by the passes that would follow,
-as the paper judges an iteration by the next; so are the residuals, which speak of the data alone.
-
-The stages take any leading axes. Source: Vodicheva & Parysheva 2019; the turntable method, §2 to §6.
+Source: Vodicheva & Parysheva 2019; the turntable method, §2 to §6.
 """
 
 from __future__ import annotations
