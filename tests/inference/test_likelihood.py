@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from tests.support.formula_setup import device_setup
-from tests.support.programmed_turns import with_programmed_turns
 from tumble.inference.elimination import fold
 from tumble.inference.hyperparameters import Components
 from tumble.inference.likelihood import NO_PRIOR, Point, Prior, Problem, Rows, bases, noise_of, weights
@@ -192,7 +191,7 @@ def test_elimination_is_least_squares(axes: Array, only_programmed: bool) -> Non
     chosen = scenario(axes)
     problem, point, about = problem_at(chosen, 1e-4)
     if only_programmed:
-        observations = with_programmed_turns(simulate_observations(chosen, np.random.default_rng(3)))
+        observations = simulate_observations(chosen, np.random.default_rng(3), only_programmed=True)
         assert observations.turns is not None
         problem = Problem.of(observations)
         about = TurnsAbout.of(observations, problem.instrument, point.values)
@@ -256,8 +255,7 @@ def test_a_free_heading_takes_no_information() -> None:
 def bound(setup: Setup, only_programmed: bool) -> Array:
     """√CRLB, rms by group in the order of §8, at the true values."""
     chosen = scenario_of(setup, np.random.default_rng(1))
-    observations = simulate_observations(chosen, np.random.default_rng(3))
-    observations = with_programmed_turns(observations) if only_programmed else observations
+    observations = simulate_observations(chosen, np.random.default_rng(3), only_programmed=only_programmed)
     values = np.array([chosen.truth[name] for name in chosen.accel.names + chosen.gyro.names])
     point = Point(values=values, gravity=setup.gravity, attitudes=true_attitudes(chosen, 3))
     problem = Problem.of(observations)

@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 from tests.support.formula_setup import device_setup
-from tests.support.programmed_turns import with_programmed_turns
 from tests.support.staged import staged, staged_estimate
 from tumble.diagnosis.verdict import verdict
 from tumble.inference.estimate import Estimate
@@ -78,8 +77,7 @@ def in_the_hand(chosen: Scenario, positions: int = 30) -> Scenario:
 
 
 def observed(chosen: Scenario, seed: int, *, only_programmed: bool = False) -> Observations:
-    observations = simulate_observations(chosen, np.random.default_rng([seed, 2]))
-    return with_programmed_turns(observations) if only_programmed else observations
+    return simulate_observations(chosen, np.random.default_rng([seed, 2]), only_programmed=only_programmed)
 
 
 def error_of(estimate: Estimate, chosen: Scenario) -> Array:

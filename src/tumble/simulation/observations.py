@@ -50,9 +50,13 @@ SAMPLES = 256
 """Samples of a turn."""
 
 
-def simulate_observations(scenario: Scenario, rng: np.random.Generator) -> Observations:
-    """Observations of one session of a scenario, whose truth is `scenario.truth`. Raises InputError for a scenario that
-    is impossible or vibrates."""
+def simulate_observations(
+    scenario: Scenario, rng: np.random.Generator, *, only_programmed: bool = False
+) -> Observations:
+    """Observations of one session of a scenario, whose truth is `scenario.truth`. With `only_programmed`, turns that
+    the programme does not prescribe are left out, as if the log had been stopped for them.
+
+    Raises InputError for a scenario that is impossible or vibrates."""
     if scenario.vibration.amplitude > 0.0:
         raise InputError(
             f"vibration: expected none in observations without a log, found {scenario.vibration.amplitude:g} m/s^2; "
@@ -67,6 +71,9 @@ def simulate_observations(scenario: Scenario, rng: np.random.Generator) -> Obser
     )
     rests = _rests(scenario, way, (accel, gyro), biases, noise)
     listed = scenario.programme
+    if only_programmed:
+        programmed = [move.axis is not None for move in listed.moves] if listed is not None else False
+        way = replace(way, turned=way.turned & programmed)
     turns, samples, integrals = _turns(scenario, way, (accel, gyro), biases, noise)
     site = scenario.site
     observations = Observations(
