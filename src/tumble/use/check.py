@@ -261,9 +261,8 @@ def check_calibration(
     if not isinstance(readings, Session) and not Path(readings).is_dir():
         rows, table = table_observations(given, Path(readings))
         residuals = residuals_in(given, rows, table.sha256)
-        labels = (f"position {i} (line {line})" for i, line in enumerate(table.lines, 1))
-        rests = tuple(_rest(residuals, i, label=label) for i, label in enumerate(labels))
-        return FieldCheck(source=str(readings), rests=rests, left_out=residuals.left_out, rest_limit=residuals.limit)
+        labels = [f"position {i} (line {line})" for i, line in enumerate(table.lines, 1)]
+        return _checked_rests(str(readings), residuals, labels)
     session = session_from(readings)
     check_session(given, session)
     observed = inspect_session(replace(session, programme=None))
@@ -275,25 +274,15 @@ def check_calibration(
     # each rest against gravity
     residuals = residuals_in(given, observations, observed.sha256)
     at, kelvin = observations.rests, observations.rests.temperature
-    times = zip(at.start.tolist(), at.stop.tolist(), strict=True)
+    times = list(zip(at.start.tolist(), at.stop.tolist(), strict=True))
+    celsius = len(times) * [None] if kelvin is None else (kelvin - ZERO_CELSIUS).tolist()
+    labels = [f"rest {i} ({start:z.1f}–{stop:z.1f} s)" for i, (start, stop) in enumerate(times, 1)]
+    by_rests = _checked_rests(session.name, residuals, labels)
     rests = tuple(
-        _rest(
-            residuals,
-            i,
-            label=f"rest {i + 1} ({start:z.1f}–{stop:z.1f} s)",
-            start=start,
-            stop=stop,
-            celsius=None if kelvin is None else float(kelvin[i]) - ZERO_CELSIUS,
-        )
-        for i, (start, stop) in enumerate(times)
+        replace(rest, start=start, stop=stop, celsius=warmth)
+        for rest, (start, stop), warmth in zip(by_rests.rests, times, celsius, strict=True)
     )
-    by_rests = FieldCheck(
-        source=session.name,
-        rests=rests,
-        left_out=residuals.left_out,
-        rest_limit=residuals.limit,
-        notes=given.absent,
-    )
+    by_rests = replace(by_rests, rests=rests, notes=given.absent)
     if residuals.left_out or given.frame == "case":
         return by_rests
 
@@ -321,14 +310,13 @@ def check_calibration(
     return replace(check, updated=updated.in_frame(given.frame))
 
 
-def _rest(residuals: PositionResiduals, i: int, **of_rest: Any) -> CheckedRest:
-    """The i-th position, with its other fields."""
-    return CheckedRest(
-        difference=float(residuals.difference[i]),
-        u=float(residuals.u[i]),
-        sigmas=float(residuals.sigmas[i]),
-        **of_rest,
+def _checked_rests(source: str, residuals: PositionResiduals, labels: Sequence[str]) -> FieldCheck:
+    """A check by the differences from gravity alone."""
+    numbers = zip(
+        labels, *(each.tolist() for each in (residuals.difference, residuals.u, residuals.sigmas)), strict=True
     )
+    rests = tuple(CheckedRest(label=label, difference=d, u=u, sigmas=sigmas) for label, d, u, sigmas in numbers)
+    return FieldCheck(source=source, rests=rests, left_out=residuals.left_out, rest_limit=residuals.limit)
 
 
 def _assumptions(
