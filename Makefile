@@ -32,7 +32,7 @@ lint: .venv/test
 	$(BIN)/lint-imports
 
 docs: kernels
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+	$(BIN)/sphinx-build -q -E -W -n --keep-going docs site
 	@echo "site/index.html"
 
 # what was changed in a .pyx since is compiled again

@@ -1,17 +1,18 @@
-"""The pages that are made of results: tables and pictures of docs/evidence, and single figures in other pages.
+"""What pages say of results: tables, pictures, and single figures.
 
-    python -m evidence.pages            writes them anew from evidence/results
+    python -m evidence.pages            draws the pictures and puts the figures of evidence/results into the pages
 
-A page that is made is its results and nothing else: a test compares it with what is made again. In a page that is
-written by hand a figure or a table of a result stands between two comments, which name it, and is put there by the same
-command (what stands in backticks is an example). Results are those of the benchmark and of studies (studies/results):
+Tables of the pages docs/evidence/simulated.md and real.md are made when the site is built (`docs/made.py`) by the
+functions of this module and of `evidence.real.page`. In a page that is written by hand a figure or a table of a result
+stands between two comments, which name it, and is put there by the command above (what stands in backticks is an
+example). Results are those of the benchmark and of studies (studies/results):
 
     `<!-- figure: simulated | tumble joint | all | covered -->95.2 %<!-- end -->`
     `<!-- figure: field_check | made | date -->2026-11-26<!-- end -->`
     `<!-- table: field_check | checks --> … <!-- end -->`
 
-A table that a test compares with what is computed says which: `<!-- tested: tests/… -->` stands above it. All other
-tables of docs/evidence have no result yet; `without_result` counts them.
+A comment at the beginning of a line would end the paragraph, so a figure never stands there: `with_figures` moves it to
+the end of the line before.
 """
 
 from __future__ import annotations
@@ -19,15 +20,15 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-import textwrap
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 
 from evidence import programs as benchmark
-from evidence.run import JUDGES, RESULTS, Results
+from evidence.run import RESULTS, Results
 from evidence.score import GROUPS, USABLE, Row, Score, as_expected, by, score_of
 from evidence.simulated.kinds import KINDS, Kind, seed_of
 
@@ -39,11 +40,9 @@ ASKED = {"rms": 1.15, "beyond_3": 0.01, "covered": 0.92}
 """What is asked of z and of 95 % intervals."""
 GOOD = "accept"
 FIGURE = re.compile(r"(?<!`)(<!-- figure: ([^>]*?) -->)(.*?)(<!-- end -->)", re.S)
+AT_START = re.compile(r"[ ]*\n[ ]*(<!-- figure: )")
+"""A figure at the beginning of a line, where Markdown would take the comment for a block."""
 TABLE = re.compile(r"(?<!`)(<!-- table: ([^>]*?) -->\n)(.*?)(<!-- end -->)", re.S)
-LINES = r"(?:^ *\|.*\|$\n?)+"
-TESTED = re.compile(rf"^ *<!-- tested: (\S+) -->\n+{LINES}", re.M)
-MADE = ("simulated.md", "real.md")
-"""Pages of docs/evidence that are made of results alone."""
 WORDS = {
     "accel.bias": "bias", "accel.scale": "scale", "accel.axis": "axes",
     "gyro.bias": "bias", "gyro.scale": "scale", "gyro.axis": "axes",
@@ -96,113 +95,46 @@ def _has(row: Row, group: str) -> bool:
     return row.verdict in USABLE and group in row.errors and row.errors[group][0] > 0.0
 
 
-# -------------------- the page of simulated sessions --------------------
-
-
-def simulated_page(results: Results) -> str:
-    """docs/evidence/simulated.md."""
-    made, of_program = results.made, by(results.rows, "program")
-    kinds = [kind for kind in KINDS if any(row.kind == kind.name for row in results.rows)]
-    peers = [name for name in of_program if name not in JUDGES and not benchmark.named(name).ours]
-    each = int(made["sessions_of_a_kind"])
-    useless = sum(kind.expected in ("refuse", "name the cause") for kind in kinds)
-    return page(
-        "# Simulated sessions",
-        f"By `python -m evidence.run`, commit {made['commit'][:12]}, {made['date']}, {made['machine']}, "
-        f"{made['system']}: {made['sessions']} sessions of {made['kinds']} kinds, {each} of each at least, series "
-        f"`{made['series']}`, {len(of_program)} programs. This page is made from `evidence/results/simulated.json` by "
-        "`python -m evidence.pages`.",
-        "A session is drawn by a simulator that shares no code with tumble (`evidence/simulated/`): a course with its "
-        "tremor and ringing, a device with everything that is beyond bias, scale factor and axes in the sizes usual of "
-        "its grade, a driver and a clock. A program gets readings in SI, gravity to 1 mGal, the latitude, and nothing "
-        "else. Seeds are none of those of the tests.",
-        "## Where tumble loses",
-        f"The method `joint`: what is silently wrong; verdicts that are not what is expected; u, where rms is above "
-        f"{ASKED['rms']}, more than {share(ASKED['beyond_3'])} are beyond 3 u or fewer than {share(ASKED['covered'])} "
-        "are covered, by more than the standard error over sessions; and programs that leave smaller errors, by more "
-        "than two standard errors.",
-        losses(results, kinds),
-        "## By kind of session",
-        "The method `joint`. As expected: a good recording is accepted without a remark, one that scatters with the "
-        "remark that says so, a cause is among the words of the verdict, what is of no use is not accepted. Silently "
-        "wrong: accepted without a remark, and one of the 21 parameters more than 4 u off. rms, shares beyond 2 and 3, "
-        "and the largest are of error over u, covered of 95 % intervals, of what is accepted with or without a remark. "
-        "Of normal errors and a true u 1, 4.6 %, 0.3 % and 95 % are to be expected; the standard error of a kind's rms "
-        f"is {1.0 / np.sqrt(20.0 * each):.2f} where ten of the 21 are independent.",
-        kind_table(results, kinds),
-        "![rms of error over u and coverage by kind](../pictures/evidence-kinds.svg)",
-        "## By program",
-        "Good recordings, kinds of which nothing but acceptance is expected: how many of them a program calibrates, "
-        "and what it leaves of the errors of the device (rms of the errors over rms of what there was to find, "
-        "geometric mean over the sessions that it calibrates). A program that does not state u has no coverage, and "
-        f"cannot be silently wrong. {_peers(peers)}",
-        program_table(results, kinds),
-        "Errors over those of `joint` in the same sessions, geometric mean over good recordings that both calibrate:",
-        ratio_table(results, kinds),
-        "![Errors of programs over those of the method joint](../pictures/evidence-programs.svg)",
-        f"Recordings of no use, and those with a cause that is to be named, {useless} kinds: how many a program "
-        "calibrates without a word against it.",
-        useless_table(results, kinds),
-        "## Limits",
-        "What is simulated is what was thought of: the sizes of everything beyond the linear model are those that data "
-        "sheets state, normally distributed, and tumble's own priors are of such sheets too. Recordings of real "
-        "devices are on pages of their own. What is compared are parameters: a program of the linear model alone has "
-        "in its biases and scale factors what the terms beyond do to them at the forces of the recording, which a "
-        "matrix and a bias are right to have where nothing else is corrected. A bias that moves is its mean over all "
-        "rests; a program that leaves rests out, as of `warm-unseen`, or what was before a driver had zeroed the "
-        "gyros, of `self-zeroed`, means another. Programs of others are rewritten from what they publish, with their "
-        "defaults; where one states no rule for finding rests it is given one "
-        "(`evidence/peers/`).",
-    )
-
-
-def page(*paragraphs: str) -> str:
-    """A page of paragraphs, headings, lists, tables and pictures."""
-    return (
-        "\n\n".join(
-            text if text[0] in "#|*!" else textwrap.fill(text, 120, break_long_words=False, break_on_hyphens=False)
-            for text in paragraphs
-        )
-        + "\n"
-    )
-
-
-def _peers(names: Sequence[str]) -> str:
-    return f"Programs of others: {', '.join(names)}." if names else "Programs of others were not run."
+# -------------------- tables of simulated sessions --------------------
 
 
 def losses(results: Results, kinds: Sequence[Kind]) -> str:
-    """What is against tumble's default method, as a list."""
+    """Where tumble's default method is wrong, or behind others, as a list with a line for each sort of loss."""
     rows = by([row for row in results.rows if row.program == OURS], "kind")
-    out = []
+    silent, unexpected, short = [], [], []
     for row in (row for some in rows.values() for row in some if row.silent_wrong):
         name, z = row.worst
         seed = seed_of(results.made["series"], row.kind, int(row.case.rpartition(" ")[2]))
-        out.append(f"Silently wrong: `{row.case}` (seed {seed:016x}), `{name}` by {z:+.1f} u.")
+        silent.append(f"`{row.case}` (seed {seed:016x}), `{name}` by {z:+.1f} u")
     for kind in kinds:
-        score = score_of(rows[kind.name], results.expected)
         wrong = [row for row in rows[kind.name] if not as_expected(row, kind.expected, kind.says)]
         if wrong:
-            said = f"{kind.expected} is expected, {verdicts(score)} are accepted, accepted with scatter, not"
-            out.append(f"Verdicts: `{kind.name}`, {len(wrong)} of {score.sessions} are not what is expected: {said}.")
-    for kind in kinds:
+            unexpected.append(f"`{kind.name}` {len(wrong)} of {len(rows[kind.name])}")
         for verdict, words in (("accepted", "accepted without a remark"), ("with scatter", "accepted with scatter")):
             some = [row for row in rows[kind.name] if row.verdict == verdict and row.z]
-            short = falls_short(some)
-            if short:
-                out.append(f"u: `{kind.name}`, {len(some)} of {len(rows[kind.name])}, {words}: {', '.join(short)}.")
+            misses = falls_short(some)
+            if misses:
+                short.append(f"`{kind.name}` ({len(some)} of {len(rows[kind.name])}, {words}): {', '.join(misses)}")
     good = {kind.name for kind in kinds if kind.expected == GOOD}
     ours = {row.case: row for row in results.rows if row.program == OURS}
+    smaller = []
     for program, some in by(results.rows, "program").items():
         for kind_name, of_kind in by([row for row in some if row.kind in good], "kind").items():
             for group in GROUPS if program != OURS else ():
                 ratio = over_ours({row.case: row for row in of_kind}, ours, group)
                 if ratio is not None and np.log(ratio[0]) < -2.0 * ratio[1] and ratio[0] < 0.95:
-                    out.append(
-                        f"Errors: {program} leaves {ratio[0]:.2f} times the errors of `{group}` that `joint` does, "
-                        f"`{kind_name}`, {ratio[2]} sessions."
-                    )
-    return "\n".join(f"* {line}" for line in out) or "Nowhere, in what is asked here."
+                    smaller.append(f"{program} {ratio[0]:.2f} of `{group}` in `{kind_name}` (N = {ratio[2]})")
+    return listed({
+        "Accepted without a remark, and a parameter more than 4 u off": silent,
+        "A verdict other than expected": unexpected,
+        "u too small": short,
+        "Errors of others, divided by those of the default": smaller,
+    })  # fmt: skip
+
+
+def listed(said: Mapping[str, Sequence[str]]) -> str:
+    """A list with a line for each heading under which something is said."""
+    return "\n".join(f"* **{head}**: {'; '.join(lines)}." for head, lines in said.items() if lines)
 
 
 def falls_short(rows: Sequence[Row]) -> list[str]:
@@ -231,38 +163,44 @@ def falls_short(rows: Sequence[Row]) -> list[str]:
 
 
 def kind_table(results: Results, kinds: Sequence[Kind]) -> str:
-    """Of the default method, a line for each kind, and all."""
+    """The default method, a line for each kind, and all."""
     rows = by([row for row in results.rows if row.program == OURS], "kind")
-    head = ["kind", "", "expected", "N", "as expected", "accepted, with scatter, not", "silently wrong", "rms",
-            "> 2 u", "> 3 u", "largest", "covered"]  # fmt: skip
+    head = ["kind", "what it is", "expected", "as expected", "verdicts", "wrong", "rms", "> 3 u", "covered"]
     lines = []
     for name, words, expected in [*((k.name, k.words, k.expected) for k in kinds), ("all", "", "")]:
         score = score_of(rows[name] if name in rows else [r for some in rows.values() for r in some], results.expected)
         lines.append([
-            f"`{name}`" if name in rows else "**all**", words, expected, f"{score.sessions}", f"{score.as_expected}",
-            verdicts(score), f"{score.silent_wrong}", number(score.rms), share(score.beyond_2), share(score.beyond_3),
-            number(score.largest, 1), share(score.covered),
+            f"`{name}`" if name in rows else "**all**", words, expected, f"{score.as_expected} of {score.sessions}",
+            verdicts(score), f"{score.silent_wrong}", number(score.rms), share(score.beyond_3), share(score.covered),
         ])  # fmt: skip
     return table(head, lines)
 
 
 def program_table(results: Results, kinds: Sequence[Kind]) -> str:
-    """Of good recordings, a line for each program."""
+    """Verdicts and uncertainty on good recordings, a line for each program."""
     good = {kind.name for kind in kinds if kind.expected == GOOD}
-    head = ["program", "N", "calibrated", "silently wrong", "rms", "> 3 u", "covered",
-            *(f"{group.split('.')[0]} {WORDS[group]}" for group in GROUPS), "s", "MB"]  # fmt: skip
+    head = ["program", "N", "calibrated", "wrong", "rms of error/u", "> 3 u", "covered", "s", "MB"]
     lines = []
     for program, rows in by(results.rows, "program").items():
         able = [row for row in rows if row.kind in good and row.verdict != "cannot run"]
         score, cost = score_of(able), results.cost.get(program, {})
         usable = sum(row.verdict in USABLE for row in able)
-        states = score.rms is not None
         lines.append([
-            program, f"{len(able)}", f"{usable}", f"{score.silent_wrong}" if states else "–", number(score.rms),
-            share(score.beyond_3), share(score.covered), *(number(score.left.get(group), 3) for group in GROUPS),
+            program, f"{len(able)}", f"{usable}", f"{score.silent_wrong}" if score.rms is not None else "–",
+            number(score.rms), share(score.beyond_3), share(score.covered),
             number(cost.get("seconds")), number(cost.get("megabytes"), 0),
         ])  # fmt: skip
     return table(head, lines)
+
+
+def left_table(results: Results, kinds: Sequence[Kind]) -> str:
+    """What is left of the errors of the device in good recordings, a line for each program."""
+    good = {kind.name for kind in kinds if kind.expected == GOOD}
+    lines = []
+    for program, rows in by(results.rows, "program").items():
+        score = score_of([row for row in rows if row.kind in good and row.verdict != "cannot run"])
+        lines.append([program, *(number(score.left.get(group), 3) for group in GROUPS)])
+    return table(["program", *(f"{group.split('.')[0]} {WORDS[group]}" for group in GROUPS)], lines)
 
 
 def ratio_table(results: Results, kinds: Sequence[Kind]) -> str:
@@ -287,7 +225,7 @@ def useless_table(results: Results, kinds: Sequence[Kind]) -> str:
     for program, rows in by(results.rows, "program").items():
         able = useless(rows, expected)
         lines.append([program, f"{len(able)}", f"{sum(row.verdict == 'accepted' for row in able)}"])
-    return table(["program", "N", "calibrated without a word"], lines)
+    return table(["program", "N", "calibrated without a remark"], lines)
 
 
 def useless(rows: Sequence[Row], expected: Mapping[str, str]) -> list[Row]:
@@ -398,18 +336,19 @@ def digest(results: Results) -> str:
     return hashlib.sha256(repr(results.rows).encode()).hexdigest()[:16]
 
 
-# -------------------- all of them --------------------
-
-
-def render(results: Mapping[str, Results]) -> dict[str, str]:
-    """Pages by their path in the repository, from results by the name of their set."""
-    return {"docs/evidence/simulated.md": simulated_page(results["simulated"])} if "simulated" in results else {}
+# -------------------- figures --------------------
 
 
 def all_results() -> dict[str, Results]:
     """What is in evidence/results of simulated cases; real ones have a page and a test of their own."""
     paths = (RESULTS / f"{name}.json" for name in ("simulated", "short"))
-    return {path.stem: Results.read(path) for path in paths if path.exists()}
+    return {path.stem: of_today(Results.read(path)) for path in paths if path.exists()}
+
+
+def of_today(results: Results) -> Results:
+    """Results without programs that the benchmark no longer has."""
+    there = {program.name for program in benchmark.PROGRAMS}
+    return replace(results, rows=tuple(row for row in results.rows if row.program in there))
 
 
 def with_figures(text: str, results: Mapping[str, Results]) -> str:
@@ -419,9 +358,9 @@ def with_figures(text: str, results: Mapping[str, Results]) -> str:
         return f"{match[1]}{figure(match[2], results)}{match[4]}"
 
     def put_table(match: re.Match[str]) -> str:
-        return f"{match[1]}\n{table_of(match[2], results)}\n\n{match[4]}"
+        return f"{match[1]}\n{table_of(match[2])}\n\n{match[4]}"
 
-    return TABLE.sub(put_table, FIGURE.sub(put, text))
+    return TABLE.sub(put_table, FIGURE.sub(put, AT_START.sub(r" \1", text)))
 
 
 def of_study(name: str) -> Mapping[str, Any]:
@@ -432,11 +371,9 @@ def of_study(name: str) -> Mapping[str, Any]:
     return cast("Mapping[str, Any]", json.loads(path.read_text(encoding="utf-8")))
 
 
-def table_of(name: str, results: Mapping[str, Results]) -> str:
-    """A table by its name: study | table, or evidence | one of SUMMARIES."""
+def table_of(name: str) -> str:
+    """A table by its name: study | table."""
     study, table_name = (word.strip() for word in name.split("|"))
-    if study == "evidence":
-        return SUMMARIES[table_name](results)
     head, *rows = of_study(study)["tables"][table_name]
     return table(head, rows)
 
@@ -475,84 +412,33 @@ def figure(name: str, results: Mapping[str, Results]) -> str:
     return share(value) if keys[-1] in shares else f"{value}" if isinstance(value, int) else number(value)
 
 
-def without_result(text: str) -> int:
-    """How many tables of numbers of a page are written by hand, and compared with nothing."""
-    left = TESTED.sub("", TABLE.sub("", re.sub(r"^```.*?^```$", "", text, flags=re.M | re.S)))
-    tables = re.findall(LINES, left, re.M)
-    return sum(bool(re.search(r"\d", re.sub(r"\A.*\n.*\n", "", each))) for each in tables)
-
-
-def sources_of_tables(_: Mapping[str, Results]) -> str:
-    """Of every page how many of its tables are of a result or compared by a test, and how many are not."""
-    rows = []
-    for path in sorted((ROOT / "docs/evidence").glob("*.md")):
-        text = path.read_text(encoding="utf-8")
-        traced = len(TABLE.findall(text)) + len(TESTED.findall(text))
-        hand = without_result(text)
-        if path.name not in (*MADE, "index.md") and traced + hand:
-            title = text.partition("\n")[0].removeprefix("# ")
-            rows.append([f"[{title}]({path.name})", f"{traced or ''}", f"{hand or ''}"])
-    return table(["page", "tables of results", "by hand"], rows)
-
-
-def all_programs(results: Mapping[str, Results]) -> str:
-    """A line for each program, of both sets: of simulated sessions those of which acceptance is expected, and those of
-    no use or with a cause that is to be named; of real ones what is predicted, over the default method."""
-    from evidence.real.page import WAYS, real_figure
-
-    rows_of = by(results["simulated"].rows, "program")
+def simulated_summary(results: Results) -> str:
+    """A line for each program: good recordings, and those of no use or with a cause that is to be named."""
     expected = {kind.name: kind.expected for kind in KINDS}
-    ways = [(score, way.split()[1]) for score in ("force", "tilt") for way in list(WAYS)[:2]]
     lines = []
-    for program, rows in rows_of.items():
+    for program, rows in by(results.rows, "program").items():
         able = [row for row in rows if row.verdict != "cannot run"]
         good = [row for row in able if expected[row.kind] == GOOD]
-        bad = useless(rows, expected)
-        score, cells = score_of(good), []
-        for what, way in ways:
-            try:
-                cells.append("1" if program == OURS else real_figure([what, program, way, "ratio"]))
-            except KeyError:
-                cells.append("–")
+        bad, score = useless(rows, expected), score_of(good)
         usable, silent = sum(row.verdict in USABLE for row in good), sum(row.silent_wrong for row in able)
         lines.append([
             program, f"{usable} of {len(good)}", number(score.rms), share(score.covered),
             f"{silent}" if score.rms is not None else "–",
-            f"{sum(row.verdict == 'accepted' for row in bad)} of {len(bad)}", *cells,
+            f"{sum(row.verdict == 'accepted' for row in bad)} of {len(bad)}",
         ])  # fmt: skip
-    head = ["program", "good ones calibrated", "rms of error/u", "covered", "silently wrong", "useless ones calibrated",
-            "rests of the next session", "rests held out", "turns of the next session", "turns held out"]  # fmt: skip
+    head = ["program", "good ones calibrated", "rms of error/u", "covered", "wrong", "useless ones calibrated"]
     return table(head, lines)
-
-
-def all_losses(results: Mapping[str, Results]) -> str:
-    """What is against tumble, of both sets, as a list."""
-    from evidence.real.page import RESULTS as REAL
-    from evidence.real.page import real_losses
-
-    simulated = results["simulated"]
-    kinds = [kind for kind in KINDS if any(row.kind == kind.name for row in simulated.rows)]
-    return losses(simulated, kinds) + "\n" + real_losses(json.loads(REAL.read_text(encoding="utf-8")))
-
-
-SUMMARIES = {"pages": sources_of_tables, "programs": all_programs, "losses": all_losses}
 
 
 def written_by_hand() -> list[Path]:
     """Pages that may hold figures."""
-    made = {ROOT / "docs/evidence" / name for name in MADE}
-    return [
-        path
-        for path in sorted([ROOT / "README.md", *ROOT.glob("paper/*.md"), *ROOT.glob("docs/**/*.md")])
-        if path not in made
-    ]
+    patterns = ("paper/*.md", "docs/**/*.md", "studies/*.md")
+    return sorted([ROOT / "README.md", *(path for pattern in patterns for path in ROOT.glob(pattern))])
 
 
 def write() -> None:
-    """Pages, pictures and figures of today."""
+    """Pictures and figures of today."""
     results = all_results()
-    for name, text in render(results).items():
-        (ROOT / name).write_text(text, encoding="utf-8")
     if "simulated" in results:
         draw_kinds(results["simulated"], PICTURES / "evidence-kinds.svg")
         draw_programs(results["simulated"], PICTURES / "evidence-programs.svg")

@@ -13,18 +13,19 @@ an upper limit that lies exactly at its true value: the guard band promises that
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from math import inf, sqrt
 
 import numpy as np
 from stored import shown, store
-from tumble.lab.type_spread import KnownLaunches, TypeSpread, pooled
 
 from tumble.inference.joint import joint
 from tumble.lab.conformity import judge_value
 from tumble.planning.setup import Setup
 from tumble.result.coverage import by_gravity, degrees_of_mean, expanded
+from tumble.result.launch_variances import LaunchVariances, pooled, variance_of_type
 from tumble.result.parts import Parameter
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import Scenario, scenario_of
@@ -74,13 +75,13 @@ class Launched:
     truth: dict[str, float]
     runs: list[tuple[list[Parameter], Array]]
 
-    def known(self, serial: int) -> KnownLaunches:
+    def known(self, serial: int) -> LaunchVariances:
         """What a registry knows of them."""
         variances = {}
         for i, first in enumerate(self.runs[0][0]):
             values = np.array([run[i].value for run, _ in self.runs])
             variances[first.name] = (float(values.var(ddof=1)), self.noise(i))
-        return KnownLaunches(serial=str(serial), logs=frozenset(), degrees=len(self.runs) - 1, variances=variances)
+        return LaunchVariances(serial=str(serial), logs=frozenset(), degrees=len(self.runs) - 1, variances=variances)
 
     def noise(self, i: int) -> float:
         """The mean variance that launches know of themselves."""
@@ -93,7 +94,7 @@ def run(case: Case, trials: int, *, seed: int = 0) -> Outcome:
     covered, passed = [], []
     for trial, device in enumerate(devices):
         others = [(trial + 1 + i) % trials for i in range(min(case.alike, trials - 1))]
-        alike = TypeSpread(model="mems", frame="", known=tuple(devices[i].known(i) for i in others))
+        alike = [devices[i].known(i) for i in others]
         for parameter in _mean(device, alike):
             U, truth = expanded(parameter) or inf, device.truth[parameter.name]
             covered.append(abs(parameter.value - truth) <= U)
@@ -123,7 +124,7 @@ def _launched(setup: Setup, launches: int, rng: np.random.Generator) -> Launched
     return Launched(truth=dict(scenario.truth), runs=runs)
 
 
-def _mean(device: Launched, alike: TypeSpread) -> list[Parameter]:
+def _mean(device: Launched, alike: Sequence[LaunchVariances]) -> list[Parameter]:
     """The parameters of the mean of launches."""
     runs = device.runs
     if len(runs) == 1:
@@ -134,7 +135,7 @@ def _mean(device: Launched, alike: TypeSpread) -> list[Parameter]:
         own = [(max((run[i].u or 0.0) ** 2 - common**2, 0.0), run[i].dof) for run, _ in runs]
         values = np.array([run[i].value for run, _ in runs])
         s2 = float(values.var(ddof=1))
-        of_type = alike.of(first.name, device.noise(i))
+        of_type = variance_of_type(alike, first.name, device.noise(i))
         variance, degrees = pooled(s2, len(runs) - 1.0, of_type) or (s2, len(runs) - 1.0)
         u, dof = degrees_of_mean(own, sqrt(variance), common, degrees=degrees)
         out.append(replace(first, value=float(values.mean()), u=u, dof=dof))

@@ -2,7 +2,7 @@
 
 Every case damages one input file of a small set (sessions, with thermometers, priors and what is left out too, logs,
 table of readings, calibrations, halves of them, truth, limits, campaign, manifest, certificate and laboratory, a
-registry and its export, workbooks, MATLAB and HDF5 recordings, ROS bags, Parquet with nested columns), or another one
+registry, workbooks, MATLAB and HDF5 recordings, ROS bags, Parquet with nested columns), or another one
 beside it, puts something in its place that is no regular file, or gives an absurd value to an option, or the options in
 another order, and runs one command in this process. Case n of a seed is always the same, whatever ran before. A case is
 a finding where
@@ -467,7 +467,6 @@ TARGETS = (
             "registry due --registry {}/r.sqlite",
             "registry trend mems-7 --registry {}/r.sqlite",
             "registry limits --registry {}/r.sqlite",
-            "registry export --registry {}/r.sqlite",
             "registry add {}/warm.json --registry {}/r.sqlite",
         ),
     ),
@@ -519,13 +518,6 @@ TARGETS = (
         commands=(
             "ellipsoid {}/readings.csv --unit m/s^2 --out {out}/c.json",
             "verify {}/calibration.json {}/readings.csv",
-        ),
-    ),
-    Target(
-        file="registry.jsonl",
-        commands=(
-            "registry import {}/registry.jsonl --registry {out}/r.sqlite",
-            *("registry import {}/registry.jsonl --registry {kept}",) * 3,
         ),
     ),
 )
@@ -683,7 +675,6 @@ def write_inputs(folder: Path) -> None:
     _invoked(f"registry limits BCHE-501 {folder}/limits.toml {registry}")
     for name in ("calibration", "other"):
         _invoked(f"registry add {folder}/{name}.json {registry}")
-    (folder / "registry.jsonl").write_text(_invoked(f"registry export {registry}").stdout, encoding="utf-8")
 
 
 def _write_warm(folder: Path) -> None:

@@ -72,7 +72,7 @@ WRITERS = {
     "programme": "programme cube-26 -o {out}/n.html",
     "registry add": "registry add {in}/calibration.json --registry {out}/n.sqlite",
     "registry show": "registry show 1 -o {out}/n.json --registry {in}/r.sqlite",
-    "registry trend": "registry trend mems-7 -o {out}/n.svg --registry {in}/r.sqlite",
+    "registry trend": "registry trend mems-7 -o {out}/n.html --registry {in}/r.sqlite",
     "campaign": "campaign {in}/campaign.toml --in-process -o {out}/n",
     "fleet": "fleet {in}/manifest.txt --in-process -o {out}/n",
     "selftest": "selftest -o {out}/n.json",
@@ -89,7 +89,6 @@ READERS = {
     "budget": "budget --grade mems",
     "require": "require --want accel.scale=100ppm",
     "registry list": "registry list --registry {in}/r.sqlite",
-    "registry export": "registry export --registry {in}/r.sqlite",
 }
 FAMILIES = ("new", "calibrate", "apply csv", "export", "report html", "programme", "registry add", "fleet", *READERS)
 """A command of each family, for what needs processes from the start."""
@@ -520,7 +519,7 @@ def _malicious(bench: Bench) -> Found:
             "new {out}/n {in}/x.csv", "new {out}/n {in}/x.mat", "new {out}/n {in}/x.h5", "new {out}/n {in}/x.ulg",
             "new {out}/n {in}/x.bag", "new {out}/n {in}/x.npy", "new {out}/n {in}/x.parquet",
             "compare {in}/x.json {in}/calibration.json", "compare {in}/x.yaml {in}/calibration.json",
-            "registry import {in}/x.jsonl --registry {out}/n.sqlite", "fleet {in}/x.csv --in-process -o {out}/n",
+            "fleet {in}/x.csv --in-process -o {out}/n",
             "export {in}/calibration.json --to dcc --certificate {in}/x.toml -o {out}/n.xml",
             "registry list --registry {in}/x.sqlite", "campaign {in}/x.toml --in-process -o {out}/n",
         ):  # fmt: skip

@@ -8,7 +8,7 @@ Records of 2^17 samples at 100 Hz, 22 minutes, of known sums, 200 of each. Of ea
 `tumble noise` names exactly its processes, what else it names, and of each coefficient in those records how often its
 interval of 95 % holds the truth, and its median relative u. The penalties of `reduction.noise.wavelet_moments` were
 chosen with seed 29; other seeds are of records that have seen no choice. What is written is shown in
-docs/evidence/noise.md.
+studies/noise.md.
 """
 
 from __future__ import annotations

@@ -13,6 +13,7 @@ is kept.
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import multiprocessing
 import sys
@@ -24,51 +25,50 @@ from datetime import UTC, datetime
 from itertools import count
 from multiprocessing.connection import Connection
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, cast
 
 import numpy as np
 from sqlalchemy import func, select, text
-from tumble.lab.registry.adding import Particulars, Submission, add, content_sha256
-from tumble.lab.registry.store.connect import open_registry
-from tumble.lab.registry.store.tables import CALIBRATION, CONTENT, LOG
 
-PARAMETERS = 21
+from tumble.lab.registry.database import LOGS
+from tumble.lab.registry.registry import open_registry
+from tumble.result.calibration import Calibration, calibration_of
+
+PARAMETERS = 3
 LONGEST = 0.3  # s from the start of a writer, or from its first record, to the kill
 KILLS_OF_A_FILE = 50
-IMPORTED = ["numpy", "sqlalchemy.dialects.sqlite", "psycopg", "tumble.lab.registry.adding"]
+IMPORTED = ["numpy", "sqlalchemy.dialects.sqlite", "psycopg", "tumble.lab.registry.registry"]
 
 
-def submissions(seed: int) -> Iterator[Submission]:
+def calibrations(seed: int) -> Iterator[Calibration]:
     """Calibrations of a device, each with another content and log."""
     rng = np.random.default_rng(seed)
     for i in count():
-        values = rng.standard_normal(PARAMETERS).tolist()
-        file = json.dumps({"log": f"{seed}-{i}", "values": values, "filling": "x" * 20_000})
-        calibration = SimpleNamespace(  # what the registry asks of one; of no type, so that nothing is judged
-            serial=f"device-{seed}",
-            model=None,
-            method="none",
-            frame="accelerometer",
-            launches=(),
-            provenance={"log_sha256": f"{seed}-{i}"},
-        )
-        yield Submission(
-            name=f"{seed}-{i}",
-            sha256=content_sha256(file),
-            performed=datetime(2026, 1, 1, tzinfo=UTC),
-            particulars=Particulars(),
-            file=file,
-            calibration=cast(Any, calibration),
-        )
+        parameters = [
+            {"name": f"accel.bias.{axis}", "value": float(rng.standard_normal()), "u": 1e-3, "unit": "m/s^2"}
+            for axis in "xyz"
+        ]
+        content = {
+            "format": 1,
+            "device": {"serial": f"device-{seed}", "model": None},
+            "method": "joint",
+            "frame": "accelerometer",
+            "parameters": parameters,
+            "covariance": (1e-6 * np.eye(PARAMETERS)).tolist(),
+            "accel": None,
+            "gyro": None,
+            "outcome": {"accepted": True, "reasons": []},
+            "notes": ["x" * 9_000, "y" * 9_000],
+            "provenance": {"log_sha256": f"{seed}-{i}", "created": "2026-01-01"},
+        }
+        yield calibration_of(json.dumps(content), f"{seed}-{i}")
 
 
 def write(place: str, seed: int, acknowledge: Connection) -> None:
     """Add calibrations until killed."""
     with open_registry(place, create=True) as registry:
-        for submission in submissions(seed):
-            add(registry, submission)
-            acknowledge.send_bytes(submission.sha256.encode())
+        for calibration in calibrations(seed):
+            record = registry.add_calibration(calibration, performed=datetime(2026, 1, 1, tzinfo=UTC))
+            acknowledge.send_bytes(record.sha256.encode())
 
 
 def interrupted(place: str, seed: int, delay: float, *, at_work: bool) -> list[str]:
@@ -103,20 +103,19 @@ class Found:
 def look(place: str, contents: bool) -> Found:
     """Open the registry and check it; with `contents` also every file against its hash."""
     faults = []
-    with open_registry(place, create=True) as registry, registry.reading() as connection:
-        if registry.engine.dialect.name == "sqlite":
-            said = connection.execute(text("PRAGMA integrity_check")).scalars().all()
-            faults += [line for line in said if line != "ok"]
-        records = {r.number: r.sha256 for r in connection.execute(select(CALIBRATION.c.number, CALIBRATION.c.sha256))}
-        for table, expected in ((CONTENT, 1), (LOG, 1)):
-            counts = select(table.c.calibration, func.count().label("rows")).group_by(table.c.calibration)
-            found = {row.calibration: row.rows for row in connection.execute(counts)}
-            faults += [
-                f"record {n} has {found.get(n)} rows in {table.name}" for n in records if found.get(n) != expected
-            ]
-        for row in connection.execute(select(CALIBRATION.c.sha256, CONTENT.c.file).join(CONTENT)) if contents else ():
-            if content_sha256(row.file) != row.sha256:
-                faults.append(f"another content than {row.sha256}")
+    with open_registry(place, create=True) as registry:
+        with registry.database.reading() as rows:
+            if registry.database.engine.dialect.name == "sqlite":
+                said = rows.connection.execute(text("PRAGMA integrity_check")).scalars().all()
+                faults += [line for line in said if line != "ok"]
+            query = select(LOGS.c.calibration, func.count().label("rows")).group_by(LOGS.c.calibration)
+            logs = {row.calibration: row.rows for row in rows.connection.execute(query)}
+        records = {record.number: record.sha256 for record in registry.records()}
+        faults += [f"record {n} has {logs.get(n)} logs" for n in records if logs.get(n) != 1]
+        for record in registry.records() if contents else ():
+            content = json.dumps(json.loads(registry.file(record)), sort_keys=True, separators=(",", ":"))
+            if hashlib.sha256(content.encode()).hexdigest() != record.sha256:
+                faults.append(f"another content than {record.sha256}")
     return Found(records=set(records.values()), faults=faults)
 
 

@@ -7,7 +7,7 @@ and in-run instability, drawn anew in every session; observations directly from 
 
     python studies/which_method_when.py [--short] [--store]
 
---store keeps the result beside this file, from which docs/evidence/methods.md is written. The answer is printed last.
+--store keeps the result beside this file, from which studies/methods.md is written. The answer is printed last.
 """
 
 from __future__ import annotations

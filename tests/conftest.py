@@ -12,8 +12,8 @@ import pytest
 from hypothesis import settings
 
 from tests.support import ROOT
+from tests.support.seconds import slow_functions
 from tests.support.shared import FOLDER
-from tests.support.slow import function_of, slow_functions
 
 settings.register_profile("tumble", deadline=None)  # timings decide no test
 settings.load_profile("tumble")
@@ -39,7 +39,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark the tests that have been measured to be slow."""
     slow = slow_functions()
     for item in items:
-        if function_of(item.nodeid) in slow:
+        if item.nodeid.partition("[")[0] in slow:
             item.add_marker(pytest.mark.slow)
 
 

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import ast
-import importlib
-import inspect
 import json
 import os
 import pickle
-import pkgutil
 import re
 import subprocess
 import sys
 import types
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
-import click
 import numpy as np
 import polars as pl
 import pytest
@@ -28,21 +23,17 @@ import tumble
 import tumble.types
 from tests.support import ROOT
 from tests.support.calibrated import of_device
-from tumble.cli import main
+from tests.support.shared import calibrated, session
 from tumble.errors import InputError, MissingExtraError
 from tumble.inference.estimate import Outcome
 from tumble.planning.setup import Setup
-from tumble.simulation.session import simulate_session
 
 CACHE = ROOT / ".mypy_cache" / "user"
 
 
 @pytest.fixture(scope="module")
-def calibration(tmp_path_factory: pytest.TempPathFactory) -> tumble.Calibration:
-    folder = tmp_path_factory.mktemp("library") / "session"
-    return tumble.calibrate(
-        str(simulate_session(folder, Setup.of(grade="mems", positions=12, rest=3.0), seed=4)), terms="linear"
-    )
+def calibration() -> tumble.Calibration:
+    return calibrated(Setup.of(grade="mems", positions=12, rest=3.0), seed=4, words={"terms": "linear"})
 
 
 # -------------------- names --------------------
@@ -70,24 +61,10 @@ def test_dir_shows_the_public_names() -> None:
 def checked(tmp_path: Path, code: str) -> str:
     """What mypy says of a user's file."""
     (tmp_path / "user.py").write_text(code)
-    done = subprocess.run(
-        [
-            sys.executable,
-            "-m",
-            "mypy",
-            "--strict",
-            "--config-file=",
-            "--follow-imports=silent",
-            f"--cache-dir={CACHE}",
-            "user.py",
-        ],
-        cwd=tmp_path,
-        env={"MYPYPATH": str(ROOT / "src"), "PATH": ""},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    return done.stdout
+    options = ["--strict", "--config-file=", "--follow-imports=silent", f"--cache-dir={CACHE}"]
+    environment = {"MYPYPATH": str(ROOT / "src"), "PATH": ""}
+    mypy = [sys.executable, "-m", "mypy", *options, "user.py"]
+    return subprocess.run(mypy, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False).stdout
 
 
 def test_a_type_checker_catches_a_wrong_call(tmp_path: Path) -> None:
@@ -106,9 +83,11 @@ def test_a_type_checker_catches_a_wrong_call(tmp_path: Path) -> None:
     assert re.search(r"user.py:5: error: Argument 1 to \"read_calibration\"", said), said
 
 
-def test_a_type_checker_accepts_right_calls(tmp_path: Path) -> None:
+def test_a_type_checker_knows_every_public_name_and_accepts_right_calls(tmp_path: Path) -> None:
+    names = ", ".join(name for name in tumble.__all__ if name != "__version__")
     said = checked(
         tmp_path,
+        f"from tumble import {names}\n"
         "from pathlib import Path\n"
         "import numpy as np\n"
         "import polars as pl\n"
@@ -124,64 +103,7 @@ def test_a_type_checker_accepts_right_calls(tmp_path: Path) -> None:
     assert said.startswith("Success"), said
 
 
-def test_type_checkers_see_the_names_where_they_are() -> None:
-    tree = ast.parse((ROOT / "src/tumble/__init__.pyi").read_text())
-    imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module]
-    seen = {alias.name: str(node.module) for node in imports for alias in node.names if alias.name == alias.asname}
-    assert set(tumble.__all__) == {"__version__", *seen}
-    for name, module in seen.items():
-        assert getattr(tumble, name) is getattr(importlib.import_module(module), name)
-
-
-CALLS = {
-    "apply": "apply_to_session",
-    "calibrate": "calibrate_launches",
-    "campaign": "campaign",
-    "check": "check_calibration",
-    "compare": "compare_calibrations",
-    "ellipsoid": "calibrate_table",
-    "export": "export_calibration",
-    "fleet": "fleet",
-    "inspect": "inspect_session",
-    "new": "new_session",
-    "noise": "noise",
-    "plan": "plan",
-    "programme": "programme_of",
-    "registry": "open_registry",
-    "report": "write_report",
-    "selftest": "run_selftest",
-    "simulate": "simulate_session",
-}
-"""The public call behind every command but `bench`, which serves a page until it is stopped."""
-
-
-def test_every_command_is_a_public_call() -> None:
-    context = click.Context(main)
-    assert sorted(CALLS) == sorted({*main.list_commands(context)} - {"bench"})
-    for name, call in CALLS.items():
-        assert call in tumble.__all__
-        command = main.get_command(context, name)
-        assert command is not None
-        made_by: Any = command.callback
-        text = inspect.getsource(sys.modules[made_by.__module__] if isinstance(command, click.Group) else made_by)
-        assert re.search(rf"\b{call}\b", text), name
-
-
 # -------------------- equality --------------------
-
-
-def modules() -> list[types.ModuleType]:
-    found = pkgutil.walk_packages(tumble.__path__, "tumble.")
-    return [importlib.import_module(m.name) for m in found if ".migrations" not in m.name]
-
-
-def test_no_dataclass_with_arrays_compares_them() -> None:
-    for module in modules():
-        for item in vars(module).values():
-            if isinstance(item, type) and is_dataclass(item) and item.__module__ == module.__name__:
-                arrays = [f.name for f in fields(item) if re.search("Array|DataFrame", str(f.type))]
-                compares = item.__eq__ is not object.__eq__ and item is not tumble.Calibration  # by its file
-                assert not arrays or not compares, f"{module.__name__}.{item.__name__}: {arrays}"
 
 
 def test_results_can_be_compared(calibration: tumble.Calibration) -> None:
@@ -420,7 +342,7 @@ if __name__ == "__main__":
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="processes do not fork here")
 def test_a_process_forked_after_a_calibration_says_that_it_cannot_read(tmp_path: Path) -> None:
-    folder = tumble.simulate_session(tmp_path / "s", tumble.Setup.of(grade="mems", positions=9, rest=2.0), seed=1)
+    folder = session(tumble.Setup.of(grade="mems", positions=9, rest=2.0), seed=1)
     (tmp_path / "forked.py").write_text(_FORKED)
     words = [sys.executable, str(tmp_path / "forked.py"), str(folder)]
     ended = subprocess.run(words, capture_output=True, text=True, timeout=120, check=False)

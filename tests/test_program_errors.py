@@ -70,7 +70,7 @@ def test_a_command_that_is_stopped_before_it_has_begun_says_so(tmp_path: Path) -
 import sys
 class Stopped:
     def find_spec(self, name, *_):
-        if name == "tumble.compiled":
+        if name == "tumble.documents":
             raise KeyboardInterrupt
 sys.meta_path.insert(0, Stopped())
 from tumble.__main__ import run

@@ -1,4 +1,4 @@
-"""The page of the results on real recordings: every number in it is computed from evidence/results/real.json."""
+"""Tables of the results on real recordings, computed from evidence/results/real.json."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from evidence.pages import OURS, page, table
+from evidence.pages import OURS, listed, table
+from evidence.programs import LINEAR, PROGRAMS
 from evidence.real.get import named
 
 RESULTS = Path(__file__).parents[1] / "results" / "real.json"
@@ -20,6 +21,8 @@ WAYS: Mapping[str, Callable[[str, str], bool]] = {
     "every second row of a table": lambda fitted, _: _is_table(fitted),
 }
 """What is predicted, and which pairs of names are that."""
+SHORT = ("next session", "rests held out", "rows held out")
+"""The same in the heads of tables."""
 ASKED = (("force", 1e6 / G0), ("tilt", 1e3))
 """Scores of what is predicted, with the unit in which they are shown: µg, mrad."""
 UNITS = {
@@ -72,28 +75,25 @@ def behind(logs: np.ndarray) -> bool:
     return len(logs) >= 5 and logs.mean() + 2.0 * logs.std(ddof=1) / np.sqrt(len(logs)) < 0.0
 
 
-def predicted(results: Mapping[str, Any], score: str, unit: float) -> tuple[str, list[str]]:
-    """The table of a score, and who is ahead of the first program where."""
-    programs, ahead, rows = results["made"]["programs"], [], []
-    for program in programs:
+def predicted(results: Mapping[str, Any], score: str, unit: float) -> str:
+    """The table of a score: its median, and its ratio to the first program's with the number of pairs."""
+    rows = []
+    for program in programs_of(results):
         cells = [program]
         for way, belongs in WAYS.items():
             pairs = [row for row in results["predictions"] if belongs(row["fitted"], row["predicted"])]
             values, logs = compared(pairs, program, score_of(score, way))
             cells += [digits(unit * float(np.median(values))) if len(values) else "", ratio(logs)]
-            if program != OURS and behind(logs):
-                ahead.append(f"{program}, {way}: {ratio(logs)}")
         if any(cells[1:]):
             rows.append(cells)
-    head = ["program", *(word for way in WAYS for word in (way, f"over {OURS} (N)"))]
-    return table(head, rows), ahead
+    return table(["program", *(word for way in SHORT for word in (way, "over default (N)"))], rows)
 
 
 def real_figure(keys: Sequence[str]) -> str:
     """A figure of the results by its name: recordings, sources, refused, or made | what; repeated | program | group |
     deviation or over_u; or the score, a program, what is predicted (session, quarter, row) and median or ratio. Raises
     KeyError where there is none."""
-    results = json.loads(RESULTS.read_text(encoding="utf-8")) if RESULTS.exists() else {}
+    results = read_results()
     match list(keys):
         case ["recordings"]:
             return f"{sum(one['recordings'] for one in results['recordings'])}"
@@ -119,87 +119,70 @@ def real_figure(keys: Sequence[str]) -> str:
     raise KeyError(" | ".join(keys))
 
 
-def repeated(results: Mapping[str, Any]) -> tuple[str, list[str]]:
-    """The table of repeatability, and who repeats better than the first program where, in the same sessions."""
-    rows, ahead = [], []
-    for program, groups in results["repeatability"].items():
+def repeated(results: Mapping[str, Any]) -> str:
+    """The table of repeatability: standard deviation, mean square over u, degrees of freedom."""
+    rows = []
+    for program in programs_of(results):
         cells = [program]
         for group, (_, factor) in UNITS.items():
-            made = groups.get(group)
+            made = results["repeatability"].get(program, {}).get(group)
             if made is None or not made["deviation"]:  # not estimated
                 cells.append("")
                 continue
-            bias = group.endswith("bias")
-            over = "" if made["over_u"] is None or bias else f", {digits(made['over_u'])}"
+            over = "" if made["over_u"] is None or group.endswith("bias") else f", {digits(made['over_u'])}"
             cells.append(f"{digits(factor * made['deviation'])}{over} ({made['degrees']})")
-            common = made["over_first"]
-            if program != OURS and not bias and common is not None and common < 0.9:
-                ahead.append(f"{program}, {group}: {digits(common)} of the standard deviation in the same sessions")
         if any(cells[1:]):
             rows.append(cells)
-    return table(["program", *(f"{group}, {unit}" for group, (unit, _) in UNITS.items())], rows), ahead
+    return table(["program", *(f"{group}, {unit}" for group, (unit, _) in UNITS.items())], rows)
 
 
-def real_page(results: Mapping[str, Any]) -> str:
-    """The whole page."""
-    made = results["made"]
-    force, tilt = (predicted(results, *score)[0] for score in ASKED)
-    repeats, _ = repeated(results)
-    sources = results["recordings"]
-    count = sum(one["recordings"] for one in sources)
-    shown = [[named(one["source"]).title, *(f"{one[what]}" for what in COLUMNS)] for one in sources]
-    return page(
-        "# Real recordings",
-        f"By `python -m evidence.real.run`, commit {made['commit'][:12]}, {made['date']}, {made['machine']}, "
-        f"{made['system']}: {count} recordings of {len(sources)} sources, {made['cases']} cases, "
-        f"{len(made['programs'])} programs. This page is made from `evidence/results/real.json`. Programs of others "
-        "are rewritten from what they publish (`tests/evidence/test_peers.py`): imu_tk, imucal and Magneto give their "
-        "published numbers to all digits, imu-calib its table to 0.035 %, the others are tested on readings without "
-        "errors. They are given the gravity of the place instead of their constants.",
-        "## Where tumble is not ahead",
-        real_losses(results),
-        "## Recordings",
-        table(["source", "recordings", "devices", "licence", "published at"], shown),
-        "Chips of an array are devices; what they record together is one recording. `python -m evidence.real.get` "
-        "brings the files into a cache, by address and digest; none is part of this repository. None has a reference "
-        "that is better than what is to be judged: two scores need none.",
-        "## What is calibrated",
-        table(["program", "cases", "accelerometers", "gyros", "neither", "s, median"], answered(results)),
-        "A case counts where the program has numbers for the sensors and stands by them. Only tumble and ArduPilot "
-        f"have a verdict. {fewer(made)}Among the cases are some of no use, such as two attitudes, or three.",
-        "## Rests that were not seen",
-        "What the length of the corrected specific force misses g by, µg (rms over rests, median over pairs), and the "
-        f"geometric mean of the ratio to `{OURS}`, with its standard error, over the N pairs that both have. Between "
-        "sessions biases change by milli-g: there three biases are found anew, and what scale factors and axes miss is "
-        "judged. Readings are corrected by all that a program knows, of tumble by the whole model. The noise of the "
-        "rests that are predicted is in it, of all programs alike.",
-        force,
-        "## Turns that were not seen",
-        "What the vertical carried through a turn by the corrected rates misses that of the rest after it by, mrad. "
-        "The biases are read anew in the rests before and after, so that scale factors and axes are what is judged.",
-        tilt,
-        "## Repeatability",
-        "Standard deviation over the sessions of a chip, mean square of the deviations over u where u is stated, and "
-        "the degrees of freedom, of what is accepted. Biases change from one power-on to another, scale factors and "
-        "axes should not.",
-        repeats,
-        "## Simulated by others",
-        "Sessions whose truth is known because others simulated them: what is left of the errors of the device (rms of "
-        "errors over rms of what there was to find, geometric mean over biases, scale factors and axes), the "
-        "rms of (value − truth)/u over the parameters, the largest, and how many of the stated 95 % intervals contain "
-        "the truth. PSINS has no noise: there u is that of the last digits.",
-        table(
-            ["session", "program", "verdict", "left, accelerometers", "gyros", "rms", "largest", "covered"],
-            of_others(results),
-        ),
-    )
+def sources(results: Mapping[str, Any]) -> str:
+    """The table of the recordings."""
+    shown = [[named(one["source"]).title, *(f"{one[what]}" for what in COLUMNS)] for one in results["recordings"]]
+    return table(["source", "recordings", "devices", "licence", "published at"], shown)
+
+
+def read_results() -> dict[str, Any]:
+    """What is stored of the real recordings."""
+    return json.loads(RESULTS.read_text(encoding="utf-8")) if RESULTS.exists() else {}
 
 
 def real_losses(results: Mapping[str, Any]) -> str:
-    """Where the first program is not ahead, as a list."""
-    force, tilt = (predicted(results, *score)[1] for score in ASKED)
-    heads = {"Unseen rests": force, "Unseen turns": tilt, "Repeatability": repeated(results)[1]}
-    return where({**heads, "Refused": refused(results)})
+    """Where the first program is behind, as a list with a line for each score."""
+    return listed({**behind_in(results), **repeats_better(results), "Refused": refused(results)})
+
+
+def behind_in(results: Mapping[str, Any]) -> dict[str, list[str]]:
+    """Programs ahead of the first one beyond two standard errors, by what is predicted."""
+    said: dict[str, list[str]] = {}
+    for (score, _), what in zip(ASKED, ("rests", "turns"), strict=True):
+        for way, belongs in WAYS.items():
+            pairs = [row for row in results["predictions"] if belongs(row["fitted"], row["predicted"])]
+            for program in programs_of(results):
+                _, logs = compared(pairs, program, score_of(score, way))
+                if program != OURS and behind(logs):
+                    said.setdefault(f"Errors over those of the default, {what} of {way}", []).append(
+                        f"{program} {ratio(logs)}"
+                    )
+    return said
+
+
+def repeats_better(results: Mapping[str, Any]) -> dict[str, list[str]]:
+    """Programs whose scale factors and axes repeat better than those of the first one in the same sessions."""
+    said: dict[str, list[str]] = {}
+    for program in programs_of(results):
+        for group, made in results["repeatability"].get(program, {}).items():
+            over = made["over_first"]
+            if program != OURS and not group.endswith("bias") and over is not None and over < 0.9:
+                head = f"Standard deviation of `{group}` from session to session, over that of the default"
+                said.setdefault(head, []).append(f"{program} {digits(over)}")
+    return said
+
+
+def programs_of(results: Mapping[str, Any]) -> list[str]:
+    """Programs of the results that the benchmark still has."""
+    there = {program.name for program in (*PROGRAMS, LINEAR)}
+    return [program for program in results["made"]["programs"] if program in there]
 
 
 def fewer(made: Mapping[str, Any]) -> str:
@@ -208,12 +191,6 @@ def fewer(made: Mapping[str, Any]) -> str:
     return "".join(
         f"{program}, which takes long, had {' and '.join(chips)} of the array alone. " for program, chips in given
     )
-
-
-def where(heads: Mapping[str, Sequence[str]]) -> str:
-    """What comes first, as a list."""
-    lines = [f"* {head}: {one}." for head, said in heads.items() for one in said]
-    return "\n".join(lines) or "Nowhere beyond the scatter of these recordings."
 
 
 def refused(results: Mapping[str, Any]) -> list[str]:
@@ -237,7 +214,7 @@ def refused(results: Mapping[str, Any]) -> list[str]:
 def answered(results: Mapping[str, Any]) -> list[list[str]]:
     """By program, of how many cases it gives what."""
     out = []
-    for program in results["made"]["programs"]:
+    for program in programs_of(results):
         rows = [row for row in results["rows"] if row["program"] == program and row["kind"] != "simulated by others"]
         accel, gyro = (sum(row[kind] for row in rows) for kind in ("accel", "gyro"))
         neither = sum(not (row["accel"] or row["gyro"]) for row in rows)
@@ -250,7 +227,7 @@ def of_others(results: Mapping[str, Any]) -> list[list[str]]:
     out = []
     for row in results["simulated_by_others"]:
         z = np.array([value for value in row["z"] if value is not None])
-        if row["verdict"] in ("cannot run", "gave up"):
+        if row["verdict"] in ("cannot run", "gave up") or row["program"] not in programs_of(results):
             continue
         cells = []
         for kind in ("accel", "gyro"):

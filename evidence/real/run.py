@@ -1,9 +1,8 @@
 """Every program on every real recording, and what two scores without a reference say of them.
 
-    python -m evidence.real.run                 all cases, to evidence/results/real.json and docs/evidence/real.md
+    python -m evidence.real.run                 all cases, to evidence/results/real.json, and the figures in pages
     python -m evidence.real.run xsens-mti kim   some sources, printed and not written
     python -m evidence.real.run --programs 'imu*'    some programs: computed and kept, nothing written
-    python -m evidence.real.run --page          the page of the results that are there
 
 What is computed is kept (`evidence.work`): a run that is stopped goes on where it was.
 """
@@ -25,9 +24,9 @@ import numpy as np
 
 from evidence import programs as benchmark
 from evidence.case import Case, Estimate, Kind, Refusal
-from evidence.pages import OURS
+from evidence.pages import OURS, write
 from evidence.real.cases import READERS, cases, missing
-from evidence.real.page import RESULTS, real_page
+from evidence.real.page import RESULTS, real_losses
 from evidence.real.scores import folds, prediction, repeatability
 from evidence.score import row_of
 from evidence.state import FOLDER, digest_of, made_now
@@ -330,27 +329,24 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=0, help="processes; one a core where it is not given")
     parser.add_argument("--scheduler", help="of a dask cluster, as tcp://HOST:PORT")
     parser.add_argument("--chips", type=int, nargs="+", default=CHIPS, help="of the array (default all eight)")
-    parser.add_argument("--page", action="store_true", help="only write the page of the results that are there")
     given = parser.parse_args()
-    if not given.page:
-        plan = planned(given.sources, given.chips)
-        programs = [p for p in PROGRAMS if any(fnmatch(p, pattern) for pattern in given.programs)]
-        entries = entries_of(plan.cases, plan.pairs)
-        told = answers(
-            [(entry, of_case(entry.name, programs)) for entry in entries], workers=given.workers,
-            scheduler=given.scheduler, say=lambda words: print(f"\r{words}", end="", file=sys.stderr, flush=True),
-        )  # fmt: skip
-        print(file=sys.stderr)
-        if programs != list(PROGRAMS):
-            return
-        results = results_of(plan, told)
-        if given.sources:
-            print(real_page(results))
-            return
-        RESULTS.parent.mkdir(exist_ok=True)
-        RESULTS.write_text(json.dumps(results, ensure_ascii=False, indent=1) + "\n", encoding="utf-8")
-    target = FOLDER.parent / "docs" / "evidence" / "real.md"
-    target.write_text(real_page(json.loads(RESULTS.read_text(encoding="utf-8"))), encoding="utf-8")
+    plan = planned(given.sources, given.chips)
+    programs = [p for p in PROGRAMS if any(fnmatch(p, pattern) for pattern in given.programs)]
+    entries = entries_of(plan.cases, plan.pairs)
+    told = answers(
+        [(entry, of_case(entry.name, programs)) for entry in entries], workers=given.workers,
+        scheduler=given.scheduler, say=lambda words: print(f"\r{words}", end="", file=sys.stderr, flush=True),
+    )  # fmt: skip
+    print(file=sys.stderr)
+    if programs != list(PROGRAMS):
+        return
+    results = results_of(plan, told)
+    if given.sources:
+        print(real_losses(results))
+        return
+    RESULTS.parent.mkdir(exist_ok=True)
+    RESULTS.write_text(json.dumps(results, ensure_ascii=False, indent=1) + "\n", encoding="utf-8")
+    write()
 
 
 if __name__ == "__main__":

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support import ROOT
 from tests.support.bench_driver import SITE, Bench
 from tests.support.browser import eventually
 from tumble.bench import results
@@ -23,7 +22,7 @@ from tumble.recording.session_file import read_session
 from tumble.run.calibrate import calibrate
 from tumble.simulation.session import simulate_session
 
-EXAMPLE = ROOT / "docs/reference/export/example.json"
+EXAMPLE = Path(__file__).with_name("example.json")
 NOT_STOPPED = threading.Event()
 
 

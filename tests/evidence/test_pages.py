@@ -12,24 +12,19 @@ import pytest
 from evidence import pages
 from evidence.pages import (
     FIGURE,
-    MADE,
     ROOT,
     TABLE,
-    TESTED,
     all_results,
     digest,
     figure,
-    render,
     with_figures,
-    without_result,
     written_by_hand,
 )
 from evidence.run import Results
 from evidence.score import Row
 from evidence.simulated.kinds import KINDS
-from tests.docs.test_docs import RUN
 
-PROGRAMS = ("tumble joint", "tumble staged", "imu_tk")
+PROGRAMS = ("tumble joint", "tumble ellipsoid", "imu_tk")
 
 
 def row(kind: str, index: int, program: str, z: float = 0.8, verdict: str = "accepted") -> Row:
@@ -58,12 +53,6 @@ def made_up() -> Results:
     return Results(made=made, rows=tuple(rows), cost={p: {"seconds": 1.0, "megabytes": 100} for p in PROGRAMS})
 
 
-@pytest.mark.parametrize("name", sorted(render(all_results())))
-def test_a_page_is_what_its_results_make(name: str) -> None:
-    made = render(all_results())[name]
-    assert (ROOT / name).read_text(encoding="utf-8") == made, "run python -m evidence.pages"
-
-
 def test_pictures_are_of_the_results() -> None:
     results = all_results()
     if "simulated" in results:
@@ -77,75 +66,6 @@ def test_figures_in_pages_are_those_of_the_results(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     if FIGURE.search(text) or TABLE.search(text):
         assert with_figures(text, all_results()) == text, "run python -m evidence.pages"
-
-
-NO_RESULT = {
-    "coverage.md": 2,
-    "dependencies.md": 3,
-    "ellipsoid.md": 2,
-    "field-check.md": 3,
-    "joint.md": 2,
-    "mimu4444.md": 1,
-    "noise.md": 1,
-    "paper.md": 10,
-    "psins.md": 3,
-    "public-recordings.md": 1,
-    "registry.md": 6,
-    "robustness.md": 1,
-    "simulation.md": 1,
-    "temperature.md": 3,
-    "thresholds.md": 2,
-    "xsens.md": 4,
-}
-"""Tables of numbers in docs/evidence that come from no result file and are compared by no test. This list may only
-shrink: a new table is put there by `python -m evidence.pages`, or a test compares it."""
-BY_HAND = {
-    "dependencies.md": "licences and sizes, no measurements",
-    "mimu4444.md": "recordings that are not everywhere",
-    "paper.md": "figures of the paper, and tests that are named beside ours",
-    "public-recordings.md": "recordings that are not here",
-}
-"""Pages with tables that no program in the repository writes, and why; none is added."""
-
-
-def test_tables_of_evidence_are_of_a_program_that_is_here_with_its_date() -> None:
-    """Or the page is run by the tests of the documentation."""
-    for path in sorted((ROOT / "docs/evidence").glob("*.md")):
-        text = path.read_text(encoding="utf-8")
-        head = text.partition("\n## ")[0]
-        if (
-            path.name in (*MADE, "index.md")
-            or f"docs/evidence/{path.name}" in RUN
-            or not re.search(r"^\|.*\d.*\|$", text, re.M)
-        ):
-            continue
-        programs = re.findall(r"`((?:python )?(?:studies|benchmarks|evidence|tests)/[\w/.]+)", head)
-        assert bool(programs) != (path.name in BY_HAND), path.name
-        for program in programs:
-            assert (ROOT / program.removeprefix("python ")).exists(), f"{path.name}: {program}"
-        dated = re.search(r"State: (\d+ )?\w+ 20\d\d|\| made \| date -->20\d\d-\d\d-\d\d<", head)
-        assert not programs or dated, f"{path.name} has no date"
-
-
-def test_tables_of_evidence_come_from_results_but_for_those_that_are_listed() -> None:
-    pages_there = sorted((ROOT / "docs/evidence").glob("*.md"))
-    counts = {path.name: without_result(path.read_text(encoding="utf-8")) for path in pages_there}
-    assert {name: count for name, count in counts.items() if count and name not in MADE} == NO_RESULT
-
-
-def test_a_table_that_is_said_to_be_tested_is() -> None:
-    for path in sorted((ROOT / "docs/evidence").glob("*.md")):
-        for test in TESTED.findall(path.read_text(encoding="utf-8")):
-            assert f"evidence/{path.name}" in (ROOT / test).read_text(encoding="utf-8"), f"{path.name}: {test}"
-
-
-def test_a_table_is_of_a_result_of_a_test_or_counted() -> None:
-    table = "| a | b |\n| --- | --- |\n| 1 | 2 |\n"
-    words = table.replace("1", "x").replace("2", "y")
-    text = f"Text.\n\n{table}\n<!-- table: some | t -->\n\n{table}\n<!-- end -->\n\n{words}\n```\n{table}```\n"
-    assert without_result(text) == 1
-    assert without_result(text + f"\n<!-- tested: tests/x.py -->\n\n{table}") == 1
-    assert without_result(text + f"\n{table}") == 2
 
 
 def test_what_studies_have_stored_says_what_it_is_of() -> None:
@@ -202,7 +122,12 @@ def test_a_figure_is_put_where_its_name_is_and_one_that_no_result_has_is_refused
         with_figures(text, {})
 
 
-def test_what_tumble_loses_is_said_first(made_up: Results) -> None:
+def test_a_figure_never_begins_a_line_where_it_would_end_the_paragraph(made_up: Results) -> None:
+    text = "Simulated sessions:\n<!-- figure: simulated | made | sessions -->0<!-- end --> of them."
+    assert with_figures(text, {"simulated": made_up}).startswith("Simulated sessions: <!-- figure")
+
+
+def test_losses_are_named(made_up: Results) -> None:
     rows = list(made_up.rows)
     at = next(i for i, r in enumerate(rows) if r.kind == "hand-8" and r.program == "tumble joint")
     rows[at] = row("hand-8", 0, "tumble joint", z=4.6)
@@ -211,23 +136,19 @@ def test_what_tumble_loses_is_said_first(made_up: Results) -> None:
         if r.program == "imu_tk" and r.kind == "cube-26" else r
         for i, r in enumerate(rows)
     ]  # fmt: skip
-    text = pages.simulated_page(replace(made_up, rows=tuple(rows)))
-    loses = re.search(r"## Where tumble loses\n(.*?)\n## ", text, re.S)
-    assert loses is not None
-    assert text.index("## Where tumble loses") < text.index("## By kind of session")
-    assert re.search(r"Silently wrong: `hand-8 0` \(seed [0-9a-f]{16}\), `accel.bias.x` by \+4.6 u", loses[1])
-    assert "imu_tk leaves 0.5" in loses[1]
-    assert "`cube-26`, 3 sessions" in loses[1]
-    assert "`in-g`, 3 of 3 are not what is expected: refuse is expected" in loses[1]
+    text = pages.losses(replace(made_up, rows=tuple(rows)), KINDS)
+    assert re.search(r"`hand-8 0` \(seed [0-9a-f]{16}\), `accel.bias.x` by \+4.6 u", text)
+    assert re.search(r"imu_tk 0\.5\d of `accel\.bias` in `cube-26` \(N = 3\)", text)
+    assert "`in-g` 3 of 3" in text
 
 
 def test_every_kind_and_program_has_its_line(made_up: Results) -> None:
-    text = pages.simulated_page(made_up)
+    by_kind = pages.kind_table(made_up, KINDS)
     for kind in KINDS:
-        assert text.count(f"| `{kind.name}` | {kind.words} | {kind.expected} | 3 |") == 1
-    assert "| imu_tk | " in text
+        assert by_kind.count(f"| `{kind.name}` | {kind.words} | {kind.expected} |") == 1
     good = sum(kind.expected == "accept" for kind in KINDS)
-    assert f"| tumble joint | {3 * good} | {3 * good} | 0 |" in text
+    assert f"| tumble joint | {3 * good} | {3 * good} | 0 |" in pages.program_table(made_up, KINDS)
+    assert "| imu_tk | " in pages.left_table(made_up, KINDS)
 
 
 def test_pictures_are_drawn_of_any_results(made_up: Results, tmp_path: Path) -> None:

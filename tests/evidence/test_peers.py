@@ -17,6 +17,8 @@ from evidence.programs import named
 from evidence.real.get import named as source
 from evidence.real.get import place_of
 
+pytestmark = pytest.mark.weekly
+
 
 def published(name: str, file: str) -> Path:
     """A file of the cache of public recordings; skips where it is not there."""

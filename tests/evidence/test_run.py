@@ -21,6 +21,8 @@ from evidence.state import FOLDER, files_of, source_of
 from tumble.campaigns.cluster import executor_for
 from tumble.campaigns.engine import Done
 
+pytestmark = pytest.mark.weekly
+
 EXPECTED = {kind.name: (kind.expected, kind.says) for kind in KINDS}
 KIND_NAMES = ("hand-8", "cube-alone", "in-g")
 
@@ -175,7 +177,7 @@ def test_what_a_program_hangs_on_is_its_own_file_and_what_it_imports() -> None:
         module = getattr(program.estimate, "func", program.estimate).__module__
         assert module.startswith("evidence.tumble_methods" if program.ours else "evidence.peers."), program.name
     assert source_of("imu_tk") != source_of("Magneto")
-    assert source_of("tumble joint") == source_of("tumble staged")
+    assert source_of("tumble joint") == source_of("tumble ellipsoid")
 
 
 def test_an_error_of_a_program_is_its_result() -> None:

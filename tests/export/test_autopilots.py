@@ -107,7 +107,7 @@ def test_the_example_in_the_file_is_what_the_autopilot_computes(to: str) -> None
     made = calibration()
     text, values = export_calibration(made, to).content.decode(), parameters(made, to)
     offset, scale, _ = (three(values, name) for name in NAMES[to])
-    example = re.search(r"example accel: reading (.*) becomes (.*); it is (.*)", text)
+    example = re.search(r"example accel: reading (.*) becomes (.*); it is (.*) m/s", text)
     assert example is not None
     reading, target, true = (np.array(part.split(), dtype=float) for part in example.groups())
     np.testing.assert_allclose((reading - offset) * scale, target, atol=1e-6)
@@ -346,7 +346,7 @@ def test_the_example_at_a_temperature_is_what_the_autopilot_computes(to: str) ->
     made = warmed(calibration())
     text, values = export_calibration(made, to).content.decode(), parameters(made, to)
     for kind in ("accel", "gyro"):
-        pattern = rf"example {kind} at ([\d.-]+) degC: reading (.*) becomes (.*); it is (.*)"
+        pattern = rf"example {kind} at ([\d.-]+) degC: reading (.*) becomes (.*); it is (.*) (?:m|rad)/s"
         found = re.search(pattern, text)
         assert found is not None
         T = np.array(float(found[1]))

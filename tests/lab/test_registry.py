@@ -8,6 +8,7 @@ import sqlite3
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -15,12 +16,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support.calibrated import calibration as calibrated
 from tests.support.postgresql_server import postgresql_server
 from tests.support.registry_files import NAMES, added, content, digest, write
 from tests.support.registry_writer import write_all
 from tumble.errors import InputError
+from tumble.inference.estimate import Outcome
 from tumble.lab.registry import database
 from tumble.lab.registry.registry import Registry, open_registry
+from tumble.recording.session import Circumstances
 from tumble.result.calibration import calibration_of
 
 LIMITS = 'format = 1\n[periodic]\n"accel.bias" = "5 mg"\n'
@@ -53,10 +57,10 @@ def test_a_record_keeps_the_whole_file(registry: Registry, tmp_path: Path) -> No
 
 
 def test_the_same_calibration_is_one_record_however_its_file_is_laid_out(registry: Registry, tmp_path: Path) -> None:
-    file, layouts = tmp_path / "calibration.json", ({}, {"indent": 4}, {"sort_keys": True}, {"ensure_ascii": False})
-    records = []
+    file, records = tmp_path / "calibration.json", []
+    layouts: tuple[dict[str, Any], ...] = ({}, {"indent": 4}, {"sort_keys": True}, {"ensure_ascii": False})
     for layout in layouts:
-        file.write_text(json.dumps(content(), **layout), encoding="utf-8")  # type: ignore[arg-type]
+        file.write_text(json.dumps(content(), **layout), encoding="utf-8")
         records.append(registry.add_calibration(file))
     assert records == [records[0]] * 4
     assert registry.records() == [records[0]]
@@ -170,6 +174,19 @@ def test_launches_of_a_device_and_of_its_type_have_their_degrees_of_freedom(regi
     for which in ({"serial": "C"}, {"model": "unheard of"}):
         with pytest.raises(InputError, match="expected calibrations of several launches in the registry, found none"):
             registry.launches(**which)
+
+
+def test_of_a_calibration_with_bad_gyros_the_accelerometers_are_registered(registry: Registry) -> None:
+    bad = Outcome(reasons=("gyros are noisy",), concerns={"gyros are noisy": ("gyro",)})
+    made = replace(calibrated(), outcome=bad)
+    record = registry.add_calibration(made)
+    assert {name.split(".")[0] for name in registry.calibration(record)} == {"accel"}
+    assert {each.name.split(".")[0] for each in registry.trend(made.serial).parameters} == {"accel"}
+
+
+def test_a_calibration_is_performed_when_it_was_recorded(registry: Registry) -> None:
+    recorded = replace(calibrated(), circumstances=Circumstances(date="2025-03-04T09:30:00"))
+    assert registry.add_calibration(recorded).performed == datetime(2025, 3, 4, 9, 30, tzinfo=UTC)
 
 
 # -------------------- writers and readers at once --------------------

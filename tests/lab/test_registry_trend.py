@@ -341,6 +341,6 @@ def test_only_html_is_written_and_matplotlib_is_named(
     with pytest.raises(InputError, match=r"expected a file that ends in .html, found '.png'"):
         write_chart(tmp_path / "chart.png", found)
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(MissingExtraError, match=r"needs matplotlib; install it with: pip install 'tumble\[report\]'"):
+    with pytest.raises(MissingExtraError, match=r"needs matplotlib; install it with: pip install 'tumble\[lab\]'"):
         write_chart(tmp_path / "chart.html", found)
     assert not list(tmp_path.glob("*chart*"))

@@ -46,18 +46,11 @@ def run(site: Path, *commands: list[object]) -> list[Done]:
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The example, installed into a folder."""
+    pytest.importorskip("setuptools", minversion="70.1")  # from which on it builds wheels by itself
     folder, source = tmp_path_factory.mktemp("site"), tmp_path_factory.mktemp("source") / "example"
     shutil.copytree(EXAMPLE, source)  # which building writes into
-    words: list[str | Path] = [
-        "--quiet",
-        "--no-deps",
-        "--no-build-isolation",
-        "--disable-pip-version-check",
-        "--target",
-        folder,
-        source,
-    ]
-    subprocess.run([sys.executable, "-m", "pip", "install", *words], check=True)
+    words = ["--quiet", "--no-deps", "--no-build-isolation", "--disable-pip-version-check", "--target"]
+    subprocess.run([sys.executable, "-m", "pip", "install", *words, folder, source], check=True)
     return folder
 
 

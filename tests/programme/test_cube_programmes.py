@@ -203,7 +203,7 @@ def _off_the_horizon(vertical_b: Array) -> Array:
 def test_the_table_of_accessories_is_that_of_the_study() -> None:
     """Every figure that is not drawn at random, and all that the method states."""
     accessories = study("cube_accessories")
-    page = (ROOT / "docs/evidence/cube.md").read_text(encoding="utf-8")
+    page = (ROOT / "studies/cube.md").read_text(encoding="utf-8")
     table = page.split("<!-- table: cube_accessories | accessories -->")[1].split("<!-- end -->")[0]
     lines = table.strip().splitlines()[2:]
     rows = accessories.rows()

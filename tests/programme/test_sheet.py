@@ -1,6 +1,6 @@
 """The operator's sheet: words, pictures and page say what the programme says, and the documentation is current.
 
-`python -m tests.programme.test_sheet` writes the tables and pictures of docs/reference/programmes.md anew.
+`python -m tests.programme.test_sheet` draws the picture of docs/reference/programmes.md anew.
 """
 
 from __future__ import annotations
@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -18,7 +17,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.programme.test_programme import FACES, rows_of_rests, rows_of_turns, triples, uncertainties
+from tests.programme.test_programme import triples
 from tests.support import ROOT
 from tumble.errors import InputError, ProgrammeError
 from tumble.programme.positions import (
@@ -42,7 +41,7 @@ from tumble.views.sheet import sheet_blocks, write_sheet
 SVG = "{http://www.w3.org/2000/svg}"
 N, U, E = np.eye(3)
 DOCS = ROOT / "docs"
-PICTURES = {"sheet-rough-table.svg": "rough-table", "sheet-cube-26.svg": "cube-26"}
+PICTURES = {"sheet-rough-table.svg": "rough-table"}
 
 MADE = {name: programme(name) for name in BUILT_IN}
 
@@ -486,79 +485,12 @@ def test_an_impossible_pace_is_refused() -> None:
 # -------------------- documentation --------------------
 
 
-def markdown(header: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
-    lines = [header, ("---",) * len(header), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
-
-
-def figures() -> str:
-    """What every built-in programme, and two that are not enough, show."""
-    corners = [p.attitude for p in programme("cube-14").positions[6:]]
-    made = [(f"`{name}`", programme(name)) for name in BUILT_IN]
-    made += [("faces only", from_attitudes(FACES)), ("corners only", from_attitudes(corners))]
-    rows = []
-    for name, listed in made:
-        H, turns = rows_of_rests(listed), rows_of_turns(listed)
-        order = "as listed" if listed.ordered else "any"
-        time = clock(sheet_rows(listed)[-1].stop)
-        row = [name, str(len(listed.positions)), order if name.startswith("`") else "", time]
-        rank = int(np.linalg.matrix_rank(H))
-        row += [str(rank)]
-        if rank == 9:
-            bias, scale, angle = uncertainties(H).reshape(3, 3).max(axis=1)
-            row += [f"{np.linalg.cond(H):.2f}", f"{bias:.2f}", f"{scale:.2f}", f"{angle:.2f}"]
-        else:
-            row += ["–"] * 4
-        rank = int(np.linalg.matrix_rank(turns))
-        row += [str(rank), f"{np.linalg.cond(turns):.2f}" if rank == 9 else "–"]
-        rows.append(tuple(row))
-    header = ("programme", "positions", "order", "time", "rests: rank", "cond", "bias", "scale", "angle")
-    return markdown((*header, "turns: rank", "cond"), rows)
-
-
-def tables() -> str:
-    """The positions of every built-in programme."""
-    parts = []
-    for name in BUILT_IN:
-        rows = [
-            (str(r.number), r.how, f"`{r.attitude}`", *r.points, r.position.label, r.when)
-            for r in sheet_rows(programme(name))
-        ]
-        table = markdown(("", "how to get there", "attitude", "X", "Y", "Z", "up and down", "rest"), rows)
-        shown = [f"\n![The positions of {name}](../pictures/{file})" for file, of in PICTURES.items() if of == name]
-        parts.append("\n".join([f"## {name}\n", table, *(shown if name != "rough-table" else [])]))
-    return "\n\n".join(parts)
-
-
-def refreshed(text: str) -> str:
-    """The page of documentation with its generated parts as they should be."""
-    for part, made in (("figures", figures()), ("tables", tables())):
-        text, found = re.subn(rf"(<!-- {part} -->\n).*?(<!-- end -->)", rf"\1{made}\n\2", text, flags=re.DOTALL)
-        assert found == 1
-    return text
-
-
-def test_the_tables_of_the_documentation_are_current() -> None:
-    text = (DOCS / "reference/programmes.md").read_text(encoding="utf-8")
-    assert text == refreshed(text)
-    for name in BUILT_IN:
-        assert f"## {name}" in text
-
-
 def test_codes_of_the_documentation_point_where_it_says() -> None:
     text = (DOCS / "reference/programmes.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| `([NSEWUD]{3}[^`]*)` \| ([^|]+) \| ([^|]+) \| ([^|]+) \|$", text, flags=re.MULTILINE)
     assert len(rows) == 5
     for code, *points in rows:
         assert [direction(axis) for axis in attitude(code).T] == points
-
-
-def test_the_example_of_the_documentation_runs(capsys: pytest.CaptureFixture[str]) -> None:
-    text = (DOCS / "reference/programmes.md").read_text(encoding="utf-8")
-    (example,) = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
-    exec(example, {})
-    rank, _ = capsys.readouterr().out.split()[:2]
-    assert rank == "9"
 
 
 @pytest.mark.parametrize("file", PICTURES)
@@ -574,7 +506,5 @@ def test_the_pictures_of_the_documentation_are_current(file: str) -> None:
 
 
 if __name__ == "__main__":
-    page = DOCS / "reference/programmes.md"
-    page.write_text(refreshed(page.read_text(encoding="utf-8")), encoding="utf-8")
     for file, name in PICTURES.items():
         write_sheet(DOCS / "pictures" / file, programme(name))

@@ -151,7 +151,7 @@ def test_xsens_biases_and_residuals_agree_with_the_independent_fit(xsens: Calibr
 def test_xsens_gyros_agree_with_imu_tk(xsens: Calibration) -> None:
     """4778.0, 4764.2, 4773.7 counts per rad/s: imu_tk gives the reciprocals of the diagonal of the inverse matrix, in
     the frame in which the accelerometers' matrix is upper triangular. It has no g-sensitivity, and its scatter makes
-    these known to 4.0, 3.7 and 5.6 (docs/evidence/xsens.md)."""
+    these known to 4.0, 3.7 and 5.6 (studies/xsens.md)."""
     accel, gyro = sensitivities(xsens)
     _, rotation = rq(accel)
     rotation *= np.sign(np.diag(rotation))[:, None]

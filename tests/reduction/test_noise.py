@@ -465,7 +465,7 @@ def test_intervals_are_the_normal_68_percent() -> None:
 def test_the_page_shows_what_the_study_wrote() -> None:
     module = study("noise_processes")
     content = json.loads((ROOT / "studies/noise_processes.json").read_text(encoding="utf-8"))
-    page = (ROOT / "docs/evidence/noise.md").read_text(encoding="utf-8")
+    page = (ROOT / "studies/noise.md").read_text(encoding="utf-8")
     results = [module.Result(**each) for each in content["sums"]]
     assert [each.name for each in results] == [each.name for each in module.CASES]
     assert module.answer(results)[0]

@@ -233,7 +233,7 @@ def test_a_number_cannot_leave_its_place_in_the_style_of_the_page(tmp_path: Path
     ("change", "said"),
     [
         (("lab/laboratory.toml", "lab/none.toml"), "none.toml: cannot be read: No such file"),
-        (('number = "2026-0042"', ""), "number: expected this key, found none; see docs/howto/certificate.md"),
+        (('number = "2026-0042"', ""), "number: expected this key, found none; see docs/howto/reports.md"),
         (('"limits.toml"', '"none.toml"'), "none.toml: cannot be read"),
         (('"before.json"', '"none.json"'), "none.json: cannot be read"),
         (

@@ -85,10 +85,11 @@ def example(kind: SensorKind, model: SensorModel) -> Example:
 def example_line(kind: SensorKind, reading: Array, true: Array, becomes: Array | None = None, where: str = "") -> str:
     """A worked example as a comment: a reading, what the target makes of it where that is something else, and what it
     is, SI."""
-    it_is = f"{shown(true.round(6))} {UNITS[kind]}"
-    differs = becomes is not None and np.any(becomes.round(6) != true.round(6))
-    what = f"becomes {shown(becomes.round(6))}; it is {it_is}" if becomes is not None and differs else f"is {it_is}"
-    return f"example {kind}{where}: reading {shown(reading)} {what}"
+    what = f"is {shown(true.round(9))}"
+    if becomes is not None:
+        near, exact = shown(becomes.round(6)), shown(true.round(6))
+        what = f"is {exact}" if near == exact else f"becomes {near}; it is {exact}"
+    return f"example {kind}{where}: reading {shown(reading)} {what} {UNITS[kind]}"
 
 
 def models(calibration: Calibration) -> dict[SensorKind, SensorModel]:

@@ -1,6 +1,6 @@
 """What a certificate says that no recording knows: who calibrated what for whom, when, where and by which rule it is
 judged; from a TOML file, whose laboratory and signatories may stand in a file of their own.
-docs/howto/certificate.md has every key.
+docs/howto/reports.md has every key.
 
 number = "2026-0042"            # unique, stands on every page
 country = "DE"                  # where the certificate is issued, ISO 3166-1
@@ -42,6 +42,15 @@ STATES: Mapping[str, str] = {
     "unchanged": "not adjusted: as found and as left",
 }
 """The state of the item when it was calibrated."""
+Place = Literal["laboratory", "customer", "laboratoryBranch", "customerBranch", "other"]
+PLACES: Mapping[Place, str] = {
+    "laboratory": "laboratory",
+    "customer": "at the customer's",
+    "laboratoryBranch": "branch of the laboratory",
+    "customerBranch": "branch of the customer",
+    "other": "elsewhere",
+}
+"""Where an item was calibrated."""
 
 
 def _without_control_characters(text: str) -> str:
@@ -99,25 +108,25 @@ class Certificate(_CertificateTable):
     recording. `state` is that of the item when it was calibrated: before an adjustment, after it, or without one;
     `as_found` the calibration file from before. `limits` is the file of acceptance limits, `check` which of its checks
     the statement of conformity is about, `agreed` how they and the decision rule were agreed with the customer,
-    `traceability` how gravity, time and table are traced, `replaces` the
-    number of a certificate that this one takes the place of."""
+    `traceability` how gravity, time and table are traced, `replaces` the number of a certificate that this one takes
+    the place of. A key with a title stands on the first page under this title."""
 
     number: _Text
     country: _Country
     begin: date | None = None
     end: date | None = None
-    received: date | None = None
-    issued: date | None = None
-    place: Literal["laboratory", "customer", "laboratoryBranch", "customerBranch", "other"] = "laboratory"
+    received: date | None = Field(default=None, title="received")
+    issued: date | None = Field(default=None, title="issued")
+    place: Place = "laboratory"
     state: Literal["as-found", "as-left", "unchanged"] = "unchanged"
     as_found: _Path | None = None
-    procedure: _Text | None = None
+    procedure: _Text | None = Field(default=None, title="procedure")
     limits: _Path | None = None
     check: Occasion | None = None
     agreed: _Text | None = None
     traceability: tuple[_Str, ...] = Field(default=(), strict=False)
     remarks: tuple[_Str, ...] = Field(default=(), strict=False)
-    replaces: _Text | None = None
+    replaces: _Text | None = Field(default=None, title="replaces certificate")
     laboratory: Party
     customer: Party
     person: tuple[Person, ...] = Field(min_length=1, strict=False)
@@ -150,6 +159,19 @@ class Certificate(_CertificateTable):
                 "begin and end, or date in [session]"
             )
         return begin, end
+
+    def facts(self, calibration: Calibration) -> tuple[tuple[str, str], ...]:
+        """What the first page says of the certificate. Raises InputError without a day of the calibration."""
+        first, last = self.days(calibration)
+        titled = [(key.title, getattr(self, name)) for name, key in type(self).model_fields.items() if key.title]
+        return (
+            ("customer", f"{self.customer.name}, {self.customer.address}"),
+            ("certificate number", self.number),
+            ("calibrated", str(first) if first == last else f"{first} to {last}"),
+            ("place", PLACES[self.place]),
+            ("state", STATES[self.state]),
+            *((title, str(value)) for title, value in titled if title is not None and value is not None),
+        )
 
 
 def check_certificate(certificate: Certificate, calibration: Calibration, as_found: Calibration | None) -> None:
@@ -220,7 +242,7 @@ def read_certificate(path: Path) -> Certificate:
     try:
         return validated(Certificate, stated, str(path))
     except InputError as error:
-        raise InputError(f"{error}; see docs/howto/certificate.md") from None
+        raise InputError(f"{error}; see docs/howto/reports.md") from None
 
 
 def _parsed(path: Path) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from typing import Literal
 from tumble.documents import check_regular
 from tumble.errors import InputError
 from tumble.files import FilePath, ending_in
-from tumble.lab.certificate import RELATES, STATES, Certificate, Party, check_certificate, judged_by, read_certificate
+from tumble.lab.certificate import RELATES, Certificate, Party, check_certificate, judged_by, read_certificate
 from tumble.lab.conformity import RESULTS, RULE, LimitJudgement, Result, Verdict, verdicts
 from tumble.lab.limits import Limits, limits_of
 from tumble.lab.scope import statement_of_scope, within_scope
@@ -58,13 +58,6 @@ _RULE = f"{RULE[0].upper()}{RULE[1:]}."
 _CHECKS = {"incoming": "Incoming inspection", "periodic": "Periodic check"}
 _FOR_THE_OPERATOR = ("[", "`", "--", "tumble ", "let ")
 """What only speaks to those who run the program has one of these: keys, commands, options, advice."""
-_PLACES = {
-    "laboratory": "laboratory",
-    "customer": "at the customer's",
-    "laboratoryBranch": "branch of the laboratory",
-    "customerBranch": "branch of the customer",
-    "other": "elsewhere",
-}
 
 
 # -------------------- reports by acceptance limits --------------------
@@ -215,7 +208,7 @@ def certificate_of(
     check_certificate(certificate, calibration, as_found)
     checks = [] if acceptance is None else verdicts(calibration, acceptance)
     verdict, tone = verdict_on([calibration])
-    facts = [*_certified(certificate, calibration), *front(calibration, [calibration.method])]
+    facts = [*certificate.facts(calibration), *front(calibration, [calibration.method])]
     if acceptance is not None:
         facts.append(("verdict", ", ".join([f"calibration {verdict}", *_in_words([checks])])))
         if calibration.outcome.accepted:
@@ -286,25 +279,6 @@ def _cells(as_found: Calibration | None, checks: Sequence[Verdict], scope: Mappi
         return row | ({"scope": scope.get(p.name, "")} if scope else {})
 
     return shown
-
-
-def _certified(certificate: Certificate, calibration: Calibration) -> tuple[tuple[str, str], ...]:
-    """Customer, number, dates, place, state and procedure. Raises InputError without a day of the calibration."""
-    first, last = certificate.days(calibration)
-    optional = (
-        ("replaces certificate", certificate.replaces),
-        ("received", None if certificate.received is None else certificate.received.isoformat()),
-        ("issued", None if certificate.issued is None else certificate.issued.isoformat()),
-        ("procedure", certificate.procedure),
-    )
-    return (
-        ("customer", f"{certificate.customer.name}, {certificate.customer.address}"),
-        ("certificate number", certificate.number),
-        ("calibrated", first.isoformat() if first == last else f"{first.isoformat()} to {last.isoformat()}"),
-        ("place", _PLACES[certificate.place]),
-        ("state", STATES[certificate.state]),
-        *((name, value) for name, value in optional if value is not None),
-    )
 
 
 def letterhead(laboratory: Party) -> Letterhead:

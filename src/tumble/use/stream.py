@@ -262,6 +262,16 @@ def check_stream(
     ------
     InputError
         For a source that cannot be opened or sends no samples, for samples of other sensors, and without rests.
+
+    Examples
+    --------
+    >>> import tumble
+    >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
+    >>> calibration = tumble.calibrate(folder)
+    >>> day = tumble.simulate_session("day", tumble.Setup.of(grade="mems", positions=4), seed=1, launch=2)
+    >>> check = tumble.check_stream(calibration, "replay:day@max")
+    >>> len(check.rests), check.verdict
+    (4, 'accepted')
     """
     given, source = calibration_from(calibration), source_of(listen)
     described = source.session if session is None else session_from(session)

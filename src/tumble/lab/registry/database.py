@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Iterator, Mapping
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -207,12 +207,12 @@ def connected(place: str, create: bool) -> Database:
         with database.reading() as rows:
             if _has_tables(rows.connection, name, create):
                 return database
-        if file is not None:  # readers do not wait for writers then; the file remembers it
-            with in_one_line(name), closing(database.engine.raw_connection()) as raw:
-                raw.cursor().execute("PRAGMA journal_mode = WAL")
         with database.writing() as rows:  # of programs that open a new registry at once, the first makes them
             if not _has_tables(rows.connection, name, create):
                 _make_tables(rows.connection)
+        if file is not None:  # readers do not wait for writers then; the file remembers it
+            with suppress(sqlite3.OperationalError), closing(database.engine.raw_connection()) as raw:
+                raw.cursor().execute("PRAGMA journal_mode = WAL")  # or the last of those that opened it at once does
     except BaseException:
         database.engine.dispose()
         if new and file is not None and file.is_file() and file.stat().st_size == 0:

@@ -86,7 +86,7 @@ class Registry:
         Parameters
         ----------
         calibration
-            Where the accelerometers or the gyros alone are accepted, these are judged.
+            Where the accelerometers or the gyros alone are accepted, these are registered.
         performed
             When the device was calibrated; default: when it was recorded, or else when the file was made.
         occasion
@@ -184,8 +184,9 @@ class Registry:
             return rows.file(record.number)
 
     def calibration(self, record: Record, frame: str | None = None) -> Calibration:
-        """The calibration of a record, in its own frame or another. Raises InputError where it cannot be converted."""
-        calibration = calibration_of(self.file(record), f"record {record.number}")
+        """The accepted part of the calibration of a record, in its own frame or another. Raises InputError where it
+        cannot be converted."""
+        calibration = accepted_part(calibration_of(self.file(record), f"record {record.number}"))
         try:
             return calibration if frame is None else calibration.in_frame(frame)
         except InputError as error:

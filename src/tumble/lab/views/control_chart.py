@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from tumble.errors import needs_extra
 from tumble.files import ending_in, whole_file
 from tumble.lab.conformity import RESULTS, RULE, Result
 from tumble.lab.registry.records import STATES
@@ -36,6 +35,7 @@ from tumble.sensors.parameters import group_name, named_group
 from tumble.views.blocks import ChartPanel, Document, Items, Panels, Part, Section, Text, Tone, section
 from tumble.views.numbers import limit_cell, minus
 from tumble.views.render.characters import drawable
+from tumble.views.render.pages import page
 from tumble.views.render.pictures import COLOURS, GREY, INK, STYLE, for_a_page, grid, svg_of
 
 if TYPE_CHECKING:
@@ -73,10 +73,7 @@ def write_chart(path: Path, found: Trend) -> None:
 
     Raises InputError for another ending than .html, MissingExtraError without matplotlib."""
     ending_in(path, ".html")
-    with needs_extra("a control chart", "lab", "matplotlib"):
-        from tumble.views.render.pages import page
-
-        text = page(_document(found))
+    text = page(_document(found))
     with whole_file(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 

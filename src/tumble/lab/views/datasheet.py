@@ -66,7 +66,7 @@ def _cells(row: DatasheetRow, size: float, unit: str) -> dict[str, str]:
 
 
 def write_datasheet(sheet: Datasheet, out: Path, created: str) -> None:
-    """Write a data sheet, `created` at a time (ISO 8601), as a page. Raises InputError for another ending than .html."""
+    """Write a data sheet, `created` at a time (ISO 8601), as a page (.html). Raises InputError for another ending."""
     ending_in(out, ".html")
     sections = tuple(section(each.caption, replace(each, caption="")) for each in _tables(sheet))
     document = Document(

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tumble.errors import InputError, needs_extra
+from tumble.errors import InputError
 from tumble.files import FilePath, ending_in, whole_file
 from tumble.result.calibration import Calibration, calibration_of, text_and_name
 
@@ -78,8 +78,8 @@ def write_document(document: Document, out: FilePath) -> None:
     """Write a document as HTML or PDF by the ending of `out`. Raises InputError where it cannot be written, and
     MissingExtraError without the extra `tumble[lab]`."""
     out = Path(out)
-    with needs_extra("a report", "lab", "jinja2"):
-        from tumble.views.render.pages import page, pdf
+    from tumble.views.render.pages import page, pdf
+
     content = page(document).encode() if out.suffix.lower() == ".html" else pdf(document)
     try:
         with whole_file(out) as temporary:

@@ -1,0 +1,74 @@
+"""A trend and `tumble compare` say the same of the last two calibrations of a device, what they share left out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from tests.support.calibrated import calibration
+from tests.use.test_compare import of_common_gravity, of_common_time_base
+from tumble.cli import main
+from tumble.lab.registry.registry import open_registry
+from tumble.lab.registry.trend import Trend
+from tumble.lab.views.control_chart import write_chart
+from tumble.lab.views.registry import change_lines
+from tumble.result.calibration import Calibration
+from tumble.use.compare import compare_calibrations
+
+
+def trend_of(folder: Path, *calibrations: Calibration, parameter: str | None = None) -> Trend:
+    """Of one device, calibrated once a year, each time with another log."""
+    with open_registry(folder / "r.sqlite", create=True) as registry:
+        for i, made in enumerate(calibrations):
+            other = replace(made, provenance={**made.provenance, "log_sha256": f"{i:064x}"})
+            registry.add_calibration(other, performed=datetime(2020 + i, 3, 1, tzinfo=UTC))
+        return registry.trend("A-0007", parameter)
+
+
+@pytest.mark.parametrize("sigmas", [0.0, 2.5, 3.6, -3.6])
+def test_a_change_has_one_sign_one_number_and_one_verdict(sigmas: float, tmp_path: Path) -> None:
+    first = calibration()
+    name, u = "accel.bias.x", first["accel.bias.x"].u or 0.0
+    moved = replace(first["accel.bias.x"], value=first["accel.bias.x"].value + sigmas * np.sqrt(2.0) * u)
+    second = replace(first, parameters=tuple(moved if p.name == name else p for p in first.parameters))
+    found, comparison = trend_of(tmp_path, first, second), compare_calibrations(first, second)
+    for difference, trend in zip(comparison.differences, found.parameters, strict=True):
+        assert trend.last_change is not None
+        assert trend.name == difference.name
+        assert (trend.last_change.value, trend.last_change.e_n) == pytest.approx((difference.value, difference.e_n))
+    assert comparison.differences[0].e_n == pytest.approx(sigmas / 2.0)
+    assert comparison.agree == (not found.changed)
+    line = change_lines(found)[0]
+    assert line.startswith(f"the latest against the one before: {int(abs(sigmas) > 2)} of 21 |E_n| beyond 1, one as")
+    if sigmas == 2.5:
+        write_chart(tmp_path / "chart.html", found)
+        assert line in (tmp_path / "chart.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("pair", [of_common_gravity, of_common_time_base])
+def test_a_step_of_40_ppm_under_a_common_error_of_20_ppm_ends_a_trend_with_1(
+    pair: Callable[[float], tuple[Calibration, Calibration]], tmp_path: Path
+) -> None:
+    """The scale factor is known to 1.2 ppm but for what both share. Without the step it ends with 0."""
+    for moved, status in ((40e-6, 1), (0.0, 0)):
+        (tmp_path / str(status)).mkdir()
+        trend_of(tmp_path / str(status), *pair(moved))
+        words = ["registry", "trend", "A-0007", "--registry", str(tmp_path / str(status) / "r.sqlite")]
+        ran = CliRunner().invoke(main, words)
+        name = "accel.scale.x" if pair is of_common_gravity else "gyro.scale.y"
+        assert (ran.exit_code, ran.stderr) == (status, f"changed: {name}\n" if status else "")
+
+
+def test_a_trend_finds_what_only_all_parameters_together_show(tmp_path: Path) -> None:
+    first = calibration()
+    apart = tuple(replace(p, value=p.value + 0.9 * 2.0 * np.sqrt(2.0) * (p.u or 0.0)) for p in first.parameters)
+    found = trend_of(tmp_path, first, replace(first, parameters=apart))
+    assert found.changed == ["all parameters together"]
+    assert found.comparison is not None
+    assert found.comparison.contradicts
