@@ -66,10 +66,10 @@ BAD_SIGMAS = 5.0
 """Distance from the fit through all others at which a position is bad, unless stated otherwise."""
 
 FLOOR = 1e-13
-"""Part of the modulus: no reading is taken to be better known, one without noise included."""
+"""Least standard uncertainty of a reading, in parts of the modulus."""
 
 MOST_BAD = 0.2
-"""Where more than this part of the positions is bad, none of them can be told from the good ones."""
+"""Largest part of the positions that is left out as bad: beyond it, good and bad ones cannot be distinguished."""
 
 RIVAL_CHANCE = 1e-3
 """Leaving out another position explains as much if the variance of the others is then not larger by more than chance
@@ -96,14 +96,15 @@ class WorstPosition:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
 class EllipsoidFit(Brief):
-    """Parameter values (9,) in the order of the block's names with their covariance (9, 9), None where there are no
-    more positions than unknowns and the noise is not known, and the `model` they give. In the covariance is what one
-    standard uncertainty of the modulus changes, `by_modulus` (9,); behind the rest of it stand `noise_degrees` of
-    freedom, infinite where the noise is known. Of each position (N,):
-    `residual` |M⁻¹(y − b)| − m; its `leverage`, the part of itself that it explains; `leave_one_out`, the residual
-    against the fit through all others, with its standard uncertainty; `sigmas`, how far that is out; and whether it
-    was `used`, or left out as bad. `doubtful` are positions one of which is bad where it cannot be told which; they are
-    used. `scatter` is that of a reading, estimated on top of the stated noise."""
+    """Parameters of a triad by the ellipsoid through its readings.
+
+    `values` (9,) are in the order of the names of the block, with `covariance` (9, 9), None if there are no more
+    positions than unknowns and no noise is given. It includes `by_modulus` (9,), the change by one standard uncertainty
+    of the modulus; the rest has `noise_degrees` of freedom, infinite if the noise is given. `scatter` is that of a
+    reading, estimated in addition to the noise. `residual` (N,) is |M⁻¹(y − b)| − m of each position; `leverage` the
+    part of itself that it explains; `leave_one_out` the residual against the fit through all others, with its standard
+    uncertainty and, in `sigmas`, their ratio. Positions that are not `used` are left out as bad. One of the `doubtful`
+    positions is bad, but the others do not tell which; they are used."""
 
     values: Array
     covariance: Array | None
@@ -197,7 +198,7 @@ def fit_ellipsoid(
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Task:
-    """What is fitted, see `fit_ellipsoid`; `noisy` where the noise is known."""
+    """Arguments of `fit_ellipsoid`; `noisy` if the covariance of the readings is given."""
 
     readings: Array
     modulus: float
@@ -214,8 +215,8 @@ class _Task:
             return None
         some = found.models(self.modulus)
         handed = np.diag([1.0, 1.0, np.sign(np.linalg.det(self.block.axes))])
-        own = SensorModel(matrix=some.matrix[0] @ handed, bias=some.bias[0])
-        return np.asarray(self.block.parameters(to_accelerometer_frame(self.block, own, None)[0]))
+        model = SensorModel(matrix=some.matrix[0] @ handed, bias=some.bias[0])
+        return np.asarray(self.block.parameters(to_accelerometer_frame(self.block, model, None)[0]))
 
     def residuals(self, values: Array) -> _SphereResiduals:
         """Residuals of all readings at parameter values (9,)."""

@@ -287,26 +287,26 @@ def check_calibration(
         return by_rests
 
     # all parameters
-    own = given.in_frame("accelerometer")
-    if own.gyro is None and observations.gyro_block is not None:
+    converted = given.in_frame("accelerometer")
+    if converted.gyro is None and observations.gyro_block is not None:
         observations = observations.of_accelerometers()
-    launches, sheet = _launches(own, launches), session.device.prior
-    prior = prior_at_check(own, observations, grade, sheet, launches)
+    launches, sheet = _launches(converted, launches), session.device.prior
+    prior = prior_at_check(converted, observations, grade, sheet, launches)
     result = field_check(observations, prior)
     rests_agree = False
     if not result.explained and observations.gyro_block is not None:
         at_rest = observations.of_accelerometers()
-        rests_agree = field_check(at_rest, prior_at_check(own, at_rest, grade, sheet, launches)).valid
+        rests_agree = field_check(at_rest, prior_at_check(converted, at_rest, grade, sheet, launches)).valid
     check = replace(
         by_rests,
         turns=0 if observations.turns is None else len(observations.turns),
         **tested(result),
         rests_agree=rests_agree,
-        notes=(*by_rests.notes, *_assumptions(own, reference_of(observations), grade, guessed_from, launches)),
+        notes=(*by_rests.notes, *_assumptions(converted, reference_of(observations), grade, guessed_from, launches)),
     )
     if not result.explained:
         return check
-    updated = _updated(own, check, result, prior.instrument, observations, observed)
+    updated = _updated(converted, check, result, prior.instrument, observations, observed)
     return replace(check, updated=updated.in_frame(given.frame))
 
 
@@ -369,8 +369,8 @@ def check_session(calibration: Calibration, session: Session) -> None:
 
 def _launches(calibration: Calibration, others: Sequence[LaunchVariances]) -> Sequence[LaunchVariances]:
     """The launches behind a calibration and those of other ones of its device, each once."""
-    own = launch_variances(calibration)
-    return others if own is None else (own, *(each for each in others if not each.logs & own.logs))
+    behind = launch_variances(calibration)
+    return others if behind is None else (behind, *(each for each in others if not each.logs & behind.logs))
 
 
 # -------------------- the prior --------------------
@@ -426,12 +426,12 @@ def prior_at_check(
     for i, name in enumerate(linear, 1):
         pooled_from = [(each.degrees, each.variances[name][0]) for each in others if name in each.variances]
         degrees = sum(count for count, _ in pooled_from)
-        own = sum(count * between for count, between in pooled_from) / max(degrees, 1)
-        pooled = USUAL_DEGREES * spread_of(TURN_ON[grade], name) ** 2 + degrees * own
+        between_launches = sum(count * between for count, between in pooled_from) / max(degrees, 1)
+        pooled = USUAL_DEGREES * spread_of(TURN_ON[grade], name) ** 2 + degrees * between_launches
         pooled /= USUAL_DEGREES + degrees
-        turned_on[i] = max(own, pooled) * (2.0 if single else 1.0)
+        turned_on[i] = max(between_launches, pooled) * (2.0 if single else 1.0)
         if degrees:
-            inverse_degrees[i] = 1.0 / degrees if own > pooled else 1.0 / (USUAL_DEGREES + degrees)
+            inverse_degrees[i] = 1.0 / degrees if between_launches > pooled else 1.0 / (USUAL_DEGREES + degrees)
 
     inverse = {p.name: 1.0 / p.dof for p in calibration.parameters if p.dof is not None}
     fits = calibration.fits
@@ -468,11 +468,11 @@ def _updated(
         if variable_of(p.name) == "time" or p.name not in instrument.names:
             continue
         i = instrument.names.index(p.name)
-        value, own_u, learned = float(result.values[i]), float(u[i]), p.learned
+        value, new_u, learned = float(result.values[i]), float(u[i]), p.learned
         if p.prior is not None and learned is not None:
-            learned = learned_fraction(own_u, p.prior)
+            learned = learned_fraction(new_u, p.prior)
         dof = None if p.name in changed else p.dof  # what is of the check alone has none of the calibration
-        parameters.append(replace(p, value=value, u=own_u, deviation=None, run_to_run=None, dof=dof, learned=learned))
+        parameters.append(replace(p, value=value, u=new_u, deviation=None, run_to_run=None, dof=dof, learned=learned))
         at.append(i)
     others = [i for i, p in enumerate(before.parameters) if sensor_kind(p.name) == "mag"]  # took no part
     gyro, warm = instrument.gyro, before.reference_temperature is not None

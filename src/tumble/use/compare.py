@@ -85,8 +85,8 @@ class Difference:
         variance = sum(variance for variance, _ in parts)
         if variance < UNLEARNED * ((first.u or 0.0) ** 2 + (second.u or 0.0) ** 2):
             variance = 0.0
-        known = first.u is not None and second.u is not None
-        u, dof = (sqrt(variance), welch_satterthwaite(parts)) if known else (None, None)
+        uncertain = first.u is not None and second.u is not None
+        u, dof = (sqrt(variance), welch_satterthwaite(parts)) if uncertain else (None, None)
         return cls(first=first.value, second=second.value, u=u, dof=dof, **others)
 
     @property

@@ -83,8 +83,8 @@ class Ranges:
     @staticmethod
     def of(calibration: Calibration) -> Ranges:
         """Temperatures of the rests and, with MARGIN, the rate of the turns and gravity."""
-        known, site = calibration.prediction, calibration.site
-        rate = inf if known is None or known.at_rate is None else (1.0 + MARGIN) * known.at_rate
+        prediction, site = calibration.prediction, calibration.site
+        rate = inf if prediction is None or prediction.at_rate is None else (1.0 + MARGIN) * prediction.at_rate
         force = (1.0 + MARGIN) * (G_STANDARD if site is None else site.gravity)
         return Ranges(temperature=calibration.temperature_range or (-inf, inf), rate=rate, force=force)
 
@@ -122,9 +122,9 @@ class Stream:
         limits = LONGEST_STEP * interval, ranges.rate**2, ranges.force**2
         self._settings = np.array([interval, lag, kept, *ranges.temperature, latest, zero, *limits, nan])
         self._start = np.zeros(heat)
-        for block, own in zip((compensator.accel, compensator.gyro), thermometers, strict=True):
-            if block is not None and block.kind in compensator.references and len(own) == block.size:
-                self._start[own] = compensator.references[block.kind]
+        for block, numbers in zip((compensator.accel, compensator.gyro), thermometers, strict=True):
+            if block is not None and block.kind in compensator.references and len(numbers) == block.size:
+                self._start[numbers] = compensator.references[block.kind]
         self._state: tuple[Array, ...] = (
             np.zeros((2, 2 + 2 * n + m + heat + 9)),
             np.zeros((heat, 2)),
@@ -318,13 +318,13 @@ class Corrector:
             kelvin = kelvin.reshape(count, self.thermometers)
             check_kelvin(kelvin)
         corrected = self._stream.add(readings, turned, stamps, kelvin)
-        return self._known(corrected)
+        return self._without_absent(corrected)
 
     def finish(self) -> Corrected:
         """Return the last sample, if it waits for the next, with ω̇ from the one before; another stream begins."""
-        return self._known(self._stream.finish())
+        return self._without_absent(self._stream.finish())
 
-    def _known(self, corrected: Corrected) -> Corrected:
+    def _without_absent(self, corrected: Corrected) -> Corrected:
         if self.calibration.accel is None:
             corrected.force[:] = nan
         return corrected

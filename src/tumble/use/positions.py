@@ -120,7 +120,7 @@ def residuals_in(calibration: Calibration, observations: Observations, sha256: s
     Raises CalibrationError for a calibration without all parameters of its accelerometers, and InputError for positions
     of other sensors or of one of several launches behind the calibration, and if each of its own positions is
     determined by nothing but itself."""
-    seen, J, names, length = _seen(calibration, observations)
+    seen, J, names, length = _verticals_with_derivative(calibration, observations)
     rests, there, block = observations.rests, observations.site, observations.accel_block
     assert calibration.accel is not None
     if any(launch.log_sha256 == sha256 for launch in calibration.launches):
@@ -184,10 +184,14 @@ def _unlearned(calibration: Calibration, names: tuple[str, ...], J: Array) -> Ar
 def verticals(calibration: Calibration, observations: Observations) -> Verticals:
     """The vertical in the frame of the calibration in every position, with its covariance, for the relation of two
     blocks (`tumble.run.case.relate`). Raises as `residuals_in`."""
-    return _seen(accepted_accelerometers(calibration, "positions at rest show the vertical"), observations)[0]
+    return _verticals_with_derivative(
+        accepted_accelerometers(calibration, "positions at rest show the vertical"), observations
+    )[0]
 
 
-def _seen(calibration: Calibration, observations: Observations) -> tuple[Verticals, Array, tuple[str, ...], Array]:
+def _verticals_with_derivative(
+    calibration: Calibration, observations: Observations
+) -> tuple[Verticals, Array, tuple[str, ...], Array]:
     """The verticals, J (N, m), the names of the m parameters that readings at rest depend on, and |true| (N,)."""
     assert calibration.accel is not None
     block, reference = observations.accel_block, calibration.reference_temperature

@@ -85,7 +85,7 @@ def scalar(observations: Observations, iterations: int = 2) -> Estimate:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ProgrammeCourse:
-    """What is known of a session's rests and turns from its programme: nominal verticals (N, 3) in the body, series
+    """Rests and turns of a session by its programme: nominal verticals (N, 3) in the body, series
     of recorded turns, durations (K,) of all turns, the Earth's rate (3,) in N, U, E, and the programme matrix."""
 
     nominal: Array
@@ -357,9 +357,9 @@ class _SessionData:
             accel.axes.T @ rests.accel_covariance @ accel.axes + scatter.get("accelerometers", 0.0) ** 2 * np.eye(3)
         ]
         if gyro and self.observations.turns is not None:
-            turns, of_rest = self.observations.turns, scatter.get("gyro rests", 0.0)
-            blocks.append(gyro[0].axes.T @ rests.gyro_covariance @ gyro[0].axes + of_rest**2 * np.eye(3))
-            drift = (of_rest * turns.duration) ** 2 + scatter.get("gyro turns", 0.0) ** 2
+            turns, rest_scatter = self.observations.turns, scatter.get("gyro rests", 0.0)
+            blocks.append(gyro[0].axes.T @ rests.gyro_covariance @ gyro[0].axes + rest_scatter**2 * np.eye(3))
+            drift = (rest_scatter * turns.duration) ** 2 + scatter.get("gyro turns", 0.0) ** 2
             blocks.append(turns.covariance + drift[:, None, None] * np.eye(3))
         every = np.concatenate(blocks)
         count, of_data = len(every), np.zeros((len(self.data), len(self.data)))
@@ -389,9 +389,9 @@ def _estimate(launch: _SessionData, values: Array, derivative: Array, increments
     groups = {name: _GROUPS[name] for name in list(_GROUPS)[: 3 if len(launch.blocks) == 2 else 1]}
 
     def residuals_of(name: str, scatter: Mapping[str, float]) -> Residuals:
-        noise, own = launch.covariance(scatter), rows[name]
-        variance = np.sum(direct[own] @ noise * direct[own], axis=1)
-        return Residuals(residual=residual[own], variance=variance, left=total[own] @ noise @ total[own].T)
+        noise, chosen = launch.covariance(scatter), rows[name]
+        variance = np.sum(direct[chosen] @ noise * direct[chosen], axis=1)
+        return Residuals(residual=residual[chosen], variance=variance, left=total[chosen] @ noise @ total[chosen].T)
 
     scatter = dict[str, float]()
     for name in groups:
