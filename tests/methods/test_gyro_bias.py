@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.support.paper_variants import turned_bias, two_position_bias
+from tests.support.paper_variants import invariant_bias, turned_bias, two_position_bias
 from tests.support.rough_launches import EARTH, GRAVITY, LATITUDE, PROGRAMME
 from tumble.earth import EARTH_RATE
 from tumble.methods.paper.gyros import (
-    invariant_bias,
     scalar_bias,
     vector_bias,
     vertical_bias,

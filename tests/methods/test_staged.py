@@ -16,11 +16,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.support import staged as stages
-from tests.support.staged import staged
+from tests.support.staged import SphereRows, sphere_rows, staged
 from tumble.diagnosis.verdict import verdict
 from tumble.earth import EARTH_RATE, earth_rate
 from tumble.inference.estimate import Estimate
-from tumble.methods.ellipsoid_fit import SphereRows, sphere_rows
 from tumble.programme.positions import attitude, programme
 from tumble.recording.session import Site
 from tumble.reduction.blocks.motion_samples import MotionSamples

@@ -1,6 +1,6 @@
 """Variants of the paper's methods that published figures are checked with, and that no command uses: the indirect
-method with the logged Jacobian (§6.6 of the turntable method), gyro biases from two positions, and the angle between
-two axes astride the vertical."""
+method with the logged Jacobian (§6.6 of the turntable method), gyro biases from two positions and from the dot product,
+and the angle between two axes astride the vertical."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from tumble.methods.least_squares import solved
 from tumble.methods.paper.gyros import (
     _LEVEL,
     Series,
@@ -113,3 +114,10 @@ def turned_bias(rates: Array, forces: Array, C: Array, earth_rate: Array) -> Arr
     turned = rates[..., 0, :] - (C @ rates[..., 1, :, None])[..., 0]
     right = np.concatenate([turned, (u * rates).sum(axis=-1) - earth_rate[1]], axis=-1)
     return np.asarray((np.linalg.pinv(rows) @ right[..., None])[..., 0])
+
+
+def invariant_bias(rate: Array, force: Array, earth_rate: Array) -> Array:
+    """Bias (..., 3) from the dot-product invariant û·ω̂ − Ω sin B = û·δω by least squares: linear in the bias, and
+    without an azimuth. Not in the paper, where the scalar method has to take its place."""
+    u = unit_vector(force)
+    return solved(u, (u * rate).sum(axis=-1) - earth_rate[1])
