@@ -129,7 +129,7 @@ def _lost_in_turn(samples: Samples, turn: int, rows: int, terms: Terms = "linear
     """The result of a log without time stamps, and of the same without rows at the start of a turn."""
     accel, gyro = samples
     whole = calibrate(accel=accel, gyro=gyro, rate=20.0, latitude=0.9921, serial="A", terms=terms)
-    start = round(whole.rests[whole.turns[turn].first].stop * 20.0)
+    start = round(whole.evidence.rests[whole.evidence.turns[turn].first].stop * 20.0)
     moving = start + int(np.argmax(np.linalg.norm(gyro[start:], axis=1) > 0.05))
     accel, gyro = (np.delete(each, range(moving, moving + rows), axis=0) for each in samples)
     return whole, calibrate(accel=accel, gyro=gyro, rate=20.0, latitude=0.9921, serial="A", terms=terms)

@@ -15,7 +15,7 @@ import pytest
 from click.testing import CliRunner
 
 from tests.support import ROOT
-from tests.support.calibrated import HEXAD, calibration, of_device
+from tests.support.calibrated import HEXAD, calibration, of_device, with_fields
 from tests.support.exports import CERTIFICATE
 from tumble.cli import main
 from tumble.errors import InputError
@@ -90,7 +90,7 @@ def schema() -> Any:
     "made",
     [
         calibration(),
-        replace(calibration(), site=SITE),
+        with_fields(calibration(), site=SITE),
         calibration(accel=HEXAD),
         of_device(calibration(with_gyro=False), model=None),
         replace(calibration(), covariance=None, parameters=tuple(replace(p, u=None) for p in calibration().parameters)),
@@ -217,7 +217,7 @@ def test_the_covariance_is_there_column_by_column_in_the_units_of_its_entries() 
 
 
 def test_gravity_is_an_influence_condition() -> None:
-    root = ET.fromstring(content(replace(calibration(), site=SITE)))
+    root = ET.fromstring(content(with_fields(calibration(), site=SITE)))
     condition = root.find(".//dcc:influenceCondition", NAMESPACES)
     assert condition is not None
     assert float(condition.findtext(".//si:value", "", NAMESPACES)) == SITE.gravity
@@ -251,7 +251,7 @@ def full(folder: Path) -> bytes:
         conditions=AirConditions(temperature_degC=22.5, temperature_u=0.5, humidity_percent=40.0, pressure_hPa=1008.0),
         equipment=("turntable T-12, no. 7",),
     )
-    made = replace(calibration(), site=SITE, circumstances=circumstances)
+    made = with_fields(calibration(), site=SITE, circumstances=circumstances)
     return export_calibration(made, "dcc", certificate=read_certificate(path)).content
 
 

@@ -495,7 +495,7 @@ def test_ellipsoid_and_scalar_method_agree_on_the_real_recording(data: Path) -> 
         at = b.names.index(name)
         assert abs(a[name].value - b.values[at]) < 0.3 * b.u[at]
         assert a[name].u == pytest.approx(b.u[at], rel=0.01)
-    assert len(a.rests) == len(b.rest_residual) > 30
+    assert len(a.evidence.rests) == len(b.rest_residual) > 30
 
 
 def test_groups_three_times_as_large_as_usual_are_in_u() -> None:

@@ -215,11 +215,11 @@ def test_readings_that_are_not_as_expected_are_refused_in_one_line(given: dict[s
 
 def test_calibrate_says_what_it_takes() -> None:
     with pytest.raises(InputError, match="calibrate: expected a session or readings accel=…, found nothing"):
-        calibrate()  # type: ignore[call-overload]
+        calibrate()
     with pytest.raises(InputError, match="session: expected the path of a session folder or a Session, found int"):
-        calibrate(42)  # type: ignore[call-overload]
+        calibrate(42)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="found accel beside a session"):
-        calibrate("session", accel=STILL)  # type: ignore[call-overload]
+        calibrate("session", accel=STILL)
 
 
 # -------------------- temperature --------------------
@@ -235,7 +235,9 @@ def test_temperature_is_celsius_in_the_calibration_and_kelvin_inside(
     assert observations is not None
     assert observations.rests.temperature == pytest.approx(23.5 + ZERO_CELSIUS)
     calibration = calibrate(session, terms="linear")
-    assert [rest.temperature for rest in calibration.rests] == pytest.approx([23.5] * len(calibration.rests))
+    assert [rest.temperature for rest in calibration.evidence.rests] == pytest.approx(
+        [23.5] * len(calibration.evidence.rests)
+    )
     calibration.write(tmp_path / "calibration.json")
     assert '"temperature": 23.5' in (tmp_path / "calibration.json").read_text()
 

@@ -163,7 +163,7 @@ def test_a_bad_sample_in_a_turn_costs_nothing(tmp_path: Path) -> None:
     column[at] += 400.0
     log.with_columns(ax=column).write_parquet(folder / "log.parquet")
     found = calibrate(folder)
-    assert any(note.startswith("1 bad sample") and "turn 4 to 5" in note for note in found.notes)
+    assert any(note.startswith("1 bad sample") and "turn 4 to 5" in note for note in found.provenance.notes)
     values, u = (np.array([getattr(p, what) for p in clean.parameters]) for what in ("value", "u"))
     assert np.all(np.abs([p.value for p in found.parameters] - values) < 0.25 * u)  # of the integral 0.1
 
@@ -179,6 +179,6 @@ def test_a_session_with_bad_samples_keeps_its_rests(tmp_path: Path) -> None:
     log.with_columns(ax=column).write_parquet(folder / "log.parquet")
     assert len(inspect_session(folder).segmentation.rests) == 9
     found = calibrate(folder)
-    assert any(note.startswith("2 bad samples") and "rests 4, 6" in note for note in found.notes)
+    assert any(note.startswith("2 bad samples") and "rests 4, 6" in note for note in found.provenance.notes)
     values, u = (np.array([getattr(p, what) for p in clean.parameters[:21]]) for what in ("value", "u"))
     assert np.all(np.abs([p.value for p in found.parameters[:21]] - values) < 0.5 * u)

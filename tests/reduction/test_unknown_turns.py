@@ -34,7 +34,7 @@ def test_a_turn_with_a_reading_that_is_none_is_left_out_and_named(reading: float
     clean = calibrate(folder)
     found = calibrate(with_readings(folder, turns=range(2, 3), reading=reading))
     assert found.outcome.accepted, found.outcome.reasons
-    assert any(note.startswith(SAID) for note in found.notes), found.notes
+    assert any(note.startswith(SAID) for note in found.provenance.notes), found.provenance.notes
     (values, u), (sound, known) = (
         [np.array([getattr(p, what) for p in each.parameters[:21]]) for what in ("value", "u")]
         for each in (found, clean)
@@ -47,6 +47,6 @@ def test_single_readings_of_most_turns_are_replaced(tmp_path: Path) -> None:
     clean = calibrate(folder)
     found = calibrate(with_readings(folder, turns=range(9), reading=1e4))
     assert found.outcome.accepted, found.outcome.reasons
-    assert any("bad sample" in note or "replaced" in note for note in found.notes), found.notes
+    assert any("bad sample" in note or "replaced" in note for note in found.provenance.notes), found.provenance.notes
     for name in list(clean)[:21]:
         assert abs(found[name].value - clean[name].value) < 0.5 * (clean[name].u or 0.0)

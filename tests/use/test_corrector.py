@@ -12,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tests.support.calibrated import HEXAD, calibration, session_of, warmed
+from tests.support.calibrated import HEXAD, calibration, session_of, warmed, with_fields
 from tests.use.test_applied_model import N, larger, read, truth
 from tumble.errors import InputError
 from tumble.inference.estimate import Outcome
@@ -35,7 +35,7 @@ def moving(*, lag: float = 1.5) -> tuple[Calibration, Readings]:
     gap and a step of temperature."""
     made, instrument, values = larger(leave=("accel.delay",))
     late = Parameter(name="temperature.lag", value=lag, u=0.1, unit="s", prior=200.0, learned=0.99)
-    made = replace(made, parameters=(*made.parameters, late), covariance=None, sample_rate=100.0)
+    made = with_fields(made, parameters=(*made.parameters, late), covariance=None, sample_rate=100.0)
     celsius = np.where(np.arange(N) < 200, 15.0, 40.0) + np.sin(np.arange(N) / 50.0)
     accel, gyro = read(instrument, values, *truth(), celsius)
     time = 0.01 * np.arange(1, N + 1) + 1e-4 * np.random.default_rng(8).uniform(-1.0, 1.0, N)
@@ -244,7 +244,7 @@ def test_samples_outside_of_what_was_calibrated_are_flagged() -> None:
 
 def test_gyros_alone_leave_the_specific_force_unknown() -> None:
     why = ("the accelerometers scatter",)
-    made = replace(calibration(), outcome=Outcome(reasons=why, concerns={why[0]: ("accel",)}), sample_rate=100.0)
+    made = with_fields(calibration(), outcome=Outcome(reasons=why, concerns={why[0]: ("accel",)}), sample_rate=100.0)
     found = Corrector(made).add([0.1, 0.2, 9.8], [0.1, 0.2, 0.3])
     assert np.isnan(found.force).all()
     _, rate = made.apply([0.1, 0.2, 9.8], [0.1, 0.2, 0.3])
