@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.support.paper_variants import angle_astride
 from tumble.errors import ProgrammeError
 from tumble.methods.paper.accelerometers import (
     angle_between,
@@ -127,12 +126,6 @@ def test_the_third_reading_makes_the_angle_exact_in_a_leaning_plane() -> None:
 def test_any_angle_up_to_a_right_one_is_exact_from_perfect_readings(φ: float, tilt: float, turn: float) -> None:
     above, below, across = in_plane(tilt, φ, turn)
     assert angle_between(above, below, across, g) == pytest.approx(φ, abs=1e-12)
-
-
-@given(st.floats(np.pi / 2 + 1e-3, 2.6), st.floats(-5.0, 5.0), st.floats(-0.1, 0.1))
-def test_any_larger_angle_is_exact_astride_the_vertical(φ: float, tilt: float, turn: float) -> None:
-    left, right, across = in_plane(tilt, φ, turn)
-    assert angle_astride(left, right, across, g) == pytest.approx(φ, abs=1e-11)
 
 
 def test_the_angle_errs_by_equation_11() -> None:
