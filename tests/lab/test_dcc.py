@@ -216,15 +216,6 @@ def test_the_covariance_is_there_column_by_column_in_the_units_of_its_entries() 
     assert names == [p.name for p in made.parameters]
 
 
-def test_gravity_is_an_influence_condition() -> None:
-    root = ET.fromstring(content(replace(calibration(), site=SITE)))
-    condition = root.find(".//dcc:influenceCondition", NAMESPACES)
-    assert condition is not None
-    assert float(condition.findtext(".//si:value", "", NAMESPACES)) == SITE.gravity
-    assert float(condition.findtext(".//si:valueExpandedMU", "", NAMESPACES)) == pytest.approx(4e-6)
-    assert ET.fromstring(content(calibration())).find(".//dcc:influenceCondition", NAMESPACES) is None
-
-
 # -------------------- what ISO/IEC 17025 asks for --------------------
 
 
@@ -312,11 +303,6 @@ def test_a_fault_of_the_certificate_file_is_named_in_one_line(tmp_path: Path, ol
         read_certificate(path)
     assert str(raised.value).startswith(f"{path}: ")
     assert "\n" not in str(raised.value)
-
-
-def test_a_missing_certificate_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"none\.toml: cannot be read: No such file"):
-        read_certificate(tmp_path / "none.toml")
 
 
 def test_the_command_takes_the_certificate_file(tmp_path: Path) -> None:

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import polars as pl
 import pytest
 
@@ -179,57 +178,6 @@ def test_vibration_at_rest_is_averaged_over_the_sample() -> None:
     expected = np.outer(mean, found.attitudes[0].T @ UP)
     np.testing.assert_allclose((found.accel - quiet.accel)[samples], expected, atol=1e-12)
     np.testing.assert_allclose(found.gyro, quiet.gyro, atol=1e-16)
-
-
-def coning(increments: npt.NDArray[np.floating[Any]]) -> Array:
-    """Body at the end → body at the start from angular increments by Eq. (3) of the dynamics method, in
-    extended precision; the first increment only begins the recursion."""
-    C = np.eye(3, dtype=np.longdouble)
-    for before, now in pairwise(increments):
-        phi = now + np.cross(before, now) / np.longdouble(12)
-        a = np.sqrt(phi @ phi)
-        K = skew_long(phi)
-        if a > 0:
-            half = np.sin(a / 2) / a
-            C = C @ (np.eye(3) + np.sin(a) / a * K + 2 * half**2 * (K @ K))
-    return np.asarray(C)
-
-
-def skew_long(v: npt.NDArray[np.floating[Any]]) -> Array:
-    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]], dtype=np.longdouble)
-
-
-def closure(made: Scenario, found: Recording, i: int) -> float:
-    """|log(exp(−[Ω×]T) L_i C L_jᵀ)|, rad, of the move from rest i, Eq. (9) of the dynamics method."""
-    fs = made.setup.sample_rate
-    start, stop = int(found.rests[i, 1] * fs) - 5, int(found.rests[i + 1, 0] * fs) + 6
-    increments = found.gyro[start - 1 : stop].astype(np.longdouble) / np.longdouble(fs)
-    earth = rotation_matrix(-(stop - start) / fs * np.array(earth_rate(made.setup.latitude)))
-    product = earth @ found.attitudes[i] @ coning(increments) @ found.attitudes[i + 1].T
-    return float(np.linalg.norm(rotation_vector(product.astype(float))))
-
-
-@pytest.mark.parametrize(
-    ("rate_deg_s", "fs", "limit"),
-    [(10.0, 100.0, 5e-13), (80.0, 100.0, 3e-11), (80.0, 200.0, 4e-12), (80.0, 1000.0, 1e-13)],
-)
-@pytest.mark.parametrize("by_hand", [None, 4], ids=["table", "hand"])
-def test_the_coning_algorithm_closes_every_move(
-    by_hand: int | None, rate_deg_s: float, fs: float, limit: float
-) -> None:
-    """What remains is the algorithm's: about Ω ω² Δt³/10, so the third power of the interval."""
-    made = scenario(replace(SHORT, by_hand=by_hand, turn_rate=rate_deg_s * DEGREE, sample_rate=fs), perfect=True)
-    found = run(made)
-    # moves 0 to 2 are turns by ±180° about N and U on the table
-    assert max(closure(made, found, i) for i in range(1 if fs > 500 else 3)) < limit
-
-
-def test_closure_would_show_a_microradian_of_latitude() -> None:
-    made = scenario(SLOW, perfect=True)
-    found = run(made)
-    still = made.changed(latitude=made.setup.latitude + 1e-6)
-    assert closure(made, found, 0) < 1e-12
-    assert closure(still, found, 0) > 1e-10
 
 
 # -------------------- the course --------------------

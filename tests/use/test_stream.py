@@ -16,6 +16,7 @@ import polars as pl
 import pytest
 from click.testing import CliRunner, Result
 
+from tests.support.shared import calibrated
 from tests.use.test_check import device, seen
 from tumble.cli import main
 from tumble.errors import InputError
@@ -30,7 +31,6 @@ from tumble.reduction.blocks.reducer import Reducer
 from tumble.reduction.observations import Observations
 from tumble.reduction.rest_stream import LONGEST
 from tumble.result.calibration import Calibration
-from tumble.run.calibrate import calibrate
 from tumble.run.observed import inspect_session
 from tumble.sensors.parameters import usual_sizes
 from tumble.simulation.session import simulate_session
@@ -47,8 +47,7 @@ MOVED_AT = 150.0
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A calibrated device, "calibration.json", and a day of it, "day", of 30 rests, and "warm", with a thermometer."""
     out = tmp_path_factory.mktemp("watch")
-    setup = Setup.of(grade="mems", positions=18)
-    calibrate(simulate_session(out / "calibrated", setup, seed=3)).write(out / "calibration.json")
+    calibrated(Setup.of(grade="mems", positions=18), seed=3).write(out / "calibration.json")
     simulate_session(out / "day", Setup.of(grade="mems", positions=30), seed=3)
     return out
 
@@ -325,12 +324,10 @@ def still(seconds: float, *, celsius: float = 20.0, shake: float = 0.0, seed: in
     return {"accel": force, "gyro": rate, "temperature": np.full((n, 1), celsius + 273.15)}
 
 
-@pytest.fixture(scope="module")
-def warm(tmp_path_factory: pytest.TempPathFactory) -> Calibration:
+@pytest.fixture
+def warm() -> Calibration:
     """A calibration over 10 to 30 °C."""
-    out = tmp_path_factory.mktemp("warm")
-    setup = Setup.of(grade="mems", positions=18)
-    return calibrate(simulate_session(out / "calibrated", setup, seed=5, temperature=temperature_profile("10:30")))
+    return calibrated(Setup.of(grade="mems", positions=18), seed=5, temperature=temperature_profile("10:30"))
 
 
 def checked(calibration: Calibration, *parts: dict[str, Array]) -> tuple[StreamCheck, list[Event]]:
