@@ -51,10 +51,10 @@ def test_exact_values_give_the_mean_and_the_standard_deviation_of_the_units(unit
 
 @pytest.mark.parametrize(("units", "noise"), [(3, 0.1), (3, 1.0), (8, 0.3), (20, 1.0)])
 def test_the_next_unit_is_within_the_prior_as_often_as_stated(units: int, noise: float) -> None:
-    """N = 400 types of three parameters, recorded with `noise` times what units differ by. At least 95.45 % less four
+    """N = 150 types of three parameters, recorded with `noise` times what units differ by. At least 95.45 % less four
     standard deviations of the count."""
     rng, inside = np.random.default_rng(units), []
-    for _ in range(400):
+    for _ in range(150):
         values = 1e-4 * rng.standard_normal((units + 1, 3))
         seen = values[:units] + noise * 1e-4 * rng.standard_normal((units, 3))
         prior = prior_of([recorded(i, y, noise * 1e-4, NAMES) for i, y in enumerate(seen)], "m")
