@@ -27,7 +27,6 @@ from tumble.recording.live.samples import SI_LOG
 from tumble.recording.live.sources import Ended, LineSource
 from tumble.recording.log import Chunk, open_log
 from tumble.recording.session_file import read_session, session_of
-from tumble.reduction.blocks.reducer import Reducer
 from tumble.reduction.observations import Observations
 from tumble.reduction.rest_stream import LONGEST
 from tumble.result.calibration import Calibration
@@ -184,30 +183,6 @@ def test_a_stream_has_the_rests_of_the_log_however_it_is_cut(folder: Path) -> No
     for name in ("start", "stop"):
         assert [getattr(rest, name) for rest in first] == pytest.approx([getattr(span, name) for span in spans])
     assert [rest.label.split(" (")[0] for rest in first] == [f"rest {i}" for i in range(1, 31)]
-
-
-def test_what_is_forgotten_leaves_the_other_blocks_as_they_are(folder: Path) -> None:
-    log = open_log(read_session(folder / "day"))
-    blocks = log.session.accel_block, log.session.gyro_block
-    whole, short = (Reducer(rate=log.rate, accel=blocks[0], gyro=blocks[1]) for _ in range(2))
-    for k, chunk in enumerate(log.chunks(3001)):
-        whole.feed(chunk)
-        short.feed(chunk)
-        if k in (2, 4):
-            short.forget(200)
-    (full,), (rest,) = whole.now().files, short.now().files
-    assert len(rest) == len(full) - 400
-    np.testing.assert_array_equal(rest.edges, full.edges[400:])
-    np.testing.assert_array_equal(rest.gyro.means, full.gyro.means[400:])
-    kept, every = short.now().samples, whole.now().samples
-    assert kept is not None
-    assert every is not None
-    one, other = (
-        samples.read(file.sample_at(block), file.sample_at(block) + 500)
-        for samples, file, block in ((kept, rest, 7), (every, full, 407))
-    )
-    for ours, theirs in zip(one, other, strict=True):
-        np.testing.assert_array_equal(ours, theirs)
 
 
 def changed_day(folder: Path, to: Path, *changes: pl.Expr, keep: pl.Expr | None = None) -> Path:
