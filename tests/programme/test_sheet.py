@@ -161,6 +161,17 @@ def tip(group: ET.Element) -> Array:
     return np.asarray(numbers(cone.get("points") or "")[0])
 
 
+def test_the_viewer_stands_south_and_above_and_nothing_is_mirrored() -> None:
+    np.testing.assert_allclose(VIEW @ VIEW.T, np.eye(3), atol=1e-15)
+    assert float(np.linalg.det(VIEW)) == pytest.approx(1.0)
+    north, up, east = VIEW.T
+    assert up[0] == pytest.approx(0.0, abs=1e-15)
+    assert up[1] > 0.7
+    assert east[0] > 0.9
+    assert north[1] > 0.5
+    assert up[2] > 0.0 > north[2]
+
+
 def test_the_legend_points_to_north_up_and_east() -> None:
     drawn = dict(groups(legend()))
     for letter, vector in zip("NUE", (N, U, E), strict=True):
