@@ -6,11 +6,10 @@ import accuracy_formulas as paper
 import numpy as np
 import pytest
 
-from tests.support.paper_variants import two_position_bias
+from tests.support.paper_variants import invariant_bias, two_position_bias
 from tests.support.rough_launches import EARTH, GRAVITY, LATITUDE, PROGRAMME
 from tumble.earth import EARTH_RATE
 from tumble.methods.paper.gyros import (
-    invariant_bias,
     scalar_bias,
     triad,
     vector_bias,

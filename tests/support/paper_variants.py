@@ -1,5 +1,6 @@
 """Variants of the paper's methods that published figures are checked with, and that no command uses: the indirect
-method with the logged Jacobian (§6.6 of the turntable method), and gyro biases from two positions."""
+method with the logged Jacobian (§6.6 of the turntable method), and gyro biases from two positions and from the dot
+product."""
 
 from __future__ import annotations
 
@@ -7,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from tumble.methods.least_squares import solved
 from tumble.methods.paper.gyros import (
     _LEVEL,
     Series,
@@ -92,3 +94,10 @@ def two_position_bias(rates: Array, forces: Array, earth_rate: Array) -> Array:
     exactly 180° about the vertical, less Ω sin B times the levelled vertical. It holds for the horizontal gyros; a
     turn by 180° + Δ leaves them ±½ Ω cos B Δ, which on a rough table is as large as the bias."""
     return np.asarray(rates.mean(axis=-2) - earth_rate[1] * unit_vector(forces).mean(axis=-2))
+
+
+def invariant_bias(rate: Array, force: Array, earth_rate: Array) -> Array:
+    """Bias (..., 3) from the dot-product invariant û·ω̂ − Ω sin B = û·δω by least squares: linear in the bias, and
+    without an azimuth. Not in the paper, where the scalar method has to take its place."""
+    u = unit_vector(force)
+    return solved(u, (u * rate).sum(axis=-1) - earth_rate[1])

@@ -1,7 +1,9 @@
-"""Acceptance: whether a calibration is within the limits of its device type, and what a certificate states of that.
+"""The laboratory: what keeps, judges and certifies calibrations. It comes into tumble by entry points alone.
 
-limits       the file of limits of a type, and when its devices are due
-conformity   the decision rule; the verdict on every parameter, at the reference or over temperature
-scope        what a laboratory is accredited for, and no U below its capability
-certificate  who calibrated what for whom, when, and by which limits it is judged
+limits, conformity    acceptance limits of a type; the decision rule, and the verdict on every parameter
+registry              devices, calibrations and limits over years: trends, and what is due
+device_type           what the units of a type have in common, as a prior for the next one; datasheet shows it
+certificate, scope    who calibrated what for whom; no U below the capability of the laboratory
+report, dcc           reports by limits and certificates; the Digital Calibration Certificate
+selftest              reference cases on the user's machine, and a record of them
 """

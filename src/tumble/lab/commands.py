@@ -36,7 +36,11 @@ def _new_file(out: Path | None, what: str) -> None:
         raise InputError(f"{out}: expected a new file for the {what}, found one that exists")
 
 
-@click.group(epilog=ask.examples("tumble registry add imu-7/calibration.json", "tumble registry due"))
+@click.group(
+    epilog=ask.examples(
+        "tumble registry add imu-7/calibration.json --registry lab.sqlite", "tumble registry due --registry lab.sqlite"
+    )
+)
 def registry() -> None:
     """Devices, launches, calibrations and acceptance limits over years. Records are added, never changed."""
 

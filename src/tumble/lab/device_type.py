@@ -192,8 +192,8 @@ def prior_of(units: Sequence[Unit], model: str) -> Prior:
     units = [unit.at(reference) for unit in units]
     counts = Counter(name for unit in units for name in unit.names)
     names = tuple(name for name in counts if counts[name] >= FEWEST_UNITS)
-    usual = np.array([max(u.usual[u.names.index(name)] for u in units if name in u.names) for name in names])
-    size = usual**-0.5  # parameters in units of their usual sizes
+    usual = [[u.usual[u.names.index(name)] for u in units if name in u.names] for name in names]
+    size = np.array([min(each) for each in usual]) ** -0.5  # parameters in units of their usual sizes
     seen = [_of_names(unit, names) for unit in units]
     information = np.array([data * np.outer(size, size) for data, _ in seen])
     shift = np.array([pull * size for _, pull in seen])
@@ -201,7 +201,7 @@ def prior_of(units: Sequence[Unit], model: str) -> Prior:
     mean, M, _, _ = _mean(information, shift, variances)
     launches = np.array([(run_to_run(units, name) or 0.0) ** 2 for name in names])
     covariance = (M + np.diag(variances)) * np.outer(size, size) + np.diag(launches)
-    kept = np.flatnonzero(np.diag(covariance) < size**2)  # the grade says as much of the others
+    kept = np.flatnonzero(np.diag(covariance) < [1.0 / max(each) for each in usual])  # what says more than the grade
     sizes = {kind: in_run_sizes(units, kind) for kind in ("accel", "gyro")}
     return Prior(
         words=words,
