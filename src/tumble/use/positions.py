@@ -86,7 +86,7 @@ def table_observations(calibration: Calibration, path: Path) -> tuple[Observatio
         )
 
     # the variance of a row beside the scatter: of a row of its table, or of a mean as long as the rests
-    before = [(np.array(r.accel.noise), r.stop - r.start) for r in calibration.rests if r.accel is not None]
+    before = [(np.array(r.accel.noise), r.stop - r.start) for r in calibration.evidence.rests if r.accel is not None]
     variance = np.array(worth.row_u) ** 2 if worth.row_u else np.zeros(3)
     if before and not worth.row_u:
         variance = np.median([noise**2 / duration for noise, duration in before], axis=0)
