@@ -119,7 +119,7 @@ def test_the_version_is_that_of_the_package() -> None:
     assert run("--version").stdout == f"tumble, version {__version__}\n"
 
 
-HEAVY = ("numpy", "scipy", "polars", "pydantic", "matplotlib", "rich")
+HEAVY = ("numpy", "scipy", "polars", "pydantic", "matplotlib")
 
 
 @pytest.mark.parametrize("words", [("--help",), ("calibrate", "--help"), ("simulate", "--help"), ("--version",)])

@@ -187,7 +187,7 @@ def test_names_that_look_like_markup_are_shown_as_they_are(folder: Path) -> None
 
 
 def test_the_help_of_the_registry_imports_nothing_heavy() -> None:
-    heavy = ("numpy", "sqlalchemy", "rich")
+    heavy = ("numpy", "sqlalchemy")
     code = (
         "import sys\nfrom tumble.cli import main\n"
         "try: main(['registry', 'add', '--help'])\nexcept SystemExit: pass\n"
