@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import tumble
+from tests.support.shared import copy_of, session
 from tumble.inference.joint import joint
 from tumble.inference.likelihood import Problem, noise_of
 from tumble.inference.linearisation import linearise
@@ -117,7 +118,7 @@ def described(accel: str, gyro: str, **log: float) -> tumble.Session:
 
 def test_a_time_base_that_is_not_stated_is_that_of_a_crystal_and_said(tmp_path: Path) -> None:
     """30 ppm in the scale factors of the gyros; stated as 0 it is exact, which a simulated session says."""
-    folder = tumble.simulate_session(tmp_path / "s", tumble.Setup.of(grade="tactical", positions=12, rest=5.0), seed=1)
+    folder = copy_of(session(tumble.Setup.of(grade="tactical", positions=12, rest=5.0), seed=1), tmp_path / "s")
     text = (folder / "session.toml").read_text()
     assert "clock_ppm_u = 0\n" in text
     exact = tumble.calibrate(folder)

@@ -10,6 +10,7 @@ import polars as pl
 import pytest
 
 import tumble
+from tests.support.shared import session
 from tumble.errors import InputError
 from tumble.run.together import calibrate_together
 from tumble.simulation.temperature_profile import TemperatureProfile
@@ -93,7 +94,7 @@ def test_what_is_no_clock_is_refused(change: Any, words: str) -> None:
 
 def test_a_time_base_that_was_compared_corrects_the_scale_factors_of_the_gyros(tmp_path: Path) -> None:
     """A log of 200 ppm too short seconds: without the second clock the scale factors are 200 ppm off."""
-    folder = tumble.simulate_session(tmp_path / "s", tumble.Setup.of(grade="tactical", positions=15), seed=3)
+    folder = session(tumble.Setup.of(grade="tactical", positions=15), seed=3)
     log = pl.read_parquet(folder / "log.parquet")
     t = log["t"].to_numpy()
     short = log.with_columns(pl.Series("t", t / (1.0 + 200e-6)), pl.Series("gps", 1.7e9 + t))

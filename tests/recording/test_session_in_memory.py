@@ -12,6 +12,7 @@ import numpy as np
 import polars as pl
 import pytest
 
+from tests.support.shared import session
 from tumble.errors import InputError
 from tumble.planning.setup import Setup
 from tumble.recording.arrays import session_of_arrays
@@ -21,7 +22,6 @@ from tumble.recording.session_file import description_of, read_session, session_
 from tumble.run.calibrate import calibrate
 from tumble.run.observed import inspect_session
 from tumble.run.quiet_samples import longest_rest
-from tumble.simulation.session import simulate_session
 from tumble.units import ARCSEC, DEGREE, G_STANDARD, ZERO_CELSIUS, Array
 from tumble.use.apply import apply_to_session
 
@@ -29,8 +29,8 @@ REQUEST = Setup.of(grade="mems", positions=12, rest=3.0)
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return simulate_session(tmp_path_factory.mktemp("memory") / "session", REQUEST, seed=4)
+def folder() -> Path:
+    return session(REQUEST, seed=4)
 
 
 @pytest.fixture(scope="module")

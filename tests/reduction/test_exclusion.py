@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from tests.support.shared import copy_of, session
 from tumble.cli import main
 from tumble.errors import InputError, SessionError
 from tumble.planning.setup import Setup
 from tumble.recording.session_file import read_session
 from tumble.result.calibration import Calibration, read_calibration
 from tumble.run.calibrate import calibrate
-from tumble.simulation.session import simulate_session
 
 RESTS = 9
 
@@ -22,7 +22,7 @@ RESTS = 9
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     setup = Setup.of(grade="mems", programme="nine", rest=8.0, rate_deg_s=60.0)
-    return simulate_session(tmp_path_factory.mktemp("nine") / "launch", setup, seed=5, log_format="csv")
+    return copy_of(session(setup, seed=5, log_format="csv"), tmp_path_factory.mktemp("nine") / "launch")
 
 
 def _calibrated(folder: Path, exclude: str) -> Calibration:

@@ -11,8 +11,7 @@ import polars as pl
 import pytest
 
 import tumble
-from tests.methods.test_redundant_blocks import DODECAHEDRON
-from tests.methods.test_staged import FINE, NAVIGATION, in_the_hand, observations, unit
+from tests.support.direct import DODECAHEDRON, SETUP, in_the_hand, observed, scenario
 from tumble.diagnosis.verdict import verdict
 from tumble.inference.estimate import Estimate, Outcome
 from tumble.inference.joint import joint
@@ -71,7 +70,7 @@ def of_six(seed: int, wanders: float) -> Observations:
     """Twenty positions by hand of a block of six, with a bias of gyro 4 that wanders by so many times the noise of a
     rest."""
     rng = np.random.default_rng([401, seed])
-    seen = observations(unit(rng, FINE, DODECAHEDRON, DODECAHEDRON), in_the_hand(rng, 20), rng, NAVIGATION)
+    seen = observed(in_the_hand(scenario(SETUP, 401 + seed, DODECAHEDRON), 20), seed)
     gyro = seen.rests.gyro.copy()
     gyro[:, 4] += wanders * np.sqrt(seen.rests.gyro_covariance[:, 4, 4]) * rng.standard_normal(len(gyro))
     return replace(seen, rests=replace(seen.rests, gyro=gyro))

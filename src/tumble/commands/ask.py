@@ -90,17 +90,10 @@ def together(*options: _Option) -> _Option:
 
 
 def programmes_like(_context: click.Context, _parameter: click.Parameter, typed: str) -> list[str]:
-    """The built-in programmes that begin with what was typed, for the tab key."""
+    """Built-in programmes that begin with what was typed, for the tab key."""
     from tumble.programme.positions import programmes
 
     return [name for name in programmes() if name.startswith(typed)]
-
-
-def _grades_like(_context: click.Context, _parameter: click.Parameter, typed: str) -> list[str]:
-    """The grades that begin with what was typed, for the tab key."""
-    from tumble.sensors.grades import GRADES
-
-    return [name for name in GRADES if name.startswith(typed)]
 
 
 def out(says: str, kind: click.Path = FILE, **settings: Any) -> _Option:
@@ -117,7 +110,7 @@ def programme(says: str, default: str | None = None) -> _Option:
 
 
 def grade(default: str | None = usual_setup.GRADE, says: str = "") -> _Option:
-    return option("--grade", f"navigation, tactical, mems or consumer{says}.", default, shell_complete=_grades_like)
+    return option("--grade", f"navigation, tactical, mems or consumer{says}.", default)
 
 
 def terms(default: str) -> _Option:

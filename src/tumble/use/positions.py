@@ -22,11 +22,7 @@ which is exact for a linear fit. The plain residual would be too small by √(1 
 The largest |Δg|/u of N positions is compared with the quantile that it exceeds by chance with the probability CHANCE,
 by Bonferroni's inequality over the positions. It is one of Student's t distribution if the scatter was estimated.
 
-What turning the device on again changes is not a part of u. Whether it explains the differences is tested with
-
-    Δgᵀ V⁻¹ Δg,   V = diag(variance of the positions) + J (Σ + 2 diag(s_g²)) Jᵀ + u(g)²                          (4)
-
-where s_g is the standard deviation from launch to launch that is usual for the grade of the device.
+What turning the device on again changes is not a part of u; `tumble.use.check` tests the parameters with it.
 """
 
 from __future__ import annotations
@@ -47,7 +43,6 @@ from tumble.result.calibration import Calibration
 from tumble.rotation import unit_vector
 from tumble.run.readings_table import ReadingsTable, read_table
 from tumble.sensors.frames import Convention, frame_of, triad_axes
-from tumble.sensors.grades import TURN_ON, spread_of
 from tumble.sensors.instrument import Instrument, functions
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import Variable, beyond_linear, group_name, sensor_kind
@@ -66,43 +61,23 @@ _OVER_TEMPERATURE: dict[Variable, int] = {"temperature": 1, "temperature²": 2}
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PositionResiduals:
-    """Differences in N positions, Eq. (1), without the position itself where `left_out`, Eq. (3).
-
-    Attributes
-    ----------
-    difference, u : (N,) array
-        Δg and its standard uncertainty, m/s²; not a number where nothing but the position determines it.
-    sigmas : (N,) array
-        Δg/u, studentised for positions that are left out.
-    limit : float
-        The quantile that the largest |Δg|/u is compared with.
-    left_out : bool
-        Whether the positions are those of the calibration.
-    by_turn_on : bool
-        Whether the changes usual from one power-on to the next explain the differences, Eq. (4).
-    """
+    """Differences Δg (N,) from gravity with their u, m/s², and Δg/u, `sigmas`, the largest of which is compared with
+    the quantile `limit`. If the positions are those of the calibration, each is `left_out`, Eq. (3): Δg is not a number
+    where nothing but the position determines it, and Δg/u is studentised."""
 
     difference: Array
     u: Array
     sigmas: Array
     limit: float
     left_out: bool
-    by_turn_on: bool = False
 
 
 def table_observations(calibration: Calibration, path: Path) -> tuple[Observations, ReadingsTable]:
-    """The rows of a table of readings as rests, and the table.
+    """The rows of a table of readings as rests, and the table, which has the unit, scale and gravity of the calibration
+    and the noise of its rests, or of a row of its table.
 
-    They have the unit and the scale of the readings that the calibration was made from, and its gravity. Their noise is
-    that of its rests, or that of a row of its table.
-
-    Raises
-    ------
-    InputError
-        For a table that cannot be read.
-    CalibrationError
-        If the calibration does not say what a reading is worth, or how uncertain it is.
-    """
+    Raises InputError for a table that cannot be read, and CalibrationError for a calibration that does not state the
+    unit of a reading or its uncertainty."""
     table, worth = read_table(path), calibration.provenance.readings.get("accel")
     if calibration.accel is None or worth is None or worth.increments or calibration.provenance.site is None:
         raise CalibrationError(
@@ -138,28 +113,12 @@ def _accelerometer_fit(calibration: Calibration) -> Fit:
     return calibration.evidence.fits.get("accelerometers", nothing)
 
 
-def residuals_in(
-    calibration: Calibration, observations: Observations, sha256: str, grade: str | None = None
-) -> PositionResiduals:
-    """Differences in check positions by an accepted calibration, Eq. (1) to (4).
+def residuals_in(calibration: Calibration, observations: Observations, sha256: str) -> PositionResiduals:
+    """Differences by an accepted calibration, Eq. (1) to (3), in check positions whose log or table has this SHA-256.
 
-    Parameters
-    ----------
-    observations
-        The positions, as rests.
-    sha256
-        SHA-256 of their log or table.
-    grade
-        Grade of the device, for Eq. (4).
-
-    Raises
-    ------
-    CalibrationError
-        For a calibration without all parameters of its accelerometers.
-    InputError
-        For positions of other sensors, of one of several launches behind the calibration, or where each of its own
-        positions is determined by nothing but itself.
-    """
+    Raises CalibrationError for a calibration without all parameters of its accelerometers, and InputError for positions
+    of other sensors or of one of several launches behind the calibration, and if each of its own positions is
+    determined by nothing but itself."""
     force, J, names, covariance = _length_and_derivative(calibration, observations)
     length = np.linalg.norm(force, axis=1)
     rests, there, block = observations.rests, observations.site, observations.accel_block
@@ -202,33 +161,18 @@ def residuals_in(
     by_gravity = -(there.gravity_u**2) if shared else there.gravity_u**2
     u = np.sqrt(variance + np.maximum(by_parameters + by_gravity, 0.0))
     by_scatter = float(np.max(fit.scatter**2 * (across[:, 0] ** 2).sum(axis=1) / u**2))
-
-    # Eq. (4), for a device of a known grade
-    by_turn_on = False
-    if grade is not None:
-        spread, linear = TURN_ON[grade], block.names
-        turned_on = np.zeros(len(names))
-        turned_on[: len(linear)] = [2.0 * spread_of(spread, name) ** 2 for name in linear]
-        V = np.diag(variance) + by_gravity + J @ (covariance + np.diag(turned_on)) @ J.T
-        N, square = len(difference), float(difference @ np.linalg.solve(V, difference))
-        if fit.scatter == 0.0 or np.isinf(fit.degrees):
-            by_turn_on = square < float(scipy.special.chdtri(N, CHANCE))
-        else:
-            by_turn_on = square / N < float(scipy.special.fdtri(N, fit.degrees, 1.0 - CHANCE))
     return PositionResiduals(
         difference=difference,
         u=u,
         sigmas=difference / u,
         limit=limit(fit.degrees / by_scatter**2 if by_scatter > 0.0 else np.inf),  # Welch–Satterthwaite
         left_out=False,
-        by_turn_on=by_turn_on,
     )
 
 
 def _unlearned(calibration: Calibration, names: tuple[str, ...], J: Array) -> Array:
-    """Part (N,) of the variance of |true| in the calibration's own positions from parameters that have only a prior.
-
-    Given the values of these, |true| is as well determined as in the fit."""
+    """Part (N,) of the variance of |true| in the positions of the calibration from parameters that have only a
+    prior."""
     unlearned = [p.name for p in calibration.parameters if p.learned == 0.0]
     every = calibration.covariance_of([*names, *unlearned])
     if every is None or not unlearned:

@@ -1,11 +1,9 @@
 """A calibration checked while its device is used: every rest of a flight or a day, as it ends.
 
 The readings are reduced to rests by `RestStream`, at the temperatures of the sensors, which follow their thermometers
-with the lag of the calibration (`Stream`). Each rest is tested against the calibration and the rests before it
-(`tumble.methods.rest_chain`). The calibration is never changed.
-
-Rests need not be level, and the attitude is unknown in each. If nothing rests, as in flight, the noise floors by which
-rests are found are those of the movement: what is noisier than SHAKEN times the rests of the calibration is no rest.
+with the lag of the calibration (`Stream`). Each rest, of unknown attitude, is tested against the calibration and the
+rests before it (`tumble.methods.rest_chain`). If nothing rests, as in flight, the movement passes for noise: what is
+noisier than SHAKEN times the rests of the calibration is no rest.
 """
 
 from __future__ import annotations
@@ -45,7 +43,7 @@ INTERRUPTED = 2.0
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Notice:
-    """A sentence on the stream at a time, s."""
+    """A sentence on the stream, at a `time`, s."""
 
     time: float
     text: str
@@ -155,7 +153,7 @@ class StreamCheck:
             events.append(Notice(time=float(chunk.time[since]), text=text))
         piece = replace(chunk, file=0, gyro=None if self._gyro is None else chunk.gyro)
         if chunk.temperature is not None:
-            piece = replace(piece, temperature=corrected.temperature.copy())
+            piece = replace(piece, temperature=corrected.temperature)
         return [*events, *map(self._checked, self._finder.feed(piece))]
 
     def finish(self) -> list[Event]:
