@@ -178,7 +178,7 @@ def instrument_groups() -> list[str]:
 def test_lever_arms_are_undone_in_a_log_with_rates_whatever_its_pieces(tmp_path: Path) -> None:
     """A smooth motion at 200 Hz: what is left is the error of central differences, and each row is there."""
     made, instrument, values = larger(leave=("accel.delay", "accel.cubic", "gyro.cubic"))
-    t = 0.005 * np.arange(N)
+    t = 0.005 * np.arange(float(N))
     force = np.column_stack([9.8 * np.sin(t), 9.8 * np.cos(t), 3.0 * np.sin(2 * t)])
     rate = np.column_stack([3.0 * np.sin(3 * t), 2.0 * np.cos(2 * t), np.sin(t)])
     change = np.column_stack([9.0 * np.cos(3 * t), -4.0 * np.sin(2 * t), np.cos(t)])
