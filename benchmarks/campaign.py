@@ -24,10 +24,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import polars as pl
 import psutil
 
-from tumble.campaigns.campaign import Campaign
+from tumble.campaigns import engine
+from tumble.campaigns.campaign import campaign_of
 from tumble.campaigns.cluster import executor_for
-from tumble.campaigns.engine import Chunks, Executor, Job, Row, run, serially
-from tumble.documents import validated
+from tumble.campaigns.engine import Executor, Job, Row, run, serially
 
 PAIRS, TRIALS, EMPTY = 3, 60, 5000
 
@@ -59,18 +59,11 @@ def wall(job: Job, executor: Executor) -> float:
         return seconds(lambda: run(job, Path(folder) / "out", executor=executor))
 
 
-class OneByOne(Chunks):
-    """Chunks of one task."""
-
-    def took(self, tasks: int, seconds: float) -> None:
-        """Stay at one."""
-
-
 def two_against_one() -> tuple[list[float], float, float]:
     """Ratios of the wall times of one process and of two, pair by pair; trials a second with two; and the processor
     time of one process over the longest of two, which other work on the machine does not change."""
-    job = validated(Campaign, {"trials": TRIALS, "grid": {"method": "joint"}}).job()
-    warm = validated(Campaign, {"trials": 4, "grid": {"method": "joint"}}).job()
+    job = campaign_of({"trials": TRIALS, "grid": {"method": "joint"}}).job()
+    warm = campaign_of({"trials": 4, "grid": {"method": "joint"}}).job()
     with executor_for(workers=1) as one, executor_for(workers=2) as two:
         for executor in (one, two):
             wall(warm, executor)
@@ -90,15 +83,13 @@ def processor_times(executor: Executor, work: Callable[[], object]) -> list[floa
 
 def overheads() -> dict[str, float]:
     """Seconds a task that does nothing."""
-    import tumble.campaigns.cluster
-
     out = {}
     with executor_for(workers=2) as executor:
         wall(empty(10), executor)
         out["in chunks, on two processes"] = wall(empty(EMPTY), executor) / EMPTY
-        usual, tumble.campaigns.cluster.Chunks = tumble.campaigns.cluster.Chunks, OneByOne  # type: ignore[misc]
+        usual, engine.LARGEST_CHUNK = engine.LARGEST_CHUNK, 1
         out["sent by itself, to two processes"] = wall(empty(500), executor) / 500
-        tumble.campaigns.cluster.Chunks = usual  # type: ignore[misc]
+        engine.LARGEST_CHUNK = usual
     out["in this process"] = wall(empty(EMPTY), serially) / EMPTY
     return out
 

@@ -2,7 +2,7 @@
 
 Every case damages one input file of a small set (sessions, with thermometers, priors and what is left out too, logs,
 table of readings, calibrations, halves of them, truth, limits, campaign, manifest, certificate and laboratory, a
-registry, workbooks, MATLAB and HDF5 recordings, ROS bags, Parquet with nested columns), or another one
+registry, MATLAB and HDF5 recordings, ROS bags, Parquet with nested columns), or another one
 beside it, puts something in its place that is no regular file, or gives an absurd value to an option, or the options in
 another order, and runs one command in this process. Case n of a seed is always the same, whatever ran before. A case is
 a finding where
@@ -42,7 +42,6 @@ import tomllib
 import traceback
 import unicodedata
 import warnings
-import zipfile
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
@@ -280,23 +279,6 @@ def database_changed(text: bytes, rng: Rng) -> bytes:
         return path.read_bytes()
 
 
-def workbook_changed(text: bytes, rng: Rng) -> bytes:
-    """A workbook with a part of it changed, or a cell put far away."""
-    with zipfile.ZipFile(io.BytesIO(text)) as archive:
-        parts = {name: archive.read(name) for name in archive.namelist()}
-    name = list(parts)[rng.integers(len(parts))]
-    if rng.random() < 0.5:
-        place = (b"XFD1048576", b"XFD1025", b"A1048576", b"ZZZ9999999", b"A0", b"XFD1")[rng.integers(6)]
-        parts[SHEET] = re.sub(rb'r="A3"', b'r="' + place + b'"', parts[SHEET])
-    else:
-        parts[name] = (bytes_changed, words_changed)[rng.integers(2)](parts[name], rng)
-    out = io.BytesIO()
-    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
-        for each, content in parts.items():
-            archive.writestr(each, content)
-    return out.getvalue()
-
-
 def hdf5_changed(text: bytes, rng: Rng) -> bytes:
     """An HDF5 file in which a data set is a huge one of which nothing is stored, or has another shape or type."""
     import h5py
@@ -325,7 +307,6 @@ BY_ENDING: dict[str, tuple[Change, ...]] = {
     ".csv": (numbers_changed,),
     ".db3": (database_changed,),
     ".sqlite": (database_changed,),
-    ".xlsx": (workbook_changed,),
     ".h5": (hdf5_changed,),
 }
 """What is done to files of an ending in the larger part of their cases."""
@@ -435,7 +416,6 @@ TARGETS = (
     Target(file="parquet/log.parquet", commands=("inspect {}/parquet", "new {out}/new {}/parquet/log.parquet")),
     Target(file="imu.mat", weight=0.6, commands=("new {out}/new {}/imu.mat",)),
     Target(file="imu.h5", weight=0.8, commands=("new {out}/new {}/imu.h5",)),
-    Target(file="imu.xlsx", weight=0.8, commands=("new {out}/new {}/imu.xlsx",)),
     Target(file="imu.bag", weight=1.0, commands=("new {out}/new {}/imu.bag",)),
     Target(file="ros2/ros2.db3", weight=1.0, commands=("new {out}/new {}/ros2",)),
     Target(file="ros2/metadata.yaml", weight=0.4, commands=("new {out}/new {}/ros2",)),
@@ -510,7 +490,6 @@ TARGETS = (
     Target(file="certificate.toml", commands=(CERTIFY,)),
     Target(file="laboratory.toml", weight=0.5, commands=(CERTIFY.replace("certificate.toml", "by-laboratory.toml"),)),
     Target(file="campaign.toml", weight=0.25, commands=("campaign {}/campaign.toml --in-process -o {out}/campaign",)),
-    Target(file="manifest.csv", weight=0.3, commands=("fleet {}/manifest.csv --in-process -o {out}/fleet",)),
     Target(file="manifest.txt", weight=0.2, commands=("fleet {}/manifest.txt --in-process -o {out}/fleet",)),
     Target(
         file="readings.csv",
@@ -611,22 +590,6 @@ TEXTS = {
     "campaign": CAMPAIGN,
     "certificate": CERTIFICATE,
 }
-SHEET = "xl/worksheets/sheet1.xml"
-_OPEN = "http://schemas.openxmlformats.org/package/2006"
-_SPREAD = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"
-_OFFICE = "http://schemas.openxmlformats.org/officeDocument/2006/relationships"
-_APPLICATION = "application/vnd.openxmlformats"
-WORKBOOK = {
-    "[Content_Types].xml": f'<Types xmlns="{_OPEN}/content-types"><Default Extension="rels" ContentType="{_APPLICATION}'
-    f'-package.relationships+xml"/><Override PartName="/xl/workbook.xml" ContentType="{_APPLICATION}-officedocument.'
-    'spreadsheetml.sheet.main+xml"/></Types>',
-    "_rels/.rels": f'<Relationships xmlns="{_OPEN}/relationships"><Relationship Id="r1" Type="{_OFFICE}/officeDocument'
-    '" Target="xl/workbook.xml"/></Relationships>',
-    "xl/workbook.xml": f'<workbook xmlns="{_SPREAD}" xmlns:r="{_OFFICE}"><sheets><sheet name="a" sheetId="1" r:id="r1'
-    '"/></sheets></workbook>',
-    "xl/_rels/workbook.xml.rels": f'<Relationships xmlns="{_OPEN}/relationships"><Relationship Id="r1" Type="{_OFFICE}/'
-    'worksheet" Target="worksheets/sheet1.xml"/></Relationships>',
-}
 
 
 def write_inputs(folder: Path) -> None:
@@ -652,7 +615,6 @@ def write_inputs(folder: Path) -> None:
     rounded.write_csv(folder / "messung.txt", separator=";", decimal_comma=True)
     savemat(folder / "imu.mat", {"data": log.head(400).to_numpy()})  # without names: it takes some rests to tell
     _written_h5(folder / "imu.h5", head)
-    _written_workbook(folder / "imu.xlsx", rounded)
     _written_bags(folder, head)
     shutil.copytree(folder / "parquet", folder / "nested")
     nested = pl.read_parquet(folder / "parquet/log.parquet").with_columns(
@@ -669,7 +631,6 @@ def write_inputs(folder: Path) -> None:
     for name, text in TEXTS.items():
         (folder / f"{name}.toml").write_text(text, encoding="utf-8")
     _of_accelerometers(folder / "csv", folder / "still")
-    (folder / "manifest.csv").write_text("session,who\nstill,a\nparquet,b\n", encoding="utf-8")
     (folder / "manifest.txt").write_text("# a comment\nstill\n", encoding="utf-8")
     registry = f"--registry {folder}/r.sqlite"
     _invoked(f"registry limits BCHE-501 {folder}/limits.toml {registry}")
@@ -707,25 +668,6 @@ def _written_h5(path: Path, log: pl.DataFrame) -> None:
         for name, columns in (("accel", ["ax", "ay", "az"]), ("gyro", ["gx", "gy", "gz"])):
             file[name] = log.select(columns).to_numpy()
         file["time"] = log["t"].to_numpy()
-
-
-def _written_workbook(path: Path, log: pl.DataFrame) -> None:
-    cells = [log.columns, *log.rows()]
-    rows = "".join(
-        f'<row r="{number}">'
-        + "".join(
-            f'<c r="{letter}{number}" t="str"><v>{cell}</v></c>'
-            if isinstance(cell, str)
-            else f'<c r="{letter}{number}"><v>{cell}</v></c>'
-            for letter, cell in zip("ABCDEFG", row, strict=True)
-        )
-        + "</row>"
-        for number, row in enumerate(cells, 1)
-    )
-    sheet = f'<worksheet xmlns="{_SPREAD}"><sheetData>{rows}</sheetData></worksheet>'
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, text in {**WORKBOOK, SHEET: sheet}.items():
-            archive.writestr(name, text)
 
 
 def _written_bags(folder: Path, log: pl.DataFrame) -> None:

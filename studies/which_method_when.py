@@ -24,11 +24,10 @@ from typing import Any
 
 import numpy as np
 
-from tumble.campaigns.campaign import Campaign
+from tumble.campaigns.campaign import campaign_of
 from tumble.campaigns.engine import run
 from tumble.campaigns.summary import SummaryLine, summary
-from tumble.campaigns.trial import stream
-from tumble.documents import validated
+from tumble.campaigns.trial import random_numbers
 from tumble.planning.setup import GROUPS, UNITS, Setup
 from tumble.run.calibrate import ITERATED_METHODS, METHODS
 from tumble.simulation.observations import simulate_observations
@@ -76,7 +75,7 @@ def lines_of(grid: Mapping[str, Any], sessions: int) -> Sequence[SummaryLine]:
     """The summary of a campaign of one point."""
     with tempfile.TemporaryDirectory() as folder:
         return summary(
-            run(validated(Campaign, {"seed": 19, "trials": sessions, "grid": grid}).job(), Path(folder) / "out")
+            run(campaign_of({"seed": 19, "trials": sessions, "grid": grid}).job(), Path(folder) / "out")
         )
 
 
@@ -91,7 +90,7 @@ def seconds_of(method: str, runs: int = 9) -> float:
     estimate = METHODS.get(method) or (lambda observations: ITERATED_METHODS[method](observations, 2))
     times = []
     for number in range(runs + 1):
-        rng = stream(23, number)
+        rng = random_numbers(23, number)
         observations = simulate_observations(scenario_of(setup, rng), rng)
         start = time.process_time()
         estimate(observations)

@@ -6,7 +6,6 @@ from tumble.types import Device, Site
 from __future__ import annotations
 
 from tumble.campaigns.campaign import Campaign as Campaign
-from tumble.campaigns.fleet import Tally as Tally
 from tumble.campaigns.summary import SummaryLine as SummaryLine
 from tumble.diagnosis.observability import Refusal as Refusal
 from tumble.drafting.new_session import Given as Given

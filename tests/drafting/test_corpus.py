@@ -15,8 +15,8 @@ from tests.support.corpus import doubtful as q
 from tests.support.corpus import programs as p
 from tests.support.corpus.dialects import Case
 from tumble.cli import main
-from tumble.drafting.containers.archives import unzipped
-from tumble.drafting.detection import files_of, found_log
+from tumble.drafting.columns import found_log
+from tumble.drafting.containers import files_of, unzipped
 from tumble.drafting.mended import mended
 from tumble.drafting.new_session import new_session
 from tumble.drafting.times import Stamps, times_of_column
@@ -100,10 +100,6 @@ CASES: dict[str, Case] = {
     "names end with a comma": Case(write=d.ends_with_comma("names"), said=(GOOD,)),
     "rows end with a comma": Case(write=d.ends_with_comma("rows"), said=(GOOD,)),
     "a table of R": Case(write=d.of_r, said=("blanks", GOOD)),
-    "lists in cells": Case(write=d.lists_in_cells, said=("lists of three numbers (time, accel_x",)),
-    "units in cells": Case(
-        write=d.units_in_cells, said=("a unit behind every number (time [s], ax [g]", GOOD), worth=(G, DEG)
-    ),
     "carriage returns": Case(write=d.carriage_returns, said=("carriage return: copied to log.csv", "semicolons")),
     "key=value": Case(
         write=d.printed("t={t} ax={a[0]:.7g} ay={a[1]:.7g} az={a[2]:.7g} gx={g[0]:.7g} gy={g[1]:.7g} gz={g[2]:.7g}"),
@@ -512,7 +508,6 @@ READ: dict[str, tuple[p.Write, str, str | None, str | None]] = {
     "Adafruit": (p.adafruit, "several lines a sample (Acceleration X", "m/s^2", "rad/s"),
     "1'000": (p.thousands("'"), "marks between thousands", "mg", "mdeg/s"),
     "1,000": (p.thousands(","), "marks between thousands", "mg", "mdeg/s"),
-    "NovAtel, raw sentences": (p.novatel, "sentences RAWIMU of NovAtel", "count", "count"),
     "days": (p.days, "ticks of 86400 s, made seconds", None, None),
     "tenths of microseconds": (p.tenths_of_microseconds, "ticks of 1e-07 s, made seconds", None, None),
 }
@@ -521,7 +516,6 @@ SHORT = 1000
 
 WORTH = {
     None: 1.0,
-    "count": 1.0 / 50.0 / 2e-9,
     "m/s^2": 1.0,
     "mg": 1e3 * G,
     "rad/s": 1.0,
@@ -583,8 +577,6 @@ def test_the_sign_of_core_motion_is_taken_off(log: pl.DataFrame, tmp_path: Path)
         (p.oxiod, "expected columns named as accelerometers are"),
         (p.positions_of_a_camera, "expected columns named as accelerometers are"),
         (p.gyros_alone, "expected columns named as accelerometers are"),
-        (p.corrected_novatel, "of which gravity and the receiver's own corrections are taken off; log RAWIMUSX"),
-        (p.novatel_solution, "found INSPVAXA of NovAtel, a solution; log RAWIMUSX"),
         (q.field_alone, "found Time .s., X .µT., Y .µT., Z .µT.; log the readings of the accelerometers too"),
         (q.euler_angles, "found t, roll, pitch, yaw; log the readings of the accelerometers too"),
         (q.housekeeping_alone, "found 1, 2, 3, 4; state which they are .accel N,N,N, names or numbers from 1."),
@@ -627,10 +619,8 @@ def test_what_a_still_body_leaves_open_is_said(log: pl.DataFrame, tmp_path: Path
 
 
 def test_words_before_the_axes_stay(log: pl.DataFrame, tmp_path: Path) -> None:
-    draft, faults = new_session(tmp_path / "session", tmp_path / q.linear_accelerations(log, tmp_path))
-    assert draft.content["log"]["accel"]["columns"] == [f"Linear Accel {a}" for a in "XYZ"]
-    assert any("what a filter has left without gravity? That cannot be calibrated" in said for said in draft.said)
-    assert faults
+    with pytest.raises(InputError, match=r"taken gravity off \(Linear Accel X, Linear Accel Y, Linear Accel Z\)"):
+        new_session(tmp_path / "session", tmp_path / q.linear_accelerations(log, tmp_path))
 
 
 def test_columns_that_are_stated_are_those_of_the_log(log: pl.DataFrame, tmp_path: Path) -> None:

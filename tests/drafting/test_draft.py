@@ -12,142 +12,16 @@ import pytest
 from click.testing import CliRunner, Result
 
 from tumble.cli import main
-from tumble.earth import EARTH_RATE
 from tumble.planning.setup import Setup
-from tumble.recording.columns.names import ACCEL, GYRO, MAGNETOMETER, columns_by_name, temperature_unit
 from tumble.recording.session import Session
 from tumble.recording.session_file import read_session
 from tumble.recording.text.text_log import TextLog
 from tumble.simulation.session import simulate_session
-from tumble.units import ACCEL_UNITS, DEGREE, DEGREE_PER_HOUR, G_STANDARD, GYRO_UNITS, Array
+from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, GYRO_UNITS
 
 
 def named(*stems: str, unit: str = "") -> list[str]:
     return [f"{stem}{axis}{unit}" for stem in stems for axis in "xyz"]
-
-
-@pytest.mark.parametrize(
-    ("names", "time", "time_unit", "accel", "accel_unit", "gyro", "gyro_unit"),
-    [
-        (["t", *named("a", "g")], "t", None, "ax", None, "gx", None),
-        (["TimeUS", "AccX", "AccY", "AccZ", "GyrX", "GyrY", "GyrZ", "T"], "TimeUS", "us", "AccX", None, "GyrX", None),
-        (
-            ["timestamp [ns]", *named("w_RS_S_", unit=" [rad s^-1]"), *named("a_RS_S_", unit=" [m s^-2]")],
-            "timestamp [ns]",
-            "ns",
-            "a_RS_S_x [m s^-2]",
-            "m/s^2",
-            "w_RS_S_x [rad s^-1]",
-            "rad/s",
-        ),
-        (
-            ["time", *named("acc_", unit="_g"), *named("gyr_", unit="_dps"), "temp_C"],
-            "time",
-            None,
-            "acc_x_g",
-            "g",
-            "gyr_x_dps",
-            "deg/s",
-        ),
-        (
-            ["field.header.stamp", *named("field.angular_velocity."), *named("field.linear_acceleration.")],
-            "field.header.stamp",
-            None,
-            "field.linear_acceleration.x",
-            None,
-            "field.angular_velocity.x",
-            None,
-        ),
-        (
-            ["Time (s)", *(f"Accel {a} (g)" for a in "XYZ"), *(f"Gyro {a} (deg/s)" for a in "XYZ")],
-            "Time (s)",
-            "s",
-            "Accel X (g)",
-            "g",
-            "Gyro X (deg/s)",
-            "deg/s",
-        ),
-        (
-            ["xacc", "yacc", "zacc", "xgyro", "ygyro", "zgyro", "time_boot_ms"],
-            "time_boot_ms",
-            "ms",
-            "xacc",
-            None,
-            "xgyro",
-            None,
-        ),
-        (named("f", "w"), None, None, "fx", None, "wx", None),
-        (["a1", "a2", "a3", "w1", "w2", "w3"], None, None, "a1", None, "w1", None),
-        (
-            ["timestamp", *(f"imu/accel[{i}]" for i in range(3)), *(f"imu/gyro[{i}]" for i in range(3))],
-            "timestamp",
-            None,
-            "imu/accel[0]",
-            None,
-            "imu/gyro[0]",
-            None,
-        ),
-    ],
-)  # fmt: skip
-def test_columns_are_known_by_their_names(
-    names: list[str],
-    time: str | None,
-    time_unit: str | None,
-    accel: str,
-    accel_unit: str | None,
-    gyro: str,
-    gyro_unit: str | None,
-) -> None:
-    found = columns_by_name(names)
-    assert (found.time, found.time_unit) == (time, time_unit)
-    assert (found.triads[ACCEL].columns[0], found.triads[ACCEL].unit) == (accel, accel_unit)
-    assert (found.triads[GYRO].columns[0], found.triads[GYRO].unit) == (gyro, gyro_unit)
-    assert MAGNETOMETER not in found.triads
-
-
-def test_magnetometers_and_temperature_are_known_by_their_names() -> None:
-    found = columns_by_name(["t", *named("acc_"), *named("mag_", unit="_uT"), "temperature"])
-    assert found.triads[MAGNETOMETER].unit == "uT"
-    assert found.temperatures == ("temperature",)
-
-
-@pytest.mark.parametrize(
-    ("name", "unit"),
-    [("Temp [K]", "K"), ("imu_temp_c", "degC"), ("Temperature (°F)", "degF"), ("T", None), ("temp_raw", "raw")],
-)
-def test_thermometers_are_known_with_the_unit_of_their_name(name: str, unit: str | None) -> None:
-    assert columns_by_name(["t", *named("acc_"), name]).temperatures == (name,)
-    assert temperature_unit(name) == unit
-
-
-@pytest.mark.parametrize(
-    ("names", "taken"),
-    [
-        ("temp_accel temp_gyro", "temp_accel temp_gyro"),
-        ("gyro_temperature accel_temperature", "accel_temperature gyro_temperature"),
-        ("chip_temp_C temp", "chip_temp_C"),
-        ("temp gyro_temp", "gyro_temp"),
-        ("temperature_accel_degC", "temperature_accel_degC"),
-        ("template tempo T_x T_y T_z", ""),
-        ("temp_x temp_y temp_z", "temp_x temp_y temp_z temp_x temp_y temp_z"),
-        ("T1 T2 T3 T4 T5 T6", "T1 T2 T3 T4 T5 T6"),
-        ("T0 T1", "T0"),
-        ("gyro_z_temp gyro_y_temp gyro_x_temp acc_temp", 3 * "acc_temp " + "gyro_x_temp gyro_y_temp gyro_z_temp"),
-        ("temp_ax temp_ay temp_az temp_gx temp_gy temp_gz", "temp_ax temp_ay temp_az temp_gx temp_gy temp_gz"),
-    ],
-)
-def test_of_several_thermometers_each_sensor_has_its_own(names: str, taken: str) -> None:
-    found = columns_by_name(["t", *names.split(), *named("acc_"), *named("gyro_")])
-    assert found.temperatures == tuple(taken.split())
-    assert set(names.split()) - set(found.temperatures) - {"template", "tempo", "T_x", "T_y", "T_z"} <= {*found.others}
-    assert [found.triads[kind].columns[0] for kind in (ACCEL, GYRO)] == ["acc_x", "gyro_x"]
-
-
-def test_a_second_imu_in_the_same_log_is_named_and_angular_accelerations_are_nobodys() -> None:
-    found = columns_by_name([*named("imu0_acc_"), *named("imu1_acc_"), *named("angular_acceleration_")])
-    assert found.triads[ACCEL].columns[0] == "imu0_acc_x"
-    assert found.others == ("imu1_acc",)
-    assert GYRO not in found.triads
 
 
 # -------------------- logs --------------------
@@ -369,41 +243,3 @@ def test_what_cannot_be_drafted_is_refused_in_one_line(handheld: pl.DataFrame, t
         assert said in result.stderr
         assert result.stderr.count("\n") == 1
         assert not (tmp_path / "n").exists()
-
-
-def still_gyros(folder: Path, worth: float, bias: Array) -> list[str]:
-    """Two minutes at 25 Hz with the X axis up and two with it down, at 50° north, of gyros with this bias, rad/s, whose
-    unit is worth so many rad/s; and what `tumble new` reads."""
-    rng, paths = np.random.default_rng(4), []
-    for side, sign in (("up", 1.0), ("down", -1.0)):
-        attitude = np.diag([sign, sign, 1.0])  # up, north, east in the body
-        rate = attitude @ (EARTH_RATE * np.array([np.sin(50.0 * DEGREE), np.cos(50.0 * DEGREE), 0.0])) + bias
-        gyro = (rate + 1e-5 * rng.standard_normal((3000, 3))) / worth
-        accel = 9.81 * attitude[0] + 1e-3 * rng.standard_normal((3000, 3))
-        columns = [np.arange(3000) / 25.0, *accel.T, *gyro.T]
-        paths.append(folder / f"{side}.csv")
-        pl.DataFrame(dict(zip(["t", *named("a", "g")], columns, strict=True))).write_csv(paths[-1])
-    return [argument for path in paths for argument in ("--log", str(path))]
-
-
-@pytest.mark.parametrize("latitude", [[], ["--latitude", "50"]])
-@pytest.mark.parametrize(("unit", "worth"), [("rad/s", 1.0), ("deg/s", DEGREE), ("deg/h", DEGREE_PER_HOUR)])
-def test_gyros_that_nothing_turned_have_the_unit_in_which_they_read_the_earth(
-    unit: str, worth: float, latitude: list[str], tmp_path: Path
-) -> None:
-    logs = still_gyros(tmp_path, worth, 3e-6 * np.array([1.0, -1.0, 1.0]))
-    made = CliRunner().invoke(main, ["new", str(tmp_path / "s"), *logs, *latitude])
-    assert read_session(tmp_path / "s").log.gyro.unit_name == unit  # type: ignore[union-attr]
-    assert f"gz in {unit} (a guess): at rest they read 15." in made.output
-    assert "a guess" in made.output
-
-
-@pytest.mark.parametrize("latitude", [[], ["--latitude", "50"]])
-def test_biases_that_are_as_large_as_the_earths_rate_in_another_unit_are_not_taken_for_it(
-    latitude: list[str], tmp_path: Path
-) -> None:
-    """Gyros in rad/s with a bias of 0.24 °/s: in deg/s it would be the Earth's rate."""
-    logs = still_gyros(tmp_path, 1.0, EARTH_RATE / DEGREE * np.array([0.766, 0.643, 0.0]))
-    made = CliRunner().invoke(main, ["new", str(tmp_path / "s"), *logs, *latitude])
-    assert read_session(tmp_path / "s").log.gyro.unit_name == "rad/s"  # type: ignore[union-attr]
-    assert "Earth" not in made.output

@@ -151,7 +151,7 @@ CSV_FAULTS: dict[str, tuple[Callable[[Lines], Lines], str]] = {
         lambda table: [[";".join(line)] for line in table],
         ": expected a column 't', found t;ax;ay;az;gx;gy;gz;T",
     ),
-    "column twice": (renamed(gz="ax"), ": expected one column 'ax', found 2; rename one"),
+    "column twice": (renamed(gz="ax"), ": expected a column 'ax', found t, 2, ay, az, gx, gy, 7, T"),
     "text in the first row": (with_value(1, "t", "12:30"), ": row 1 (line 2), column 't': expected a number"),
     "text in the last row": (with_value(ROWS, "T", "END"), ": row 300 (line 301), column 'T': expected a number"),
     "empty value in the first row": (

@@ -1,18 +1,17 @@
 """Chunks of tasks on a cluster of processes: one of this machine, or one that is there already.
 
-The processes are those of dask.distributed, which gives the work of a process that dies to another. They are spawned,
-never forked: a copy of a process that has threads of polars hangs. Everything listens on the loopback alone.
+The processes are those of dask.distributed. They are spawned, never forked: a copy of a process that has threads of
+polars hangs. Everything listens on the loopback alone.
 
-A chunk whose process died comes back as KilledWorker. Most are innocent: someone ended the process, or its memory ran
-out. So its tasks are set aside, and tried one by one at the end, when nothing else runs: what then ends its process
-again has failed.
+A chunk whose process died comes back as KilledWorker. Most of its tasks are innocent: someone ended the process, or its
+memory ran out. So they are set aside and tried one by one at the end, while nothing else runs. A task has failed when
+ATTEMPTS processes in a row died with it alone: one of them may have been dying already of the task before.
 """
 
 from __future__ import annotations
 
 import logging
 import os
-import time
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
@@ -20,29 +19,23 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, cast
 
 from tumble import __version__
-from tumble.campaigns.engine import Chunk, Chunks, Done, Executor, Job, compute, failed, parquet_of, serially
+from tumble.campaigns.engine import Chunk, Done, Executor, Job, chunks, compute, failed, parquet_of, serially
 from tumble.errors import InputError, MissingExtraError, TumbleError
 from tumble.recording.panic import COMMAND_LINE
 
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-ALLOWED_DEATHS = 0
-"""How many processes of the local cluster may die with a chunk before it is set aside, or with a task that is tried
-alone before it has failed. An existing cluster has its own setting, distributed.scheduler.allowed-failures."""
-
+ATTEMPTS = 3
 AHEAD = 2
 """Chunks that are sent out for each process: one at work, one waiting for it."""
-
 CONNECT_SECONDS = 10
-LOOK_SECONDS = 5.0
 LOST_SECONDS = 60.0
-"""How long there may be no process at all: on a busy machine one takes half a minute to begin."""
+"""How long nothing may be done while there is no process: on a busy machine one takes half a minute to begin."""
 _GO_ON = "what was computed is kept: give the same command again to go on"
-
 _SETTINGS = {
     "distributed.worker.multiprocessing-method": "spawn",
-    "distributed.scheduler.allowed-failures": ALLOWED_DEATHS,
+    "distributed.scheduler.allowed-failures": 0,
     "distributed.worker.profile.enabled": False,  # it would look at every process a hundred times a second, idle or not
     "distributed.scheduler.http.routes": [],  # the servers cannot be left out, but serve nothing
     "distributed.worker.http.routes": [],
@@ -57,8 +50,8 @@ def executor_for(
     """Where to compute, to be used in a `with`: in this process, on the cluster whose scheduler is at an address such
     as tcp://10.0.0.5:8786, or on a new one of so many processes, by default one a core.
 
-    Raises InputError for a contradiction or an address at which nobody answers, MissingExtraError
-    without distributed."""
+    Raises InputError for a contradiction or an address at which nobody answers, MissingExtraError without
+    distributed."""
     if serial and (cluster or workers):
         raise InputError("--in-process: expected neither --cluster nor --workers with it, found one; leave one out")
     if cluster and workers:
@@ -91,31 +84,28 @@ def _local(workers: int) -> Iterator[Executor]:
             client = distributed.Client(opened.enter_context(cluster))
         except (OSError, RuntimeError) as error:
             raise TumbleError(f"the processes could not be begun ({error}); {_GO_ON}") from error
-        yield on_cluster(opened.enter_context(client))
+        yield partial(_computed, opened.enter_context(client))
 
 
 @contextmanager
 def _existing(address: str) -> Iterator[Executor]:
     """A cluster that is there already. Raises InputError unless it has workers, all with this version of tumble."""
     _, distributed = _imported()
-    expected = f"--cluster: expected the scheduler of a dask cluster at {address}, as tcp://HOST:PORT"
     try:
         client = distributed.Client(address, timeout=CONNECT_SECONDS)
     except (OSError, TimeoutError, ValueError) as error:
-        raise InputError(f"{expected}, found none that answers") from error
+        expected = f"expected the scheduler of a dask cluster at {address}, as tcp://HOST:PORT"
+        raise InputError(f"--cluster: {expected}, found none that answers") from error
     with client:
         try:
             versions: dict[str, str] = client.run(_version)
-        except ModuleNotFoundError as error:
-            raise InputError(
-                f"--cluster: expected workers of {address} with tumble {__version__}, found no tumble; install it there"
-            ) from error
-        if not versions:
-            raise InputError(f"--cluster: expected workers at {address}, found none; start some with `dask worker`")
-        for worker, version in versions.items():
-            if version != __version__:
-                raise InputError(f"--cluster: expected tumble {__version__} at worker {worker}, found {version}")
-        yield on_cluster(client)
+        except ModuleNotFoundError:
+            versions = dict.fromkeys(client.nthreads(), "none")
+        found = next((f"{there} at {worker}" for worker, there in versions.items() if there != __version__), None)
+        if found or not versions:
+            expected = f"expected workers at {address} with tumble {__version__}"
+            raise InputError(f"--cluster: {expected}, found {found or 'no worker'}; start some with `dask worker`")
+        yield partial(_computed, client)
 
 
 def _version() -> str:
@@ -137,83 +127,69 @@ def _imported() -> tuple[Any, Any]:
     return dask, distributed
 
 
-def on_cluster(client: Client) -> Executor:
-    """The processes of a client. Raises TumbleError, while it computes, if the cluster is lost."""
-    return partial(_computed, client)
-
-
 def _computed(client: Client, job: Job, pending: Sequence[int]) -> Iterator[Done]:
-    """Chunks of tasks with their rows, as the processes finish them."""
-    suspects: list[int] = []
+    """Chunks of tasks with their rows, as the processes of a client finish them."""
+    set_aside: list[int] = []
+    workers = max(1, sum(cast(Any, client).nthreads().values()))
+    waiting, sent = chunks(pending, workers=workers), dict[Any, Chunk]()
     try:
-        yield from _spread(job, pending, client, suspects)
-        for number in suspects:
-            yield [number], _alone(job, number, client)
+        while True:
+            while len(sent) < AHEAD * workers and (chunk := next(waiting, None)):
+                sent[_submit(job, chunk, client)] = chunk
+            if not sent:
+                break
+            for future in _first_done(sent, client):
+                chunk = sent.pop(future)
+                try:
+                    yield chunk, future.result()
+                except CancelledError:
+                    raise
+                except Exception:
+                    set_aside += chunk
+        for number in set_aside:
+            yield (number,), _alone(job, number, client)
     except (CancelledError, OSError) as error:
         raise TumbleError(f"the cluster is lost; {_GO_ON}") from error
-
-
-def _spread(job: Job, pending: Sequence[int], client: Client, suspects: list[int]) -> Iterator[Done]:
-    """Chunks that were finished; the tasks of the others are added to `suspects`."""
-    workers = max(1, sum(cast(Any, client).nthreads().values()))
-    chunks = Chunks(pending, workers=workers)
-    sent: dict[Future[Any], Chunk] = {}
-    while True:
-        while len(sent) < AHEAD * workers and (chunk := chunks.next()):
-            sent[_submit(job, chunk, client)] = chunk
-        if not sent:
-            return
-        for future in _first_done(sent, client):
-            chunk = sent.pop(future)
-            try:
-                part, seconds = future.result()
-            except CancelledError:
-                raise
-            except Exception:
-                suspects += chunk
-                continue
-            chunks.took(len(chunk), seconds)
-            yield chunk, part
-
-
-def _first_done(sent: Iterable[Future[Any]], client: Client) -> set[Future[Any]]:
-    """Those that are done, as soon as one is. Raises TumbleError where no process has been there for a minute."""
-    _, distributed = _imported()
-    seen = time.monotonic()
-    while True:
-        try:
-            waited = distributed.wait(list(sent), timeout=LOOK_SECONDS, return_when="FIRST_COMPLETED")
-        except TimeoutError:
-            if cast(Any, client).nthreads():
-                seen = time.monotonic()
-            elif time.monotonic() - seen > LOST_SECONDS:
-                raise TumbleError(f"the processes were ended, and no other has begun; {_GO_ON}") from None
-        else:
-            return cast(set[Any], waited.done)
 
 
 def _alone(job: Job, number: int, client: Client) -> bytes:
     """The rows of a task while nothing else runs."""
     from distributed import KilledWorker
 
-    try:
-        (done,) = _first_done([_submit(job, [number], client)], client)
-        return bytes(done.result()[0])
-    except CancelledError:
-        raise
-    except KilledWorker:
-        said: BaseException | str = "every process that computed it died"
-    except Exception as error:
-        said = error
-    return parquet_of([failed(number, job.label(job.items[number]), said)], job.columns)
+    why = f"each of {ATTEMPTS} processes that computed it alone died"
+    for _ in range(ATTEMPTS):
+        (done,) = _first_done([_submit(job, (number,), client)], client)
+        try:
+            return bytes(done.result())
+        except CancelledError:
+            raise
+        except KilledWorker:
+            continue
+        except Exception as error:
+            why = f"{type(error).__name__}: {error}"
+            break
+    return parquet_of([failed(number, job.label(job.items[number]), why)], job.columns)
 
 
-def _computed_there(*work: Any) -> tuple[bytes, float]:
-    """`compute` in a process of the cluster, which is nobody's but ours."""
-    COMMAND_LINE.set(True)
-    return compute(*work)
+def _first_done(sent: Iterable[Future[Any]], client: Client) -> set[Future[Any]]:
+    """Those that are done, as soon as one is. Raises TumbleError where nothing was done in a minute, and no process is
+    there."""
+    _, distributed = _imported()
+    while True:
+        try:
+            waited = distributed.wait(list(sent), timeout=LOST_SECONDS, return_when="FIRST_COMPLETED")
+            return cast("set[Future[Any]]", waited.done)
+        except TimeoutError:
+            if not cast(Any, client).nthreads():
+                raise TumbleError(f"the processes were ended, and no other has begun; {_GO_ON}") from None
 
 
 def _submit(job: Job, chunk: Chunk, client: Client) -> Future[Any]:
     tasks = [(number, job.items[number]) for number in chunk]
     return client.submit(_computed_there, job.task, job.label, job.columns, tasks, pure=False)
+
+
+def _computed_there(*work: Any) -> bytes:
+    """`compute` in a process of the cluster, which does nothing else."""
+    COMMAND_LINE.set(True)
+    return compute(*work)

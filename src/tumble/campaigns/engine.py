@@ -1,15 +1,14 @@
 """Many numbered tasks, each of which gives rows of one table: in this process or on a cluster, interrupted and resumed.
 
-A task is known by its number alone, so that its rows depend neither on who computes it nor on when. Tasks go out in
-chunks. The rows of a chunk are written as a part, a Parquet file that is there whole or not at all; tasks whose parts
-are there are done. When all are done the parts become one table, sorted by task:
+A task is identified by its number alone, so that its rows depend neither on who computes it nor on when. The rows of a
+chunk of tasks are written as a part, a Parquet file that is there whole or not at all; tasks whose parts are there are
+done. When all are done the parts become one table, sorted by task:
 
     FOLDER/manifest.json      what is computed, with a hash: a folder that was begun is resumed by the same job only
     FOLDER/parts/*.parquet    rows of finished chunks; gone when the table is complete
     FOLDER/rows.parquet       the table
 
-A task that raises an exception becomes a row with the exception in its column `error`, and the others go on. So does
-one that ends every process it runs in: see `tumble.campaigns.cluster`.
+A task that raises an exception becomes a row with the exception in its column `error`, and the others go on.
 """
 
 from __future__ import annotations
@@ -17,9 +16,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import math
 import shutil
-import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,13 +27,8 @@ from tumble.documents import json_of, text_of_document
 from tumble.errors import InputError
 from tumble.files import whole_file
 
-CHUNK_SECONDS = 1.0
-"""How long a chunk should take: a task on a cluster costs 1.6 ms of overhead, a lost worker a chunk or two."""
-
-LEAST_SECONDS = 0.1
-
-GROWTH = 16
-"""How many times longer than those before a chunk may be: the first are slow while code is loaded."""
+CHUNKS_EACH, LARGEST_CHUNK = 32, 64
+"""Chunks for each process, so that all end at about the same time; and the most tasks of one."""
 
 TABLE = "rows.parquet"
 MANIFEST = "manifest.json"
@@ -48,11 +40,12 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Job:
-    """What is to be computed. `definition`, of JSON values, holds all that the rows depend on. Task i is
-    `task(i, items[i])`, which returns its rows, at least one; `label(items[i])` are the columns that a row has even if
-    the task fails. `schema` has the polars type of every column; `task` comes before them and `error` after them.
+    """What is to be computed.
 
-    `task`, `label` and the items are sent to other processes: functions of a module or `functools.partial` of one."""
+    `definition`, of JSON values, holds all that the rows depend on. Task i is `task(i, items[i])`, which returns its
+    rows, at least one; `label(items[i])` are the columns that a row has even if the task fails. `schema` has the polars
+    type of every column; `task` comes before them and `error` after them. `task`, `label` and the items are sent to
+    other processes: functions of a module or `functools.partial` of one."""
 
     definition: Mapping[str, Any]
     items: Sequence[Any]
@@ -78,17 +71,17 @@ class Job:
         return {"task": pl.Int64, **self.schema, "error": pl.String}
 
 
-Chunk = Sequence[int]
+Chunk = tuple[int, ...]
 Done = tuple[Chunk, bytes]
 """Numbers of tasks, and their rows as a Parquet file."""
 Executor = Callable[[Job, Sequence[int]], Iterator[Done]]
-"""Computes tasks, given by their numbers, and returns them chunk by chunk as they are finished, in any order."""
+"""Computes tasks, given by their numbers, and yields them chunk by chunk as they are finished, in any order."""
 
 
 def run(
     job: Job, folder: Path, *, executor: Executor | None = None, progress: Progress = lambda _done, _all: None
 ) -> Path:
-    """Compute what is still missing of a job in a folder, and return the path of the table. Without an executor (see
+    """Compute what is missing of a job in a folder, and return the path of the table. Without an executor (see
     `tumble.campaigns.cluster`) everything happens in this process.
 
     Raises InputError if the folder holds something else or was begun by another job, TumbleError if a cluster is lost;
@@ -115,39 +108,19 @@ def run(
     return table
 
 
-# Tasks and chunks
+# -------------------- tasks --------------------
 
 
 def serially(job: Job, pending: Sequence[int]) -> Iterator[Done]:
-    """Chunks of tasks with their rows, computed here."""
-    chunks = Chunks(pending, workers=1)
-    while chunk := chunks.next():
-        part, seconds = compute(job.task, job.label, job.columns, [(number, job.items[number]) for number in chunk])
-        chunks.took(len(chunk), seconds)
-        yield chunk, part
+    """Chunks of tasks with their rows, computed in this process."""
+    for chunk in chunks(pending, workers=1):
+        yield chunk, compute(job.task, job.label, job.columns, [(number, job.items[number]) for number in chunk])
 
 
-class Chunks:
-    """Chunks of tasks that are still to be done: one task at first, then as many as should take CHUNK_SECONDS; towards
-    the end fewer, down to LEAST_SECONDS, lest a worker should be idle."""
-
-    def __init__(self, pending: Sequence[int], *, workers: int) -> None:
-        self._pending = pending
-        self._at = 0
-        self._share = 1 if workers == 1 else 4 * workers
-        self._size = 1.0
-
-    def next(self) -> Chunk:
-        """The next chunk; empty when there is none."""
-        share = (len(self._pending) - self._at) / self._share
-        size = max(min(self._size, share), self._size * LEAST_SECONDS / CHUNK_SECONDS)
-        chunk = self._pending[self._at : self._at + math.ceil(size)]
-        self._at += len(chunk)
-        return chunk
-
-    def took(self, tasks: int, seconds: float) -> None:
-        """Take note of how long so many tasks took."""
-        self._size = min(CHUNK_SECONDS * tasks / max(seconds, 1e-9), GROWTH * self._size)
+def chunks(pending: Sequence[int], *, workers: int) -> Iterator[Chunk]:
+    """Tasks in chunks of one size, small enough for so many processes to end together."""
+    size = min(max(len(pending) // (CHUNKS_EACH * workers), 1), LARGEST_CHUNK)
+    return (tuple(pending[first : first + size]) for first in range(0, len(pending), size))
 
 
 def compute(
@@ -155,18 +128,17 @@ def compute(
     label: Callable[[Any], Row],
     columns: Mapping[str, Any],
     tasks: Iterable[tuple[int, Any]],
-) -> tuple[bytes, float]:
-    """The rows of tasks as a Parquet file with these columns, and how long they took, s."""
-    start = time.perf_counter()
+) -> bytes:
+    """The rows of tasks as a Parquet file with these columns."""
     rows: list[Row] = []
     for number, item in tasks:
         try:
-            found: list[Row] = task(number, item)
+            computed: list[Row] = task(number, item)
         except Exception as error:
-            rows.append(failed(number, label(item), error))
+            rows.append(failed(number, label(item), f"{type(error).__name__}: {error}"))
         else:
-            rows += [{"task": number, **label(item), **row} for row in found]
-    return parquet_of(rows, columns), time.perf_counter() - start
+            rows += [{"task": number, **label(item), **row} for row in computed]
+    return parquet_of(rows, columns)
 
 
 def parquet_of(rows: Sequence[Row], columns: Mapping[str, Any]) -> bytes:
@@ -178,13 +150,12 @@ def parquet_of(rows: Sequence[Row], columns: Mapping[str, Any]) -> bytes:
     return file.getvalue()
 
 
-def failed(number: int, label: Row, error: BaseException | str) -> Row:
+def failed(number: int, label: Row, why: str) -> Row:
     """The row of a task that failed."""
-    said = error if isinstance(error, str) else f"{type(error).__name__}: {error}"
-    return {"task": number, **label, "error": " ".join(said.split())}
+    return {"task": number, **label, "error": " ".join(why.split())}
 
 
-# The folder
+# -------------------- the folder --------------------
 
 
 def _begun(job: Job, folder: Path) -> bool:
@@ -197,11 +168,7 @@ def _begun(job: Job, folder: Path) -> bool:
         except (InputError, ValueError, KeyError, TypeError) as error:
             raise InputError(f"{manifest}: expected the manifest of a job of tumble, found another file") from error
         if not same:
-            where, there, here = _difference("", content, job.identity)
-            raise InputError(
-                f"{folder}: was begun by another job: {where} is {_short(there)} there and {_short(here)} here; "
-                "give another folder"
-            )
+            raise InputError(f"{folder}: expected a new folder, found one that another job has begun; give another")
         return True
     if folder.exists() and not (folder.is_dir() and all(path.name.startswith(".") for path in folder.iterdir())):
         raise InputError(f"{folder}: expected a new folder, or one that was begun by the same command, found another")
@@ -210,26 +177,6 @@ def _begun(job: Job, folder: Path) -> bool:
     with whole_file(manifest) as temporary:
         temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     return False
-
-
-def _difference(where: str, there: Any, here: Any) -> tuple[str, Any, Any]:
-    """The first place where two trees of JSON values differ, as far down as both go, and what each has there."""
-    if isinstance(there, dict) and isinstance(here, dict):
-        key = next((key for key in here if there.get(key) != here[key]), None)
-        if key is not None:
-            return _difference(f"{where}.{key}" if where else key, there.get(key), here[key])
-    if isinstance(there, list) and isinstance(here, list):
-        at = next((i for i, (a, b) in enumerate(zip(there, here, strict=False)) if a != b), min(len(there), len(here)))
-        one, other = (of[at] if at < len(of) else None for of in (there, here))
-        return _difference(f"{where}[{at}]", one, other)
-    return where, there, here
-
-
-def _short(value: Any) -> str:
-    if value is None:
-        return "none"
-    text = json.dumps(value, ensure_ascii=False)
-    return text if len(text) <= 60 else f"{text[:59]}…"
 
 
 def _parts(folder: Path) -> list[Path]:
@@ -245,7 +192,7 @@ def _tasks_of_parts(folder: Path) -> set[int]:
 
 
 def _join_parts(job: Job, folder: Path) -> None:
-    """Make one table of the parts, sorted by task. Where two runs shared a folder and did a task both, its rows are
+    """Make one table of the parts, sorted by task. Where two runs shared a folder and both did a task, its rows are
     equal, and those of one part are taken. The parts leave their place at once: another run finds all or none."""
     import polars as pl
 

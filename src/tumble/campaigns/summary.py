@@ -1,6 +1,6 @@
-"""What a campaign found: errors by method and group of parameters at every point of the grid, as a table and a picture.
+"""Errors of a campaign by method and group of parameters at every point of the grid.
 
-For a group (accel.bias and so on), over its parameters p and the accepted trials i, e the value less the truth:
+For a group such as accel.bias, over its parameters p and the accepted trials i, with e the value less the truth:
 
     bias² = mean_p (mean_i e)²     scatter² = mean_p var_i e     rms² = mean e² = bias² + scatter²
     to bound = rms / √(mean of the Cramér–Rao variances of the same observations)
@@ -26,20 +26,22 @@ from tumble.campaigns.campaign import AXES, Campaign, read_campaign
 from tumble.campaigns.cluster import executor_for
 from tumble.campaigns.engine import Progress, run
 from tumble.files import FilePath, whole_file
-from tumble.planning.setup import NAMES
 from tumble.sensors.parameters import group_of, positions_by_group
 from tumble.units import Array
 
 COVERED_WITHIN = 1.96
 """Uncertainties in a 95 % interval."""
+SUMMARY_FILE = "summary.csv"
+_FIGURES = ("bias", "scatter", "rms", "to_bound", "coverage")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SummaryLine:
-    """One method at one point of the grid, in one group of parameters: how many trials (or triads), of them accepted
-    and failed, and over the accepted ones bias, scatter and rms error in `unit` (SI), rms over bound and coverage; None
-    where there is nothing to tell it from. `why` is the first reason why a trial was not accepted or failed, empty
-    where all were accepted."""
+    """One method at one point of the grid, in one group of parameters.
+
+    `trials`, and of them `accepted` and `failed`, are counts. Bias, scatter and rms error of the accepted ones are in
+    `unit` (SI), `to_bound` is rms over bound; None where there is nothing to compute it from. `why` is the first reason
+    why a trial was not accepted or failed, empty where all were accepted."""
 
     point: Mapping[str, Any]
     method: str
@@ -56,137 +58,9 @@ class SummaryLine:
     why: str = ""
 
 
-def summary(rows: Path) -> tuple[SummaryLine, ...]:
-    """The lines of a campaign's rows (the path of `engine.run`)."""
-    frame = pl.read_parquet(rows)
-    axes = list(AXES)
-    out = []
-    for values, part in frame.group_by([*axes, "method"], maintain_order=True):
-        point = dict(zip(axes, values, strict=False))
-        out += list(_lines(point, str(values[-1] or "every method"), part))
-    return tuple(out)
-
-
-def _lines(point: Mapping[str, Any], method: str, part: pl.DataFrame) -> Iterator[SummaryLine]:
-    statics = "triads" in part.columns
-    refused = part.filter(pl.col("accepted").not_())["reasons"].to_list() if "reasons" in part.columns else []
-    why = next(iter(refused + part["error"].drop_nulls().to_list()), "")
-    if statics:
-        trials, failed = int(part["triads"].sum()), int(part["failed"].sum() or 0)
-        accepted = trials - failed
-    else:
-        trials, failed = len(part), int(part["error"].is_not_null().sum())
-        part = part.filter(pl.col("accepted"))
-        accepted = len(part)
-    names = NAMES if statics else _names(part)
-    moments = _statics_moments(part) if statics else _session_moments(part)
-    for group, places in positions_by_group(names).items():
-        members = [moments[names[i]] for i in places if names[i] in moments]
-        if members or not accepted:
-            yield SummaryLine(
-                point=point,
-                method=method,
-                group=group,
-                unit=group_of(names[places[0]]).unit,
-                trials=trials,
-                accepted=accepted,
-                failed=failed,
-                why=why,
-                **_of_group(members),
-            )
-
-
-def _names(part: pl.DataFrame) -> tuple[str, ...]:
-    """The parameters that rows of sessions have columns of."""
-    return tuple(column.removeprefix("error.") for column in part.columns if column.startswith("error."))
-
-
-_Moments = dict[str, float | None]
-"""Of one parameter: `mean` of the error, of its `square` and of the variance of the `bound` (None without), and the
-part `covered` (None where there is no u)."""
-
-
-def _session_moments(part: pl.DataFrame) -> dict[str, _Moments]:
-    """Moments by parameter over trials that have a value."""
-    out: dict[str, _Moments] = {}
-    for name in _names(part):
-        error, u, bound = (_column(part, f"{what}.{name}") for what in ("error", "u", "bound"))
-        seen = np.isfinite(error)
-        if not seen.any():
-            continue
-        error, u, bound = error[seen], u[seen], bound[seen]
-        out[name] = {
-            "mean": float(error.mean()),
-            "square": float((error**2).mean()),
-            "bound": float((bound**2).mean()) if np.isfinite(bound).all() else None,
-            "covered": float((np.abs(error) <= COVERED_WITHIN * u).mean()) if np.isfinite(u).all() else None,
-        }
-    return out
-
-
-def _statics_moments(part: pl.DataFrame) -> dict[str, _Moments]:
-    """Moments by parameter from those of the trials, each weighted with its triads."""
-    part = part.filter(pl.col("error").is_null() & (pl.col("failed") < pl.col("triads")))
-    if part.is_empty():
-        return {}
-    weight = (part["triads"] - part["failed"]).to_numpy()
-    whats = ("mean", "square", "bound", "covered")
-    return {
-        name: {what: float(np.average(_column(part, f"{what}.{name}"), weights=weight)) for what in whats}
-        for name in NAMES[:9]
-    }
-
-
-def _column(part: pl.DataFrame, name: str) -> Array:
-    return part[name].cast(pl.Float64).fill_null(math.nan).to_numpy()
-
-
-def _of_group(members: Sequence[_Moments]) -> dict[str, float | None]:
-    """The figures of a group from the moments of its parameters."""
-    if not members:
-        return dict.fromkeys(("bias", "scatter", "rms", "to_bound", "coverage"))
-    mean, square, bound, covered = (
-        np.array([member[what] for member in members], dtype=float) for what in ("mean", "square", "bound", "covered")
-    )
-    bias2, rms2, least = float((mean**2).mean()), float(square.mean()), float(bound.mean())
-    return {
-        "bias": math.sqrt(bias2),
-        "scatter": math.sqrt(max(rms2 - bias2, 0.0)),
-        "rms": math.sqrt(rms2),
-        "to_bound": math.sqrt(rms2 / least) if least > 0.0 else None,
-        "coverage": float(covered.mean()) if np.isfinite(covered).all() else None,
-    }
-
-
-def varying(lines: Sequence[SummaryLine]) -> tuple[str, ...]:
-    """The axes of the grid that have more than one value."""
-    return tuple(axis for axis in AXES if len({line.point[axis] for line in lines}) > 1)
-
-
-def write_summary(lines: Sequence[SummaryLine], path: Path) -> None:
-    """Write the lines as CSV, SI, one row each."""
-    figures = ("trials", "accepted", "failed", "unit", "bias", "scatter", "rms", "to_bound", "coverage")
-    rows = [
-        {**line.point, "method": line.method, "group": line.group} | {name: getattr(line, name) for name in figures}
-        for line in lines
-    ]
-    with whole_file(path) as temporary:
-        pl.DataFrame(rows, infer_schema_length=None).write_csv(temporary)
-
-
-def said(value: Any) -> str:
-    """The value of an axis in words, nothing for none."""
-    return "" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
-
-
-# A campaign in one call
-
-SUMMARY_FILE = "summary.csv"
-
-
 @dataclass(frozen=True, kw_only=True, slots=True, repr=False)
 class CampaignResult(Brief):
-    """The rows of a campaign, a Parquet file, their summary in lines, and the CSV file it is in."""
+    """The rows of a campaign, a Parquet file, the lines of their summary, and the CSV file of these."""
 
     rows: Path
     lines: tuple[SummaryLine, ...]
@@ -202,8 +76,9 @@ def campaign(
     workers: int | None = None,
     progress: Progress = lambda _done, _all: None,
 ) -> CampaignResult:
-    """Simulate and calibrate many times over the grid of a campaign, or of its TOML file, into a folder; what is there
-    already is not computed again. `serial`, `cluster` and `workers` say where, as `executor_for`.
+    """Simulate and calibrate many times over the grid of a campaign, or of its TOML file, into a folder.
+
+    What is in the folder already is not computed again. `serial`, `cluster` and `workers` are those of `executor_for`.
 
     >>> import tumble
     >>> from pathlib import Path
@@ -211,9 +86,88 @@ def campaign(
     >>> tumble.campaign("campaign.toml", "results", serial=True).rows.name
     'rows.parquet'
     """
-    known, folder = planned if isinstance(planned, Campaign) else read_campaign(Path(planned)), Path(out)
+    definition = planned if isinstance(planned, Campaign) else read_campaign(Path(planned))
+    folder = Path(out)
     with executor_for(serial=serial, cluster=cluster, workers=workers) as executor:
-        rows = run(known.job(), folder, executor=executor, progress=progress)
+        rows = run(definition.job(), folder, executor=executor, progress=progress)
     lines = summary(rows)
     write_summary(lines, folder / SUMMARY_FILE)
     return CampaignResult(rows=rows, lines=lines, summary=folder / SUMMARY_FILE)
+
+
+def summary(rows: Path) -> tuple[SummaryLine, ...]:
+    """The lines of a campaign's rows (the path that `engine.run` returns)."""
+    lines: list[SummaryLine] = []
+    for values, part in pl.read_parquet(rows).group_by([*AXES, "method"], maintain_order=True):
+        point = dict(zip(AXES, values, strict=False))
+        lines += _lines(point, str(values[-1] or "every method"), part)
+    return tuple(lines)
+
+
+def _lines(point: Mapping[str, Any], method: str, part: pl.DataFrame) -> Iterator[SummaryLine]:
+    """The lines of one method at one point, by group."""
+    names = [column.removeprefix("error.") for column in part.columns if column.startswith("error.")]
+    refused = part.filter(pl.col("accepted").not_())["reasons"].to_list()
+    accepted = part.filter(pl.col("accepted"))
+    moments = {name: found for name in names if (found := _moments(accepted, name)) is not None}
+    for group, places in positions_by_group(names).items():
+        members = [moments[names[i]] for i in places if names[i] in moments]
+        if members or accepted.is_empty():
+            yield SummaryLine(
+                point=point,
+                method=method,
+                group=group,
+                unit=group_of(names[places[0]]).unit,
+                trials=len(part),
+                accepted=len(accepted),
+                failed=int(part["error"].is_not_null().sum()),
+                why=next(iter(refused + part["error"].drop_nulls().to_list()), ""),
+                **_figures(np.array(members)),
+            )
+
+
+def _moments(part: pl.DataFrame, name: str) -> tuple[float, float, float, float] | None:
+    """Mean of the errors of a parameter, of their squares and of the variances of the bound, and the part of the errors
+    that u covers, over the trials that have a value; NaN without bound or u, None without a value."""
+    error, u, bound = (
+        part[f"{quantity}.{name}"].cast(pl.Float64).fill_null(math.nan).to_numpy()
+        for quantity in ("error", "u", "bound")
+    )
+    seen = np.isfinite(error)
+    if not seen.any():
+        return None
+    error, u, bound = error[seen], u[seen], bound[seen]
+    covered = float((np.abs(error) <= COVERED_WITHIN * u).mean()) if np.isfinite(u).all() else math.nan
+    return float(error.mean()), float((error**2).mean()), float((bound**2).mean()), covered
+
+
+def _figures(moments: Array) -> dict[str, float | None]:
+    """The figures of a group from the moments (n, 4) of its parameters."""
+    if not len(moments):
+        return dict.fromkeys(_FIGURES)
+    mean, square, bound, covered = moments.T
+    bias2, rms2, least, coverage = (float(x.mean()) for x in (mean**2, square, bound, covered))
+    rms = math.sqrt(rms2)
+    return {
+        "bias": math.sqrt(bias2),
+        "scatter": math.sqrt(max(rms2 - bias2, 0.0)),
+        "rms": rms,
+        "to_bound": rms / math.sqrt(least) if least > 0.0 else None,
+        "coverage": coverage if math.isfinite(coverage) else None,
+    }
+
+
+def varying(lines: Sequence[SummaryLine]) -> tuple[str, ...]:
+    """The axes of the grid that have more than one value."""
+    return tuple(axis for axis in AXES if len({line.point[axis] for line in lines}) > 1)
+
+
+def write_summary(lines: Sequence[SummaryLine], path: Path) -> None:
+    """Write the lines as CSV, SI, one row each."""
+    figures = ("trials", "accepted", "failed", "unit", *_FIGURES)
+    rows = [
+        {**line.point, "method": line.method, "group": line.group} | {name: getattr(line, name) for name in figures}
+        for line in lines
+    ]
+    with whole_file(path) as temporary:
+        pl.DataFrame(rows, infer_schema_length=None).write_csv(temporary)

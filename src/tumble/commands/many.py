@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 @click.command(epilog=ask.examples("tumble campaign methods.toml -o methods"))
 @click.argument("file", metavar="FILE.toml", type=ask.FILE)
+@ask.JSON
 @ask.CLUSTER
 def campaign(file: Path, out: Path, **place: Any) -> None:
     """Simulate and calibrate many times over the grid of FILE.toml.
@@ -26,11 +27,10 @@ def campaign(file: Path, out: Path, **place: Any) -> None:
     """
     from tumble.campaigns.summary import campaign, varying
     from tumble.views.campaign import plot, summary_blocks
-    from tumble.views.render.terminal import print_blocks
 
     with tell.task_progress("trials", out) as progress:
         result = campaign(file, out, progress=progress, **place)
-    print_blocks(*summary_blocks(result.lines))
+    tell.show(result, lambda: summary_blocks(result.lines))
     short = {(*line.point.values(), line.method): line for line in result.lines if line.why}
     for line in list(short.values())[: tell.SHOWN]:
         where = ", ".join([*(f"{axis} {line.point[axis]}" for axis in varying(result.lines)), line.method])
@@ -62,18 +62,13 @@ def fleet(sessions: str, method: Method, out: Path, **place: Any) -> None:
 
     with tell.task_progress("sessions", out) as progress:
         result = fleet(sessions, out, method=method, progress=progress, **place)
-    ended = result.tally
-    outcomes = {"not accepted": ended.refused, "failed": ended.failed}
-    if tell.as_json():
-        tally = {"accepted": ended.accepted, **{how: dict(why) for how, why in outcomes.items()}}
-        tell.print_json({"sessions": len(result.sessions), **tally, "rows": str(result.rows)})
-    else:
-        counts = [f"{len(sessions_why)} {how}" for how, sessions_why in outcomes.items()]
-        click.echo(f"{len(result.sessions)} sessions: {ended.accepted} accepted, {', '.join(counts)}")
+    outcomes = {"not accepted": result.not_accepted, "failed": result.failed}
+    counts = ", ".join(f"{len(reasons)} {outcome}" for outcome, reasons in outcomes.items())
+    tell.show(result, lambda: [f"{len(result.sessions)} sessions: {result.accepted} accepted, {counts}"])
     said = [
-        f"{how}: {session}: {why.replace(f'{session}/', '')}"
-        for how, sessions_why in outcomes.items()
-        for session, why in sessions_why.items()
+        f"{outcome}: {session}: {why.replace(f'{session}/', '')}"
+        for outcome, reasons in outcomes.items()
+        for session, why in reasons.items()
     ]
     for line in said[: tell.SHOWN]:
         tell.warn(line)

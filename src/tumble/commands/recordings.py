@@ -24,7 +24,7 @@ from tumble.errors import InputError
 def new(folder: Path, more: tuple[Path, ...], log: tuple[Path, ...], **options: Any) -> None:
     """Write a commented session.toml for a log into FOLDER, and say what was guessed.
 
-    LOG, or --log, is one or more text files in any dialect, .parquet, .xlsx, .bag, .db3, .mcap, .ulg, .bin, .mat, .h5,
+    LOG, or --log, is one or more text files in any dialect, .parquet, .bag, .db3, .mcap, .ulg, .bin, .mat, .h5,
     .npy, a .zip of such, a ROS 2 folder, or a folder or a pattern of files that were recorded one after the other.
     """
     from tumble.drafting.new_session import new_session

@@ -15,7 +15,6 @@ from tumble.recording.readers import KeptLog
 from tumble.recording.session import Session
 from tumble.recording.session_file import session_of
 from tumble.recording.text.dialect import DIALECT_KEYS
-from tumble.units import DEGREE
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -59,12 +58,6 @@ class Draft:
         """Whether anything is: a unit or a time."""
         return bool(self.times.rivals) or any(sensors.unit is None for sensors in self.triads.values())
 
-    @property
-    def latitude(self) -> float | None:
-        """Of the place, rad."""
-        degrees = self.content.get("site", {}).get("latitude_deg")
-        return None if degrees is None else degrees * DEGREE
-
     def unit(self, kind: str) -> str | None:
         """The unit of sensors that their names say."""
         return self.triads[kind].unit
@@ -83,42 +76,41 @@ class Draft:
 def session_text(draft: Draft, folder: Path, programme: str | None, *, named: bool) -> str:
     """session.toml of a folder, with a comment on all that has to be filled in: the serial number too, unless it was
     `named`."""
-    log = draft.content["log"]
+    log, device = draft.content["log"], draft.content["device"]
     stated = [log["file"]] if isinstance(log["file"], str) else log["file"]
     files = [os.path.relpath(file, folder.resolve()) for file in stated]
-    serial = draft.content["device"]["serial"]
     latitude = draft.content.get("site", {}).get("latitude_deg")
-    place = "of the place; without it the Earth's rate and local gravity are unknown"
-    imu = draft.content["device"].get("imu", {})
     comment = "# which sensors of the autopilot these are, from 1, and their device ids: `tumble export` compares them"
-    imu_lines = ["[device.imu]", comment, *(_line(key, value) for key, value in imu.items()), ""] if imu else []
-    lines = [
-        "format = 1",
-        "",
-        "[device]",
-        _line("serial", serial) + ("" if named else "   # the serial number"),
-        '# model = "…"',
-        "",
-        *imu_lines,
+    lines = ["format = 1", "", "[device]", _line("serial", device["serial"]) + ("" if named else "   # of the device")]
+    lines += ['# model = "…"', ""]
+    lines += _table("[device.imu]", device["imu"], comment) if "imu" in device else []
+    lines += [
         "[site]",
-        f"# latitude_deg = 0.0   # {place}" if latitude is None else _line("latitude_deg", latitude),
+        "# latitude_deg = 0.0   # of the place; without it the Earth's rate and local gravity are unknown"
+        if latitude is None
+        else _line("latitude_deg", latitude),
         "# height_m = 0.0",
         "# gravity = 9.80665    # m/s², where it was measured; gravity_u is its standard uncertainty",
         "",
-        "[log]",
-        _line("file", files[0] if len(files) == 1 else files),
-        *(_line(key, log[key]) for key in (*DIALECT_KEYS, "time", "time_unit", "regular", "rate_hz") if key in log),
-        "",
     ]
+    keys = (key for key in (*DIALECT_KEYS, "time", "time_unit", "regular", "rate_hz") if key in log)
+    lines += _table("[log]", {"file": files[0] if len(files) == 1 else files} | {key: log[key] for key in keys})
     for kind in ("accel", "gyro", "temperature"):
-        if kind in log:
-            lines += [f"[log.{kind}]", *(_line(key, value) for key, value in log[kind].items()), ""]
+        lines += _table(f"[log.{kind}]", log[kind]) if kind in log else []
     if draft.magnetometer is not None:
-        lines += ["# [log.magnetometer]", *(f"# {_line(key, value)}" for key, value in draft.magnetometer.items()), ""]
-    planned = "# the positions, if they were planned: see `tumble programme`"
-    unplanned = [planned, "# [programme]", '# name = "rough-table"']
+        lines += [f"# {line}".rstrip("# ") for line in _table("[log.magnetometer]", draft.magnetometer)]
+    unplanned = [
+        "# the positions, if they were planned: see `tumble programme`",
+        "# [programme]",
+        '# name = "rough-table"',
+    ]
     lines += unplanned if programme is None else ["[programme]", _line("name", programme)]
     return "\n".join(lines) + "\n"
+
+
+def _table(title: str, content: Mapping[str, Any], *comments: str) -> list[str]:
+    """The lines of a table, and an empty one."""
+    return [title, *comments, *(_line(key, value) for key, value in content.items()), ""]
 
 
 def _line(key: str, value: Any) -> str:

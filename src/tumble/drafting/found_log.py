@@ -13,7 +13,16 @@ import numpy as np
 
 from tumble.drafting.times import Stamps, Times, times_of_column, times_without_column
 from tumble.errors import InputError, LogError, did_you_mean
-from tumble.recording.columns.names import ACCEL, TIME_KIND, Columns, Sensors, is_no_sensor, time_unit, unit_of_name
+from tumble.recording.columns.names import (
+    ACCEL,
+    GYRO,
+    TIME_KIND,
+    Columns,
+    Sensors,
+    is_no_sensor,
+    time_unit,
+    unit_of_name,
+)
 from tumble.recording.readers import KeptLog, source_of
 from tumble.recording.rows.gaps import is_reading
 from tumble.recording.text.dialect import Dialect, is_clock
@@ -140,34 +149,31 @@ class FoundLog:
         return replace(assumed, said=(f"time: column {stamps.column!r} does not grow and is not used", *assumed.said))
 
     def with_stated(self, stated: Stated) -> FoundLog:
-        """The log with sensors and time as the user states them, by name or by number from 1; what was taken for
-        something else of these columns is so no more. Raises InputError for columns that it does not have."""
+        """The log with sensors and time as the user states them, by name or by number from 1.
+
+        What these columns were taken for otherwise is dropped. Raises InputError for columns that it does not have."""
         columns = {kind: tuple(self._named(kind, c.strip()) for c in listed) for kind, listed in stated.items()}
         taken = [c for listed in columns.values() for c in listed]
         if not taken:
             return self
-        twice = next((c for c in taken if taken.count(c) > 1), None)
         for kind, listed in columns.items():
-            if len(listed) != (1 if kind == TIME_KIND else 3) or twice in listed:
+            if len(listed) != (1 if kind == TIME_KIND else 3) or any(taken.count(c) > 1 for c in listed):
                 three = "three columns that are nothing else, with commas between"
-                wanted = "one column" if kind == TIME_KIND else three
-                raise InputError(f"--{kind}: expected {wanted}, found {','.join(stated[kind])}")
+                expected = "one column" if kind == TIME_KIND else three
+                raise InputError(f"--{kind}: expected {expected}, found {','.join(stated[kind])}")
         known = self.columns
         triads = {kind: s for kind, s in known.triads.items() if kind not in columns and not {*s.columns} & {*taken}}
         for kind in columns.keys() - {TIME_KIND}:
             x, y, z = columns[kind]
             triads[kind] = Sensors(columns=(x, y, z), unit=unit_of_name(kind, x))
         time = columns.get(TIME_KIND, (None if known.time in taken else known.time,))[0]
-        stayed = time == known.time
-        said = [f"{kind}: {', '.join(listed)}, as stated" for kind, listed in columns.items()]
         return self.with_columns(
-            said,
+            [f"{kind}: {', '.join(listed)}, as stated" for kind, listed in columns.items()],
             triads=triads,
             time=time,
-            time_unit=known.time_unit if stayed else None if time is None else time_unit(time),
-            times=known.times if stayed else (),
+            time_unit=None if time is None else time_unit(time),
+            times=known.times if time == known.time else (),
             temperatures=tuple(c for c in known.temperatures if c not in taken),
-            counter=None if known.counter in taken else known.counter,
         )
 
     def _named(self, kind: str, column: str) -> str:
@@ -183,29 +189,24 @@ class FoundLog:
         )
 
     def check_has_accelerometers(self) -> None:
-        """Raises InputError where no columns are those of accelerometers."""
+        """Raise InputError where no columns are those of accelerometers."""
         if ACCEL in self.columns.triads:
             return
-        columns = self.names
-        names = ", ".join(columns[:SHOWN])
-        if len(columns) == len("xyz") and all(name.isdecimal() for name in columns):
-            raise InputError(
-                f"{self.files[0]}: expected a recording, found three columns without names that are none by their "
-                "numbers; of a table with a row a position write `x,y,z` above the rows, with commas between the "
-                "values, and give it to `tumble ellipsoid`"
-            )
-        if any(_FUSED.search(name) for name in columns):
-            raise InputError(
-                f"{self.files[0]}: expected readings of accelerometers, found gravity and acceleration without it, "
-                f"which a filter has made of them ({names[:120]}); log the raw accelerometers"
-            )
+        names, found = self.names, ", ".join(self.names[:SHOWN])[:200]
+        expected = "columns named as accelerometers are, such as ax, ay, az or acc_x, acc_y, acc_z"
         remedy = "log the readings of the accelerometers too"
-        if sum(not is_no_sensor(name) for name in columns) >= len("xyz"):
+        if GYRO in self.columns.triads:
+            found = f"gyros alone ({', '.join(self.columns.triads[GYRO].columns)[:120]})"
+        elif len(names) == len("xyz") and all(map(str.isdecimal, names)):
+            expected, found = "a recording", "three columns without names that are no sensor by their numbers"
+            remedy = "of a table with a row a position write `x,y,z` above the rows and give it to `tumble ellipsoid`"
+        elif any(_FUSED.search(name) for name in names):
+            expected = "readings of accelerometers"
+            found = f"gravity and acceleration without it, which a filter has made of them ({found[:120]})"
+            remedy = "log the raw accelerometers"
+        elif sum(not is_no_sensor(name) for name in names) >= len("xyz"):
             remedy = "state which they are (--accel N,N,N, names or numbers from 1)"
-        raise InputError(
-            f"{self.files[0]}: expected columns named as accelerometers are, such as ax, ay, az or acc_x, acc_y, "
-            f"acc_z; found {names[:200]}; {remedy}"
-        )
+        raise InputError(f"{self.files[0]}: expected {expected}; found {found}; {remedy}")
 
 
 def samples_in(read: Array) -> int:

@@ -1,6 +1,6 @@
-"""What a session file cannot say about a log is mended in a copy of it, in the session's folder: numbers of 16 bits
-that were read without their sign, times in ticks or in seconds and nanoseconds, samples that a counter shows to be
-missing, rows that are no samples, and positions that follow each other without a turn between them.
+"""Copies of logs, in the session's folder, in which is mended what a session file cannot say: numbers of 16 bits that
+were read without their sign, times in ticks, intervals or seconds and nanoseconds, clocks that start anew, rows that
+are no samples, and positions that follow each other without a turn between them.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 import polars as pl
 
 from tumble.drafting.found_log import LONGEST, SAMPLE_ROWS, FoundLog, samples_in
-from tumble.drafting.times import Stamps, overflow_of, recordings_of, times_of_column, times_without_column
+from tumble.drafting.times import Stamps, overflow_of, recordings_of, times_of_column
 from tumble.errors import InputError
 from tumble.files import OutputFolder
 from tumble.recording.columns.names import ACCEL, GYRO, MAGNETOMETER, time_unit
@@ -49,8 +49,22 @@ Edges = list[tuple[int, int]]
 
 
 def mended(log: FoundLog, folder: OutputFolder, rate: float | None) -> FoundLog:
-    """A log, or the copy of one of which a session file cannot say what it needs; `rate` as given, Hz, which stands for
-    time stamps."""
+    """A log of which a session file can say all that is needed: the log itself, or a mended copy of it.
+
+    Parameters
+    ----------
+    log
+        The log with its columns.
+    folder
+        Where copies are written.
+    rate
+        Samples per second as the user states them, Hz, which stand for time stamps.
+
+    Raises
+    ------
+    InputError
+        For sensors without numbers, and positions of too few rows.
+    """
     triads = log.columns.triads
     for kind, sensors in triads.items():
         if kind != MAGNETOMETER and not np.isfinite(log.read(sensors.columns, rows=SAMPLE_ROWS)).any():
@@ -58,28 +72,24 @@ def mended(log: FoundLog, folder: OutputFolder, rate: float | None) -> FoundLog:
     mends = _rows_that_are_samples(log)
     time, in_seconds, of_time = _time(log, rate)
     unsigned = [kind for kind in (ACCEL, GYRO) if kind in triads and _wrapped(log.read(triads[kind].columns))]
-    parts, told = None, ""
-    stamps = log.stamps() if not mends and not of_time and rate is None and len(log.files) == 1 else None
-    if stamps is not None and not stamps.clock and len(stamps.values) < LONGEST:
-        parts = recordings_of(stamps.values[np.isfinite(stamps.values)])
-        told = f"time: the clock starts anew, so that there are {len(parts or ())} recordings: a file each"
+    parts, why = _recordings(log) if not mends and not of_time and rate is None else (None, "")
     if parts is None:
-        parts, told = _positions_apart(log, unsigned=ACCEL in unsigned)
+        parts, why = _positions_apart(log, unsigned=ACCEL in unsigned)
     if unsigned:
         named = " and ".join({ACCEL: "accelerometers", GYRO: "gyros"}[kind] for kind in unsigned)
         said = f"{named}: numbers of 16 bits that were read without their sign: 65536 taken off where it is due"
         wound = [c for kind in unsigned for c in triads[kind].columns]
         mends.append((said, _each(lambda t: t.with_columns(pl.Series(c, _unwrapped(t[c].to_numpy())) for c in wound))))
     mends += of_time
-    if not mends and not told:
+    if not mends and parts is None:
         return log
     every = (*time, *(c for triad in triads.values() for c in triad.columns), *log.columns.temperatures)
+    stamp = [TIME] if in_seconds else time
 
     def tables(source: LogSource) -> Iterator[pl.DataFrame]:
         read: Iterator[pl.DataFrame] = (t for t, _ in source.tables(list(dict.fromkeys(every)), log.clock))
         for _, step in mends:
             read = step(read)
-        stamp = [TIME] if in_seconds else time
         return (table.filter(pl.all_horizontal(pl.col(stamp).is_finite())) if stamp else table for table in read)
 
     files: list[Path] = []
@@ -94,11 +104,19 @@ def mended(log: FoundLog, folder: OutputFolder, rate: float | None) -> FoundLog:
             files.append(source.path if source.path in folder.written else folder.new_file(name))
             write_tables(files[-1], tables(source))
     columns = replace(log.columns, time_unit="s") if log.clock is not None else log.columns
-    if in_seconds:
-        columns = replace(log.columns, time=TIME, time_unit="s")
+    columns = replace(columns, time=TIME, time_unit="s") if in_seconds else columns
     copied = f"so mended, the log is copied to {files[0].name}{' …' * (len(files) > 1)}"
-    told_of_all = (*log.said, *(said for said, _ in mends), *filter(None, [told]), copied)
-    return FoundLog(files=tuple(files), keys={}, columns=columns, remarks=log.remarks, said=told_of_all)
+    every_remark = (*log.said, *(said for said, _ in mends), *filter(None, [why]), copied)
+    return FoundLog(files=tuple(files), keys={}, columns=columns, remarks=log.remarks, said=every_remark)
+
+
+def _recordings(log: FoundLog) -> tuple[Edges | None, str]:
+    """The recordings that follow each other in a file, each with a clock that starts anew; None for one."""
+    stamps = log.stamps() if len(log.files) == 1 else None
+    if stamps is None or stamps.clock or len(stamps.values) >= LONGEST:
+        return None, ""
+    parts = recordings_of(stamps.values[np.isfinite(stamps.values)])
+    return parts, f"time: the clock starts anew, so that there are {len(parts or ())} recordings: a file each"
 
 
 def _each(mend: Callable[[pl.DataFrame], pl.DataFrame]) -> Step:
@@ -107,16 +125,14 @@ def _each(mend: Callable[[pl.DataFrame], pl.DataFrame]) -> Step:
 
 
 def _rows_that_are_samples(log: FoundLog) -> list[Mend]:
-    """Leaves out rows that are no samples: what memory was filled with behind the last, and rows of other sensors, be
-    they many, at the beginning, or most of them between samples that follow each other as usual, so that none is a lost
-    sample."""
+    """Steps that leave out rows that are no samples: those with which memory was filled, behind the last sample, and
+    rows of other sensors. Rows without readings are lost samples instead where they are few, and samples about them are
+    farther apart than usual."""
     mends: list[Mend] = []
     sensors = [c for kind, triad in log.columns.triads.items() if kind != MAGNETOMETER for c in triad.columns]
-    read = log.read(sensors)
-    samples, one = len(read), len(log.files) == 1
+    read, one = log.read(sensors), len(log.files) == 1
     filled = len(read) > 0 and all(len(set(three)) == 1 for three in np.nan_to_num(read[-1]).reshape(-1, 3).tolist())
-    if filled and one and len(read) < LONGEST:
-        samples = samples_in(read)
+    samples = samples_in(read) if filled and one and len(read) < LONGEST else len(read)
     if samples < len(read):
 
         def first_rows(tables: Iterator[pl.DataFrame]) -> Iterator[pl.DataFrame]:
@@ -145,7 +161,7 @@ def _rows_that_are_samples(log: FoundLog) -> list[Mend]:
 
 def _time(log: FoundLog, rate: float | None) -> tuple[list[str], bool, list[Mend]]:
     """The columns of the time, whether the steps make a column TIME of them, s, and what is mended."""
-    column, counter, interval = log.columns.time, log.columns.counter, log.columns.interval
+    column, interval = log.columns.time, log.columns.interval
     if rate is not None and column is not None:
         return [column], False, []
     if rate is None and column is None and interval is not None and len(log.files) == 1:
@@ -157,13 +173,7 @@ def _time(log: FoundLog, rate: float | None) -> tuple[list[str], bool, list[Mend
             said = f"time: none, but column {interval!r} has the intervals between samples, in {unit}: added up"
             return [interval], True, [(said, lambda read: _seconds(interval, TIME_UNITS[unit])(added(read)))]
     if column is None:
-        counts = np.empty(0) if counter is None else np.diff(log.read([counter])[:, 0])
-        counts = counts[np.isfinite(counts)]
-        if counter is None or not len(counts) or counts.min() < 1.0 or np.median(counts) != 1.0 or counts.max() == 1.0:
-            return [], False, []
-        said = f"time: none, but column {counter!r} counts the samples and shows some to be missing"
-        per_second = rate or times_without_column(None, log.remarks).rate
-        return [counter], True, [(said, _seconds(counter, 1.0 / per_second))]
+        return [], False, []
     nanoseconds = nanoseconds_of(log)
     if nanoseconds is not None:
         said = f"time: columns {column!r} and {nanoseconds!r}, seconds and nanoseconds, added"

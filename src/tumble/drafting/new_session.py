@@ -1,9 +1,10 @@
-"""A first session.toml for a log: what its columns, rate and units are, guessed from names and numbers, and said.
+"""A first session.toml for a log, in one pass: its files (`containers`), the columns of sensors and times by name and
+unit, and by numbers where names leave them open (`columns`), copies of what a session file cannot describe (`mended`),
+times (`times`), units and scales by what rests and turns show (`hypotheses`), and sentences about it (`conclusions`).
 
-Names are taken at their word where they say a unit. Otherwise accelerometers at rest must read gravity, which tells
-their unit, and gyros must carry the vertical from rest to rest, which tells theirs, the scale of counts, and the rate
-of a log without times. What cannot be guessed (serial number, place, programme) is left to be filled in, with a
-comment.
+Accelerometers at rest must read gravity, which tells their unit, and gyros must carry the vertical from rest to rest,
+which tells theirs, the scale of counts, and the rate of a log without times. What cannot be found out (serial number,
+place, programme) is left to be filled in, with a comment.
 """
 
 from __future__ import annotations
@@ -19,11 +20,11 @@ from typing import Any
 import numpy as np
 
 from tumble.diagnosis.turn_likelihood import WIDTHS, Widths
-from tumble.drafting.containers.archives import sheets_of, unzipped
-from tumble.drafting.detection import files_of, found_log
+from tumble.drafting.columns import found_log
+from tumble.drafting.conclusions import weighed
+from tumble.drafting.containers import files_of, unzipped
 from tumble.drafting.draft import Draft, session_text
 from tumble.drafting.found_log import HEAD_ROWS, SAMPLE_ROWS, FoundLog
-from tumble.drafting.hypotheses.weighed import weighed
 from tumble.drafting.mended import mended
 from tumble.drafting.sensors_apart import log_of_recording
 from tumble.errors import InputError, LogError
@@ -49,7 +50,6 @@ _FIELDS = {"uT": (15.0, 150.0), "nT": (15e3, 150e3), "gauss": (0.15, 1.5), "T": 
 _SENSORS = {ACCEL: ("accelerometers", "m/s²", 1.0), GYRO: ("gyros", "°/s", DEGREE)}
 _LIKELY = {"degC": (-80.0, 150.0), "K": (190.0, 430.0)}  # of the middle temperature of a recording
 _CORE_MOTION = re.compile(r"accelerometerAcceleration[XYZ]\(G\)")
-_MAY_BE_CORE_MOTION = re.compile(r"rotationRate\W?[xyzXYZ]")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -83,13 +83,37 @@ def new_session(
     *,
     progress: Progress = Log.chunks,
 ) -> tuple[Draft, list[str]]:
-    """Write a commented session.toml for logs into a folder, made if need be: files, folders of files, patterns. What a
-    session file cannot say of them is mended in a copy there, and so are other formats than text and Parquet. Gives
-    what was guessed, and the faults that a look at the recording shows.
+    """Write a first session.toml for a log, with comments on what has to be filled in.
 
-    Raises InputError, and leaves no folder behind, where there is a session already, and for a log that cannot be
-    read or has no accelerometers.
+    What a name or a unit says is believed; numbers fill in what names leave open.
 
+    Parameters
+    ----------
+    folder
+        The session's folder, made if need be. Logs of which a session file cannot say what is needed, and those in
+        other formats than text and Parquet, are copied into it.
+    logs
+        Files, folders of files, or patterns.
+    given
+        What the user knows.
+    progress
+        Shows how far the log is read.
+
+    Returns
+    -------
+    draft : Draft
+        The content of the file, and in `said` how each part of it came about.
+    faults : list of str
+        What a look at the recording finds wrong with it.
+
+    Raises
+    ------
+    InputError
+        Where the folder has a session, and for a log that cannot be read or has no accelerometers; no new folder is
+        left behind.
+
+    Examples
+    --------
     >>> import tumble
     >>> folder = tumble.simulate_session("simulated", tumble.Setup.of(grade="mems", positions=12), seed=1)
     >>> draft, faults = tumble.new_session("session", folder / "log.parquet")
@@ -116,7 +140,6 @@ def written_session(
     if given.sample_rate is not None and not 0.0 < given.sample_rate < 1e9:
         raise InputError(f"--sample-rate: expected a positive number, found {given.sample_rate:g}")
     files = [inner for file in files for inner in unzipped(file, folder)]
-    files = [sheet for file in files for sheet in sheets_of(file, folder)]
     imu: Mapping[str, AutopilotSensor] = {}
     if not (recordings := [file for file in files if is_recording(file) or file.is_dir()]):
         log = found_log(files, folder, given.columns)
@@ -158,6 +181,11 @@ def _of_log(log: FoundLog, rate: float | None) -> Draft:
     triads = {kind: known.triads[kind] for kind in (ACCEL, GYRO) if kind in known.triads}
     read = {kind: log.read(sensors.columns, rows=HEAD_ROWS) for kind, sensors in triads.items()}
     magnitude = _magnitude(log, triads[ACCEL])
+    if magnitude == 0.0:
+        raise LogError(
+            f"{log.files[0]}: {', '.join(triads[ACCEL].columns)}: expected readings, found none in the first "
+            f"{len(read[ACCEL])} rows"
+        )
     files = [str(file.resolve()) for file in log.files]
     table: dict[str, Any] = {"file": files[0] if len(files) == 1 else files, **log.keys, **times.keys}
     for kind, sensors in triads.items():
@@ -198,22 +226,16 @@ def _of_log(log: FoundLog, rate: float | None) -> Draft:
 
 
 def _with_sign(draft: Draft) -> Draft:
-    """A draft with the sign of the accelerometers that their names tell: Apple's CoreMotion reads −1 g on the axis that
-    points up. Gyros carry the vertical up or down alike, so that no recording shows it.
+    """A draft with the sign of accelerometers that are named as Apple's CoreMotion names them, which reads −1 g on the
+    axis that points up. Gyros carry the vertical up or down alike, so that no recording shows it.
 
     Source: Apple, CMAccelerometerData and CMMotionManager, Core Motion."""
     accel = draft.log["accel"]
-    if accel["unit"] == "g" and all(_CORE_MOTION.fullmatch(name) for name in accel["columns"]):
-        table = {"columns": accel["columns"], "unit": "count", "scale": -1.0, "scale_per": "g", "offset": 0.0}
-        said = "accelerometers: as Apple's CoreMotion has them, −1 g where an axis points up: scale = -1 per g"
-        return draft.with_log([said], accel=table)
-    if any(_MAY_BE_CORE_MOTION.search(name) for name in draft.log.get("gyro", {"columns": ()})["columns"]):
-        said = (
-            "accelerometers: beside gyros that are named as Apple's CoreMotion names them; it reads −1 g where an axis "
-            'points up. If these do: unit = "count", scale = -1.0, scale_per their unit, offset = 0.0'
-        )
-        return draft.with_log([said])
-    return draft
+    if accel["unit"] != "g" or not all(_CORE_MOTION.fullmatch(name) for name in accel["columns"]):
+        return draft
+    table = {"columns": accel["columns"], "unit": "count", "scale": -1.0, "scale_per": "g", "offset": 0.0}
+    said = "accelerometers: as Apple's CoreMotion has them, −1 g where an axis points up: scale = -1 per g"
+    return draft.with_log([said], accel=table)
 
 
 def _row_as_read(draft: Draft) -> str:
@@ -268,27 +290,20 @@ def _thermometers(log: FoundLog, columns: Sequence[str]) -> tuple[dict[str, Any]
 
 
 def _magnitude(log: FoundLog, sensors: Sensors) -> float:
-    """The median magnitude of what sensors read in the first rows. Raises LogError where they read nothing."""
+    """The median magnitude of what sensors read in the first rows; 0 where they read nothing."""
     read = np.linalg.norm(log.read(sensors.columns, rows=HEAD_ROWS), axis=1)
-    median = float(np.nanmedian(read)) if np.isfinite(read).any() else 0.0
-    if median == 0.0:
-        raise LogError(
-            f"{log.files[0]}: {', '.join(sensors.columns)}: expected readings, found none in the first {len(read)} rows"
-        )
-    return median
+    return float(np.nanmedian(read)) if np.isfinite(read).any() else 0.0
 
 
 def _magnetometer(log: FoundLog, sensors: Sensors | None) -> tuple[dict[str, Any] | None, list[str]]:
     """The table [log.magnetometer]: the unit by name, or the one in which the field is one on Earth."""
     if sensors is None:
         return None, []
-    if not np.isfinite(log.read(sensors.columns, rows=HEAD_ROWS)).all(axis=1).any():
-        return None, [f"magnetometers: {', '.join(sensors.columns)} are left out; they have no readings"]
-    field = _magnitude(log, sensors)
-    likely = [unit for unit, (low, high) in _FIELDS.items() if low <= field <= high]
-    unit = sensors.unit or next(iter(likely), None)
-    named = ", ".join(sensors.columns)
+    field, named = _magnitude(log, sensors), ", ".join(sensors.columns)
+    unit = sensors.unit or next((unit for unit, (low, high) in _FIELDS.items() if low <= field <= high), None)
+    if field == 0.0:
+        return None, [f"magnetometers: {named} are left out; they have no readings"]
     if unit is None:
         return None, [f"magnetometers: {named} are left out; their magnitude of {field:.6g} is no field on Earth"]
-    said = f"magnetometers: {named} in {unit}, as a comment in the file: take the # away to calibrate them too"
-    return {"columns": list(sensors.columns), "unit": unit}, [said]
+    remark = f"magnetometers: {named} in {unit}, as a comment in the file: take the # away to calibrate them too"
+    return {"columns": list(sensors.columns), "unit": unit}, [remark]

@@ -40,9 +40,11 @@ _NOT_ACCEL = re.compile(r"lin|user|uncal|without|\bno[_ ]?g", re.IGNORECASE)
 def log_of_recording(
     recordings: Sequence[Path], folder: OutputFolder, message: str | None
 ) -> tuple[FoundLog, Mapping[str, AutopilotSensor]]:
-    """The log of a message of a recording, that of this name or the first with most sensors, and the sensors of an
-    autopilot that it is of. Several files are one recording where the accelerometers are in the one and the gyros in
-    the other. Raises InputError for several recordings, and where no message has this name."""
+    """The log of a recording's message, that of this name or the first with most sensors, and the sensors of an
+    autopilot that it is of.
+
+    Several files are one recording where the accelerometers are in the one and the gyros in the other. Raises
+    InputError for several recordings, and where no message has this name."""
     recording, found = recordings[0], messages(*recordings)
     with_accel = [m for m in found if m.accel]
     if len(recordings) > 1 and (len(found) > len(recordings) or len(with_accel) > 1):
@@ -51,39 +53,26 @@ def log_of_recording(
     if not candidates:
         raise InputError(f"{recording}: expected a message {message!r}, found {', '.join(m.name for m in with_accel)}")
     accel = max(candidates, key=lambda m: m.gyro is not None) if message is None else candidates[0]
-
-    def pairs(gyro: Message) -> bool:
-        """Whether gyros in another message are of the same clock, and the same instance where messages are counted."""
-        counted = accel.name.rpartition(".")[2], gyro.name.rpartition(".")[2]
-        return accel.timed and gyro.timed and (not all(c.isdecimal() for c in counted) or counted[0] == counted[1])
-
-    gyro = accel if accel.gyro else next((m for m in found if m.gyro and pairs(m)), None)
+    gyro = accel if accel.gyro else next((m for m in found if m.gyro and _pairs(accel, m)), None)
     taken = [accel] if gyro is None or gyro is accel else [accel, gyro]
-    # the temperatures beside the accelerometers and the gyros, else thermometers of their own
     beside = [m.temperatures for m in taken if m.temperatures]
     one_each = len(beside) == 2 and max(map(len, beside)) == 1
     temperatures = beside[0] + beside[1] if one_each else next(iter(beside), ())
     apart = [] if temperatures else [m for m in found if m.thermometer]
-    # that of the accelerometers and that of the gyros, where each have one, else that whose name begins, between
-    # slashes, most like that of the accelerometers
-    way = accel.name.split("/")
-    near = sorted(apart, key=lambda m: len(list(takewhile(bool, map(eq, m.name.split("/"), way)))), reverse=True)
-    first = {m.temperatures: m for m in reversed(near)}
-    both = [first[of_kind] for kind in (ACCEL, GYRO) if (of_kind := (f"{kind}_temperature",)) in first]
-    thermometers = both if gyro is not None and len(both) == 2 else near[:1]
-    unused = [m.name for m in apart if m not in thermometers]
-    others = [m.name for m in with_accel if m not in taken]
+    thermometers = _thermometers(accel, gyro, apart)
     log = folder.new_file("log.parquet")
     as_log(log, accel, gyro, thermometers)
     said = [f"{recording.name}: message {accel.name}, written to {log}"]
     said += [f"temperature from {thermometer.name}, interpolated" for thermometer in thermometers]
+    unused = [m.name for m in apart if m not in thermometers]
     said += [f"other thermometers, not used: {', '.join(unused)}"] if unused else []
     triads = accel.triads
     if gyro is not None and gyro is not accel:
         said.append(f"gyros from {gyro.name}; the accelerometers are interpolated at their times")
         triads = {ACCEL: accel.triads[ACCEL], GYRO: gyro.triads[GYRO]}
+    others = [m.name for m in with_accel if m not in taken]
     said += [f"also there, and not used: {', '.join(others)} (--message takes another)"] if others else []
-    said += [remark for remark in {m.remark: None for m in taken} if remark]
+    said += [remark for remark in dict.fromkeys(m.remark for m in taken) if remark]
     columns = Columns(
         time=TIME if accel.timed else None,
         time_unit=None,
@@ -92,6 +81,22 @@ def log_of_recording(
     )
     imu = {kind: sensor for m in reversed(taken) for kind, sensor in m.imu.items()}
     return FoundLog(files=(log,), keys={}, columns=columns, said=tuple(said)), imu
+
+
+def _pairs(accel: Message, gyro: Message) -> bool:
+    """Whether gyros in another message are of the same clock, and the same instance where messages are counted."""
+    counted = accel.name.rpartition(".")[2], gyro.name.rpartition(".")[2]
+    return accel.timed and gyro.timed and (not all(c.isdecimal() for c in counted) or counted[0] == counted[1])
+
+
+def _thermometers(accel: Message, gyro: Message | None, apart: Sequence[Message]) -> list[Message]:
+    """Of thermometers with messages of their own those of the accelerometers and of the gyros, where each have one,
+    else that whose name begins, between slashes, most like that of the accelerometers."""
+    way = accel.name.split("/")
+    near = sorted(apart, key=lambda m: len(list(takewhile(bool, map(eq, m.name.split("/"), way)))), reverse=True)
+    first = {m.temperatures: m for m in reversed(near)}
+    both = [first[name] for kind in (ACCEL, GYRO) if (name := (f"{kind}_temperature",)) in first]
+    return both if gyro is not None and len(both) == 2 else near[:1]
 
 
 # -------------------- files of one kind of sensors each --------------------

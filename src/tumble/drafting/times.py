@@ -1,5 +1,5 @@
 """When the rows of a log were taken: its time column and unit, whether the stamps can be believed, or its rate; and
-what else it may be, each with what it costs (−2 ln of how often it is met), for the turns to decide.
+what else it may be, each with a cost (−2 ln of how often it is met), for the turns to decide.
 
 Stamps that repeat, bunch or jitter while the rows go on evenly are those of a slow clock or of a busy computer; the
 rows are then the better clock (`regular`).
@@ -110,61 +110,71 @@ def times_without_column(rate: float | None, remarks: Sequence[str]) -> Times:
 
 
 def times_of_column(stamps: Stamps) -> Times | None:
-    """Unit and rate of a time column; None where it is none."""
+    """Unit and rate of a time column; None where its numbers do not grow as times do."""
     values = stamps.values[np.isfinite(stamps.values)]
     values = values[:-1] if len(values) > 3 and values[-1] < values[-2] else values  # of a line that was cut
     if len(values) < 3 or not grows_mostly(values):
         return None
-    # the step from row to row: the median, or the mean where the stamps are too coarse or come in bursts, without a few
-    # steps that are far longer than all others and so pauses
     steps = np.diff(values)
-    long = float(np.quantile(steps, 1.0 - _PAUSES))
-    usual = steps[steps <= _PAUSE * long] if long > 0.0 else steps
-    median, mean = float(np.median(steps)), float(usual.mean())
-    uneven_steps = np.mean(steps <= 0.0) > _SHARE or np.mean(steps < 0.5 * mean) > 0.3
-    typical = mean if median <= 1e-6 * mean or uneven_steps else median
+    typical = _typical(steps)
     if not 0.0 < typical < math.inf:
         return None
-    units, how, sure = _units(stamps, typical)
-    whole = bool((values == np.floor(values)).all())  # fractions are of seconds, and no counts of samples or ticks
-    # what is wrong with the stamps as a clock
-    parts, uneven = steps / typical, None
-    few, jitter = _FREE + _SHARE * len(parts), float(1.4826 * np.median(np.abs(parts - np.median(parts))))
-    if np.count_nonzero(parts <= 0.0) > few:
-        uneven = f"time stamps repeat ({np.mean(parts <= 0.0):.0%} of them)"
-    elif np.count_nonzero(parts > 1.5) > few and np.mean(parts < 0.5) > _SHARE:
-        uneven = "time stamps come in bursts" if np.mean(parts < 0.3) > 0.3 else "time stamps jitter"
-    elif jitter > _JITTER:
-        uneven = f"time stamps jitter by {jitter:.0%} of the interval"
+    units, how, doubts = _units(stamps, typical)
+    uneven = _uneven(steps / typical)
     regular = uneven is not None and _even(values)
     line = np.polynomial.Polynomial.fit(np.arange(len(values)), values, 1).convert() if regular else None
     every = []
-    for taken, cost in units.items():
-        one = 1.0 if stamps.clock else TIME_UNITS[taken]
+    for unit, cost in units.items():
+        one = 1.0 if stamps.clock else TIME_UNITS[unit]
         nominal = 1.0 / (typical * one)
         rate = nominal if line is None else 1.0 / (float(line.coef[1]) * one)
         keys: dict[str, Any] = {"time": stamps.column}
-        if stamps.clock or taken != "s":
-            keys["time_unit"] = "iso8601" if stamps.clock else taken
-        said = f"time: column {stamps.column!r} in {'times of day' if stamps.clock else taken} ({how})"
+        if stamps.clock or unit != "s":
+            keys["time_unit"] = "iso8601" if stamps.clock else unit
+        said = [f"time: column {stamps.column!r} in {'times of day' if stamps.clock else unit} ({how})"]
         per_second = f"{rate:.6g} samples per second"
         if regular:
             keys["regular"] = True
-            told = [said, f"time: {uneven}, but the rows are equally spaced: regular = true, {per_second}"]
+            said.append(f"time: {uneven}, but the rows are equally spaced: regular = true, {per_second}")
         else:
-            told = [f"{said}, {per_second}"]
+            said[0] += f", {per_second}"
             if uneven is not None:
-                told.append(f"time: {uneven}, and the rows are not equally spaced either: look at the log")
-        told += sure
+                said.append(f"time: {uneven}, and the rows are not equally spaced either: look at the log")
+        said += doubts
         if not RATES_OF_LOGS[0] <= nominal <= RATES_OF_LOGS[1]:
-            told.append(f"time: {nominal:.3g} samples per second is no rate of a log: is the unit right?")
-        every.append(Times(keys=keys, said=tuple(told), rate=rate, cost=cost))
+            said.append(f"time: {nominal:.3g} samples per second is no rate of a log: is the unit right?")
+        every.append(Times(keys=keys, said=tuple(said), rate=rate, cost=cost))
     first, *others = every
+    whole = bool((values == np.floor(values)).all())  # fractions are of seconds, and no counts of samples or ticks
     if whole and not stamps.clock and stamps.unit is None and how != _BY_DATES:
-        by_one = bool(typical == 1.0 and np.mean(np.diff(values) == 1.0) > 1.0 - _SHARE)
-        ticks = -2.0 * math.log(_COUNTS if by_one else _TICKS)
+        ticks = -2.0 * math.log(_COUNTS if _counts(steps, typical) else _TICKS)
         others += [at_rate(usual, cost + ticks) for usual, cost in USUAL_RATES.items()]
     return replace(first, rivals=tuple(others))
+
+
+def _typical(steps: Array) -> float:
+    """The step from row to row: the median, or the mean where stamps are too coarse or come in bursts, without a few
+    steps that are far longer than all others and so pauses."""
+    long = float(np.quantile(steps, 1.0 - _PAUSES))
+    usual = steps[steps <= _PAUSE * long] if long > 0.0 else steps
+    median, mean = float(np.median(steps)), float(usual.mean())
+    coarse = np.mean(steps <= 0.0) > _SHARE or np.mean(steps < 0.5 * mean) > 0.3
+    return mean if median <= 1e-6 * mean or coarse else median
+
+
+def _uneven(parts: Array) -> str | None:
+    """What is wrong with stamps as a clock, by their steps as parts of the typical one; None for even ones."""
+    few, jitter = _FREE + _SHARE * len(parts), float(1.4826 * np.median(np.abs(parts - np.median(parts))))
+    if np.count_nonzero(parts <= 0.0) > few:
+        return f"time stamps repeat ({np.mean(parts <= 0.0):.0%} of them)"
+    if np.count_nonzero(parts > 1.5) > few and np.mean(parts < 0.5) > _SHARE:
+        return "time stamps come in bursts" if np.mean(parts < 0.3) > 0.3 else "time stamps jitter"
+    return f"time stamps jitter by {jitter:.0%} of the interval" if jitter > _JITTER else None
+
+
+def _counts(steps: Array, typical: float) -> bool:
+    """Whether stamps grow by one from row to row."""
+    return bool(typical == 1.0 and np.mean(steps == 1.0) > 1.0 - _SHARE)
 
 
 def grows_mostly(values: Array) -> bool:
@@ -211,35 +221,30 @@ def recordings_of(values: Array) -> list[tuple[int, int]] | None:
     return edges if min(stop - start for start, stop in edges) >= _SHORTEST_RECORDING else None
 
 
-def _units(stamps: Stamps, step: float) -> tuple[dict[str, float], str, tuple[str, ...]]:
-    """The units that time stamps may have with what each costs, the likeliest first, how they were found, and what is
-    to be said of them."""
+def _units(stamps: Stamps, step: float) -> tuple[dict[str, float], str, list[str]]:
+    """Units that time stamps may have with the cost of each, the likeliest first; how they were found; and doubts."""
     if stamps.clock:
-        return {"s": 0.0}, "of a clock", ()
+        return {"s": 0.0}, "of a clock", []
     if stamps.unit is not None:
-        return {stamps.unit: 0.0}, "by its name", ()
-    steps = np.diff(stamps.values)
-    counts = step == 1.0 and np.mean(steps == 1.0) > 1.0 - _SHARE
+        return {stamps.unit: 0.0}, "by its name", []
+    counts = _counts(np.diff(stamps.values), step)
     low, high = float(np.nanmin(stamps.values)), float(np.nanmax(stamps.values))
     rates = {name: 1.0 / (step * size) for name, size in TIME_UNITS.items()}
     costs = {name: cost for name, cost in _UNITS_IN_ORDER.items() if _SLOWEST <= rates[name] <= RATES_OF_LOGS[1]}
-    if not costs:
-        return {"s": 0.0}, "by its steps", ()
     for name in costs:
-        usual = 10.0 <= rates[name] <= 2000.0
-        costs[name] += _UNLIKELY_RATE * (not usual)
-        costs[name] += _UNLIKELY_SPAN * (not counts and (high - low) * TIME_UNITS[name] < _SHORTEST_LOG)
+        short = not counts and (high - low) * TIME_UNITS[name] < _SHORTEST_LOG
+        costs[name] += _UNLIKELY_RATE * (not 10.0 <= rates[name] <= 2000.0) + _UNLIKELY_SPAN * short
     dated = [name for name in costs if CENTURY[0] < low * TIME_UNITS[name] and high * TIME_UNITS[name] < CENTURY[1]]
     if dated and (rates[dated[0]] > _SLOW or min(costs.values()) >= _UNLIKELY_RATE):
-        return {dated[0]: 0.0}, _BY_DATES, ()
-    ranked = dict(sorted(costs.items(), key=lambda item: item[1]))
-    rivals = list(ranked)[1:]
-    possible = [f"{name}: {rates[name]:.4g} Hz" for name in rivals if name in dated or rates[name] >= RATES_OF_LOGS[0]]
-    sure = (f"time: the unit is a guess, possible too is {' or '.join(possible)}",) if possible else ()
+        return {dated[0]: 0.0}, _BY_DATES, []
+    ranked = dict(sorted(costs.items(), key=lambda item: item[1])) or {"s": 0.0}
+    possible = [name for name in [*ranked][1:] if name in dated or rates[name] >= RATES_OF_LOGS[0]]
+    doubts = [f"{name}: {rates[name]:.4g} Hz" for name in possible]
+    doubts = [f"time: the unit is a guess, possible too is {' or '.join(doubts)}"] if doubts else []
     if counts:
-        counted = f"time: column {stamps.column!r} grows by one a row, as a counter of samples does too: if it is one, "
-        sure = (f"{counted}give the rate (--sample-rate)",)
-    return ranked, "by its steps", sure
+        counted = f"time: column {stamps.column!r} grows by one a row, as a counter of samples does too"
+        doubts = [f"{counted}: if it is one, give the rate (--sample-rate)"]
+    return ranked, "by its steps", doubts
 
 
 def _even(values: Array) -> bool:

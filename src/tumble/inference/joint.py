@@ -54,11 +54,13 @@ def joint(
     *,
     prior: Prior = NO_PRIOR,
     instrument: Instrument | None = None,
+    intervals: bool = True,
     quick: bool = False,
 ) -> Estimate:
     """All parameters of a session by maximum likelihood, with covariance and outcome. The `instrument` says which;
     where None, the groups whose usual size the observations know. Rests and turns that do not fit are left out; their
-    sigmas say which they are. A `quick` one is the maximum alone, settled or not: it is for a page that follows a
+    sigmas say which they are. Without `intervals` the covariance is that at the maximum, not integrated over what the
+    model does not know of itself. A `quick` one is the maximum alone, settled or not: it is for a page that follows a
     session and cannot wait for one that contradicts itself."""
     usual, own = instruments_of(observations)
     problem = Problem.of(observations, prior, instrument=instrument or usual, own=own, usual=observations.usual)
@@ -66,7 +68,7 @@ def joint(
     fitted, by_lag = maximum_with_lag(problem, at, QUICK_STEPS if quick else MAX_ITERATIONS)
     if fitted.converged and not quick:
         fitted = without_outliers(fitted)
-    shown = posterior(fitted, 1 if quick else POINTS)
+    shown = posterior(fitted, POINTS if intervals and not quick else 1)
     return _estimate(problem, fitted, shown, (*first, *fitted.increments[:-1], shown.step[1:]), by_lag)
 
 

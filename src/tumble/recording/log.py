@@ -158,7 +158,7 @@ def open_log(session: Session) -> Log:
     >>> [chunk.accel.shape for chunk in log.chunks(rows=200)]
     [(200, 3), (100, 3)]
 
-    Raises LogError for a format that cannot be read, a damaged or empty file, missing or repeated columns, and
+    Raises LogError for a format that cannot be read, a damaged or empty file, missing columns, and
     TumbleError in a process forked from one that has read logs: the threads that read them are not there."""
     if _READ_BY.setdefault("process", os.getpid()) != os.getpid():
         raise TumbleError(
@@ -168,12 +168,10 @@ def open_log(session: Session) -> Log:
     spec, heads = session.log, list[Array]()
     sources = tuple(source_of(file, spec.dialect) for file in spec.files)
     for source, column in product(sources, spec.columns):
-        if (count := source.names.count(column)) == 0:
+        if column not in source.names:
             shown = ", ".join(source.names[:12]) + (", …" if len(source.names) > 12 else "")
             hint = did_you_mean(column, source.names, alike=0.5)
             raise LogError(f"{source.path}: expected a column '{column}', found {shown[:200]}{hint}")
-        if count > 1:
-            raise LogError(f"{source.path}: expected one column '{column}', found {count}; rename one")
     for source in sources:
         # the first times of a file, as it has them; of one without, the first numbers of a sensor
         heads.append(first_numbers(source, spec.time or spec.accel.columns[0], HEAD_ROWS, clock=spec.clock))

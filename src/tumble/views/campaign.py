@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tumble.campaigns.summary import SummaryLine, said, varying
+from tumble.campaigns.summary import SummaryLine, varying
 from tumble.errors import InputError, needs_extra
 from tumble.planning.setup import GROUPS
 from tumble.sensors.parameters import shown_in
@@ -51,6 +51,11 @@ def summary_blocks(lines: Sequence[SummaryLine]) -> list[Block]:
         before = where
     words = ("method", "parameters", "unit")
     return [table(rows, words=words) for rows in (ended, errors) if rows]
+
+
+def said(value: Any) -> str:
+    """The value of an axis in words, nothing for none."""
+    return "" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def plot(lines: Sequence[SummaryLine], path: Path) -> None:

@@ -163,20 +163,6 @@ def of_r(log: pl.DataFrame, folder: Path) -> str:
     return written(folder / "log.txt", [quoted, *numbered], delimiter=" ")
 
 
-def lists_in_cells(log: pl.DataFrame, folder: Path) -> str:
-    """A table of Python: lists of three numbers as text."""
-    _, *rows = table(log, NAMES)
-    lists = [[t, f'"[{", ".join(row[:3])}]"', f'"[{", ".join(row[3:])}]"'] for t, *row in rows]
-    return written(folder / "log.csv", [["time", "accel", "gyro"], *lists])
-
-
-def units_in_cells(log: pl.DataFrame, folder: Path) -> str:
-    units = ["s", *["g"] * 3, *["°/s"] * 3]
-    names, *rows = table(log, ["time", *NAMES[1:]], accel=1.0 / G_STANDARD, gyro=1.0 / DEGREE, digits=7)
-    rows = [[f"{cell} {unit}" for cell, unit in zip(row, units, strict=True)] for row in rows]
-    return written(folder / "log.csv", [names, *rows], delimiter="; ")
-
-
 def arduino(log: pl.DataFrame, folder: Path) -> str:
     rows = table(log, NAMES, time=1e3)[1:]
     above = "Initializing I2C devices...\nTesting device connections...\nMPU6050 connection successful\n"

@@ -4,7 +4,6 @@ project."""
 from __future__ import annotations
 
 import zipfile
-import zlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -74,19 +73,6 @@ def phyphox_archive(log: pl.DataFrame, folder: Path) -> str:
             archive.write(folder / "part", f"{name}.csv")
         archive.writestr("meta/device.csv", '"property","value"\n"version","1.1"\n')
     return "phyphox 2026-11-22.zip"
-
-
-def novatel(log: pl.DataFrame, folder: Path) -> str:
-    """Raw sentences of increments with another one between, z before −y before x."""
-    t, a, g = parts(log)
-    dv, da = np.round(a / 50.0 / 2e-9).astype(int), np.round(g / 50.0 / 2e-9).astype(int)
-    lines = []
-    for k, (s, v, w) in enumerate(zip(399424.0 + t, dv.tolist(), da.tolist(), strict=True)):
-        body = f"RAWIMUSXA,2000,{s:.3f};00,11,2000,{s:.9f},00000077,{v[2]},{-v[1]},{v[0]},{w[2]},{-w[1]},{w[0]}"
-        lines += [f"%{body}*{zlib.crc32(body.encode(), 0xFFFFFFFF) ^ 0xFFFFFFFF:08x}\r\n"]
-        lines += ["#BESTPOSA,COM1,0,90.0;SOL_COMPUTED,51.1*00000000\r\n"] * (k % 50 == 0)
-    (folder / "span.ascii").write_text("".join(lines), encoding="ascii", newline="")
-    return "span.ascii"
 
 
 def everything_without_names(log: pl.DataFrame, folder: Path) -> str:
@@ -269,22 +255,3 @@ def positions_of_a_camera(log: pl.DataFrame, folder: Path) -> str:
 def gyros_alone(log: pl.DataFrame, folder: Path) -> str:
     t, _, g = parts(log)
     return joined(folder / "Gyroscope.csv", ["Time (s)", *(f"{x} (rad/s)" for x in "XYZ")], [*text(t), *text(g)])
-
-
-def novatel_solution(log: pl.DataFrame, folder: Path) -> str:
-    lines = []
-    for s in 539371.0 + np.arange(float(len(log))):
-        body = f"INSPVAXA,COM3,0,93.2,FINESTEERING,2193,{s:.3f},0,03de,757;INS_RTKFIXED,40.2,116.2,62.9,-9.3,0.01,0.02"
-        lines += [f"#{body}*{zlib.crc32(body.encode(), 0xFFFFFFFF) ^ 0xFFFFFFFF:08x}\r\n"]
-    (folder / "pvax.txt").write_text("".join(lines), encoding="ascii", newline="")
-    return "pvax.txt"
-
-
-def corrected_novatel(log: pl.DataFrame, folder: Path) -> str:
-    t, a, g = parts(log)
-    lines = []
-    for s, v, w in zip(399424.0 + t, a.tolist(), g.tolist(), strict=True):
-        body = f"IMURATECORRIMUSA,2000,{s:.3f};2000,{s:.9f}," + ",".join(f"{x:.9f}" for x in (*w, *v))
-        lines += [f"%{body}*{zlib.crc32(body.encode(), 0xFFFFFFFF) ^ 0xFFFFFFFF:08x}\r\n"]
-    (folder / "span.ascii").write_text("".join(lines), encoding="ascii", newline="")
-    return "span.ascii"

@@ -14,7 +14,6 @@ from functools import lru_cache
 from tumble.recording.columns.patterns import (
     ACCEL,
     ALL_UNITS,
-    COUNTER,
     GYRO,
     INTERVAL,
     MAGNETOMETER,
@@ -33,6 +32,7 @@ from tumble.recording.columns.patterns import (
 __all__ = ["ACCEL", "GYRO", "MAGNETOMETER", "SENSOR_WORDS", "TIME_KIND", "Columns", "columns_by_name", "in_order"]
 
 _LETTERS = {"x": "x", "y": "y", "z": "z", "0": "x", "1": "y", "2": "z"}
+_NUMBERED = re.compile(r"([a-z]+)([xyz])(\d)")
 _COUNTED = {"1": "x", "2": "y", "3": "z"}
 _THERMOMETER = re.compile(r"(t|temp|temperature)(\d?)")
 _ACCEL_WORD = re.compile(r"(acc|accel|accelerometers?|a)([xyz]?)")
@@ -59,7 +59,7 @@ class Sensors:
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Columns:
     """The columns found in a table: the time with its unit (None where the name does not say), one triad of each kind,
-    the `temperatures` as [log.temperature] has them, and a column that counts the samples. `others` are the names of
+    and the `temperatures` as [log.temperature] has them. `others` are the names of
     triads of the same kinds, and of thermometers, that were not taken, `times` those of all times, `interval` that of
     the times from sample to sample."""
 
@@ -68,7 +68,6 @@ class Columns:
     triads: Mapping[str, Sensors]
     temperatures: tuple[str, ...] = ()
     others: tuple[str, ...] = ()
-    counter: str | None = None
     times: tuple[str, ...] = ()
     interval: str | None = None
 
@@ -114,7 +113,6 @@ def columns_by_name(names: Iterable[str]) -> Columns:
     return Columns(
         time=time,
         time_unit=None if time is None else time_unit(time),
-        counter=_best(COUNTER, [name for name in free if name != time]),
         triads=triads,
         temperatures=temperatures,
         others=(*others, *(name for name in warm if name not in temperatures)),
@@ -194,6 +192,8 @@ def _axes(words: list[str]) -> list[tuple[str, str]]:
         word, before, after = words[at], words[:at], words[at + 1 :]
         if word in _LETTERS and before + after:
             readings.append((_LETTERS[word], "_".join(before + after)))
+        elif numbered := _NUMBERED.fullmatch(word):  # of several devices: ax1, gyroz2
+            readings.append((numbered[2], "_".join([*before, numbered[1] + numbered[3], *after])))
         elif len(word) > 1 and word[-1] in "xyz":
             readings.append((word[-1], "_".join([*before, word[:-1], *after])))
         elif len(word) > 1 and word[0] in "xyz":

@@ -46,13 +46,19 @@ _CARRIED = 18.0  # gyros that turn the accelerometers' vector wholly, against so
 _AMID = 1.5  # three columns that are some of two threes
 _BIAS = 0.5  # of gyros, a factor of e of their mean vector over what they do in all
 _MOST = 9.0  # of a single deviation: three standard ones
-_LIMIT = 4.0  # of accelerometers, and of gyros beside those
+_LIMIT = 4.0  # of accelerometers
+_NO_GYROS = 16.0  # a log of three more sensors without gyros
+_BEFORE, _BETWEEN, _ASKEW, _LATER = 1.0, 4.0, 6.0, 8.0
+"""What it costs that gyros stand before the accelerometers, three columns between the two, one or two, others before
+both."""
 _APART = 6.0
 """A hypothesis that costs so much more than another is 20 times less likely."""
 _MOVES, _JUMPS, _FEWEST_MOVES = 0.05, 0.3, 20
 """Of gravity: changes of it from block to block that show gyros, those from which a position was skipped, and how
 many of them tell."""
 
+_MOVED = 0.01
+"""Of gravity: what each accelerometer of a body that is never at rest scatters by, at least."""
 _ONE_WAY = 0.05
 """Of the steps of a sensor half fall, whatever it is of: 1 of 20 and less by chance once in 50,000 times."""
 
@@ -102,7 +108,8 @@ def columns_by_data(names: Sequence[str], read: Array) -> ToldColumns:
     time = time_by_data(names, read) or (names[growing[0]] if growing else None)
     ranked = _hypotheses(names, read, [j for j in range(len(names)) if j not in growing])
     if not ranked:
-        return ToldColumns(columns=Columns(time=time, time_unit=None, triads={}))
+        triads = _of_gravity_alone(names, read, [j for j in range(len(names)) if j not in growing])
+        return ToldColumns(columns=Columns(time=time, time_unit=None, triads=triads))
     best, *others = ranked
     triads = {
         kind: Sensors(columns=in_order([names[j] for j in run]), unit=None)
@@ -147,11 +154,39 @@ def _hypotheses(names: Sequence[str], read: Array, columns: Sequence[int]) -> li
         for gyro in runs if cost <= _CARRIED + _LIMIT else ():
             if not set(gyro) & set(accel):
                 carried = _cost_of_turns(read[:, gyro], read[:, accel], quiet)
-                place = 0.1 * abs(gyro[0] - accel[0]) + 0.5 * (gyro[0] < accel[0])
-                beside = carried + _unsteady(read[:, gyro], quiet) + noise[gyro] + amid[gyro] + place - _LIMIT
+                beside = carried + _unsteady(read[:, gyro], quiet) + noise[gyro] + amid[gyro] - _NO_GYROS
+                beside += _BEFORE * (gyro[0] < accel[0]) + _BETWEEN * (abs(gyro[0] - accel[0]) // 3 - 1)
+                beside += _ASKEW * ((gyro[0] - accel[0]) % 3 != 0)
+                beside += _LATER * (min(gyro[0], accel[0]) >= first[accel[0]] + len("xyz"))
                 of_accel = cost + min(carried, 0.0)
                 found.append(_Hypothesis(cost=cost + beside, of_accel=of_accel, accel=accel, gyro=gyro))
     return sorted((h for h in found if h.of_accel <= _LIMIT), key=lambda h: h.cost)
+
+
+def _of_gravity_alone(names: Sequence[str], read: Array, columns: Sequence[int]) -> dict[str, Sensors]:
+    """Sensors of a log that is never at rest, and has three or six columns beside times and constants: accelerometers
+    are the three, in a unit, whose median length is that of gravity, gyros the others; none where that is not clear."""
+    filled = [j for j in columns if np.isfinite(read[:, j]).mean() > 0.5]
+    varying = [j for j in filled if np.nanstd(read[:, j]) > 0.0]
+    runs = [tuple(varying[k : k + 3]) for k in range(0, len(varying), 3)]
+    if len(varying) not in (3, 6) or any(run[2] - run[0] != 2 for run in runs) or len(read) < _FEWEST_ROWS:
+        return {}
+    if not all(_are_one_sensor([names[j] for j in run]) for run in runs) or _attitudes(read, varying):
+        return {}
+    lengths = [float(np.nanmedian(np.linalg.norm(read[:, run], axis=1))) for run in runs]
+    units = [c.value for c in CANDIDATES[ACCEL] if c.unit is not None and not c.increment]
+    least = [float(np.nanstd(read[:, run], axis=0).min()) for run in runs]
+    like = [
+        scatter > _MOVED * length and min(abs(np.log(length / unit)) for unit in units) < NEAR
+        for scatter, length in zip(least, lengths, strict=True)
+    ]
+    if like.count(True) != 1:
+        return {}
+    in_order_of = sorted(range(len(runs)), key=lambda k: not like[k])
+    return {
+        kind: Sensors(columns=in_order([names[j] for j in runs[k]]), unit=None)
+        for kind, k in zip((ACCEL, GYRO), in_order_of, strict=False)
+    }
 
 
 def _cost_of_accelerometers(columns: Array, quiet: BoolArray, *, fused: bool) -> float:
@@ -171,10 +206,12 @@ def _cost_of_accelerometers(columns: Array, quiet: BoolArray, *, fused: bool) ->
         if not length > 0.0 or not np.isfinite(length):
             continue
         uneven = float(lengths.std()) / length
-        ranked = sorted((abs(np.log(length / c.value)), c.unit is None) for c in CANDIDATES[ACCEL] if c.unit or whole)
-        off, counted = ranked[0]
-        scale = (off / NEAR) ** 2 + _COUNTED * counted
-        scale = scale if scale < _MOST + _COUNTED else np.inf if fused else _NO_SCALE
+        scale = min(
+            (np.log(length / c.value) / NEAR) ** 2 + (0.0 if c.unit else _COUNTED + (not c.common))
+            for c in CANDIDATES[ACCEL]
+            if c.unit or whole
+        )
+        scale = scale if scale < _MOST + _COUNTED + 1.0 else np.inf if fused else _NO_SCALE
         sphere = 2.0 * np.log(min(1.0, max(uneven, _LENGTH / 5.0) * length / max(spread, 1e-300)))
         zero = free * float(np.abs(centre).max()) / (_ZERO * length)
         shaken = float(np.linalg.norm(scatter)) / (_SCATTER * length)

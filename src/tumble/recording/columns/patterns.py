@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 ACCEL, GYRO, MAGNETOMETER, TIME_KIND = "accel", "gyro", "mag", "time"
-INTERVAL, COUNTER, OTHER = "interval", "counter", "other"
-"""Times from the sample before; numbers of samples; and what is no sensor that can be calibrated."""
+INTERVAL, OTHER = "interval", "other"
+"""Times from the sample before, and what is no sensor that can be calibrated."""
 SENSOR_KINDS = (ACCEL, GYRO, MAGNETOMETER)
 
 LIKELY = 4.0
@@ -38,7 +38,7 @@ UNITS: Mapping[str, Mapping[str, str]] = {
     },
     MAGNETOMETER: {
         "nt": "nT", "ut": "uT", "µt": "uT", "microteslas": "uT", "gauss": "gauss", "ga": "gauss",
-        "t": "T", "tesla": "T", "mgauss": "mgauss", "mg": "mgauss",
+        "t": "T", "tesla": "T", "mgauss": "mgauss", "mg": "mgauss", "g": "gauss",
     },
     TIME_KIND: {"s": "s", "sec": "s", "ms": "ms", "us": "us", "µs": "us", "ns": "ns"},
 }  # fmt: skip
@@ -82,6 +82,12 @@ def _spelt(kind: str, *units: str) -> list[str]:
     return [text for text, unit in UNITS[kind].items() if unit in units]
 
 
+_OF_ONE_KIND: Mapping[str, str] = {
+    unit: kinds[0]
+    for unit in frozenset(text for kind in SENSOR_KINDS for text in UNITS[kind])
+    if len(kinds := [kind for kind in (*SENSOR_KINDS, TIME_KIND) if unit in UNITS[kind]]) == 1
+}
+"""The kind of sensors of a unit that no other kind has."""
 _ACCEL_ONLY = _spelt(ACCEL, "m/s^2", "g", "mg", "cm/s^2", "mm/s^2")
 _GYRO_ONLY = _spelt(GYRO, "rad/s", "deg/s", "mdeg/s", "0.1 deg/s", "deg/h")
 
@@ -106,6 +112,7 @@ PATTERNS: tuple[Pattern, ...] = (
     _row(MAGNETOMETER, 8.0, r"mag|compass|(^|_)(m|h|b)$"),
     # what a unit alone tells
     _row(GYRO, 7.0, "", _GYRO_ONLY),
+    _row(MAGNETOMETER, 7.0, "", UNITS[MAGNETOMETER].keys() - UNITS[ACCEL].keys() - {"t"}),
     _row(ACCEL, 7.0, "^$", _ACCEL_ONLY),
     # what a phone or a filter made of the readings is taken where nothing else is there
     *(_row(kind, -2.0, r"lin|world|earth|motion") for kind in SENSOR_KINDS),
@@ -141,10 +148,6 @@ PATTERNS: tuple[Pattern, ...] = (
     ),
     _row(INTERVAL, 8.0, r"(^|_)(d_?t|delta_?t|delta_?time|time_?delta|(sample_?)?interval)(_[munµ]?s(ec)?)?$"),
     _row(
-        COUNTER, 8.0,
-        r"(^|_)(packet_?counter|counter|cnt|n_samples|samples?|sample_?(no|number|index)|index|idx|row|seq)$",
-    ),
-    _row(
         OTHER, 8.0,
         r"quat|attitude|orientation|euler|roll|pitch|yaw|heading|grav|user|(^|_)(lin|lacc)|mag|compass|variance|bias|"
         r"drift|(^|_)calib(_|$)|(^|_)(lat|lon|lng|alt|depth|height|position|location|pos)|vel(ocity)?(_|$)|press|baro|"
@@ -158,11 +161,15 @@ PATTERNS: tuple[Pattern, ...] = (
 
 def score(kind: str, name: str, unit: str = "", axis: str = "") -> float:
     """How much the words of a name, joined by _ and without its axis, and its unit say that a column is of a kind; 0
-    where nothing says so.
+    where nothing says so, or the unit is that of another kind of sensors.
 
     >>> score(ACCEL, "acc"), score(ACCEL, "lin_acc"), score(GYRO, "turning", "dps"), score(TIME_KIND, "header_stamp")
     (8.0, 6.0, 7.0, 9.0)
+    >>> score(ACCEL, "f", "ut")
+    0.0
     """
+    if kind in SENSOR_KINDS and _OF_ONE_KIND.get(unit, kind) != kind:
+        return 0.0
     weights = [
         row.weight
         for row in PATTERNS
@@ -194,6 +201,7 @@ _WORDS: tuple[tuple[str, str], ...] = (
     (r"угл\w*\.?[\s_]*скор\w*|кутов\w*[\s_]*швидк\w*|гироскоп\w*|гіроскоп\w*|\bдус\b", " gyro "),
     (r"角速度|陀螺仪?|角速率", " gyro "),
     (r"winkelgeschw\w*|winkelrate|drehrate\w*|drehgeschw\w*|gyroskop\w*|kreisel\w*", " gyro "),
+    (r"(?<![^\W_])dreh(?![^\W_])", " gyro "),
     (r"vitesse[\s_]*angulaire|velocidad[\s_]*angular|rate[\s_]*of[\s_]*turn|rotation[\s_]*rate", " gyro "),
     (r"(?<![^\W_])giro(sc[oó]pio?s?|scop[ei])?(?![^\W_\d]{2})", " gyro "),
     (r"ускор\w*|акселер\w*|прискор\w*|кажущ\w*", " acc "),
@@ -212,6 +220,9 @@ _PER_SECOND = (
     (re.compile(r"(?<=[a-z][XYZ])Mps2$"), " mps2"),
     (re.compile(r"(?<=[a-z][XYZ])RadPerSec$"), " radps"),
     (re.compile(r"(?<=[a-z][XYZ])MicroT$"), " ut"),
+    (re.compile(r"[ _]times[ _]g$"), " [g]"),
+    (re.compile(r"^scaledAccel([XYZ])$"), r"accel \1 [g]"),  # of MicroStrain
+    (re.compile(r"^scaledGyro([XYZ])$"), r"gyro \1 [rad/s]"),
     (re.compile(r"(?<![a-z])rad(ian)?s?[_ ]per[_ ]s(ec(ond)?)?$", re.IGNORECASE), "radps"),
     (re.compile(r"(?<![a-z])deg(ree)?s?[_ ]per[_ ]s(ec(ond)?)?$", re.IGNORECASE), "degps"),
     (re.compile(r"(?<![a-z])m(et(er|re)s?)?[_ ]per[_ ]s(ec(ond)?)?[_ ]?(2|squared)$", re.IGNORECASE), "mps2"),

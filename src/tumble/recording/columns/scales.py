@@ -30,13 +30,15 @@ ONE = {ACCEL: G_STANDARD, GYRO: DEGREE}
 @dataclass(frozen=True, kw_only=True, slots=True)
 class KnownScale:
     """What sensors read for one g or one °/s, of increments for that times a second: in a unit, or in counts where that
-    is None; its share of logs with fractions and of those with whole numbers alone, and whether it is in the table."""
+    is None; its share of logs with fractions and of those with whole numbers alone, whether it is in the table, and
+    whether it is one of the common ones there."""
 
     value: float
     unit: str | None = None
     shares: tuple[float, float]
     increment: bool = False
     known: bool = True
+    common: bool = True
 
     def reads(self, rate: float) -> float:
         """The same of a mean over a sample, at a rate, Hz."""
@@ -82,7 +84,10 @@ def _candidates(kind: str, units: Mapping[str, Unit]) -> tuple[KnownScale, ...]:
     weights = dict.fromkeys(_COMMON[kind], 3.0) | dict.fromkeys(_RARE[kind], 1.0)
     weights = {value: weight for value, weight in weights.items() if not np.isclose(value, rates).any()}
     part = 1.0 / sum(weights.values())
-    counts = (KnownScale(value=v, shares=(_COUNTS[0] * w * part, _COUNTS[1] * w * part)) for v, w in weights.items())
+    counts = (
+        KnownScale(value=v, shares=(_COUNTS[0] * w * part, _COUNTS[1] * w * part), common=w > 1.0)
+        for v, w in weights.items()
+    )
     return (*named, *counts)
 
 
@@ -104,7 +109,8 @@ _STEPS = (
 )
 """°/s per count."""
 _DECIMALS = range(9)
-_ROUNDED, _FEWEST, _SHARE = 0.2, 20, 0.99
+_ROUNDED, _SHARE = 0.2, 0.99
+_BY_CHANCE = 20.0  # −ln of how often numbers would be multiples of a step by chance, at least
 _SINGLE = 1e-6  # of the largest: what numbers of 32 bits are rounded to
 _DIGITS = 6  # that programs write of a number, unless they are told otherwise
 
@@ -113,7 +119,7 @@ def step_in_deg_s(read: Array) -> float | None:
     """The step, °/s, of a data sheet of which the readings (N, 3) are multiples, as counts written in °/s are;
     None where they are of none, or rounded to more than a fifth of it."""
     values = [np.unique(column[np.isfinite(column)]) for column in read.T]
-    if min(map(len, values)) < _FEWEST:
+    if min(map(len, values)) < 2:
         return None
     whole = np.concatenate(values)
     decimals = (d for d in _DECIMALS if np.abs(whole - whole.round(d)).max() < 1e-3 * 10.0**-d)
@@ -123,8 +129,11 @@ def step_in_deg_s(read: Array) -> float | None:
     apart = [column[1:] - column[0] for column in values]
     for step in sorted(_STEPS, reverse=True):
         counts = (a / step for a in apart)
-        if rounding < _ROUNDED * step and all(
-            np.mean(np.abs(count - count.round()) <= rounding / step) >= _SHARE for count in counts
+        unlikely = sum(map(len, apart)) * np.log(step / (2.0 * rounding))
+        if (
+            rounding < _ROUNDED * step
+            and unlikely > _BY_CHANCE
+            and all(np.mean(np.abs(count - count.round()) <= rounding / step) >= _SHARE for count in counts)
         ):
             return step
     return None

@@ -38,7 +38,7 @@ _READERS = {
 ENDINGS: tuple[str, ...] = tuple(ending for _, endings in _READERS.values() for ending in endings)
 """Endings of the files that can be read; a ROS 2 bag may also be a folder."""
 
-_NO_RECORDINGS = (*READ_ENDINGS, ".txt", ".log", ".json", ".xlsx", ".zip")
+_NO_RECORDINGS = (*READ_ENDINGS, ".txt", ".log", ".zip")
 """Endings of files for which no other package is asked."""
 
 _DATAFLASH_TEXT = b"FMT,"

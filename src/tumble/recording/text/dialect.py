@@ -148,7 +148,7 @@ def top_of(lines: tuple[str, ...], dialect: Dialect) -> Top | None:
             names = grouped
             used.add(at - 1)
     remarks = (" ".join(line.split()) for i, line in enumerate(above) if i not in used)
-    return Top(names=names, lines=first, remarks=tuple(filter(None, remarks)))
+    return Top(names=numbered(names), lines=first, remarks=tuple(filter(None, remarks)))
 
 
 def _names(cells: Sequence[str], rows: Sequence[Sequence[str]], dialect: Dialect) -> tuple[str, ...] | None:
@@ -187,16 +187,23 @@ def names_of_rows(names: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[
     width = Counter(map(len, rows)).most_common(1)[0][0] if rows else len(names)
     while len(names) > width and not names[-1]:
         names = names[:-1]
-    if len(names) < width - 1 and not any("".join(cells[len(names) :]) for cells in rows):
-        return (*names, *[""] * (width - len(names)))
     if len(names) != width - 1:
-        return tuple(names)
+        return (*names, *[""] * (width - len(names)))
     wider = [cells for cells in rows if len(cells) == width]
     numbers = [cells[0].strip('"') for cells in wider]
     numbered = any(numbers == [str(first + i) for i in range(len(numbers))] for first in (0, 1))
     if numbered and all(cells[-1] for cells in wider) and not _COUNTS.fullmatch(names[0]):
         return ("", *names)
     return (*names, "")
+
+
+def numbered(names: Sequence[str]) -> tuple[str, ...]:
+    """Names of columns, each another: a column whose name is missing or shared is called by its number, from 1."""
+    counts = Counter(names)
+    return tuple(
+        name if name and counts[name] == 1 else f"column {j}" if str(j) in counts else str(j)
+        for j, name in enumerate(names, 1)
+    )
 
 
 _COUNTS = re.compile(
@@ -220,7 +227,7 @@ def _bare(unit: str) -> str:
 def head_lines(stream: io.BufferedIOBase) -> tuple[str, ...]:
     """The first lines of a stream, whole and without their ends."""
     seen = stream.read(_SEEN_BYTES)
-    text = seen.decode("utf-8", errors="replace").removeprefix("\ufeff")
+    text = seen.decode("utf-8", errors="replace").removeprefix("\ufeff").replace("\0", "")
     lines = text.split("\n")
     if len(seen) == _SEEN_BYTES and len(lines) > 1:
         lines = lines[:-1]
@@ -252,7 +259,7 @@ def dialect_of(seen: bytes) -> tuple[Dialect, Top] | None:
     """How a text log is written, by its first bytes, and what stands above its numbers; None where it has no rows of
     numbers."""
     encoding = encoding_of(seen)
-    text = seen.decode(encoding, errors="replace").removeprefix("\ufeff")
+    text = seen.decode(encoding, errors="replace").removeprefix("\ufeff").replace("\0", "")
     lines = [line.rstrip("\r") for line in text.split("\n")]
     lines = (lines[:-1] if len(lines) > 1 else lines)[:_TOP_LINES]
     # the mark with which lines begin that are no rows, where there are such, and others

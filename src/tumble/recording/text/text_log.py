@@ -32,6 +32,7 @@ from tumble.recording.text.dialect import (
     Dialect,
     head_lines,
     names_of_rows,
+    numbered,
     top_of,
 )
 from tumble.recording.text.pieces import opened, whole_lines
@@ -143,10 +144,9 @@ class TextLog:
         return pl.DataFrame(numbers, schema=list(columns), orient="row"), unread
 
     def whole(self, numbers: Sequence[str]) -> Iterator[pl.DataFrame]:
-        """Columns without a name, or with that of another, get a number. Of a log of a stated dialect, what cannot be
-        read is NaN, and lines that are no rows are left out; else polars' errors are raised."""
-        names = [n if n and n not in self.names[:j] else f"column {j + 1}" for j, n in enumerate(self.names)]
-        schema = {name: pl.Float64 if name in numbers else pl.String for name in names}
+        """Of a log of a stated dialect, what cannot be read is NaN, and lines that are no rows are left out; else
+        polars' errors are raised."""
+        schema = {name: pl.Float64 if name in numbers else pl.String for name in self.names}
         comma = self.dialect.decimal == ","
         point = pl.col(list(numbers)).str.strip_chars()
         point = (point.str.replace(",", ".") if comma else point).cast(pl.Float64, strict=False).fill_null(np.nan)
@@ -163,8 +163,12 @@ class TextLog:
                     for line in piece.decode("utf-8", errors="replace").splitlines():
                         with suppress(csv.Error):
                             cells = self.cells(line)
-                            rows += [cells] if len(cells) == len(names) and not self.dialect.is_comment(line) else []
-                    yield pl.DataFrame(rows, schema=dict.fromkeys(names, pl.String), orient="row").with_columns(point)
+                            rows += (
+                                [cells] if len(cells) == len(self.names) and not self.dialect.is_comment(line) else []
+                            )
+                    yield pl.DataFrame(rows, schema=dict.fromkeys(self.names, pl.String), orient="row").with_columns(
+                        point
+                    )
 
     def pieces(self) -> Iterator[bytes]:
         """The rows in pieces of whole lines that are parsed alike whatever the dialect."""
@@ -173,6 +177,7 @@ class TextLog:
                 stream.readline(LINE_BYTES)
             for piece in whole_lines(stream, self.path):
                 piece = piece.removeprefix(codecs.BOM_UTF8) if self.top == 0 else piece
+                piece = piece.replace(b"\0", b"") if b"\0" in piece else piece  # a reset of a logger leaves some
                 yield _with_tabs(piece) if self.dialect.delimiter == BLANKS else piece
 
     @property
@@ -205,12 +210,12 @@ def text_log(path: Path, dialect: Dialect | None) -> TextLog:
         with opened(path) as stream:
             first, *lines = [stream.readline(LINE_BYTES) for _ in range(1 + FIRST_ROWS)]
         try:
-            above = next(csv.reader([first.decode("utf-8-sig", errors="replace").rstrip("\r\n")]), [])
+            above = next(csv.reader([first.decode("utf-8-sig", errors="replace").replace("\0", "").rstrip("\r\n")]), [])
         except csv.Error as error:
             raise LogError(f"{path}: expected the names of the columns in the first line, found: {error}") from None
         below = (Dialect().cells(line.decode("utf-8", errors="replace").strip()) for line in lines)
         names = names_of_rows([name.strip() for name in above], [cells for cells in below if cells])
-        return TextLog(path=path, names=names, dialect=Dialect(), top=1)
+        return TextLog(path=path, names=numbered(names), dialect=Dialect(), top=1)
     with opened(path, dialect.encoding) as stream:
         top = top_of(head_lines(stream), dialect)
     if top is None:

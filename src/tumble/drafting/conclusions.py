@@ -12,8 +12,8 @@ import numpy as np
 
 from tumble.diagnosis.turn_likelihood import WIDTHS, Widths, columns_said
 from tumble.drafting.draft import Draft
-from tumble.drafting.hypotheses.cost import Hypothesis, Shown, ranked, readings, shown_by
-from tumble.errors import TumbleError
+from tumble.drafting.hypotheses import Hypothesis, Shown, ranked, readings, shown_by
+from tumble.errors import InputError, TumbleError
 from tumble.recording.columns.names import ACCEL, GYRO
 from tumble.recording.columns.scales import ONE, PER, KnownScale
 from tumble.run.observed import Progress, inspect_session
@@ -22,14 +22,24 @@ from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS
 _TOLERANCE = 0.3
 """Part of gravity by which the magnitude of accelerometers in a stated unit may be off."""
 _LARGEST_BIAS = 20.0  # °/s: what reads more at rest has an offset
-_FAR = 40.0
-"""What costs so much more is not said."""
+_SHOWN = 40.0
+"""What costs so much more is not shown."""
 _MOST_RATES = 8
 _TIME_KEYS = ("time", "time_unit", "regular", "rate_hz")
 
 
 def weighed(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> tuple[Draft, list[str]]:
-    """A draft with what its rests and turns say of its guesses, and the faults that a look at it shows."""
+    """A draft completed by what its rests and turns show, and the faults that a look at it finds.
+
+    Parameters
+    ----------
+    draft
+        Columns and times of a log, its sensors as raw numbers.
+    progress
+        Shows how far the log is read.
+    widths
+        Standard deviations of the cost of hypotheses.
+    """
     shown = shown_by(draft, progress, widths)
     every = ranked(shown, draft, widths)
     best = every[0]
@@ -43,8 +53,7 @@ def weighed(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> tuple[
         said += of_gyro
     if draft.guessed:
         said.append(_next(best, every, widths))
-    content = {**draft.content, "log": log}
-    out = replace(draft, content=content, said=(*draft.said, *said), rate=best.times.rate)
+    out = replace(draft, content={**draft.content, "log": log}, said=(*draft.said, *said), rate=best.times.rate)
     try:
         faults = list(inspect_session(out.session(), progress=progress).faults)
     except (TumbleError, np.linalg.LinAlgError) as error:
@@ -63,59 +72,63 @@ def weighed(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> tuple[
 
 
 def _next(best: Hypothesis, every: Sequence[Hypothesis], widths: Widths) -> str:
-    """The cheapest hypotheses that differ from the best in the accelerometers, the gyros, the times and the axes, where
-    others are about as cheap in nothing else, and what they cost more."""
+    """The cheapest hypotheses that differ from the best in the accelerometers, the gyros, the times or the axes, and
+    what they cost more."""
     further: dict[str, float] = {}
     every = [h for h in every if h.cost < best.cost + widths.near or (h.accel.known and (not h.gyro or h.gyro.known))]
     for part in (ACCEL, GYRO, "time", "axes"):
         rivals = [h for h in every if part in h.differs(best)]
-        if not rivals:
-            continue
-        rival = min(rivals, key=lambda h: h.cost + len(h.differs(best)))
-        words = []
-        for kind, sensors, scale in ((ACCEL, "accelerometers", rival.accel), (GYRO, "gyros", rival.gyro)):
-            if kind in rival.differs(best) and scale is not None:
-                counts = f"{scale.value:.6g} counts per {PER[kind]}" if scale.known else "counts of no data sheet"
-                words.append(f"{sensors} in {scale.unit or counts}")
-        if "time" in rival.differs(best):
-            stamps = f"a time in {rival.times.keys.get('time_unit', 's')}"
-            words.append(stamps if rival.times.stamped else f"{rival.times.rate:g} samples per second")
-        if "axes" in rival.differs(best) and rival.profile is not None:
-            exchanged = columns_said(rival.profile.exchange) if rival.profile.exchanged else "no columns are exchanged"
-            words.append(exchanged)
-        further.setdefault(", ".join(words), rival.cost - best.cost)
+        if rivals:
+            rival = min(rivals, key=lambda h: h.cost + len(h.differs(best)))
+            further.setdefault(_differing(rival, best), rival.cost - best.cost)
     listed = sorted((cost, words) for words, cost in further.items() if words)
     if not listed:
         return "guessed: there is nothing else that it may be"
-    said = "; ".join(f"{words} (cost +{cost:.1f})" for cost, words in listed if cost < max(_FAR, listed[0][0] + 1e-9))
+    said = "; ".join(f"{words} (cost +{cost:.1f})" for cost, words in listed if cost < max(_SHOWN, listed[0][0] + 1e-9))
     doubt = "; too near to be sure: state what you know" if listed[0][0] < widths.near else ""
     return f"guessed: next would be {said}; +{widths.near:g} is 20 times less likely{doubt}"
 
 
+def _differing(rival: Hypothesis, best: Hypothesis) -> str:
+    """What a hypothesis says otherwise than the best one."""
+    words, parts = list[str](), rival.differs(best)
+    for kind, sensors, scale in ((ACCEL, "accelerometers", rival.accel), (GYRO, "gyros", rival.gyro)):
+        if kind in parts and scale is not None:
+            counts = f"{scale.value:.6g} counts per {PER[kind]}" if scale.known else "counts of no data sheet"
+            words.append(f"{sensors} in {scale.unit or counts}")
+    if "time" in parts:
+        stamps = f"a time in {rival.times.keys.get('time_unit', 's')}"
+        words.append(stamps if rival.times.stamped else f"{rival.times.rate:g} samples per second")
+    if "axes" in parts and rival.profile is not None:
+        exchanged = columns_said(rival.profile.exchange) if rival.profile.exchanged else "no columns are exchanged"
+        words.append(exchanged)
+    return ", ".join(words)
+
+
 def _of_times(draft: Draft, best: Hypothesis, shown: Shown, near: Sequence[Hypothesis]) -> list[str]:
-    """What is said of the times or the rate."""
+    """Sentences on the times or the rate."""
     first, taken = draft.times, best.times
-    if taken.keys == first.keys and (taken.stamped or not first.rivals):
-        return list(first.said)
-    if taken.stamped:
-        told = f"time: in {taken.keys.get('time_unit', 's')}, not {first.keys.get('time_unit', 's')}"
-        return [*taken.said, f"{told}: so the gyros carry the vertical from rest to rest (a guess)"]
     said = list(first.said)
+    if taken.keys == first.keys and (taken.stamped or not first.rivals):
+        return said
+    if taken.stamped:
+        units = f"in {taken.keys.get('time_unit', 's')}, not {first.keys.get('time_unit', 's')}"
+        return [*taken.said, f"time: {units}: so the gyros carry the vertical from rest to rest (a guess)"]
     if first.stamped:
         said = [f"time: column {first.keys['time']!r} counts samples or ticks: in no unit do the gyros fit it"]
     if best.profile is None or best.gyro is None:
         if len(set(shown.by_rate.values())) > 1:
             counts = ", ".join(f"{count} at {rate:g} Hz" for rate, count in sorted(shown.by_rate.items()))
-            told = f"time: how many rests there are depends on the rate, which no turns show: {counts}"
-            said.append(f"{told}; give it (--sample-rate)")
+            depends = f"time: how many rests there are depends on the rate, which no turns show: {counts}"
+            said.append(f"{depends}; give it (--sample-rate)")
         return said
     found = _found(best, best.gyro) * taken.rate / best.gyro.value
-    others = list[str]()
+    others = dict[str, None]()
     for rival in near:
         if "time" in rival.differs(best) and not rival.times.stamped and rival.gyro is not None:
             scale = f" with {rival.gyro.said}" if GYRO in rival.differs(best) else ""
-            others.append(f"{rival.times.rate:g}{scale}")
-    also = f"{' or '.join(list(dict.fromkeys(others))[:_MOST_RATES])} would fit too; " if others else ""
+            others[f"{rival.times.rate:g}{scale}"] = None
+    also = f"{' or '.join(list(others)[:_MOST_RATES])} would fit too; " if others else ""
     seen = f"from the turns ({found:.4g} found): a guess to some percent; {also}put the log's rate there"
     return [*said, f"time: rate_hz = {taken.rate:g} {seen}"]
 
@@ -148,10 +161,10 @@ def _comes_near(kind: str, scale: KnownScale, shown: Shown, best: Hypothesis, ne
     return f"counts: {found:.4g} counts per {per} found, and no data sheet has a value near it"
 
 
-def _counts(columns: list[str], scale: float, per: str, zero: Any) -> dict[str, Any]:
-    """The table of sensors in counts."""
+def _counts(columns: list[str], scale: float, per: str, zero: Any, unit: str = "count") -> dict[str, Any]:
+    """The table of sensors in counts or volts."""
     value = float(f"{scale:.6g}")
-    return {"columns": columns, "unit": "count", "scale": value, "scale_per": per, "offset": zero}
+    return {"columns": columns, "unit": unit, "scale": value, "scale_per": per, "offset": zero}
 
 
 def _accel(
@@ -163,24 +176,29 @@ def _accel(
     if unit is not None and ACCEL_UNITS[unit].kind != "raw":
         said = [f"{named} in {unit} (from the name or the format), magnitude {found:.6g}"]
         if abs(found * ACCEL_UNITS[unit].per_second(best.times.rate) / ONE[ACCEL] - 1.0) > _TOLERANCE:
-            asked = "is the unit right?"
-            if "lin" in columns[0].lower():
-                asked = "linear acceleration, which a filter has taken gravity off, cannot be calibrated"
-            said.append(f"accelerometers: their magnitude is not that of gravity in {unit}: {asked}")
+            linear = "linear acceleration, which a filter has taken gravity off, cannot be calibrated"
+            doubt = linear if "lin" in columns[0].lower() else "is the unit right?"
+            said.append(f"accelerometers: their magnitude is not that of gravity in {unit}: {doubt}")
         return {"columns": columns, "unit": unit}, said
     zero: Any = shown.zero[0] if len(set(shown.zero)) == 1 else shown.zero
     seen = f"from {shown.rests} rests" if shown.rests >= 4 else "a guess from too few rests: state the data sheet's"
     seen = seen if shown.rests else "a guess, for there are no rests, from their median magnitude"
     about = f", zero at {zero}" if zero or scale.unit is None else ""
     said = [f"{named} in {_comes_near(ACCEL, scale, shown, best, near)}{about} ({seen})"]
-    if not (scale.known or draft.whole[ACCEL]):
+    if not (scale.known or draft.whole[ACCEL] or unit == "V"):
+        if "lin" in columns[0].lower():
+            raise InputError(
+                f"{draft.log['file']}: expected readings of accelerometers, found linear acceleration, which a filter "
+                f"has taken gravity off ({', '.join(columns)[:120]}); log the raw accelerometers"
+            )
         said.append(
             f"{named} are no whole numbers as counts are, and read gravity in no unit: are they volts, or what a "
             "filter has left without gravity? That cannot be calibrated"
         )
     if scale.unit is not None and not zero:
         return {"columns": columns, "unit": scale.unit}, said
-    return _counts(columns, scale.value if scale.known else float(f"{found:.4g}"), "g", zero), said
+    raw = "V" if unit == "V" else "count"
+    return _counts(columns, scale.value if scale.known else float(f"{found:.4g}"), "g", zero, raw), said
 
 
 def _gyro(
@@ -197,18 +215,21 @@ def _gyro(
     centred = [float(f"{b:.6g}") for b in shown.bias]
     if gyro.unit is not None and stated == gyro.unit:
         return table, [f"{named} {gyro.unit} (from the name or the format)"]
-    if best.profile is not None:
+    rivals = {h.gyro.value for h in near if h.gyro is not None and h.gyro.known and h.gyro.unit is None}
+    alone = shown.turns == 1 and not draft.rate_guessed  # else the turn shows the product of scale and rate
+    open_scale = alone and gyro.unit is None and bool(rivals - {gyro.value})
+    if best.profile is not None and not open_scale:
         by = f"by {shown.turns} turns" if shown.turns > 1 else "by one turn"
         told = f"{named} {_comes_near(GYRO, gyro, shown, best, near)} ({by})"
         if gyro.unit is not None:
-            return table, [told] if stated in (None, "count") else [told, f"gyros: not in {stated}, as their name says"]
+            return table, [told]
         offset = centred if np.abs(shown.bias).max() > _LARGEST_BIAS * gyro.value else 0.0
         return _counts(columns, gyro.value, "deg/s", offset), [told]
     if gyro.unit is None:
-        unknown = (
-            "the offset is their reading at rest, the scale is unknown, for no turns show it: put that of the data "
-        )
-        return _counts(columns, 1.0, "deg/s", centred), [f"{named} counts; {unknown}sheet there"]
+        fitting = " or ".join(f"{value:.6g}" for value in sorted(rivals | {gyro.value}))
+        shows = f"{fitting} per deg/s fit the only turn" if open_scale else "no turns show it"
+        unknown = f"the offset is their reading at rest, the scale is unknown, for {shows}"
+        return _counts(columns, 1.0, "deg/s", centred), [f"{named} counts; {unknown}: put that of the data sheet there"]
     why = [words for cost, words in readings(shown, gyro, rate, draft) if cost < 0.0]
     rival = next((h for h in every if GYRO in h.differs(best)), best)
     if rival.gyro is not None and rival is not best:

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
-from tumble.drafting.dialects.spelling import LONGEST_LINE, Spelling, listed, spelt_alike
+from tumble.drafting.spelling import LONGEST_LINE, Row, Spelling, spelt_alike
 from tumble.recording.text.dialect import Dialect, is_clock
 
 # A word is looked at from its first letter, and once: a line of nothing but letters takes no longer than another one.
@@ -34,18 +34,17 @@ _ABOVE = re.compile(r"([ \t]*)([^\W\d][\w.]*)\s*:\s*")
 _LEAST_NAMES = 6
 _SHARE = 0.8
 _TIME = "time"
-_LABEL = re.compile(r"sensor|type|kind|topic|name", re.IGNORECASE)
-_NAME = re.compile(r"[^\W\d][\w .()-]{0,40}")
 _QUANTITIES = ("velocity", "acceleration", "rate", "field")
 
 
 def named_values(lines: Sequence[str]) -> Spelling | None:
-    """The names and numbers that most lines have; None where they have none."""
-    return spelt_alike(lines, lambda line: _row(cells(line)), listed("names before the numbers"))
+    """Lines most of which have the same names and numbers."""
 
+    def row(line: str) -> Row | None:
+        named = cells(line)
+        return (tuple(named), list(named.values())) if named else None
 
-def _row(named: Mapping[str, str]) -> tuple[tuple[str, ...], list[str]]:
-    return tuple(named), list(named.values())
+    return spelt_alike(lines, row, "names before the numbers")
 
 
 def cells(line: str) -> dict[str, str]:
@@ -89,7 +88,7 @@ def several_lines(lines: Sequence[str]) -> Spelling | None:
         done = reading(line)
         return [done[0].get(name, "") for name in names] if done is not None else None
 
-    return Spelling(names=names, values=values, said=f"several lines a sample ({', '.join(names)})")
+    return Spelling(names=names, values=values, title=f"several lines a sample ({', '.join(names)})")
 
 
 def _samples() -> Callable[[str], tuple[dict[str, str], int] | None]:
@@ -120,38 +119,28 @@ def _samples() -> Callable[[str], tuple[dict[str, str], int] | None]:
 
 
 def json_lines(lines: Sequence[str]) -> Spelling | None:
-    """The objects of JSON, or as Python prints them, that most lines are; None where they are none."""
+    """Lines most of which are objects of JSON, or as Python prints them."""
 
-    def row(line: str) -> tuple[tuple[str, ...], list[str]] | None:
+    def row(line: str) -> Row | None:
         text = line.strip().removeprefix("[").removesuffix("]").strip().removesuffix(",")
-        if not text.startswith("{") or len(text) > LONGEST_LINE:
-            return None
-        for spelt in (text, text.replace("'", '"')):
+        for spelt in (text, text.replace("'", '"')) if text.startswith("{") and len(text) < LONGEST_LINE else ():
             with suppress(ValueError, RecursionError):
-                read = json.loads(spelt)
-                return _row(dict(values_of(read))) if isinstance(read, dict) else None
+                read = dict(_values(json.loads(spelt)))
+                return tuple(read), list(read.values())
         return None
 
-    return spelt_alike(lines, row, listed("objects of JSON"))
+    return spelt_alike(lines, row, "objects of JSON")
 
 
-def values_of(read: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, str]]:
-    """Names and values of an object and those within it: numbers, also as text, times of day, and the names of
-    sensors."""
+def _values(read: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, str]]:
+    """Names and values of an object and those within it: numbers, also as text, and times of day."""
     for key, value in read.items():
-        name = before + column_name(key)
+        name = before + re.sub('[,"\\s]+', " ", key)
         if isinstance(value, dict):
-            yield from values_of(value, f"{name}_")
+            yield from _values(value, f"{name}_")
         elif isinstance(value, list) and len(value) == 3:
-            yield from values_of(dict(zip("xyz", value, strict=True)), f"{name}_")
+            yield from _values(dict(zip("xyz", value, strict=True)), f"{name}_")
         elif isinstance(value, int | float) and not isinstance(value, bool):
             yield name, repr(value)
-        elif isinstance(value, str):
-            is_label = _LABEL.search(name) and _NAME.fullmatch(value)
-            if is_label or is_clock(value) or Dialect().is_number(value):
-                yield name, value
-
-
-def column_name(key: str) -> str:
-    """The name of a value as that of a column of a table."""
-    return re.sub('[,"\\s]+', " ", key)
+        elif isinstance(value, str) and (is_clock(value) or Dialect().is_number(value)):
+            yield name, value

@@ -1,10 +1,11 @@
-"""What files of text or Parquet are: how they are written, and which columns are those of which sensors; and which
-files hold no readings tumble can use, or hold them in a form that other programs read, and what to do."""
+"""What the columns of text and Parquet files are: by their names and units, as the user states them, and of what these
+leave open by their numbers.
+
+What a name or a unit says is believed. Numbers decide only which columns without telling names are sensors or a time.
+"""
 
 from __future__ import annotations
 
-import re
-import struct
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,16 +14,16 @@ from types import MappingProxyType
 import numpy as np
 import polars as pl
 
-from tumble.documents import check_regular
-from tumble.drafting.containers.several_sensors import split_by_header, split_by_sensor, tables_of_json
-from tumble.drafting.dialects.respelled import respelled
+from tumble.drafting.containers import check_is_text
+from tumble.drafting.dialects import as_table
 from tumble.drafting.found_log import LONGEST, SAMPLE_ROWS, FoundLog, Stated, samples_in
 from tumble.drafting.mended import nanoseconds_of
 from tumble.drafting.sensors_apart import are_sensors_apart, of_sensors_apart
+from tumble.drafting.several_sensors import split_by_header, split_by_sensor
 from tumble.drafting.times import times_of_column
 from tumble.errors import InputError
 from tumble.files import OutputFolder
-from tumble.recording.columns.names import ACCEL, GYRO, columns_by_name, is_no_sensor, time_unit, unit_of_name
+from tumble.recording.columns.names import ACCEL, columns_by_name, is_no_sensor, time_unit, unit_of_name
 from tumble.recording.columns.numbers import columns_by_data, time_by_data
 from tumble.recording.log_source import readable
 from tumble.recording.readers import ENDINGS, source_of
@@ -31,51 +32,14 @@ from tumble.recording.text.pieces import opened
 
 _SEEN_BYTES = 1 << 18
 _GROWING = 0.9  # of the steps of stamps that are those of rows
-_NO_LOGS = (".toml", ".json", ".md", ".pdf", ".png", ".html")
 _DELIMITER_WORDS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "blanks"}
-_BINARY = (
-    (0, b"\xb5b", "UBX of a u-blox receiver", "write its ESF-RAW messages as a table with a row a sample (pyubx2)"),
-    (0, b"$IMURAW", "IMR of Waypoint", "write it as text in Inertial Explorer"),
-    (0, b"H Product:Blackbox", "a black box of Betaflight", "decode it with blackbox_decode, and give the .csv"),
-    (0, b"\xfa\xff", "MTB of Xsens", "export it as text in MT Manager, with Acc and Gyr"),
-    (4, b"ftyp", "a video", "write its sensors as CSV, of a GoPro with a reader of GPMF"),
-    (0, b"TDSm", "TDMS of LabVIEW", "export it as CSV"),
-    (0, b"SQLite format 3", "a database", "export its readings as CSV"),
-    (0, b"%PDF", "a document", "give the file with the readings"),
-    (257, b"ustar", "an archive of several files (tar)", "unpack it, and give its files"),
-)
-_RECORD = struct.Struct("<17d")
-_WEEK, _HALF_TURN = 604_800.0, 3.1416
-_OXTS = 30
-
-
-def files_of(log: Path) -> list[Path]:
-    """The files that a path means: itself, those of a folder, or those that a pattern fits, in the order of the numbers
-    in their names: pos2 before pos10."""
-    pattern = not log.exists() and bool(set(log.name) & set("*?["))
-    if log.is_dir() and not (log / "metadata.yaml").is_file():
-        files = [file for file in log.iterdir() if file.is_file() and not file.name.startswith(".")]
-        files = [file for file in files if file.suffix.lower() not in _NO_LOGS]
-        missing = "a folder with logs, found none in it"
-    elif pattern:
-        files, missing = list(log.parent.glob(log.name)), "files that fit this pattern, found none"
-    else:
-        check_regular(log)
-        files, missing = [log] if log.exists() else [], "a log, found no such file"
-    if not files:
-        raise InputError(f"{log}: expected {missing}")
-
-    def natural(path: Path) -> list[tuple[int, str]]:
-        parts = re.split(r"([0-9]+)", path.name)
-        return [(int(part) if re.fullmatch("[0-9]{1,18}", part) else -1, part) for part in parts]
-
-    return sorted(files, key=natural)
 
 
 def found_log(files: Sequence[Path], folder: OutputFolder, stated: Stated = MappingProxyType({})) -> FoundLog:
-    """What text and Parquet files are, and which of their columns are what, where it is not `stated`. Files alike whose
-    columns no name tells are one log: a file of one position does not tell what they are, all of them do. Raises
-    InputError for those that are no logs, or not alike."""
+    """One log of text and Parquet files, with its columns identified, as far as they are not `stated`.
+
+    Files that are written alike and whose columns have no telling names are identified together: a file of one position
+    does not show what they are, all of them do. Raises InputError for files that are no logs, or not alike."""
     logs: list[FoundLog] = []
     without: list[_NoRowsError] = []
     omitted: tuple[str, ...] = ()
@@ -121,22 +85,21 @@ class _NoRowsError(InputError):
 
 
 def _found(file: Path, folder: OutputFolder) -> list[FoundLog]:
-    """What a file is: one log, or where its rows are of single sensors one of each."""
+    """The log in a file; one of each sensor where its rows are of single sensors."""
     if file.suffix.lower() == ".parquet":
         return [FoundLog(files=(file,), keys={}, columns=columns_by_name(source_of(file).names))]
     with readable(file), opened(file) as stream:
         seen = stream.read(_SEEN_BYTES)
     if not seen:
         raise _NoRowsError(f"{file}: expected a log, found an empty file")
-    _check_is_log(file, seen)
+    check_is_text(file, seen)
     if parts := split_by_header(file, seen, folder):
         return [log for part in parts for log in _found(part, folder)]
-    copied = respelled(file, seen, folder) or tables_of_json(file, seen, folder)
-    if copied is not None:
-        parts, remark = copied
-        return [replace(log, said=(remark, *log.said)) for part in parts for log in _found(part, folder)]
+    if (copied := as_table(file, seen, folder)) is not None:
+        part, remark = copied
+        return [replace(log, said=(remark, *log.said)) for log in _found(part, folder)]
     dialect_and_top = dialect_of(seen)
-    if dialect_and_top is None and (max(map(len, seen.split(b"\n"))) > LINE_BYTES // 8 or b"\0" in seen[:1000]):
+    if dialect_and_top is None and max(map(len, seen.split(b"\n"))) > LINE_BYTES // 8:
         raise InputError(f"{file}: expected a log of rows of numbers, found something else; is it a recording?")
     if dialect_and_top is not None:
         dialect, top = dialect_and_top
@@ -159,7 +122,7 @@ def _found(file: Path, folder: OutputFolder) -> list[FoundLog]:
     log = FoundLog(
         files=(file,),
         keys={} if plain else dialect.keys(),
-        columns=columns_by_name([name for name in top.names if top.names.count(name) == 1 and name not in words]),
+        columns=columns_by_name([name for name in top.names if name not in words]),
         remarks=top.remarks,
         cells=cells,
         said=() if plain else (f"text: {', '.join(how)}",),
@@ -167,33 +130,6 @@ def _found(file: Path, folder: OutputFolder) -> list[FoundLog]:
     )
     clock = next((name for name in cells if log.is_clock(name)), None)
     return [log.with_columns(time=clock) if log.columns.time is None else log]
-
-
-def _check_is_log(file: Path, seen: bytes) -> None:
-    """Raises InputError that names the format of a file, by its first bytes `seen`, and what to do: one of the table,
-    records of 17 numbers, a time of the week that grows, a latitude, a longitude and more, or one line of 30 numbers
-    that begins with a latitude and a longitude."""
-    for start, mark, name, advice in _BINARY:
-        if seen[start : start + len(mark)] == mark:
-            raise InputError(f"{file}: expected a log, found {name}; {advice}")
-    if file.stat().st_size % _RECORD.size == 0 and len(seen) >= 3 * _RECORD.size:
-        first, second = (_RECORD.unpack_from(seen, k * _RECORD.size) for k in (0, 1))
-        angles = [abs(first[k]) for k in (1, 2, 7, 8)]
-        grows = 0.0 <= first[0] < second[0] < first[0] + 1.0 < 2.0 * _WEEK
-        if grows and 1e-6 < max(angles) <= 2.0 * _HALF_TURN and max(map(abs, (*first[1:], *second[1:]))) < 1e6:
-            raise InputError(
-                f"{file}: expected readings of accelerometers and gyros, found a trajectory (SBET), which a filter has "
-                "made of them; write the raw readings of the same mission as text"
-            )
-    try:
-        values = [float(cell) for cell in seen.split()] if b"\n" not in seen.strip() else []
-    except ValueError:
-        return
-    if len(values) == _OXTS and abs(values[0]) <= 90.0 and abs(values[1]) <= 180.0:
-        raise InputError(
-            f"{file}: expected a log, found one sample of a vehicle that moves (oxts of KITTI, a file for each); a "
-            "drive has no rests in other attitudes to calibrate from: record some, in one table"
-        )
 
 
 def _numeric(log: FoundLog) -> list[str]:
@@ -206,25 +142,21 @@ def _numeric(log: FoundLog) -> list[str]:
 
 
 def _by_data(log: FoundLog) -> FoundLog:
-    """A log whose accelerometers, and gyros unless they are named, are told by their numbers, if they can be. Columns
-    whose names say that they are something else are left aside; gx, gy and gz may be no gyros."""
+    """A log whose accelerometers, and gyros unless they are named, are identified by their numbers, if they can be.
+
+    Columns whose names say that they are something else are left aside."""
     known, names, numeric = log.columns, list(log.names), _numeric(log)
-    named = {kind: sensors for kind, sensors in known.triads.items() if kind != ACCEL}
-    for beside in (named, {kind: sensors for kind, sensors in named.items() if kind != GYRO}):
-        taken = {column for sensors in beside.values() for column in sensors.columns} | {known.time}
-        free = [n for n in numeric if n not in taken and names.count(n) == 1 and not is_no_sensor(n)]
-        read = log.read(free) if len(free) >= 3 else np.empty((0, len(free)))
-        every = np.full((samples_in(read), len(names)), np.nan)
-        every[:, [names.index(name) for name in free]] = read[: len(every)]
-        told = columns_by_data(names, every)
-        if ACCEL in told.columns.triads:
-            found = told.columns.triads.items()
-            triads = {kind: replace(s, unit=unit_of_name(kind, s.columns[0])) for kind, s in found}
-            time = known.time or told.columns.time
-            return log.with_columns(told.said(beside), triads=triads | beside, time=time, others=(), times=())
-        if GYRO not in named:
-            break
-    return log
+    taken = {column for sensors in known.triads.values() for column in sensors.columns} | {known.time}
+    free = [name for name in numeric if name not in taken and not is_no_sensor(name)]
+    read = log.read(free) if len(free) >= 3 else np.empty((0, len(free)))
+    every = np.full((samples_in(read), len(names)), np.nan)
+    every[:, [names.index(name) for name in free]] = read[: len(every)]
+    told = columns_by_data(names, every)
+    if ACCEL not in told.columns.triads:
+        return log
+    triads = {kind: replace(s, unit=unit_of_name(kind, s.columns[0])) for kind, s in told.columns.triads.items()}
+    time = known.time or told.columns.time
+    return log.with_columns(told.said(known.triads), triads={**triads, **known.triads}, time=time, others=(), times=())
 
 
 def _with_finest_time(log: FoundLog) -> FoundLog:
@@ -259,7 +191,7 @@ def _with_time(log: FoundLog) -> FoundLog:
     """A log whose time, if no name says which column it is, is one that grows as times do."""
     if log.columns.time is not None:
         return log
-    known = {log.columns.counter, *(c for triad in log.columns.triads.values() for c in triad.columns)}
+    known = {c for triad in log.columns.triads.values() for c in triad.columns}
     names = [name for name in _numeric(log) if name not in known]
     time = time_by_data(names, log.read(names, rows=LONGEST // 10)) if names else None
     if time is None:

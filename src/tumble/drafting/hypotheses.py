@@ -6,14 +6,14 @@ the gyros'. A hypothesis costs −2 times the logarithm of its probability, up t
 
     (ln L/L_h)² / s²  +  min over δ of [turns(ln Q_h + δ) + δ²/s²]  +  what gyros do not read  +  what it assumes,
 
-s the usual scale error of a device. What it assumes is how often units, counts and rates are met in logs that do not
-say them (`recording/columns/scales.py`, `drafting/times.py`); a unit in the name of a column costs nothing. A scale or
-a rate of no table is taken as it is found, and pays for all it might have been: the density of a Gaussian of width s
+with s the usual scale error of a device. What it assumes is how often units, counts and rates are met in logs that do
+not say them (`recording/columns/scales.py`, `drafting/times.py`); a unit in the name of a column is believed. A scale
+or a rate of no table is taken as it is found, and pays for all it might have been: the density of a Gaussian of width s
 over an even one of so many orders of magnitude, 2 ln(range / (s √2π)).
 
-The log is read once, as raw numbers at a rate that need not be its own, and rests are told by the accelerometers, whose
-scatter needs no unit. Of the rests come the length of gravity, the zero about which it turns, and what the gyros read;
-of the turns between them the likelihood of Q (`turn_likelihood`).
+The log is read once, as raw numbers at a rate that need not be its own; rests are found by the accelerometers, whose
+scatter needs no unit. The rests give the length of gravity, the zero about which it turns and the gyros' readings, the
+turns between them the likelihood of Q (`turn_likelihood`).
 """
 
 from __future__ import annotations
@@ -36,11 +36,10 @@ from tumble.diagnosis.turn_likelihood import (
 )
 from tumble.drafting.draft import Draft
 from tumble.drafting.times import ASSUMED_RATE, RATES_OF_LOGS, UNUSUAL, USUAL_RATES, Times, at_rate
-from tumble.earth import EARTH_RATE
 from tumble.errors import TumbleError
 from tumble.recording.columns.names import ACCEL, GYRO
 from tumble.recording.columns.numbers import MIDDLES
-from tumble.recording.columns.scales import CANDIDATES, FASTEST, NEAR, ON_NO_SHEET, KnownScale, off_table
+from tumble.recording.columns.scales import CANDIDATES, FASTEST, NEAR, ON_NO_SHEET, ONE, KnownScale, off_table
 from tumble.recording.log import open_log
 from tumble.reduction.blocks.reducer import Reduction, reduce_log
 from tumble.reduction.blocks.tuning import USUAL, Tuning
@@ -49,11 +48,13 @@ from tumble.reduction.rests.segmentation import RestSpan, find_rests
 from tumble.rotation import unit_vector
 from tumble.run.observed import LARGEST_SQUARED, Progress
 from tumble.sensors.model import Block
-from tumble.units import ACCEL_UNITS, DEGREE, DEGREE_PER_HOUR, G_STANDARD, GYRO_UNITS, Array
+from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, GYRO_UNITS, Array
 
 _TRIAD = Block(kind="accel", axes=np.eye(3))
 _CLIPPED, _BELOW = 3, 0.97
 _NO_OFFSET, _LEAST_SINGULAR, _ALIKE = 0.3, 0.05, 0.05
+_MOVING = 0.2
+"""What the median magnitude of accelerometers that are never at rest may be off gravity, part of it."""
 _UNEVEN, _STEPS_TO_CENTRE = 0.01, 4
 """What readings of one g differ by from attitude to attitude, part of it, beside their offsets."""
 _USUAL = 0.8
@@ -81,17 +82,14 @@ _LARGEST_BIAS, _LARGEST_NOISE = 20.0 * DEGREE, 0.17 * DEGREE
 """rad/s: of small gyros, and how they scatter in a second."""
 _BEYOND = 0.25
 """Standard deviation of ln of what is read beyond these."""
+_AT_MOST = 12.0
+"""What that costs: the device may have moved without its accelerometers showing it."""
 SHORT_REST = 0.6
 """s: rests are no shorter, at the median."""
 _ON_A_TABLE = 0.015
 """m/s² in a second: accelerometers that scatter more are held in a hand, or on a machine that runs."""
-_TOO_FAST, _IN_STEPS, _EARTH = 30.0, -12.0, -16.0
-"""What it costs to read more than any gyro can; that readings are multiples of a step of data sheets in °/s, and that
-they are the rate of the Earth: chances of 0.2 % and 0.03 %."""
-_NEAR_EARTH, _APART = 0.15, math.cos(20.0 * DEGREE)
-"""Of the Earth's rate: what a reading of it may be off. Cosine between verticals of attitudes that differ."""
-_EARTH_UNITS = ("rad/s", "deg/s", "deg/h")
-"""Increments are not tried: in one of their units the usual biases of small gyros are the Earth's rate."""
+_TOO_FAST, _IN_STEPS = 30.0, -12.0
+"""What it costs to read more than any gyro can, and that readings are multiples of a step of data sheets in °/s."""
 
 
 # -------------------- what rests and turns show --------------------
@@ -142,7 +140,7 @@ def shown_by(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> Shown
         opened = open_log(session)
         reduction = reduce_log(opened, session.accel_block, session.gyro_block, progress(opened))
     except (TumbleError, np.linalg.LinAlgError):
-        return Shown(rate=draft.rate, length=draft.magnitude, length_u=widths.offset)
+        return Shown(rate=draft.rate, length=draft.magnitude, length_u=_MOVING)
     trials = [_with_windows(reduction, factor, draft.magnitude, widths) for factor in factors]
     counts = {ASSUMED_RATE * factor: trial.rests for factor, trial in zip(factors, trials, strict=True)}
     most = max(trials, key=lambda t: (max((p.unturned - p.least for p in t.profiles), default=0.0), t.rests))
@@ -157,9 +155,11 @@ def _with_windows(reduction: Reduction, factor: float, magnitude: float, widths:
     channels, files = (*reduction.accel_channels, *reduction.gyro_channels), reduction.by_file
     spans: tuple[RestSpan, ...] = ()
     if max(max(-c.minimum, c.maximum) for c in channels) < LARGEST_SQUARED:
-        spans = find_rests(replace(reduction, tuning=tuning), _TRIAD, None).rests
+        with np.errstate(invalid="ignore"):  # of a stretch of zeros
+            found = find_rests(replace(reduction, tuning=tuning), _TRIAD, None).rests
+        spans = tuple(s for s in found if files[s.file].accel.means[s.first : s.last].any())
     if not spans:
-        return Shown(rate=reduction.rate, length=magnitude, length_u=widths.offset)
+        return Shown(rate=reduction.rate, length=magnitude, length_u=_MOVING)
     accel = [files[s.file].accel.means[s.first : s.last] for s in spans]
     gyro = [files[s.file].gyro.means[s.first : s.last] for s in spans]
     length, length_u, zero, gravity = length_and_zero(np.array([blocks.mean(axis=0) for blocks in accel]), widths)
@@ -270,8 +270,8 @@ class Hypothesis:
 def ranked(shown: Shown, draft: Draft, widths: Widths = WIDTHS) -> list[Hypothesis]:
     """All hypotheses of a log that shows this, the cheapest first."""
     deviation = math.hypot(widths.scale, shown.length_u)
-    accels = list(_assumed(ACCEL, draft, cost_of_any(deviation), widths))
-    gyros = list(_assumed(GYRO, draft, cost_of_any(widths.scale), widths)) if GYRO in draft.triads else []
+    accels = list(_assumed(ACCEL, draft, cost_of_any(deviation)))
+    gyros = list(_assumed(GYRO, draft, cost_of_any(widths.scale))) if GYRO in draft.triads else []
     if not shown.profiles:  # what counts are worth nothing tells
         counted = sum(math.exp(-0.5 * cost) for gyro, cost in gyros if gyro.unit is None and gyro.known)
         gyros = [(gyro, cost) for gyro, cost in gyros if gyro.unit is not None]
@@ -328,71 +328,51 @@ def _with_gyros(
             yield times, found, cost
 
 
-def _assumed(kind: str, draft: Draft, unknown: float, widths: Widths) -> Iterator[tuple[KnownScale, float]]:
-    """Units and counts of sensors with what they assume: of those whose name says a unit that alone, or of gyros,
-    rarely, another; of those whose name says that they are raw, counts sooner. Counts of no data sheet may be any."""
+def _assumed(kind: str, draft: Draft, unknown: float) -> Iterator[tuple[KnownScale, float]]:
+    """Units and counts that sensors may have, and what each assumes.
+
+    A unit in a name is believed; of sensors whose name says that they are raw, counts are likelier. Counts of no data
+    sheet may have any scale, which costs `unknown`."""
     units, name = {ACCEL: ACCEL_UNITS, GYRO: GYRO_UNITS}[kind], draft.unit(kind)
-    raw = name is not None and units[name].kind == "raw"
-    for candidate in (*CANDIDATES[kind], ON_NO_SHEET):
-        share = candidate.shares[draft.whole[kind]]
-        if raw or name is None:
-            share *= _RAW_IN_A_UNIT if raw and candidate.unit is not None else 1.0
+    if name is not None and units[name].kind != "raw":
+        one = ONE[kind] / units[name].factor
+        increment = units[name].kind == "increment"
+        yield KnownScale(value=one, unit=name, shares=(1.0, 1.0), increment=increment), 0.0
+    elif name == "V":
+        yield ON_NO_SHEET, 0.0
+    else:
+        for candidate in (*CANDIDATES[kind], ON_NO_SHEET):
+            share = candidate.shares[draft.whole[kind]]
+            share *= _RAW_IN_A_UNIT if name is not None and candidate.unit is not None else 1.0
             yield candidate, -2.0 * math.log(share) + (0.0 if candidate.known else unknown)
-        elif candidate.unit == name:
-            yield candidate, 0.0
-        elif kind == GYRO and candidate.unit is not None:
-            yield candidate, -2.0 * math.log(share * widths.named_wrongly)
 
 
 def readings(
     shown: Shown, gyro: KnownScale, rate: float, draft: Draft, widths: Widths = WIDTHS
 ) -> list[tuple[float, str]]:
-    """What speaks against gyros of a unit or scale, or for them, by what they would read, as costs and in words: biases
-    of more than 20 °/s, 0.17 °/s in a second on a table, more than any range, turns as no hand makes, the Earth."""
-    one = DEGREE / gyro.reads(rate)
-    bias = float(np.linalg.norm(shown.bias))
-    noise = shown.gyro_scatter / math.sqrt(rate)
-    on_table = shown.accel_scatter * G_STANDARD / math.sqrt(rate) < _ON_A_TABLE
-    out = []
-    if gyro.unit is not None and bias * one > _LARGEST_BIAS:
-        words = f"at rest they read {bias:.3g}, which in {gyro.unit} would be {bias * one / DEGREE:.3g} °/s"
-        out.append(((math.log(bias * one / _LARGEST_BIAS) / _BEYOND) ** 2, words))
-    if on_table and noise * one > _LARGEST_NOISE:
-        words = f"at rest they scatter by {noise:.2g} in a second, which in {gyro.said} would be "
-        out.append(((math.log(noise * one / _LARGEST_NOISE) / _BEYOND) ** 2, f"{words}{noise * one / DEGREE:.2g} °/s"))
+    """Costs of a unit or scale of gyros by what they would read, each with the reason in words.
+
+    Biases of more than 20 °/s, a scatter of 0.17 °/s in a second on a table, more than any range and turns as no hand
+    makes speak against it, steps of a data sheet for it."""
+    one, root = DEGREE / gyro.reads(rate), math.sqrt(rate)
+    bias, noise = float(np.linalg.norm(shown.bias)), shown.gyro_scatter / root
+    on_table = shown.accel_scatter * G_STANDARD / root < _ON_A_TABLE
+    out: list[tuple[float, str]] = []
+
+    def beyond(value: float, limit: float, words: str) -> None:
+        if value * one > limit:
+            cost = min((math.log(value * one / limit) / _BEYOND) ** 2, _AT_MOST)
+            out.append((cost, f"{words}, which in {gyro.said} would be {value * one / DEGREE:.3g} °/s"))
+
+    if gyro.unit is not None:
+        beyond(bias, _LARGEST_BIAS, f"at rest they read {bias:.3g}")
+    if on_table:
+        beyond(noise, _LARGEST_NOISE, f"at rest they scatter by {noise:.2g} in a second")
     if draft.largest * one > FASTEST:
-        out.append(
-            (_TOO_FAST, f"no gyro reads the {draft.largest * one / DEGREE:.4g} °/s that they would in {gyro.said}")
-        )
+        read = f"no gyro reads the {draft.largest * one / DEGREE:.4g} °/s that they would in {gyro.said}"
+        out.append((_TOO_FAST, read))
     if shown.turning:
         out.append(((math.log(shown.turning * one) / widths.turning) ** 2, ""))
     if gyro.unit == "deg/s" and draft.step is not None:
         out.append((_IN_STEPS, f"their steps are {draft.step:.4g} °/s, a count of data sheets"))
-    if not shown.profiles and gyro.unit in _EARTH_UNITS and (earth := reads_the_earth(shown, one, draft.latitude)):
-        out.append((_EARTH, earth))
     return out
-
-
-def reads_the_earth(shown: Shown, one: float, latitude: float | None) -> str | None:
-    """How gyros at rest whose numbers are each `one`, rad/s, show the rate of the Earth, in words; None where they do
-    not. Biases would have to have that length, and follow the attitude as the Earth does: about the vertical as much of
-    it as the latitude, rad, says, or, where that is not known, as much in one attitude as in another."""
-    if not shown.rests:
-        return None
-    rates = shown.gyro * one
-    length, about = np.linalg.norm(rates, axis=1), (rates * shown.up).sum(axis=1)
-    u = shown.gyro_scatter * one / np.sqrt(shown.samples)
-    if latitude is not None:
-        expected = EARTH_RATE * math.sin(latitude)
-        likewise = f"the Earth: {expected / DEGREE_PER_HOUR:.1f} at this latitude"
-    elif (shown.up @ shown.up.T).min() < _APART:
-        expected, likewise = float(about.mean()), "alike in attitudes that differ"
-    else:
-        return None
-    if max(np.abs(length - EARTH_RATE).max(), np.abs(about - expected).max(), u.max()) > _NEAR_EARTH * EARTH_RATE:
-        return None
-    read, vertical = float(length.mean()) / DEGREE_PER_HOUR, float(about.mean()) / DEGREE_PER_HOUR
-    return (
-        f"at rest they read {read:.1f} °/h (the Earth: {EARTH_RATE / DEGREE_PER_HOUR:.1f}), {vertical:.1f} about the "
-        f"vertical ({likewise}); a guess, right where their biases are below 2 °/h"
-    )

@@ -1,0 +1,97 @@
+"""Files of a log: those that a path means, those in an archive; and files that hold no readings, refused by name."""
+
+from __future__ import annotations
+
+import lzma
+import re
+import zipfile
+import zlib
+from pathlib import Path, PurePosixPath
+
+from tumble.documents import check_regular
+from tumble.errors import InputError
+from tumble.files import OutputFolder, whole_file
+from tumble.recording.text.pieces import largest_unpacked
+
+_MOST_FILES = 200
+_PIECE_BYTES = 1 << 20
+_HIDDEN = re.compile(r"(^|/)(\.(?!/)|__MACOSX)")
+_NO_LOGS = (".toml", ".json", ".md", ".pdf", ".png", ".jpg", ".html", ".zip")
+_DAMAGED = (zipfile.BadZipFile, NotImplementedError, RuntimeError, ValueError, EOFError, zlib.error, lzma.LZMAError)
+_OTHER_FORMATS = (
+    (0, b"\xb5b", "UBX of a u-blox receiver", "write its ESF-RAW messages as a table with a row a sample (pyubx2)"),
+    (0, b"$IMURAW", "IMR of Waypoint", "write it as text in Inertial Explorer"),
+    (0, b"H Product:Blackbox", "a black box of Betaflight", "decode it with blackbox_decode, and give the .csv"),
+    (0, b"\xfa\xff", "MTB of Xsens", "export it as text in MT Manager, with Acc and Gyr"),
+    (4, b"ftyp", "a video", "write its sensors as CSV, of a GoPro with a reader of GPMF"),
+    (0, b"TDSm", "TDMS of LabVIEW", "export it as CSV"),
+    (0, b"SQLite format 3", "a database", "export its readings as CSV"),
+    (0, b"%PDF", "a document", "give the file with the readings"),
+    (0, b"PK\x03\x04", "an archive or a workbook", "unpack it, or save its sheets as CSV"),
+    (0, b"\xd0\xcf\x11\xe0", "a workbook", "save its sheets as CSV"),
+    (0, b"version https://git-lfs", "a pointer of Git LFS to it", "fetch the file itself: git lfs pull"),
+    (257, b"ustar", "an archive of several files (tar)", "unpack it, and give its files"),
+)
+"""Where in a file which bytes are, what they are of, and what to do."""
+
+
+def files_of(log: Path) -> list[Path]:
+    """The files that a path means: itself, those of a folder, or those that match a pattern.
+
+    They are in the order of the numbers in their names: pos2 before pos10. Raises InputError where there are none."""
+    pattern = not log.exists() and bool(set(log.name) & set("*?["))
+    if log.is_dir() and not (log / "metadata.yaml").is_file():
+        files = [file for file in log.iterdir() if file.is_file() and not file.name.startswith(".")]
+        files = [file for file in files if file.suffix.lower() not in _NO_LOGS]
+        missing = "a folder with logs, found none in it"
+    elif pattern:
+        files, missing = list(log.parent.glob(log.name)), "files that fit this pattern, found none"
+    else:
+        check_regular(log)
+        files, missing = [log] if log.exists() else [], "a log, found no such file"
+    if not files:
+        raise InputError(f"{log}: expected {missing}")
+
+    def natural(path: Path) -> list[tuple[int, str]]:
+        parts = re.split(r"([0-9]+)", path.name)
+        return [(int(part) if re.fullmatch("[0-9]{1,18}", part) else -1, part) for part in parts]
+
+    return sorted(files, key=natural)
+
+
+def unzipped(archive: Path, folder: OutputFolder) -> list[Path]:
+    """The files in an archive, written into a folder; a file that is no archive as it is.
+
+    Hidden files and those that are no logs are left out. Raises InputError for an archive that is damaged or locked, or
+    holds none, or more than readings would."""
+    if archive.suffix.lower() != ".zip":
+        return [archive]
+    limit = largest_unpacked(archive)
+    files: list[Path] = []
+    try:
+        with zipfile.ZipFile(archive) as opened:
+            members = [m for m in opened.infolist() if not m.is_dir() and _HIDDEN.search(m.filename) is None]
+            members = [m for m in members if PurePosixPath(m.filename).suffix.lower() not in _NO_LOGS]
+            if not 0 < len(members) <= _MOST_FILES or sum(m.file_size for m in members) > limit:
+                raise InputError(
+                    f"{archive}: expected 1 to {_MOST_FILES} files of at most {limit / 1e6:.3g} MB together, found "
+                    f"{len(members)}, {sum(m.file_size for m in members) / 1e6:.3g} MB; unpack it and name the logs"
+                )
+            for member in members:  # of which no more than it states comes out
+                files.append(folder.new_file(PurePosixPath(member.filename.replace("\\", "/")).name))
+                with opened.open(member) as stream, whole_file(files[-1]) as part, part.open("wb") as out:
+                    while piece := stream.read(_PIECE_BYTES):
+                        out.write(piece)
+    except _DAMAGED as error:
+        found = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{archive}: expected a sound archive, found: {found[:200]}") from None
+    return files
+
+
+def check_is_text(file: Path, start: bytes) -> None:
+    """Raise InputError that names the format of a file, by its first bytes, and what to do."""
+    for at, mark, name, advice in _OTHER_FORMATS:
+        if start[at : at + len(mark)] == mark:
+            raise InputError(f"{file}: expected a log, found {name}; {advice}")
+    if start.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] in (b"{", b"[") and start.count(b"\n") < 3:
+        raise InputError(f"{file}: expected rows of readings, found a document of JSON; write the readings as CSV")

@@ -1,0 +1,101 @@
+"""What a name, a unit or the user says of a log is believed; numbers fill in what that leaves open."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from tests.support.shared import session
+from tumble.drafting.new_session import Given, new_session
+from tumble.errors import InputError
+from tumble.planning.setup import Setup
+from tumble.recording.session_file import read_session
+from tumble.units import DEGREE, G_STANDARD, Array
+
+
+@pytest.fixture(scope="module")
+def rows() -> Array:
+    """Times, s, accelerometers, g, and gyros, °/s, of twelve rests by hand."""
+    log = pl.read_parquet(session(Setup.of(grade="mems", positions=12), seed=4) / "log.parquet").to_numpy()
+    return np.round(np.column_stack([log[:, 0], log[:, 1:4] / G_STANDARD, log[:, 4:7] / DEGREE]), 5)
+
+
+def text(path: Path, header: str, rows: Array) -> Path:
+    path.write_text(header + "".join(",".join(f"{x:.10g}" for x in row) + "\n" for row in rows.tolist()))
+    return path
+
+
+def columns_of(folder: Path) -> dict[str, tuple[tuple[str, ...], str]]:
+    log = read_session(folder).log
+    assert log.gyro is not None
+    return {"accel": (log.accel.columns, log.accel.unit_name), "gyro": (log.gyro.columns, log.gyro.unit_name)}
+
+
+NAMES = "time,ax,ay,az,gx,gy,gz"
+
+
+@pytest.mark.parametrize(
+    ("header", "given", "accel", "gyro"),
+    [
+        (f"{NAMES},mx,my,mz", Given(), "ax ay az", "gx gy gz"),
+        ("t,x,y,z,x,y,z", Given(accel=("2", "3", "4"), gyro=("5", "6", "7")), "2 3 4", "5 6 7"),
+        ("t,x,y,z,x,y,z,,,", Given(accel=("2", "3", "4"), gyro=("5", "6", "7")), "2 3 4", "5 6 7"),
+        ("\0\0time,ax,ay,az,gx,gy,gz,a,b,c", Given(), "ax ay az", "gx gy gz"),
+        (NAMES, Given(), "ax ay az", "gx gy gz"),
+        ("t,ax1,ay1,az1,gx1,gy1,gz1,ax2,ay2,az2", Given(), "ax1 ay1 az1", "gx1 gy1 gz1"),
+        (NAMES + ",p,q,r", Given(accel=("5", "6", "7"), gyro=("ax", "ay", "az"), time="1"), "gx gy gz", "ax ay az"),
+    ],
+    ids=["magnetometer off", "same names", "same names, others", "NULs", "short header", "two devices", "exchanged"],
+)
+def test_columns_are_those_that_names_or_the_user_say(
+    header: str, given: Given, accel: str, gyro: str, rows: Array, tmp_path: Path
+) -> None:
+    log = text(tmp_path / "log.csv", f"{header}\n", np.column_stack([rows, np.zeros((len(rows), 3))]))
+    new_session(tmp_path / "s", log, given)
+    found = columns_of(tmp_path / "s")
+    assert [found[kind][0] for kind in ("accel", "gyro")] == [tuple(accel.split()), tuple(gyro.split())]
+
+
+@pytest.mark.parametrize(
+    ("units", "found", "fault"),
+    [
+        (("g", "dps"), ("g", "deg/s"), None),
+        (("g", "mdps"), ("g", "mdeg/s"), 'the unit of [log.gyro] is not "mdeg/s", "deg/s" would fit'),
+        (("V", "dps"), ("V", "deg/s"), None),
+    ],
+)
+def test_units_in_names_stay_and_what_contradicts_them_is_said(
+    units: Sequence[str], found: tuple[str, str], fault: str | None, rows: Array, tmp_path: Path
+) -> None:
+    volts = np.column_stack([rows[:, :1], 1.66 + 0.325 * rows[:, 1:4], rows[:, 4:]]) if units[0] == "V" else rows
+    names = ",".join(["t", *(f"a{a} [{units[0]}]" for a in "xyz"), *(f"g{a} [{units[1]}]" for a in "xyz")])
+    _, faults = new_session(tmp_path / "s", text(tmp_path / "log.csv", f"{names}\n", volts))
+    assert tuple(unit for _, unit in columns_of(tmp_path / "s").values()) == found
+    assert any(fault in each for each in faults) if fault else not faults
+
+
+def test_six_columns_without_names_of_a_body_that_is_never_at_rest(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    walk = np.add(np.cumsum(rng.normal(scale=0.02, size=(2000, 3)), axis=0), [0.0, 0.0, 2.0])
+    accel = G_STANDARD * walk / np.linalg.norm(walk, axis=1)[:, None] + rng.normal(scale=1.0, size=(2000, 3))
+    new_session(tmp_path / "s", text(tmp_path / "log.csv", "", np.column_stack([accel, rng.normal(size=(2000, 3))])))
+    assert [columns for columns, _ in columns_of(tmp_path / "s").values()] == [("1", "2", "3"), ("4", "5", "6")]
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        ("t,Raw X Gyro,Raw Y Gyro,Raw Z Gyro", "found gyros alone"),
+        ("t,fx_uT,fy_uT,fz_uT", "log the readings of the accelerometers too"),
+        ("t,estLinearAccelX,estLinearAccelY,estLinearAccelZ", "found linear acceleration, which a filter has taken"),
+    ],
+)
+def test_what_names_say_is_no_accelerometer_is_refused(names: str, said: str, tmp_path: Path) -> None:
+    read = np.random.default_rng(4).normal(scale=0.3, size=(600, 3))
+    log = text(tmp_path / "log.csv", f"{names}\n", np.column_stack([0.1 * np.arange(600), read]))
+    with pytest.raises(InputError, match=said):
+        new_session(tmp_path / "s", log)
