@@ -83,7 +83,7 @@ class Ranges:
     @staticmethod
     def of(calibration: Calibration) -> Ranges:
         """Temperatures of the rests and, with MARGIN, the rate of the turns and gravity."""
-        prediction, site = calibration.prediction, calibration.site
+        prediction, site = calibration.prediction, calibration.provenance.site
         rate = inf if prediction is None or prediction.at_rate is None else (1.0 + MARGIN) * prediction.at_rate
         force = (1.0 + MARGIN) * (G_STANDARD if site is None else site.gravity)
         return Ranges(temperature=calibration.temperature_range or (-inf, inf), rate=rate, force=force)
@@ -229,7 +229,7 @@ class Corrector:
 
     def __init__(self, calibration: Calibration | FilePath, *, sample_rate: float | None = None) -> None:
         self.calibration = accepted_part(calibration_from(calibration))
-        rate = self.calibration.sample_rate if sample_rate is None else sample_rate
+        rate = self.calibration.provenance.sample_rate if sample_rate is None else sample_rate
         if rate is None or not 0.0 < rate < inf:
             raise InputError(f"sample_rate: expected samples a second, found {rate}; give sample_rate=")
         self.sample_rate = rate
@@ -347,7 +347,7 @@ def white_noise(given: Calibration) -> dict[str, Array]:
     """Density (n,) of the white noise of "accel" and "gyro" in the rests of a calibration, unit/√Hz."""
     white = {}
     for kind in ("accel", "gyro"):
-        rests = [sensors.noise for rest in given.rests if (sensors := getattr(rest, kind)) is not None]
+        rests = [sensors.noise for rest in given.evidence.rests if (sensors := getattr(rest, kind)) is not None]
         if rests:
             white[kind] = np.sqrt(np.mean(np.square(rests), axis=0))
     return white
