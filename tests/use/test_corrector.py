@@ -94,12 +94,14 @@ def test_a_long_block_is_that_of_short_ones() -> None:
         np.testing.assert_array_equal(ours, theirs)
 
 
-def test_results_stay_as_they_are_when_the_next_sample_comes() -> None:
+def test_nothing_is_allocated_for_the_next_block_of_a_length() -> None:
     made, (accel, gyro, time, _) = moving()
     corrector = Corrector(made)
-    found = [corrector.add(accel[k], gyro[k], time=time[k]).force for k in range(9)]
-    whole = Corrector(made).add(accel[:9], gyro[:9], time=time[:9]).force
-    np.testing.assert_array_equal(np.concatenate(found), whole)
+    corrector.add(accel[:9], gyro[:9], time=time[:9])
+    first, second = (corrector.add(accel[k], gyro[k], time=time[k]) for k in (9, 10))
+    assert second is first
+    corrector.add(accel[11:14], gyro[11:14], time=time[11:14])
+    assert np.shares_memory(corrector.add(accel[14], gyro[14], time=time[14]).force, first.force)
 
 
 def test_without_lever_arms_a_sample_is_correct_at_once() -> None:

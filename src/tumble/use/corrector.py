@@ -33,11 +33,13 @@ LATEST = 1.0
 is dropped."""
 MARGIN = 0.1
 """Relative margin of the calibrated rate and force, for noise and vibration."""
+_ROWS = 1 << 12
+"""Rows that are corrected at a time: intermediate results fit the cache of a core."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Corrected:
-    """Corrected samples in the order in which they came.
+    """Corrected samples in the order in which they came, as views of memory that the next block overwrites.
 
     Attributes
     ----------
@@ -131,7 +133,10 @@ class Stream:
             np.zeros(3),
             np.zeros((2, max(n, m))),
         )
-        self._absent = np.zeros((0, n)), np.zeros((0, m)), np.zeros(0)
+        self._nothing = np.zeros((0, n)), np.zeros((0, m)), np.zeros(0), np.zeros((0, heat))
+        self._lost = self._nothing[3]
+        self._out: tuple[Array, ...] = np.zeros((0, 2 + heat)), np.zeros((0, 3)), np.zeros((0, 3))
+        self._view = self._views(0)
         self.reset()
 
     def reset(self) -> None:
@@ -148,41 +153,51 @@ class Stream:
     def add(self, accel: Array, gyro: Array | None, time: Array | None, celsius: Array | None) -> Corrected:
         """Add readings (N, n) and (N, m), stamps (N,), by default of a regular clock, and temperatures (N, T), not a
         number where they are lost; return the samples that are corrected with them."""
-        kept, *others = self._state
-        if len(kept) < len(accel) + 2:
-            rows = np.zeros((len(accel) + 2, kept.shape[1]))
+        count = len(accel)
+        if count + 1 > len(self._out[0]):
+            widths = (each.shape[1] for each in self._out)
+            self._out = tuple(np.zeros((count + 1, width)) for width in widths)
+            kept, *others = self._state
+            rows = np.zeros((min(count, _ROWS) + 2, kept.shape[1]))
             rows[:2] = kept[:2]
-            self._state = (rows, *others)
-        return self._advance(accel, gyro, time, celsius)
+            self._state, self._view = (rows, *others), self._views(0)
+            self._lost = np.full((min(count, _ROWS), len(self._start)), nan)
+        ready = 0
+        pieces: tuple[Array | None, ...] = (accel, gyro, time, celsius)
+        for i in range(0, count, _ROWS):
+            if count > _ROWS:
+                pieces = tuple(
+                    None if given is None else given[i : i + _ROWS] for given in (accel, gyro, time, celsius)
+                )
+            ready += self._advance(pieces, ready)
+        return self._corrected(ready)
 
     def finish(self) -> Corrected:
         """Return the last sample, if one waits; the next one begins another stream."""
-        last = self._advance(self._absent[0], None, None, None, last=True)
+        ready = self._advance(self._nothing, 0, last=True)
         self.reset()
-        return last
+        return self._corrected(ready)
 
-    def _advance(
-        self, accel: Array, gyro: Array | None, time: Array | None, celsius: Array | None, *, last: bool = False
-    ) -> Corrected:
-        count, heat = len(accel), len(self._start)
-        rows = (
-            accel,
-            self._absent[1] if gyro is None else gyro,
-            self._absent[2] if time is None else time,
-            np.full((count, heat), nan) if celsius is None else celsius,
-        )
-        stamps, force, rate = out = tuple(np.zeros((count + 1, width)) for width in (2 + heat, 3, 3))
+    def _advance(self, given: tuple[Array | None, ...], begun: int, *, last: bool = False) -> int:
+        """Correct more samples after `begun` ones of this call; return how many are ready."""
+        absent = (*self._nothing[:3], self._lost)
+        rows = tuple(other if each is None else each for each, other in zip(given, absent, strict=True))
+        out = self._out if not begun else tuple(each[begun:] for each in self._out)
         ready, self._held = advance(
             rows, self._sensors, self._settings, self._state, self._held, out, moved=self.moved, last=last
         )
-        stamps = stamps[:ready]
-        return Corrected(
-            time=stamps[:, 0],
-            force=force[:ready],
-            rate=rate[:ready] if self.gyros else None,
-            flags=stamps[:, 1],
-            temperature=stamps[:, 2:],
-        )
+        return ready
+
+    def _corrected(self, ready: int) -> Corrected:
+        if len(self._view.time) != ready:
+            self._view = self._views(ready)
+        return self._view
+
+    def _views(self, ready: int) -> Corrected:
+        stamps, force, rate = (each[:ready] for each in self._out)
+        time, flags, temperature = stamps[:, 0], stamps[:, 1], stamps[:, 2:]
+        rates = rate if self.gyros else None
+        return Corrected(time=time, force=force, rate=rates, flags=flags, temperature=temperature)
 
 
 class Corrector:
@@ -291,13 +306,12 @@ class Corrector:
         Returns
         -------
         Corrected
-            The samples that are ready, `delay` samples late.
+            Views, which the next call overwrites.
 
         Raises
         ------
         InputError
-            For other shapes, and temperatures that are not in kelvin.
-        """
+            For other shapes, and temperatures that are not in kelvin."""
         readings = self._rows("accel", accel, self._sizes[0])
         turned = None if gyro is None and not self._sizes[1] else self._rows("gyro", gyro, self._sizes[1])
         count = len(readings)
