@@ -17,13 +17,16 @@ from math import exp, inf, nan
 import numpy as np
 import numpy.typing as npt
 
-from tumble.errors import InputError
+from tumble.errors import CalibrationError, InputError
 from tumble.files import FilePath
 from tumble.recording.arrays import check_kelvin
 from tumble.result.accepted import accepted_part
 from tumble.result.calibration import Calibration, calibration_from
+from tumble.rotation import left_inverse
 from tumble.sensors.compensation import Compensator
-from tumble.sensors.fixed_point import TOO_FAST, TOO_MUCH, TOO_WARM, WIDTH, advance
+from tumble.sensors.fixed_point import ACROSS, ALONG, TOO_FAST, TOO_MUCH, TOO_WARM, WIDTH, advance
+from tumble.sensors.instrument import Instrument, functions, measured_by
+from tumble.sensors.parameters import FORCE, group_name
 from tumble.units import G_STANDARD, ZERO_CELSIUS, Array, BoolArray, IntArray
 
 LONGEST_STEP = 3.5
@@ -251,7 +254,7 @@ class Corrector:
         """Samples per second."""
         self.ranges = Ranges.of(self.calibration)
         """Ranges outside of which samples are flagged."""
-        compensator = self.calibration.compensator
+        self._compensator = compensator = self.calibration.compensator
         blocks = compensator.accel, compensator.gyro
         of_accel, of_gyro = (np.zeros(0, int) if block is None else block.thermometer for block in blocks)
         self.thermometers = 1 + int(max(*of_accel, *of_gyro))
@@ -338,6 +341,68 @@ class Corrector:
         """Return the last sample, if it waits for the next, with ω̇ from the one before; another stream begins."""
         return self._without_absent(self._stream.finish())
 
+    def covariance(self, force: Array, rate: Array | None = None, celsius: float | None = None) -> Array:
+        """Covariance of one corrected sample, SI.
+
+        It is the sum of the uncertainty of the calibration at this force, rate and temperature, with biases as in the
+        next recording, and the noise of a sample, d² · sample_rate with the noise density d of the rests of the
+        calibration. With lever arms the noise of ω̇ is added. The uncertainty of lever arms and delays, which needs the
+        motion, is left out.
+
+        Parameters
+        ----------
+        force, rate
+            Specific force, m/s², and angular rate, rad/s, of the sample.
+        celsius
+            Its temperature, °C; by default the reference.
+
+        Returns
+        -------
+        (3, 3) or (6, 6) array
+            Covariance of the specific force, or with a rate that of both. Not a number for absent accelerometers.
+
+        Raises
+        ------
+        CalibrationError
+            For a calibration without covariance.
+        """
+        given, own = self.calibration.in_frame("accelerometer"), self._compensator
+        if given.covariance is None:
+            raise CalibrationError(f"{given.serial}: expected a calibration with covariance, found none")
+        there = given.compensator
+        turned = left_inverse(own.accel_coefficients[:, FORCE]) @ there.accel_coefficients[:, FORCE]
+        felt, spun = turned.T @ np.asarray(force), turned.T @ (np.zeros(3) if rate is None else np.asarray(rate))
+        variables = "temperature", "temperature²", "hysteresis"
+        instrument = Instrument.of(there.accel, there.gyro, {group_name(name) for name in given}, variables=variables)
+        values = np.array([given[name].value if name in given else 0.0 for name in instrument.names])
+        known = [i for i, name in enumerate(instrument.names) if name in given]
+        names = [instrument.names[i] for i in known]
+        reference = given.reference_temperature
+        warmer = 0.0 if celsius is None or reference is None else celsius - reference
+        beta = np.concatenate([functions(block, felt[None], spun[None])[0] for block in instrument.blocks])
+        J = (beta[:, None] @ derivative(instrument, values, warmer)[:, :, known])[:, 0]
+        parameters = np.array(given.covariance_of(names))
+        for bias in given.evidence.process_bias:
+            if bias.name in names:
+                parameters[(names.index(bias.name),) * 2] = max(given[bias.name].u or 0.0, bias.next_u) ** 2
+        kinds = ("accel", "gyro")[: len(instrument.blocks)]
+        density = [
+            white_noise(given).get(kind, np.zeros(b.size)) for kind, b in zip(kinds, instrument.blocks, strict=True)
+        ]
+        noise = np.diag(np.concatenate(density) ** 2 * self.sample_rate)
+        onto = np.zeros((3 * len(kinds), len(noise)))
+        for k, (block, K) in enumerate(
+            zip(instrument.blocks, (there.accel_coefficients, there.gyro_coefficients), strict=False)
+        ):
+            onto[3 * k : 3 * k + 3, instrument.rows(block)] = turned @ left_inverse(K[:, measured_by(block)])
+        out = onto @ (J @ parameters @ J.T + noise) @ onto.T
+        if self._stream.moved:  # of a central difference over two samples, var(ω̇) = var(ω) · 2 / (2 h)²
+            across = onto[:3, : there.accel.size] @ there.accelerometers.sheet[:, ACROSS:ALONG] @ turned.T
+            out[:3, :3] += 0.5 * self.sample_rate**2 * across @ (onto @ noise @ onto.T)[3:, 3:] @ across.T
+        if given.accel is None:
+            out[:3], out[:, :3] = nan, nan
+        return np.asarray(out if rate is not None else out[:3, :3])
+
     def _without_absent(self, corrected: Corrected) -> Corrected:
         if self.calibration.accel is None:
             corrected.force[:] = nan
@@ -365,3 +430,13 @@ def white_noise(given: Calibration) -> dict[str, Array]:
         if rests:
             white[kind] = np.sqrt(np.mean(np.square(rests), axis=0))
     return white
+
+
+def derivative(instrument: Instrument, values: Array, warmer: float) -> Array:
+    """Derivative ∂K/∂θ (n, 15, m) of the coefficients of accelerometers and gyros at a temperature `warmer` K above the
+    reference, on which those by slopes, curvatures and hysteresis depend."""
+    D = instrument.linearised(values)[1].copy()
+    by = {"temperature": warmer, "temperature²": warmer**2, "hysteresis": float(warmer != 0.0)}
+    for own, base, variable in instrument.changes:
+        D[:, :, own] = by[variable] * D[:, :, base]
+    return D
