@@ -227,6 +227,8 @@ def test_no_argument_at_all_shows_the_commands() -> None:
         (["programme", "--attitude", "NUX"], 'expected three of N S E W U D, where body X, Y, Z point, found "NUX"'),
         (["programme", "nine", "--rest", "-1"], "rest: expected a positive number"),
         (["plan", "--table-error", "-1"], "expected 0 or more"),
+        (["plan", "--rest", "nan"], "expected more than 0"),
+        (["plan", "cube-14", "--method", "sequential"], "take the programme rough-table or the"),
         (["plan", "--want", "accel.scale=3furlong"], "expected a number and one of ppm, %"),
         (["programme", "nine", "-o", "x.xyz"], "expected a file that ends in .html, .pdf or .svg"),
     ],

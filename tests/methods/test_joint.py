@@ -418,7 +418,7 @@ def test_sessions_with_truth_are_within_their_uncertainties(data: Path, name: st
     assert np.abs(z).max() < 4.0
     assert 0.5 < np.sqrt(np.mean(z**2)) < 1.5
     first = staged_estimate(data / name)
-    assert all(found[name].u <= 1.2 * u for name, u in zip(first.names, first.u, strict=True))  # type: ignore[operator]
+    assert all(found[name].u <= 1.2 * u for name, u in zip(first.names, first.u, strict=True))
 
 
 @pytest.mark.data

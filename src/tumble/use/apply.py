@@ -42,8 +42,8 @@ from tumble.sensors.parameters import groups, positions_by_group
 from tumble.units import Array, Unit
 from tumble.use.corrector import Stream
 
-_SLICE = 1 << 12
-"""Rows that are corrected at a time: intermediate results fit the cache of a core."""
+_SLICE = 1 << 14
+"""Rows that are corrected at a time: what is made of them on the way fits the cache of a core."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -153,7 +153,7 @@ class StreamCheck:
             events.append(Notice(time=float(chunk.time[since]), text=text))
         piece = replace(chunk, file=0, gyro=None if self._gyro is None else chunk.gyro)
         if chunk.temperature is not None:
-            piece = replace(piece, temperature=corrected.temperature)
+            piece = replace(piece, temperature=corrected.temperature.copy())
         return [*events, *map(self._checked, self._finder.feed(piece))]
 
     def finish(self) -> list[Event]:
