@@ -183,7 +183,9 @@ def test_uncertainties_are_not_larger_than_the_staged_ones() -> None:
     assert np.mean(bound / staged(session).u) < 0.9
 
 
-@pytest.mark.parametrize("latitude", [56.8 * DEGREE, pytest.param(None, marks=pytest.mark.weekly)])
+@pytest.mark.parametrize(
+    "latitude", [56.8 * DEGREE, pytest.param(None, marks=pytest.mark.weekly)], ids=["latitude", "no latitude"]
+)
 def test_a_heading_below_the_noise_stays_free(latitude: float | None) -> None:
     """MEMS gyros in the hand see next to nothing of the Earth's rate: the errors are those that u says, over 40
     sessions, and nothing wanders."""
@@ -415,7 +417,7 @@ def test_sessions_with_truth_are_within_their_uncertainties(data: Path, name: st
     assert np.abs(z).max() < 4.0
     assert 0.5 < np.sqrt(np.mean(z**2)) < 1.5
     first = staged_estimate(data / name)
-    assert all(found[name].u <= 1.2 * u for name, u in zip(first.names, first.u, strict=True))  # type: ignore[operator]
+    assert all(found[name].u <= 1.2 * u for name, u in zip(first.names, first.u, strict=True))
 
 
 @pytest.mark.data
