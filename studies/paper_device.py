@@ -39,6 +39,7 @@ from tumble.methods.paper.four_stages import (
 )
 from tumble.planning.setup import Setup
 from tumble.result.calibration import Calibration
+from tumble.result.evidence import Evidence
 from tumble.result.parts import CalibratedDevice, Launch, Parameter
 from tumble.rotation import rotation_matrix
 from tumble.sensors.grades import NoiseModel
@@ -230,15 +231,17 @@ def calibration_of(found: Sets, method: str, rows: range) -> Calibration:
         accel=None,
         gyro=None,
         outcome=Outcome(),
-        iterations=tuple({ROWS[i][0]: step[i] for i in rows} for step in increments),
-        launches=tuple(
-            Launch(
-                session=f"launch {n}",
-                parameters=tuple(parameter(i, launch[i], spread[i]) for i in rows),
-                covariance=None,
-                log_sha256="",
-            )
-            for n, launch in enumerate(values, start=1)
+        evidence=Evidence(
+            iterations=tuple({ROWS[i][0]: step[i] for i in rows} for step in increments),
+            launches=tuple(
+                Launch(
+                    session=f"launch {n}",
+                    parameters=tuple(parameter(i, launch[i], spread[i]) for i in rows),
+                    covariance=None,
+                    log_sha256="",
+                )
+                for n, launch in enumerate(values, start=1)
+            ),
         ),
     )
 

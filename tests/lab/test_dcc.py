@@ -15,7 +15,7 @@ import pytest
 from click.testing import CliRunner
 
 from tests.support import ROOT
-from tests.support.calibrated import HEXAD, calibration, of_device
+from tests.support.calibrated import HEXAD, calibration, of_device, with_fields
 from tests.support.exports import CERTIFICATE
 from tests.views.test_certificate import CERTIFICATE as EVERYTHING
 from tests.views.test_certificate import files
@@ -92,7 +92,7 @@ def schema() -> Any:
     "made",
     [
         calibration(),
-        replace(calibration(), site=SITE),
+        with_fields(calibration(), site=SITE),
         calibration(accel=HEXAD),
         of_device(calibration(with_gyro=False), model=None),
         replace(calibration(), covariance=None, parameters=tuple(replace(p, u=None) for p in calibration().parameters)),
@@ -224,7 +224,7 @@ def test_the_covariance_is_there_column_by_column_in_the_units_of_its_entries() 
 def full(folder: Path) -> bytes:
     """A certificate with everything that one may have, of a laboratory in a file of its own."""
     entries = EVERYTHING.replace("state =", 'replaces = "2026-0041"\nremarks = ["a remark"]\nstate =')
-    made = replace(read_calibration(files(folder, certificate=entries)), site=SITE)
+    made = with_fields(read_calibration(files(folder, certificate=entries)), site=SITE)
     return export_calibration(made, "dcc", certificate=read_certificate(folder / "certificate.toml")).content
 
 

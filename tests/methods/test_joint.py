@@ -429,7 +429,7 @@ def test_xsens_is_accepted_and_agrees_with_the_staged_estimate(data: Path) -> No
     assert len(first.names) == 21
     for name, value, u in zip(first.names, first.values, first.u, strict=True):
         assert abs(value - found[name].value) < 2.0 * u
-    assert len(found.iterations) <= 8
+    assert len(found.evidence.iterations) <= 8
 
 
 def test_rough_table_needs_no_programme() -> None:

@@ -137,5 +137,7 @@ def test_the_end_of_a_converter_is_seen_in_si_units(data: Path) -> None:
     log = pl.read_parquet(data / "mimu4444" / "exp_3.parquet")
     accel, gyro = (log.select(f"{kind}5{axis}" for axis in "xyz").to_numpy() for kind in "ag")
     found = tumble.calibrate(accel=accel / 2048.0 * 9.80665, gyro=np.radians(gyro / 16.4), time=log["t"].to_numpy())
-    assert "turn from rest 20 to rest 21 is left out: gyros are clipped in 1101 of its samples" in found.notes
+    assert (
+        "turn from rest 20 to rest 21 is left out: gyros are clipped in 1101 of its samples" in found.provenance.notes
+    )
     assert found.outcome.accepted

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
-from tests.support.calibrated import calibration
+from tests.support.calibrated import calibration, with_fields
 from tumble.cli import main
 from tumble.inference.estimate import GroupFinding, HyperparameterEstimate, Integral, Outcome, ProcessBias
 from tumble.inference.prediction import Prediction
@@ -73,8 +73,8 @@ def test_each_launch_its_mean_and_the_deviation_from_run_to_run_are_in_a_row(by_
     assert list(rows) == [p.name for p in found.parameters]
     for i, p in enumerate(found.parameters):
         size = units[p.name][0]
-        values = [launch.parameters[i].value / size for launch in found.launches]
-        last = 0.06 * max((launch.parameters[i].u or 0.0) for launch in found.launches) / size
+        values = [launch.parameters[i].value / size for launch in found.evidence.launches]
+        last = 0.06 * max((launch.parameters[i].u or 0.0) for launch in found.evidence.launches) / size
         expected = [*values, float(np.mean(values)), float(np.std(values, ddof=1))]
         np.testing.assert_allclose(np.array(rows[p.name]), np.array(expected), atol=last)
 
@@ -125,11 +125,13 @@ def test_deviations_from_the_systematic_values_stand_beside_the_totals(
     rows = numbers(launch_table(mean, mean.parameters, deviations=True))
     for p in mean.parameters:
         size = shown_units(mean.parameters)[p.name][0]
-        deviations = [next(q for q in launch.parameters if q.name == p.name).deviation for launch in mean.launches]
+        deviations = [
+            next(q for q in launch.parameters if q.name == p.name).deviation for launch in mean.evidence.launches
+        ]
         expected = [d / size for d in deviations if d is not None]
         assert len(expected) == 2
         np.testing.assert_allclose(rows[p.name][:2], expected, atol=0.1 * (p.u or 0.0) / size)
-    assert printed(calibration_blocks(replace(mean, notes=()))).count("launch1") == 2
+    assert printed(calibration_blocks(with_fields(mean, notes=()))).count("launch1") == 2
     assert "deviation of" in printed(calibration_blocks(mean))
 
 
@@ -172,7 +174,7 @@ def full(by_method: dict[str, Calibration]) -> Calibration:
     )
     biases = tuple(replace(p, u=10 * MICRO_G) if p.name.startswith("accel.bias") else p for p in whole.parameters)
     prediction = Prediction(force_u=1.7 * MICRO_G, rate_u=0.4 * DEGREE_PER_HOUR, at_rate=23.0 * DEGREE)
-    return replace(
+    return with_fields(
         whole,
         parameters=biases + further,
         covariance=None,
@@ -302,13 +304,13 @@ def test_sentences_are_not_broken_in_a_pipe_and_tables_are(capsys: pytest.Captur
 def test_the_verdict_is_first_and_the_length_does_not_grow_with_the_rests(
     full: Calibration, by_method: dict[str, Calibration]
 ) -> None:
-    rests = by_method["scalar"].launches[0].rests
-    lines, longer = (lines_of(calibration_blocks(replace(full, rests=rests * times))) for times in (1, 3))
+    rests = by_method["scalar"].evidence.launches[0].rests
+    lines, longer = (lines_of(calibration_blocks(with_fields(full, rests=rests * times))) for times in (1, 3))
     assert lines[0].startswith("device ")
     assert lines[1] == full.outcome.verdict
     assert sum(line.startswith(("accel.", "gyro.")) for line in lines) == 21
     assert len(longer) == len(lines)
-    whole, more = (lines_of(calibration_blocks(replace(full, rests=rests * n), every=True)) for n in (1, 3))
+    whole, more = (lines_of(calibration_blocks(with_fields(full, rests=rests * n), every=True)) for n in (1, 3))
     assert len(more) - len(whole) == 2 * len(rests)
 
 
@@ -339,7 +341,7 @@ def test_all_shows_what_the_model_did_not_know_about_itself() -> None:
     scatter = HyperparameterEstimate(
         name="accel", unit="m/s^2", words="rests", value=20e-6 * G_STANDARD, low=0.0, high=0.0, usual=0.0
     )
-    known = replace(
+    known = with_fields(
         made,
         hyperparameters=(scatter, size),
         integral=Integral(points=64, effective=44.0, pareto=-0.22),

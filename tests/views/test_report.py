@@ -602,6 +602,10 @@ def test_what_cannot_be_used_is_said_in_one_line(
 def test_without_the_extra_one_line_says_what_to_install(
     file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    for name in [n for n in sys.modules if n.startswith("tumble.views.") and n != "tumble.views.report.write"]:
+        monkeypatch.delitem(sys.modules, name)
+    for name in [n for n in sys.modules if n.split(".")[0] == "matplotlib"]:
+        monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(MissingExtraError, match=r"^a figure needs matplotlib; .*pip install 'tumble\[lab\]'$"):
         write_report([file], tmp_path / "report.html")

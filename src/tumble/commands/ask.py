@@ -96,6 +96,13 @@ def programmes_like(_context: click.Context, _parameter: click.Parameter, typed:
     return [name for name in programmes() if name.startswith(typed)]
 
 
+def _grades_like(_context: click.Context, _parameter: click.Parameter, typed: str) -> list[str]:
+    """Grades that begin with what was typed, for the tab key."""
+    from tumble.sensors.grades import GRADES
+
+    return [name for name in GRADES if name.startswith(typed)]
+
+
 def out(says: str, kind: click.Path = FILE, **settings: Any) -> _Option:
     """Where a result is written."""
     return click.option("-o", "--out", type=kind, help=says, **settings)
@@ -110,7 +117,7 @@ def programme(says: str, default: str | None = None) -> _Option:
 
 
 def grade(default: str | None = usual_setup.GRADE, says: str = "") -> _Option:
-    return option("--grade", f"navigation, tactical, mems or consumer{says}.", default)
+    return option("--grade", f"navigation, tactical, mems or consumer{says}.", default, shell_complete=_grades_like)
 
 
 def terms(default: str) -> _Option:

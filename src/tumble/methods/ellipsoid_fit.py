@@ -150,7 +150,7 @@ def fit_ellipsoid(
     >>> import numpy as np, tumble
     >>> faces = np.vstack([np.eye(3), -np.eye(3)])
     >>> corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / np.sqrt(3.0)
-    >>> found = tumble.fit_ellipsoid(9.8 * np.vstack([faces, corners]) + [0.1, 0.05, -0.2], modulus=9.8)
+    >>> found = fit_ellipsoid(9.8 * np.vstack([faces, corners]) + [0.1, 0.05, -0.2], modulus=9.8)
     >>> found.values[:3].round(6).tolist()
     [0.1, 0.05, -0.2]
     """

@@ -8,49 +8,48 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
+from functools import cache
+from importlib import import_module
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import AfterValidator, ConfigDict, Field
+from pydantic import AfterValidator, Field
 
 from tumble.errors import InputError, MissingExtraError
 from tumble.files import FilePath
-from tumble.inference.estimate import GroupFinding, HyperparameterEstimate, Integral, ProcessBias
+from tumble.inference.estimate import GroupFinding
 from tumble.inference.prediction import Prediction
-from tumble.recording.session import UNKNOWN, AutopilotSensor, Circumstances
+from tumble.recording.session import AutopilotSensor
 from tumble.result.coverage import with_degrees
-from tumble.result.file import content_of, parsed, text_of, text_of_calibration, write_calibration
+from tumble.result.evidence import Evidence, Provenance
+from tumble.result.file import (
+    KEYS,
+    adapter_of,
+    content_of,
+    file_record,
+    parsed,
+    text_of,
+    text_of_calibration,
+    write_calibration,
+)
 from tumble.result.parts import (
-    LEAST,
-    MOST_LAUNCHES,
     MOST_PARAMETERS,
     CalibratedDevice,
     CalibratedTemperature,
     Covariance,
-    Fits,
-    Increments,
     Judged,
     Launch,
-    Member,
     Name,
     Parameter,
     Parameters,
-    Place,
-    Positive,
-    Readings,
-    Rests,
     Sensors,
-    Size,
-    SourceContributions,
-    Turns,
     checked_result,
     checked_sizes,
 )
-from tumble.result.shown import views
 from tumble.result.uncertainty_budget import BudgetLine, uncertainty_budget
 from tumble.sensors.compensation import Compensator
 from tumble.sensors.model import SensorKind
@@ -70,84 +69,64 @@ def _of_unit_length(axis: tuple[float, ...]) -> tuple[float, ...]:
     return axis
 
 
-def _check_scales(readings: Readings) -> Readings:
-    seen = all(abs(scale) >= LEAST for scale in readings.scale)
-    if not len(readings.columns) == len(readings.scale) == len(readings.offset) or not seen:
-        raise ValueError("expected a scale, not zero, and an offset for every column, found others")
-    if len(readings.row_u) not in (0, len(readings.columns)):
-        raise ValueError("expected row_u for every column or none, found others")
-    return readings
-
-
 _Direction = Annotated[tuple[float, ...], Field(min_length=3, max_length=3), AfterValidator(_of_unit_length)]
 SensingAxes = tuple[_Direction, ...]
 """Sensing directions, a row a sensor."""
-_OfParameters, _OfSessions = Field(max_length=MOST_PARAMETERS), Field(max_length=MOST_LAUNCHES)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
 class Calibration(Mapping[str, Parameter]):
-    """The result for one device, a mapping of the names of its parameters to them, and the description of its file.
-    Two are equal whose files are."""
+    """Calibration of one device: a mapping from the names of its parameters to the parameters.
 
-    __pydantic_config__ = ConfigDict(extra="ignore", strict=True, allow_inf_nan=False)
+    Two calibrations are equal if their files are.
 
-    format: Literal[1] = 1
-    """That of the file."""
+    Attributes
+    ----------
+    device : CalibratedDevice
+        Serial number and type.
+    method, frame : str
+        Method of estimation, and frame that the parameters are given in.
+    parameters : tuple of Parameter
+        Values with standard uncertainties, SI.
+    covariance : ndarray, shape (m, m), or None
+        In the order of the parameters.
+    accel, gyro, mag : SensorModel or None
+        Matrix and bias by kind of sensor; None if there are no such sensors or one of their parameters is
+        unobservable. The magnetometer is in its own frame, fixed like that of the accelerometers, and in the unit of
+        `mag.bias.x`.
+    outcome : Outcome
+        Whether the values may be used, and why not.
+    groups : tuple of GroupFinding
+        What the session determines of each group of parameters beyond the linear model.
+    prediction : Prediction or None
+        Standard uncertainties of corrected readings.
+    axes : mapping of str to tuple
+        Nominal sensing directions (n, 3) of "accel" and "gyro".
+    temperature : CalibratedTemperature
+        Reference temperatures and thermometers.
+    evidence : Evidence
+        Rests, turns, fits, budget and launches behind the parameters.
+    provenance : Provenance
+        Recording and software that it comes from.
+    """
+
     device: CalibratedDevice
     method: Name
     frame: Name
     parameters: Parameters
     covariance: Covariance | None
-    """In the order of the parameters."""
-    site: Place | None = None
-    rests: Rests = ()
-    turns: Turns = ()
-    fits: Fits = field(default_factory=dict)
-    """Chi-square, degrees of freedom and estimated scatter, by what they judge."""
     accel: Sensors | None
-    """None where a parameter that they need is unobservable, as the gyros."""
     gyro: Sensors | None
     mag: Sensors | None = None
-    """The magnetometer, in its own frame, fixed as that of the accelerometers, and in the unit of `mag.bias.x`."""
     outcome: Judged
-    groups: Annotated[tuple[Annotated[GroupFinding, checked_sizes("prior", "prior_widened")], ...], _OfParameters] = ()
-    """What the session says of the groups of parameters beyond the linear model."""
-    hyperparameters: Annotated[
-        tuple[Annotated[HyperparameterEstimate, checked_sizes("value", "low", "high", "usual")], ...], _OfParameters
+    groups: Annotated[
+        tuple[Annotated[GroupFinding, checked_sizes("prior", "prior_widened")], ...], Field(max_length=MOST_PARAMETERS)
     ] = ()
-    """What the model did not know about itself: scatter, in-run biases, sizes of groups."""
-    integral: Integral | None = None
-    """How the posterior was integrated over them."""
-    process_bias: Annotated[tuple[Annotated[ProcessBias, checked_sizes("u", "next_u")], ...], _OfParameters] = ()
-    """The biases as the means of their processes, what the next minute's are about; the parameters are those of the
-    session. In the frame of the accelerometers alone."""
-    budget: Annotated[tuple[Annotated[SourceContributions, checked_sizes("u")], ...], _OfParameters] = ()
-    """What the u of every parameter is made of, by source; empty in a frame it was not made in."""
     prediction: Annotated[Prediction, checked_sizes("force_u", "rate_u")] | None = None
-    """What corrected readings are known to."""
     axes: Mapping[str, SensingAxes] = field(default_factory=dict)
-    """Nominal sensing directions (n, 3) of "accel" and "gyro"."""
     temperature: CalibratedTemperature = field(default_factory=CalibratedTemperature)
-    iterations: tuple[Increments, ...] = ()
-    """What each has added to the parameters."""
-    sample_rate: Positive | None = None
-    """Samples a second of the recording."""
-    clock_u: Size = 0.0
-    """Relative standard uncertainty of the time base as it is in the scale factors of the gyros."""
-    circumstances: Annotated[Circumstances, Field(alias="session")] = UNKNOWN
-    """When, by whom, with what and in what air it was recorded."""
-    programme: str | None = None
-    """Its name."""
-    readings: Mapping[str, Annotated[Readings, AfterValidator(_check_scales)]] = field(default_factory=dict)
-    """What the readings of "accel" and "gyro" are."""
-    notes: tuple[str, ...] = ()
-    absent: tuple[str, ...] = ()
-    """In sentences, the sensors of the device that are not in this calibration, and why."""
-    launches: Annotated[tuple[Annotated[Launch, AfterValidator(checked_result)], ...], _OfSessions] = ()
-    together: Annotated[tuple[Member, ...], _OfSessions] = ()
-    """The sessions, where several are in one estimate."""
-    provenance: Mapping[str, str] = field(default_factory=dict)
+    evidence: Evidence = field(default_factory=Evidence)
+    provenance: Provenance = field(default_factory=Provenance)
 
     @property
     def serial(self) -> str:
@@ -181,12 +160,26 @@ class Calibration(Mapping[str, Parameter]):
     def temperature_range(self) -> tuple[float, float] | None:
         """The lowest and the highest temperature, °C, that the rests of all launches have of every sensor; None where
         they have none."""
-        every = chain(self.rests, *(launch.rests for launch in self.launches))
+        every = chain(self.evidence.rests, *(launch.rests for launch in self.evidence.launches))
         by_sensor = list(zip(*(rest.temperatures for rest in every if rest.temperature is not None), strict=False))
         if not by_sensor:
             return self.temperature.range
         low, high = max(map(min, by_sensor)), min(map(max, by_sensor))
         return (low, high) if low <= high else None
+
+    def as_launch(self, session: str) -> Launch:
+        """This calibration of one session as one of the launches behind a mean, with the name of the session."""
+        return Launch(
+            session=session,
+            log_sha256=self.provenance.log_sha256 or "",
+            parameters=self.parameters,
+            covariance=self.covariance,
+            site=self.provenance.site,
+            circumstances=self.provenance.circumstances,
+            rests=self.evidence.rests,
+            turns=self.evidence.turns,
+            fits=self.evidence.fits,
+        )
 
     def covariance_of(self, names: Sequence[str]) -> Array | None:
         """The covariance (m, m) of the parameters of these names; None where there is none."""
@@ -226,12 +219,13 @@ class Calibration(Mapping[str, Parameter]):
 
     def __hash__(self) -> int:
         """Of the device, the method and where it is from."""
-        return hash((self.serial, self.method, self.frame, *sorted(self.provenance.items())))
+        return hash((self.serial, self.method, self.frame, self.provenance.log_sha256, self.provenance.created))
 
     @property
     def headline(self) -> str:
         """The device, the method, how many parameters, and whether it was accepted, in a line."""
-        several = f" of {len(self.launches)} launches" if self.launches else ""
+        launches = self.evidence.launches
+        several = f" of {len(launches)} launches" if launches else ""
         count, verdict = len(self.parameters), self.outcome.verdict
         return f"Calibration of {self.serial}: {self.method}{several}, {count} parameters, {verdict}"
 
@@ -241,7 +235,7 @@ class Calibration(Mapping[str, Parameter]):
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the headline, the reasons and the table of parameters."""
-        return views().as_html(self)
+        return str(_views().as_html(self))
 
     def uncertainty_budget(self, name: str) -> tuple[BudgetLine, ...]:
         """What the u of a parameter is made of, the largest first: source, type A or B, its standard uncertainty, the
@@ -252,12 +246,12 @@ class Calibration(Mapping[str, Parameter]):
     def table(self) -> str:
         """The parameters in the field's units, with standard and expanded uncertainty (k = 2), as plain text; where
         there are such, with coverage factor, degrees of freedom, prior and learned fraction."""
-        return views().as_text(self)
+        return str(_views().as_text(self))
 
     def plot(self, axes: Axes) -> None:
         """Draw the residual of every rest, |corrected reading| − g, on matplotlib axes, and the scatter between rests
         as a band; without rests the parameters in units of their uncertainty, hollow where a prior gives it."""
-        views().draw(self, axes)
+        _views().draw(self, axes)
 
     def to_polars(self) -> pl.DataFrame:
         """The parameters as a polars frame, a row each, in SI: name, value, u, unit, deviation, run_to_run, and
@@ -364,8 +358,13 @@ def text_and_name(given: Calibration | FilePath) -> tuple[str, str]:
     return text_of(Path(given)), str(given)
 
 
-def _check_sensors(calibration: Calibration) -> None:
-    """Raises ValueError where parts of a calibration, named by their keys, are of another number of sensors."""
+def _views() -> Any:
+    """What shows calibrations: a folder above this one, loaded when something is first shown."""
+    return import_module("tumble.views.calibration")
+
+
+def _check_sensors(calibration: Any) -> None:
+    """Raises ValueError if parts of the record of a file, named by their keys, have different numbers of sensors."""
     launches = [(f"launches[{number}].rests", launch.rests) for number, launch in enumerate(calibration.launches, 1)]
     kinds: tuple[SensorKind, ...] = ("accel", "gyro")
     for kind in kinds:
@@ -389,9 +388,34 @@ def _check_sensors(calibration: Calibration) -> None:
 
 def calibration_of(text: str, name: str) -> Calibration:
     """The calibration of the text of a file; in messages the file is called `name`."""
-    read = parsed(Calibration, text, name, lambda made: _check_sensors(checked_result(made)))
-    return replace(
-        read,
-        parameters=with_degrees(read.parameters, read.fits),
-        launches=tuple(replace(x, parameters=with_degrees(x.parameters, x.fits)) for x in read.launches),
+    return parsed(_file_record(), text, name, _calibration_of_record)
+
+
+@cache
+def _file_record() -> type:
+    """The flat record of a calibration file."""
+    return file_record(Calibration, Evidence, Provenance)
+
+
+def json_schema() -> dict[str, Any]:
+    """The JSON Schema of a calibration file."""
+    return adapter_of(_file_record()).json_schema()
+
+
+def _calibration_of_record(read: Any) -> Calibration:
+    """The calibration of the record of a file. Raises ValueError if its parts contradict each other."""
+    _check_sensors(checked_result(read))
+    flat = {key: getattr(read, key) for key in KEYS}
+    flat["parameters"] = with_degrees(read.parameters, read.fits)
+    flat["launches"] = tuple(replace(x, parameters=with_degrees(x.parameters, x.fits)) for x in read.launches)
+
+    def part(record: type, values: Mapping[str, Any]) -> dict[str, Any]:
+        return {f.name: values[f.name] for f in fields(record) if f.name in values}
+
+    return Calibration(
+        **part(Calibration, flat)
+        | {
+            "evidence": Evidence(**part(Evidence, flat)),
+            "provenance": Provenance(**part(Provenance, read.provenance | flat)),
+        }
     )

@@ -58,7 +58,7 @@ class RecordedNoise(Brief):
         return filter_values(self.panels, self.rate)
 
 
-def noise(*recordings: Session | FilePath, layout: Mapping[str, Any] | None = None) -> RecordedNoise:
+def noise_of(*recordings: Session | FilePath, layout: Mapping[str, Any] | None = None) -> RecordedNoise:
     """The noise of every sensor from the longest rest of a session, a `Session` or the path of its folder; with
     `layout`, the table [log] of session.toml less the file, from all of a log at rest. Several recordings of one device
     are taken together.
@@ -67,7 +67,7 @@ def noise(*recordings: Session | FilePath, layout: Mapping[str, Any] | None = No
 
     >>> import tumble
     >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=4), seed=3)
-    >>> found = tumble.noise(folder)
+    >>> found = tumble.noise_of(folder)
     >>> found.source, [panel.title for panel in found.panels]
     ('the longest rest, 0.0–39.0 s', ['accelerometers', 'gyros'])
     """

@@ -109,20 +109,27 @@ def calibrate_together(
     return replace(
         made,
         outcome=_with_scatter(made.outcome, estimate[0]),
-        circumstances=circumstances_of_all(circumstances),
-        notes=(
-            *made.notes,
-            *(
-                f"{member.session}: nothing is turned{f', taken in {member.rests} parts' if member.rests > 1 else ''}: "
-                "it says how the biases that gravity and the Earth's rate show in this position change with "
-                "temperature, and of scale factors nothing"
-                for member in members
-                if not member.turns
+        evidence=replace(
+            made.evidence,
+            together=tuple(members)
+            if own is None
+            else tuple(replace(member, parameters=_of_its_own(own, s)) for s, member in enumerate(members)),
+        ),
+        provenance=replace(
+            made.provenance,
+            circumstances=circumstances_of_all(circumstances),
+            notes=(
+                *made.provenance.notes,
+                *(
+                    f"{member.session}: nothing is turned"
+                    f"{f', taken in {member.rests} parts' if member.rests > 1 else ''}: it says how the biases that "
+                    "gravity and the Earth's rate show in this position change with temperature, and of scale factors "
+                    "nothing"
+                    for member in members
+                    if not member.turns
+                ),
             ),
         ),
-        together=tuple(members)
-        if own is None
-        else tuple(replace(member, parameters=_of_its_own(own, s)) for s, member in enumerate(members)),
     )
 
 

@@ -42,8 +42,8 @@ from tumble.sensors.parameters import groups, positions_by_group
 from tumble.units import Array, Unit
 from tumble.use.corrector import Stream
 
-_SLICE = 1 << 12
-"""Rows that are corrected at a time: intermediate results fit the cache of a core."""
+_SLICE = 1 << 14
+"""Rows that are corrected at a time: what is made of them on the way fits the cache of a core."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -155,7 +155,7 @@ def applied(calibration: Calibration | FilePath, session: Session | FilePath) ->
     calibration, session = accepted_part(calibration_from(calibration)), session_from(session)
     compensator = calibration.compensator
     found = positions_by_group(p.name for p in calibration.parameters)
-    out = [f"{absent}; their columns are copied as they are" for absent in calibration.absent]
+    out = [f"{absent}; their columns are copied as they are" for absent in calibration.provenance.absent]
     without = "the calibration" if session.log.gyro is not None else "the session"
     if np.any(compensator.levers) and (session.log.gyro is None or compensator.gyro is None):
         out.append(f"lever arms are not corrected: {without} has no gyros")
@@ -184,7 +184,7 @@ def _parts(calibration: Calibration, session: Session) -> tuple[_Correction, ...
     wanted: list[tuple[str, SensorModel | None, Channels]] = [
         ("accel", calibration.accel or calibration.compensator.model("accel"), session.log.accel)
     ]
-    if session.log.gyro is not None and (calibration.gyro is not None or not calibration.absent):
+    if session.log.gyro is not None and (calibration.gyro is not None or not calibration.provenance.absent):
         wanted.append(("gyro", calibration.gyro, session.log.gyro))
     parts = []
     for kind, model, channels in wanted:

@@ -57,6 +57,7 @@ from tumble.result.accepted import accepted_accelerometers
 from tumble.result.calibration import Calibration, calibration_from
 from tumble.result.correction import reference_of_parameter
 from tumble.result.coverage import by_gravity, shared_gravity
+from tumble.result.evidence import Evidence
 from tumble.result.launch_variances import LaunchVariances, launch_variances
 from tumble.result.parts import learned_fraction
 from tumble.run.calibrate import grade_of, provenance_of
@@ -282,7 +283,7 @@ def check_calibration(
         replace(rest, start=start, stop=stop, celsius=warmth)
         for rest, (start, stop), warmth in zip(by_rests.rests, times, celsius, strict=True)
     )
-    by_rests = replace(by_rests, rests=rests, notes=given.absent)
+    by_rests = replace(by_rests, rests=rests, notes=given.provenance.absent)
     if residuals.left_out or given.frame == "case":
         return by_rests
 
@@ -358,7 +359,7 @@ def check_session(calibration: Calibration, session: Session) -> None:
                 f"{block.size}"
             )
     for kind, now in readings_of_session(session).items():
-        then = calibration.readings.get(kind)
+        then = calibration.provenance.readings.get(kind)
         raw = then is not None and (now.unit in _RAW or then.unit in _RAW)
         if then is not None and raw and (now.scale, now.offset) != (then.scale, then.offset):
             raise InputError(
@@ -408,8 +409,8 @@ def prior_at_check(
     at = [i for i, name in enumerate(names) if name in given]
     values[at] = [given[names[i]] for i in at]
     covariance[np.ix_(at, at)] = calibration.covariance_of([names[i] for i in at])
-    if shared_gravity(calibration.site, observations.site):
-        change = by_gravity(calibration.parameters, calibration.covariance, calibration.site)
+    if shared_gravity(calibration.provenance.site, observations.site):
+        change = by_gravity(calibration.parameters, calibration.covariance, calibration.provenance.site)
         by_name = {p.name: c for p, c in zip(calibration.parameters, change.tolist(), strict=True)}
         whole[0, 1:] = whole[1:, 0] = gravity * np.array([by_name.get(name, 0.0) for name in names])
 
@@ -420,7 +421,7 @@ def prior_at_check(
         warmer = [reference_of_parameter(here, name) - reference_of_parameter(calibration, name) for name in names]
         J[1:, 1:] = to_temperature(names, np.array(warmer))
     # s² and 1/ν_s of another power-on, Eq. (2)
-    single = len(calibration.launches) < 2 and not calibration.together
+    single = len(calibration.evidence.launches) < 2 and not calibration.evidence.together
     others = _launches(calibration, launches)
     turned_on, inverse_degrees = np.zeros((2, len(whole)))
     for i, name in enumerate(linear, 1):
@@ -434,7 +435,7 @@ def prior_at_check(
             inverse_degrees[i] = 1.0 / degrees if between_launches > pooled else 1.0 / (USUAL_DEGREES + degrees)
 
     inverse = {p.name: 1.0 / p.dof for p in calibration.parameters if p.dof is not None}
-    fits = calibration.fits
+    fits = calibration.evidence.fits
     scatter: dict[str, Any] = {name: fits[fit].scatter for name, fit in _FITS.items() if fit in fits}
     return CheckPrior(
         instrument=instrument,
@@ -477,12 +478,11 @@ def _updated(
     others = [i for i, p in enumerate(before.parameters) if sensor_kind(p.name) == "mag"]  # took no part
     gyro, warm = instrument.gyro, before.reference_temperature is not None
     at_rate = None if before.prediction is None else before.prediction.at_rate
-    predicted = None
-    if before.site is not None:
-        gravity = before.site.gravity
-        predicted = prediction(instrument, result.values, result.covariance, gravity=gravity, rate=at_rate)
+    predicted, site = None, before.provenance.site
+    if site is not None:
+        predicted = prediction(instrument, result.values, result.covariance, gravity=site.gravity, rate=at_rate)
     note = (
-        f"no calibration of its own: that of {before.provenance.get('created', 'an unknown date')}, updated by a field "
+        f"no calibration of its own: that of {before.provenance.created or 'an unknown date'}, updated by a field "
         f"check of {len(check.rests)} rests ({check.source}): "
         f"{'; '.join(check.reasons) or 'nothing had changed beyond chance'}"
     )
@@ -500,23 +500,15 @@ def _updated(
             range=before.temperature_range,
             references=references_of(observations) if warm else {},
         ),
-        site=before.site if before.site == observations.site else None,
-        circumstances=observed.circumstances,
-        sample_rate=observed.rate,
-        notes=(note, *before.notes),
-        provenance={
-            **provenance_of(observed.sha256),
-            "calibrated_log_sha256": before.provenance.get("log_sha256", "unknown"),
-        },
-        iterations=(),
-        rests=(),
-        turns=(),
-        programme=None,
-        launches=(),
-        clock_u=0.0,
-        together=(),
-        hyperparameters=(),
-        integral=None,
-        process_bias=(),
-        budget=(),
+        evidence=Evidence(fits=before.evidence.fits),
+        provenance=replace(
+            provenance_of(observed.sha256),
+            calibrated_log_sha256=before.provenance.log_sha256 or "unknown",
+            site=site if site == observations.site else None,
+            circumstances=observed.circumstances,
+            sample_rate=observed.rate,
+            readings=before.provenance.readings,
+            notes=(note, *before.provenance.notes),
+            absent=before.provenance.absent,
+        ),
     )

@@ -271,6 +271,6 @@ def _remarks(first: Calibration, second: Calibration, frame: str) -> Iterator[st
         if all(p.u is None for p in calibration.parameters):
             yield f"the {which} has no uncertainties: nothing is judged"
         yield from (f"the {which}: {remark}" for remark in remarks_of(calibration))
-    logs = [calibration.provenance.get("log_sha256") for calibration in (first, second)]
+    logs = [calibration.provenance.log_sha256 for calibration in (first, second)]
     if logs[0] is not None and logs[0] == logs[1]:
         yield "both come from the same log: their differences are smaller than their uncertainties allow"

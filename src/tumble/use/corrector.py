@@ -17,13 +17,16 @@ from math import exp, inf, nan
 import numpy as np
 import numpy.typing as npt
 
-from tumble.errors import InputError
+from tumble.errors import CalibrationError, InputError
 from tumble.files import FilePath
 from tumble.recording.arrays import check_kelvin
 from tumble.result.accepted import accepted_part
 from tumble.result.calibration import Calibration, calibration_from
+from tumble.rotation import left_inverse
 from tumble.sensors.compensation import Compensator
-from tumble.sensors.fixed_point import TOO_FAST, TOO_MUCH, TOO_WARM, WIDTH, advance
+from tumble.sensors.fixed_point import ACROSS, ALONG, TOO_FAST, TOO_MUCH, TOO_WARM, WIDTH, advance
+from tumble.sensors.instrument import Instrument, functions, measured_by
+from tumble.sensors.parameters import FORCE, group_name
 from tumble.units import G_STANDARD, ZERO_CELSIUS, Array, BoolArray, IntArray
 
 LONGEST_STEP = 3.5
@@ -33,11 +36,13 @@ LATEST = 1.0
 is dropped."""
 MARGIN = 0.1
 """Relative margin of the calibrated rate and force, for noise and vibration."""
+_ROWS = 1 << 12
+"""Rows that are corrected at a time: intermediate results fit the cache of a core."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Corrected:
-    """Corrected samples in the order in which they came.
+    """Corrected samples in the order in which they came, as views of memory that the next block overwrites.
 
     Attributes
     ----------
@@ -83,7 +88,7 @@ class Ranges:
     @staticmethod
     def of(calibration: Calibration) -> Ranges:
         """Temperatures of the rests and, with MARGIN, the rate of the turns and gravity."""
-        prediction, site = calibration.prediction, calibration.site
+        prediction, site = calibration.prediction, calibration.provenance.site
         rate = inf if prediction is None or prediction.at_rate is None else (1.0 + MARGIN) * prediction.at_rate
         force = (1.0 + MARGIN) * (G_STANDARD if site is None else site.gravity)
         return Ranges(temperature=calibration.temperature_range or (-inf, inf), rate=rate, force=force)
@@ -131,7 +136,10 @@ class Stream:
             np.zeros(3),
             np.zeros((2, max(n, m))),
         )
-        self._absent = np.zeros((0, n)), np.zeros((0, m)), np.zeros(0)
+        self._nothing = np.zeros((0, n)), np.zeros((0, m)), np.zeros(0), np.zeros((0, heat))
+        self._lost = self._nothing[3]
+        self._out: tuple[Array, ...] = np.zeros((0, 2 + heat)), np.zeros((0, 3)), np.zeros((0, 3))
+        self._view = self._views(0)
         self.reset()
 
     def reset(self) -> None:
@@ -148,41 +156,51 @@ class Stream:
     def add(self, accel: Array, gyro: Array | None, time: Array | None, celsius: Array | None) -> Corrected:
         """Add readings (N, n) and (N, m), stamps (N,), by default of a regular clock, and temperatures (N, T), not a
         number where they are lost; return the samples that are corrected with them."""
-        kept, *others = self._state
-        if len(kept) < len(accel) + 2:
-            rows = np.zeros((len(accel) + 2, kept.shape[1]))
+        count = len(accel)
+        if count + 1 > len(self._out[0]):
+            widths = (each.shape[1] for each in self._out)
+            self._out = tuple(np.zeros((count + 1, width)) for width in widths)
+            kept, *others = self._state
+            rows = np.zeros((min(count, _ROWS) + 2, kept.shape[1]))
             rows[:2] = kept[:2]
-            self._state = (rows, *others)
-        return self._advance(accel, gyro, time, celsius)
+            self._state, self._view = (rows, *others), self._views(0)
+            self._lost = np.full((min(count, _ROWS), len(self._start)), nan)
+        ready = 0
+        pieces: tuple[Array | None, ...] = (accel, gyro, time, celsius)
+        for i in range(0, count, _ROWS):
+            if count > _ROWS:
+                pieces = tuple(
+                    None if given is None else given[i : i + _ROWS] for given in (accel, gyro, time, celsius)
+                )
+            ready += self._advance(pieces, ready)
+        return self._corrected(ready)
 
     def finish(self) -> Corrected:
         """Return the last sample, if one waits; the next one begins another stream."""
-        last = self._advance(self._absent[0], None, None, None, last=True)
+        ready = self._advance(self._nothing, 0, last=True)
         self.reset()
-        return last
+        return self._corrected(ready)
 
-    def _advance(
-        self, accel: Array, gyro: Array | None, time: Array | None, celsius: Array | None, *, last: bool = False
-    ) -> Corrected:
-        count, heat = len(accel), len(self._start)
-        rows = (
-            accel,
-            self._absent[1] if gyro is None else gyro,
-            self._absent[2] if time is None else time,
-            np.full((count, heat), nan) if celsius is None else celsius,
-        )
-        stamps, force, rate = out = tuple(np.zeros((count + 1, width)) for width in (2 + heat, 3, 3))
+    def _advance(self, given: tuple[Array | None, ...], begun: int, *, last: bool = False) -> int:
+        """Correct more samples after `begun` ones of this call; return how many are ready."""
+        absent = (*self._nothing[:3], self._lost)
+        rows = tuple(other if each is None else each for each, other in zip(given, absent, strict=True))
+        out = self._out if not begun else tuple(each[begun:] for each in self._out)
         ready, self._held = advance(
             rows, self._sensors, self._settings, self._state, self._held, out, moved=self.moved, last=last
         )
-        stamps = stamps[:ready]
-        return Corrected(
-            time=stamps[:, 0],
-            force=force[:ready],
-            rate=rate[:ready] if self.gyros else None,
-            flags=stamps[:, 1],
-            temperature=stamps[:, 2:],
-        )
+        return ready
+
+    def _corrected(self, ready: int) -> Corrected:
+        if len(self._view.time) != ready:
+            self._view = self._views(ready)
+        return self._view
+
+    def _views(self, ready: int) -> Corrected:
+        stamps, force, rate = (each[:ready] for each in self._out)
+        time, flags, temperature = stamps[:, 0], stamps[:, 1], stamps[:, 2:]
+        rates = rate if self.gyros else None
+        return Corrected(time=time, force=force, rate=rates, flags=flags, temperature=temperature)
 
 
 class Corrector:
@@ -229,14 +247,14 @@ class Corrector:
 
     def __init__(self, calibration: Calibration | FilePath, *, sample_rate: float | None = None) -> None:
         self.calibration = accepted_part(calibration_from(calibration))
-        rate = self.calibration.sample_rate if sample_rate is None else sample_rate
+        rate = self.calibration.provenance.sample_rate if sample_rate is None else sample_rate
         if rate is None or not 0.0 < rate < inf:
             raise InputError(f"sample_rate: expected samples a second, found {rate}; give sample_rate=")
         self.sample_rate = rate
         """Samples per second."""
         self.ranges = Ranges.of(self.calibration)
         """Ranges outside of which samples are flagged."""
-        compensator = self.calibration.compensator
+        self._compensator = compensator = self.calibration.compensator
         blocks = compensator.accel, compensator.gyro
         of_accel, of_gyro = (np.zeros(0, int) if block is None else block.thermometer for block in blocks)
         self.thermometers = 1 + int(max(*of_accel, *of_gyro))
@@ -291,13 +309,12 @@ class Corrector:
         Returns
         -------
         Corrected
-            The samples that are ready, `delay` samples late.
+            Views, which the next call overwrites.
 
         Raises
         ------
         InputError
-            For other shapes, and temperatures that are not in kelvin.
-        """
+            For other shapes, and temperatures that are not in kelvin."""
         readings = self._rows("accel", accel, self._sizes[0])
         turned = None if gyro is None and not self._sizes[1] else self._rows("gyro", gyro, self._sizes[1])
         count = len(readings)
@@ -324,6 +341,68 @@ class Corrector:
         """Return the last sample, if it waits for the next, with ω̇ from the one before; another stream begins."""
         return self._without_absent(self._stream.finish())
 
+    def covariance(self, force: Array, rate: Array | None = None, celsius: float | None = None) -> Array:
+        """Covariance of one corrected sample, SI.
+
+        It is the sum of the uncertainty of the calibration at this force, rate and temperature, with biases as in the
+        next recording, and the noise of a sample, d² · sample_rate with the noise density d of the rests of the
+        calibration. With lever arms the noise of ω̇ is added. The uncertainty of lever arms and delays, which needs the
+        motion, is left out.
+
+        Parameters
+        ----------
+        force, rate
+            Specific force, m/s², and angular rate, rad/s, of the sample.
+        celsius
+            Its temperature, °C; by default the reference.
+
+        Returns
+        -------
+        (3, 3) or (6, 6) array
+            Covariance of the specific force, or with a rate that of both. Not a number for absent accelerometers.
+
+        Raises
+        ------
+        CalibrationError
+            For a calibration without covariance.
+        """
+        given, own = self.calibration.in_frame("accelerometer"), self._compensator
+        if given.covariance is None:
+            raise CalibrationError(f"{given.serial}: expected a calibration with covariance, found none")
+        there = given.compensator
+        turned = left_inverse(own.accel_coefficients[:, FORCE]) @ there.accel_coefficients[:, FORCE]
+        felt, spun = turned.T @ np.asarray(force), turned.T @ (np.zeros(3) if rate is None else np.asarray(rate))
+        variables = "temperature", "temperature²", "hysteresis"
+        instrument = Instrument.of(there.accel, there.gyro, {group_name(name) for name in given}, variables=variables)
+        values = np.array([given[name].value if name in given else 0.0 for name in instrument.names])
+        known = [i for i, name in enumerate(instrument.names) if name in given]
+        names = [instrument.names[i] for i in known]
+        reference = given.reference_temperature
+        warmer = 0.0 if celsius is None or reference is None else celsius - reference
+        beta = np.concatenate([functions(block, felt[None], spun[None])[0] for block in instrument.blocks])
+        J = (beta[:, None] @ derivative(instrument, values, warmer)[:, :, known])[:, 0]
+        parameters = np.array(given.covariance_of(names))
+        for bias in given.evidence.process_bias:
+            if bias.name in names:
+                parameters[(names.index(bias.name),) * 2] = max(given[bias.name].u or 0.0, bias.next_u) ** 2
+        kinds = ("accel", "gyro")[: len(instrument.blocks)]
+        density = [
+            white_noise(given).get(kind, np.zeros(b.size)) for kind, b in zip(kinds, instrument.blocks, strict=True)
+        ]
+        noise = np.diag(np.concatenate(density) ** 2 * self.sample_rate)
+        onto = np.zeros((3 * len(kinds), len(noise)))
+        for k, (block, K) in enumerate(
+            zip(instrument.blocks, (there.accel_coefficients, there.gyro_coefficients), strict=False)
+        ):
+            onto[3 * k : 3 * k + 3, instrument.rows(block)] = turned @ left_inverse(K[:, measured_by(block)])
+        out = onto @ (J @ parameters @ J.T + noise) @ onto.T
+        if self._stream.moved:  # of a central difference over two samples, var(ω̇) = var(ω) · 2 / (2 h)²
+            across = onto[:3, : there.accel.size] @ there.accelerometers.sheet[:, ACROSS:ALONG] @ turned.T
+            out[:3, :3] += 0.5 * self.sample_rate**2 * across @ (onto @ noise @ onto.T)[3:, 3:] @ across.T
+        if given.accel is None:
+            out[:3], out[:, :3] = nan, nan
+        return np.asarray(out if rate is not None else out[:3, :3])
+
     def _without_absent(self, corrected: Corrected) -> Corrected:
         if self.calibration.accel is None:
             corrected.force[:] = nan
@@ -347,7 +426,17 @@ def white_noise(given: Calibration) -> dict[str, Array]:
     """Density (n,) of the white noise of "accel" and "gyro" in the rests of a calibration, unit/√Hz."""
     white = {}
     for kind in ("accel", "gyro"):
-        rests = [sensors.noise for rest in given.rests if (sensors := getattr(rest, kind)) is not None]
+        rests = [sensors.noise for rest in given.evidence.rests if (sensors := getattr(rest, kind)) is not None]
         if rests:
             white[kind] = np.sqrt(np.mean(np.square(rests), axis=0))
     return white
+
+
+def derivative(instrument: Instrument, values: Array, warmer: float) -> Array:
+    """Derivative ∂K/∂θ (n, 15, m) of the coefficients of accelerometers and gyros at a temperature `warmer` K above the
+    reference, on which those by slopes, curvatures and hysteresis depend."""
+    D = instrument.linearised(values)[1].copy()
+    by = {"temperature": warmer, "temperature²": warmer**2, "hysteresis": float(warmer != 0.0)}
+    for own, base, variable in instrument.changes:
+        D[:, :, own] = by[variable] * D[:, :, base]
+    return D

@@ -39,9 +39,8 @@ from tumble.inference.variables import sensors_at
 from tumble.methods.least_squares import sigmas
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.rests import Rests
-from tumble.result.accepted import accepted_accelerometers
 from tumble.result.calibration import Calibration
-from tumble.run.case import Verticals, verticals_of
+from tumble.rotation import unit_vector
 from tumble.run.readings_table import ReadingsTable, read_table
 from tumble.sensors.frames import Convention, frame_of, triad_axes
 from tumble.sensors.instrument import Instrument, functions
@@ -79,15 +78,15 @@ def table_observations(calibration: Calibration, path: Path) -> tuple[Observatio
 
     Raises InputError for a table that cannot be read, and CalibrationError for a calibration that does not state the
     unit of a reading or its uncertainty."""
-    table, worth = read_table(path), calibration.readings.get("accel")
-    if calibration.accel is None or worth is None or worth.increments or calibration.site is None:
+    table, worth = read_table(path), calibration.provenance.readings.get("accel")
+    if calibration.accel is None or worth is None or worth.increments or calibration.provenance.site is None:
         raise CalibrationError(
             f"{path}: expected a calibration of three accelerometers that says what their readings are worth, found "
             "none; calibrate again, or check with a session"
         )
 
     # the variance of a row beside the scatter: of a row of its table, or of a mean as long as the rests
-    before = [(np.array(r.accel.noise), r.stop - r.start) for r in calibration.rests if r.accel is not None]
+    before = [(np.array(r.accel.noise), r.stop - r.start) for r in calibration.evidence.rests if r.accel is not None]
     variance = np.array(worth.row_u) ** 2 if worth.row_u else np.zeros(3)
     if before and not worth.row_u:
         variance = np.median([noise**2 / duration for noise, duration in before], axis=0)
@@ -103,7 +102,7 @@ def table_observations(calibration: Calibration, path: Path) -> tuple[Observatio
     observations = Observations(
         accel_block=Block(kind="accel", axes=triad_axes(calibration.accel.matrix)),
         gyro_block=None,
-        site=calibration.site,
+        site=calibration.provenance.site,
         rests=replace(rests, accel_covariance=np.broadcast_to(np.diag(variance), (N, 3, 3))),
     )
     return observations, table
@@ -111,7 +110,7 @@ def table_observations(calibration: Calibration, path: Path) -> tuple[Observatio
 
 def _accelerometer_fit(calibration: Calibration) -> Fit:
     nothing = Fit(chi_square=0.0, degrees=0.0, scatter=0.0, unit="m/s^2")
-    return calibration.fits.get("accelerometers", nothing)
+    return calibration.evidence.fits.get("accelerometers", nothing)
 
 
 def residuals_in(calibration: Calibration, observations: Observations, sha256: str) -> PositionResiduals:
@@ -120,19 +119,20 @@ def residuals_in(calibration: Calibration, observations: Observations, sha256: s
     Raises CalibrationError for a calibration without all parameters of its accelerometers, and InputError for positions
     of other sensors or of one of several launches behind the calibration, and if each of its own positions is
     determined by nothing but itself."""
-    seen, J, names, length = _verticals_with_derivative(calibration, observations)
+    force, J, names, covariance = _length_and_derivative(calibration, observations)
+    length = np.linalg.norm(force, axis=1)
     rests, there, block = observations.rests, observations.site, observations.accel_block
     assert calibration.accel is not None
-    if any(launch.log_sha256 == sha256 for launch in calibration.launches):
+    if any(launch.log_sha256 == sha256 for launch in calibration.evidence.launches):
         raise InputError(
             f"calibration of {calibration.serial!r}: expected positions that did not take part in it, or those of its "
-            f"only session, found one of its {len(calibration.launches)} launches; check with another session"
+            f"only session, found one of its {len(calibration.evidence.launches)} launches; check with another session"
         )
-    fit, site = _accelerometer_fit(calibration), calibration.site
-    across = seen.direction[:, None, :] @ calibration.accel.inverse()
+    fit, site = _accelerometer_fit(calibration), calibration.provenance.site
+    across = unit_vector(force)[:, None, :] @ calibration.accel.inverse()
     noise = rests.accel_covariance + fit.scatter**2 * np.eye(block.size)
     variance = (across @ noise @ np.swapaxes(across, 1, 2))[:, 0, 0]
-    by_parameters = np.einsum("im,mk,ik->i", J, seen.parameter_covariance, J)
+    by_parameters = np.einsum("im,mk,ik->i", J, covariance, J)
     difference = there.gravity - length
 
     def limit(degrees: float) -> float:
@@ -140,7 +140,7 @@ def residuals_in(calibration: Calibration, observations: Observations, sha256: s
         tail = 1.0 - 0.5 * CHANCE / len(difference)
         return float(scipy.special.ndtri(tail) if np.isinf(degrees) else scipy.special.stdtrit(degrees, tail))
 
-    if calibration.provenance.get("log_sha256") == sha256:  # its own positions: each is left out
+    if calibration.provenance.log_sha256 == sha256:  # its own positions: each is left out
         unlearned = _unlearned(calibration, names, J)
         left = 1.0 - np.maximum(by_parameters - unlearned - there.gravity_u**2, 0.0) / variance
         left = np.where(left > NOTHING_LEFT, left, np.nan)
@@ -181,18 +181,11 @@ def _unlearned(calibration: Calibration, names: tuple[str, ...], J: Array) -> Ar
     return np.asarray(np.einsum("ik,ki->i", moved, np.linalg.solve(every[len(names) :, len(names) :], moved.T)))
 
 
-def verticals(calibration: Calibration, observations: Observations) -> Verticals:
-    """The vertical in the frame of the calibration in every position, with its covariance, for the relation of two
-    blocks (`tumble.run.case.relate`). Raises as `residuals_in`."""
-    return _verticals_with_derivative(
-        accepted_accelerometers(calibration, "positions at rest show the vertical"), observations
-    )[0]
-
-
-def _verticals_with_derivative(
+def _length_and_derivative(
     calibration: Calibration, observations: Observations
-) -> tuple[Verticals, Array, tuple[str, ...], Array]:
-    """The verticals, J (N, m), the names of the m parameters that readings at rest depend on, and |true| (N,)."""
+) -> tuple[Array, Array, tuple[str, ...], Array]:
+    """The true specific force (N, 3) at rest, the derivative J (N, m) of its length, and the names and the covariance
+    (m, m) of the m parameters that it depends on."""
     assert calibration.accel is not None
     block, reference = observations.accel_block, calibration.reference_temperature
     rests, celsius = observations.rests, None
@@ -234,6 +227,5 @@ def _verticals_with_derivative(
     change = np.concatenate([of_linear, every[:, :, instrument.linear_count :]], axis=2)
     covariance = calibration.covariance_of(names)
     covariance = np.zeros((len(names), len(names))) if covariance is None else covariance
-    seen = verticals_of(calibration.accel, force, change, rests.accel_covariance, covariance)
-    J = -np.einsum("ik,kp,ipm->im", seen.direction, calibration.accel.inverse(), change)
-    return seen, J, names, np.linalg.norm(force, axis=1)
+    J = -np.einsum("ik,kp,ipm->im", unit_vector(force), calibration.accel.inverse(), change)
+    return force, J, names, covariance

@@ -153,7 +153,7 @@ class StreamCheck:
             events.append(Notice(time=float(chunk.time[since]), text=text))
         piece = replace(chunk, file=0, gyro=None if self._gyro is None else chunk.gyro)
         if chunk.temperature is not None:
-            piece = replace(piece, temperature=corrected.temperature)
+            piece = replace(piece, temperature=corrected.temperature.copy())
         return [*events, *map(self._checked, self._finder.feed(piece))]
 
     def finish(self) -> list[Event]:
@@ -227,7 +227,7 @@ class StreamCheck:
             source=self.session.name,
             rests=tuple(self.rests),
             **tested(self._chain.result(self.moved)),
-            notes=(*self.calibration.absent, note),
+            notes=(*self.calibration.provenance.absent, note),
         )
 
 
@@ -275,12 +275,14 @@ def check_stream(
     """
     given, source = calibration_from(calibration), source_of(listen)
     described = source.session if session is None else session_from(session)
-    if described is None and given.site is None:
+    if described is None and given.provenance.site is None:
         raise InputError(
             f"{listen}: expected a calibration with its site, found none; name a session with --session, which has the "
             "latitude and the columns"
         )
-    samples = SampleStream(source, described, serial=given.serial, site=given.site, gyros=given.gyro is not None)
+    samples = SampleStream(
+        source, described, serial=given.serial, site=given.provenance.site, gyros=given.gyro is not None
+    )
     check: StreamCheck | None = None
     with suppress(KeyboardInterrupt):
         for chunk in samples.chunks():
