@@ -424,9 +424,9 @@ SITE = Site(latitude=None, height=0.0, gravity=9.81, gravity_u=1e-4)
 
 def at_rest(readings_si: Array, noise: float) -> Observations:
     """Observations of rests with these mean readings (N, 3), m/s²."""
-    start: Array = 10.0 * np.arange(float(len(readings_si)))
+    start = 10.0 * np.arange(float(len(readings_si)))
     densities, no_gyro = (noise * np.sqrt(5.0), 0.0), np.empty((len(start), 0))
-    rests = Rests.of_white_noise(start, np.asarray(start + 5.0), accel=readings_si, gyro=no_gyro, densities=densities)
+    rests = Rests.of_white_noise(start, start + 5.0, accel=readings_si, gyro=no_gyro, densities=densities)
     block = Block(kind="accel", axes=np.eye(3))
     return Observations(accel_block=block, gyro_block=None, site=SITE, rests=rests)
 
@@ -466,7 +466,7 @@ def test_ellipsoid_and_scalar_method_agree_on_the_real_recording(data: Path) -> 
         at = b.names.index(name)
         assert abs(a[name].value - b.values[at]) < 0.3 * b.u[at]
         assert a[name].u == pytest.approx(b.u[at], rel=0.01)
-    assert len(a.rests) == len(b.rest_residual) > 30
+    assert len(a.evidence.rests) == len(b.rest_residual) > 30
 
 
 def test_groups_three_times_as_large_as_usual_are_in_u() -> None:

@@ -21,7 +21,6 @@ from tumble.units import DEGREE, ZERO_CELSIUS, Array
 from tumble.use.apply import applied, apply_to_session
 
 N = 500
-TIME: Array = 0.01 * np.arange(1.0, N + 1.0)
 AT_REST: tuple[Variable, ...] = ("temperature", "temperature²")
 
 
@@ -179,7 +178,7 @@ def instrument_groups() -> list[str]:
 def test_lever_arms_are_undone_in_a_log_with_rates_whatever_its_pieces(tmp_path: Path) -> None:
     """A smooth motion at 200 Hz: what is left is the error of central differences, and each row is there."""
     made, instrument, values = larger(leave=("accel.delay", "accel.cubic", "gyro.cubic"))
-    t = 0.005 * np.arange(N)
+    t = 0.005 * np.arange(float(N))
     force = np.column_stack([9.8 * np.sin(t), 9.8 * np.cos(t), 3.0 * np.sin(2 * t)])
     rate = np.column_stack([3.0 * np.sin(3 * t), 2.0 * np.cos(2 * t), np.sin(t)])
     change = np.column_stack([9.0 * np.cos(3 * t), -4.0 * np.sin(2 * t), np.cos(t)])
@@ -188,7 +187,7 @@ def test_lever_arms_are_undone_in_a_log_with_rates_whatever_its_pieces(tmp_path:
     across = np.cross(rate[:, None], np.cross(rate[:, None], arms))
     felt = force[:, None] + np.cross(change[:, None], arms) + across
     accel = readings(instrument.accel, instrument.coefficients(instrument.accel, values), felt, rate)
-    folder = logged(tmp_path, np.asarray(t + 0.005), accel, gyro)
+    folder = logged(tmp_path, t + 0.005, accel, gyro)
     found, _ = corrected(made, folder)
     alone, _ = made.apply(accel, gyro)
     inside = slice(1, -1)
@@ -207,7 +206,7 @@ def test_a_log_with_a_thermometer_is_corrected_at_its_temperatures(tmp_path: Pat
     accel, gyro = read(instrument, values, force, rate, celsius)
     accel[200, 1] = np.nan
     celsius[100] = np.nan
-    folder = logged(tmp_path, TIME, accel, gyro, celsius + zero, unit)
+    folder = logged(tmp_path, 0.01 * np.arange(1.0, N + 1), accel, gyro, celsius + zero, unit)
     found_f, found_w = corrected(made, folder)
     lost = np.isnan(np.hstack([found_f, found_w])).any(axis=1)
     assert np.flatnonzero(lost).tolist() == [200]
@@ -227,7 +226,7 @@ def test_a_log_is_corrected_at_the_temperatures_of_sensors_that_lag(tmp_path: Pa
             behind[k] = a * behind[k - 1] + celsius[k] - a * celsius[k - 1] - change / 0.01 * 1.5 * (1.0 - a)
         sensors = behind if lag > 0.0 else 2.0 * celsius - behind
         accel, gyro = read(instrument, values, force, rate, sensors)
-        folder = logged(tmp_path / f"{lag}", TIME, accel, gyro, celsius, "degC")
+        folder = logged(tmp_path / f"{lag}", 0.01 * np.arange(1.0, N + 1), accel, gyro, celsius, "degC")
         late = Parameter(name="temperature.lag", value=lag, u=0.1, unit="s", prior=200.0, learned=0.99)
         lagging = replace(made, parameters=(*made.parameters, late), covariance=None)
         found_f, found_w = corrected(lagging, folder)
