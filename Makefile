@@ -55,7 +55,7 @@ drift: kernels
 	$(PYTHON) -m venv .venv
 
 .venv/demo: pyproject.toml setup.py | .venv/bin/python
-	@echo "tumble and its libraries (numpy, scipy, polars, pydantic, rich, click: some 400 MB on disk), compiled: a minute or two"
+	@echo "tumble and its libraries (numpy, scipy, polars, pydantic, click: some 400 MB on disk), compiled: a minute or two"
 	$(INSTALL) -e .
 	touch $@
 

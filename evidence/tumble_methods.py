@@ -68,7 +68,7 @@ def of_table(case: Case, terms: Terms) -> tumble.Calibration:
     with TemporaryDirectory() as folder:
         path = Path(folder) / "readings.csv"
         np.savetxt(path, case.accel, delimiter=",", header="x,y,z", comments="")
-        made = tumble.calibrate_table(
+        made = tumble.calibrate_readings(
             path, unit="m/s^2", terms=terms, gravity=case.gravity, gravity_u=case.gravity_u
         )  # fmt: skip
         return made.calibration

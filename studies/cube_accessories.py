@@ -30,7 +30,7 @@ from tumble.methods.paper.accelerometers import scalar_rows
 from tumble.methods.quadric import fit_many
 from tumble.programme.positions import programme
 from tumble.rotation import rotation_matrix
-from tumble.run.case import Verticals, align_case
+from tumble.run.case import align_case
 from tumble.sensors.model import Block, SensorModel, to_accelerometer_frame
 from tumble.units import DEGREE, Array
 
@@ -151,13 +151,7 @@ def alignment_of_the_case(u: Array, draws: int, rng: np.random.Generator) -> flo
     for _ in range(draws):
         seen = faces + PLATE * np.cross(faces, rng.standard_normal(faces.shape))
         seen /= np.linalg.norm(seen, axis=1, keepdims=True)
-        directions = Verticals(
-            direction=seen,
-            covariance=np.zeros((len(seen), 3, 3)),
-            by_parameters=np.zeros((len(seen), 3, 0)),
-            parameter_covariance=np.zeros((0, 0)),
-        )
-        found = align_case(directions, faces, rests=np.arange(len(seen))).alignment.mat_cb
+        found = align_case(seen, np.zeros((len(seen), 3, 0)), faces, rests=np.arange(len(seen))).alignment.mat_cb
         total += float(0.5 * ((found - np.eye(3)) ** 2).sum()) / 3.0
     return float(np.sqrt(total / draws) / DEGREE)
 

@@ -625,7 +625,7 @@ def write_inputs(folder: Path) -> None:
     (folder / "nested/session.toml").write_text(of_parquet.replace("mems-8", "mems-7"), encoding="utf-8")
     for ending in ("gz", "zst"):
         head.lazy().sink_csv(folder / f"log.csv.{ending}", compression={"gz": "gzip", "zst": "zstd"}[ending])
-    rests = read_calibration(folder / "calibration.json").rests
+    rests = read_calibration(folder / "calibration.json").evidence.rests
     means = np.array([rest.accel.mean for rest in rests if rest.accel is not None])
     pl.DataFrame(means, schema=["ax", "ay", "az"]).write_csv(folder / "readings.csv")
     for name, text in TEXTS.items():
@@ -931,7 +931,7 @@ class Inputs:
             found = read_calibration(self.out / "c.json")
         except TumbleError as error:
             return f"wrote a file that it does not read: {error}"
-        more = (found.notes, whole.notes), (found.outcome.remarks, whole.outcome.remarks)
+        more = (found.provenance.notes, whole.provenance.notes), (found.outcome.remarks, whole.outcome.remarks)
         if len(result.stderr.splitlines()) > said or any(len(ours) > len(those) for ours, those in more):
             return ""
         off = {p.name: abs(p.value - whole[p.name].value) / p.u for p in found.parameters if p.u and whole[p.name].u}

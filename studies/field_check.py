@@ -22,6 +22,7 @@ from tumble.inference.joint import joint
 from tumble.methods.field_check import CheckResult, field_check
 from tumble.planning.setup import Setup
 from tumble.result.calibration import Calibration
+from tumble.result.evidence import Evidence
 from tumble.result.parts import CalibratedDevice, Parameter
 from tumble.sensors.grades import TURN_ON, spread_of
 from tumble.simulation.observations import simulate_observations
@@ -97,7 +98,7 @@ def calibration_of(estimate: Estimate, scenario: Scenario) -> Calibration:
         accel=estimate.accel,
         gyro=estimate.gyro,
         outcome=Outcome(),
-        fits=estimate.fits,
+        evidence=Evidence(fits=estimate.fits),
     )
 
 

@@ -21,6 +21,7 @@ import argparse
 import math
 import sys
 from dataclasses import dataclass, replace
+from functools import partial
 
 import formulas_against_simulation as simulation
 import numpy as np
@@ -33,13 +34,12 @@ from tumble.methods.paper.accelerometers import by_vector as sequential
 from tumble.methods.paper.accelerometers import check_for_vector as check_positions
 from tumble.methods.paper.four_stages import (
     PaperMethod,
-    accelerometer_pass,
     course_of_programme,
-    gyro_bias_pass,
-    gyro_matrix_pass,
+    one_pass,
 )
 from tumble.planning.setup import Setup
 from tumble.result.calibration import Calibration
+from tumble.result.evidence import Evidence
 from tumble.result.parts import CalibratedDevice, Launch, Parameter
 from tumble.rotation import rotation_matrix
 from tumble.sensors.grades import NoiseModel
@@ -134,18 +134,15 @@ def passes(
 ) -> list[tuple[SensorModel, SensorModel]]:
     """Accelerometer and gyro models after each pass of the four stages, or without stage 3; with `accel` given the
     accelerometers are known."""
-    gravity, known = np.array(launches.setup.gravity), accel is not None
-    accel, gyro = accel or PERFECT_TRIAD, PERFECT_TRIAD
-    out = []
+    if accel is not None:
+        method = replace(method, accelerometers=lambda *_: PERFECT_TRIAD)
+    if not gyro_bias:
+        method = replace(method, gyro_bias=lambda *_: np.zeros(3))
+    models, rests, out = (accel or PERFECT_TRIAD, PERFECT_TRIAD), (launches.accel, launches.gyro), []
     for _ in range(iterations):
-        if not known:
-            accel = accelerometer_pass(method, COURSE, launches.accel, gravity, accel)
-        force = accel.apply(launches.accel)
-        if gyro_bias:
-            gyro = gyro_bias_pass(COURSE, launches.gyro, force, gyro)
-        C = rotations(launches, gyro)
-        gyro = gyro_matrix_pass(COURSE, launches.gyro, force, C, gyro)
-        out.append((accel, gyro))
+        turn = partial(rotations, launches)
+        models = one_pass(method, COURSE, rests, turn, np.array(launches.setup.gravity), models)
+        out.append(models)
     return out
 
 
@@ -234,15 +231,17 @@ def calibration_of(found: Sets, method: str, rows: range) -> Calibration:
         accel=None,
         gyro=None,
         outcome=Outcome(),
-        iterations=tuple({ROWS[i][0]: step[i] for i in rows} for step in increments),
-        launches=tuple(
-            Launch(
-                session=f"launch {n}",
-                parameters=tuple(parameter(i, launch[i], spread[i]) for i in rows),
-                covariance=None,
-                log_sha256="",
-            )
-            for n, launch in enumerate(values, start=1)
+        evidence=Evidence(
+            iterations=tuple({ROWS[i][0]: step[i] for i in rows} for step in increments),
+            launches=tuple(
+                Launch(
+                    session=f"launch {n}",
+                    parameters=tuple(parameter(i, launch[i], spread[i]) for i in rows),
+                    covariance=None,
+                    log_sha256="",
+                )
+                for n, launch in enumerate(values, start=1)
+            ),
         ),
     )
 

@@ -29,7 +29,7 @@ import formulas_against_simulation as simulation
 import numpy as np
 
 from tumble.earth import earth_rate, normal_gravity
-from tumble.methods.paper.gyros import carried, invariant_bias, scalar_bias, triad, vertical_bias
+from tumble.methods.paper.gyros import carried, scalar_bias, triad, vertical_bias
 from tumble.planning.setup import Setup
 from tumble.rotation import rotation_matrix, unit_vector
 from tumble.sensors.grades import NoiseModel
@@ -69,6 +69,12 @@ def drift_about_north(rate: Array, force: Array) -> tuple[Array, Array]:
 def solved(rows: Array, right: Array) -> Array:
     """Least squares (T, 3) of rows (T, r, 3) and right-hand sides (T, r)."""
     return np.asarray((np.linalg.pinv(rows) @ right[..., None])[..., 0])
+
+
+def invariant_bias(rate: Array, force: Array, earth_rate: Array) -> Array:
+    """Bias (T, 3) from the dot-product invariant û·ω̂ − Ω sin B = û·δω by least squares."""
+    u = unit_vector(force)
+    return solved(u, (u * rate).sum(axis=-1) - earth_rate[1])
 
 
 def by_drift(rate: Array, force: Array, nominal: Array) -> Array:

@@ -156,7 +156,7 @@ def draw(target: Path) -> float:
         calibration = calibrate(session)
     mpl.rcParams |= {"font.size": 9, "svg.hashsalt": "tumble", "axes.spines.top": False, "axes.spines.right": False}
     found = linear_parameters(calibration.parameters)
-    rests = [(rest.start / 60.0, rest.stop / 60.0) for rest in calibration.rests]
+    rests = [(rest.start / 60.0, rest.stop / 60.0) for rest in calibration.evidence.rests]
     figure = plt.figure(figsize=(10.0, 5.6))
     grid = figure.add_gridspec(
         3, 2, height_ratios=(0.5, 1.5, 2.0), left=0.065, right=0.955, top=0.985, bottom=0.125, hspace=0.0, wspace=0.17

@@ -74,9 +74,7 @@ def lines_on_table(degrees: float, sessions: int) -> Sequence[SummaryLine]:
 def lines_of(grid: Mapping[str, Any], sessions: int) -> Sequence[SummaryLine]:
     """The summary of a campaign of one point."""
     with tempfile.TemporaryDirectory() as folder:
-        return summary(
-            run(campaign_of({"seed": 19, "trials": sessions, "grid": grid}).job(), Path(folder) / "out")
-        )
+        return summary(run(campaign_of({"seed": 19, "trials": sessions, "grid": grid}).job(), Path(folder) / "out"))
 
 
 def _kept(line: SummaryLine) -> Result:

@@ -26,9 +26,7 @@ from __future__ import annotations
 import re
 from importlib import import_module
 from pathlib import Path
-from typing import Any, cast
-
-from tumble.result.shown import Views, shown_by
+from typing import Any
 
 __version__ = "0.1.0"
 
@@ -44,9 +42,6 @@ def __getattr__(name: str) -> Any:
     if name not in _MODULES:
         raise AttributeError(f"module 'tumble' has no attribute {name!r}")
     return getattr(import_module(_MODULES[name]), name)
-
-
-shown_by(lambda: cast("Views", import_module("tumble.views.calibration")))
 
 
 def __dir__() -> list[str]:

@@ -6,7 +6,6 @@ Frames: b body X, Y, Z; n geographic N (north), U (up), E (east), right-handed i
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 
 import numpy as np
 
@@ -22,22 +21,13 @@ def unit_vector(vectors: Array) -> Array:
 
 
 def onto_body(axes: Array) -> Array:
-    """The matrix (3, n) that takes readings along n sensing axes (n, 3) to the vector in the body, by least squares."""
-    rows = np.ascontiguousarray(axes, dtype=float)
-    return _onto_body(rows.tobytes())
-
-
-@lru_cache(maxsize=64)
-def _onto_body(axes: bytes) -> Array:
-    """The same of axes (n, 3), float64: every integration of turns asks for those of the same sensors."""
-    out = np.asarray(np.linalg.pinv(np.frombuffer(axes).reshape(-1, 3)), dtype=float)
-    out.flags.writeable = False
-    return out
+    """Matrix (3, n) that takes readings along n sensing axes (n, 3) to the vector in the body, by least squares."""
+    return left_inverse(np.asarray(axes, dtype=float))
 
 
 def left_inverse(matrix: Array) -> Array:
-    """The matrix (..., 3, n) that takes readings of sensors, less their biases, to the vector in the body, by least
-    squares, of their sensitivities (..., n, 3). Raises LinAlgError where those of a triad are in one plane."""
+    """Matrix (..., 3, n) that takes readings less biases to the vector in the body, by least squares, for sensitivities
+    (..., n, 3). Raises LinAlgError if those of a triad are in one plane."""
     square = matrix.shape[-2] == matrix.shape[-1]
     return np.asarray(np.linalg.inv(matrix) if square else np.linalg.pinv(matrix), dtype=float)
 

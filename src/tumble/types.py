@@ -1,22 +1,22 @@
-"""The types that stand in public signatures and are made by the library alone: for annotations and documentation.
-
-from tumble.types import Device, Site
-"""
+"""Types of the arguments, fields and results of the public names, for annotations: `from tumble.types import Site`."""
 
 from __future__ import annotations
 
 from tumble.campaigns.campaign import Campaign as Campaign
+from tumble.campaigns.fleet import FleetResult as FleetResult
+from tumble.campaigns.summary import CampaignResult as CampaignResult
 from tumble.campaigns.summary import SummaryLine as SummaryLine
 from tumble.diagnosis.observability import Refusal as Refusal
+from tumble.drafting.draft import Draft as Draft
 from tumble.drafting.new_session import Given as Given
+from tumble.inference.estimate import Fit as Fit
 from tumble.inference.estimate import GroupFinding as GroupFinding
 from tumble.inference.estimate import HyperparameterEstimate as HyperparameterEstimate
 from tumble.inference.estimate import Integral as Integral
 from tumble.inference.estimate import Judgement as Judgement
 from tumble.inference.estimate import ProcessBias as ProcessBias
-from tumble.inference.likelihood import Linearised as Linearised
 from tumble.inference.prediction import Prediction as Prediction
-from tumble.methods.ellipsoid_fit import WorstPosition as WorstPosition
+from tumble.inference.prior import Prior as Prior
 from tumble.methods.field_check import ChangedParameter as ChangedParameter
 from tumble.methods.field_check import ParameterTest as ParameterTest
 from tumble.planning.next_positions import NextPosition as NextPosition
@@ -25,9 +25,10 @@ from tumble.planning.plan import PlannedGroup as PlannedGroup
 from tumble.planning.plan import Requirement as Requirement
 from tumble.programme.positions import Move as Move
 from tumble.programme.positions import Position as Position
-from tumble.recording.log_source import LogSource as LogSource
+from tumble.recording.arrays import SensorArrays as SensorArrays
+from tumble.recording.log import Chunk as Chunk
+from tumble.recording.log import Log as Log
 from tumble.recording.rows.gaps import Gap as Gap
-from tumble.recording.rows.gaps import Grid as Grid
 from tumble.recording.session import AutopilotSensor as AutopilotSensor
 from tumble.recording.session import Circumstances as Circumstances
 from tumble.recording.session import Device as Device
@@ -38,32 +39,28 @@ from tumble.recording.session import Site as Site
 from tumble.reduction.blocks.reducer import Reduction as Reduction
 from tumble.reduction.blocks.tuning import Tuning as Tuning
 from tumble.reduction.noise.allan_deviation import AllanDeviation as AllanDeviation
-from tumble.reduction.noise.rounding import Rounding as Rounding
-from tumble.reduction.noise.wavelet_moments import Panel as Panel
-from tumble.reduction.observations import Together as Together
-from tumble.reduction.rests.rests import Rests as Rests
+from tumble.reduction.observations import Observations as Observations
 from tumble.reduction.rests.segmentation import Segmentation as Segmentation
-from tumble.reduction.rests.thermometer import Thermometers as Thermometers
-from tumble.reduction.turns.array_motion import ArrayMoments as ArrayMoments
-from tumble.reduction.turns.moments import Compensation as Compensation
-from tumble.reduction.turns.moments import Moments as Moments
-from tumble.reduction.turns.moments import OwnAxes as OwnAxes
-from tumble.reduction.turns.turns import TurnReadings as TurnReadings
-from tumble.reduction.turns.turns import Turns as Turns
-from tumble.reduction.turns.turns import TurnSamples as TurnSamples
+from tumble.result.evidence import Evidence as Evidence
+from tumble.result.evidence import Provenance as Provenance
 from tumble.result.launch_variances import LaunchVariances as LaunchVariances
 from tumble.result.parts import CalibratedDevice as CalibratedDevice
 from tumble.result.parts import CalibratedTemperature as CalibratedTemperature
+from tumble.result.parts import Launch as Launch
+from tumble.result.parts import Member as Member
 from tumble.result.parts import Readings as Readings
-from tumble.result.parts import SensorsAtRest as SensorsAtRest
+from tumble.result.parts import RestResult as RestResult
 from tumble.result.parts import SourceContributions as SourceContributions
+from tumble.result.parts import TurnResult as TurnResult
 from tumble.result.uncertainty_budget import BudgetLine as BudgetLine
-from tumble.run.readings_table import Nominal as Nominal
+from tumble.run.from_readings import ReadingsCalibration as ReadingsCalibration
+from tumble.run.quiet_samples import RecordedNoise as RecordedNoise
+from tumble.run.readings_table import ReadingsDescription as ReadingsDescription
 from tumble.run.readings_table import ReadingsTable as ReadingsTable
 from tumble.sensors.compensation import Compensator as Compensator
 from tumble.sensors.grades import NoiseModel as NoiseModel
 from tumble.sensors.grades import Spread as Spread
-from tumble.sensors.instrument import Instrument as Instrument
+from tumble.sensors.model import Block as Block
 from tumble.simulation.scenario import Vibration as Vibration
 from tumble.simulation.temperature_profile import TemperatureProfile as TemperatureProfile
 from tumble.use.check import CheckedRest as CheckedRest

@@ -127,22 +127,30 @@ def coarsest(candidates: Sequence[tuple[float, str]], magnitude: float, *, limit
     return shown
 
 
-_READ: dict[str, dict[str, float]] = {
-    "m/s^2": {"m/s^2": 1.0, "g": G_STANDARD, "mg": 1e-3 * G_STANDARD, "ug": 1e-6 * G_STANDARD, "µg": 1e-6 * G_STANDARD},
+READ: dict[str, dict[str, float]] = {
+    "m/s^2": {"m/s^2": 1.0, "g": G_STANDARD, "mg": 1e-3 * G_STANDARD, "ug": 1e-6 * G_STANDARD},
     "1": {"ppm": 1e-6, "%": 1e-2},
     "rad": {"rad": 1.0, "mrad": 1e-3, "deg": DEGREE, "arcsec": ARCSEC, '"': ARCSEC},
-    "rad/s": {"rad/s": 1.0, "deg/s": DEGREE, "°/s": DEGREE, "deg/h": DEGREE_PER_HOUR, "°/h": DEGREE_PER_HOUR},
+    "rad/s": {"rad/s": 1.0, "deg/s": DEGREE, "deg/h": DEGREE_PER_HOUR},
 }
+"""By SI unit, the units that quantities may be typed in, SI."""
 
 
-def quantity(text: str, unit: str) -> float:
-    """The SI value of a text such as "3.5ppm" or "20 arcsec", for a quantity of SI unit `unit` ("m/s^2", "1", "rad",
-    "rad/s"). Raises ValueError, one line, for anything else."""
+def quantity(text: str, units: Mapping[str, float]) -> float:
+    """SI value of a text such as "3.5ppm" or "20 µg/g²". Raises ValueError, one line, for anything but a number and one
+    of these units, as `as_typed` writes them."""
     number = re.match(r"\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", text)
-    name = text[number.end() :].strip() if number else ""
-    if number is None or name not in _READ[unit]:
-        raise ValueError(f"expected a number and one of {', '.join(_READ[unit])}, found {text!r}")
-    return float(number.group()) * _READ[unit][name]
+    unit = as_typed(text[number.end() :].strip()) if number else ""
+    if number is None or unit not in units:
+        raise ValueError(f"expected a number and one of {', '.join(units)}, found {text!r}")
+    return float(number.group()) * units[unit]
+
+
+def as_typed(unit: str) -> str:
+    """A unit as it is typed: ug/g^2 for µg/g², deg/s/g for °/s/g, mg/K for mg/°C."""
+    for shown, typed in (("/°C", "/K"), ("µ", "u"), ("²", "^2"), ("³", "^3"), ("°", "deg")):
+        unit = unit.replace(shown, typed)
+    return unit
 
 
 def two_digits(value: float) -> str:

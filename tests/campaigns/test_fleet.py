@@ -63,7 +63,7 @@ def test_a_row_holds_what_the_calibration_holds(yard: Path, serial: pl.DataFrame
     assert row["unit"] == [p.unit for p in expected.parameters]
     assert expected.covariance is not None
     assert row["covariance"] == expected.covariance.ravel().tolist()
-    assert row["log_sha256"] == expected.provenance["log_sha256"]
+    assert row["log_sha256"] == expected.provenance.log_sha256
     assert (row["serial"], row["method"], row["rests"]) == ("navigation-2", "ellipsoid", 15)
 
 

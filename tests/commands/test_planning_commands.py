@@ -14,7 +14,7 @@ from click.testing import CliRunner, Result
 
 from tumble.cli import main
 from tumble.commands.tell import working
-from tumble.units import ARCSEC, DEGREE_PER_HOUR, G_STANDARD, quantity
+from tumble.units import ARCSEC, DEGREE_PER_HOUR, G_STANDARD, READ, quantity
 
 
 def run(*arguments: str) -> Result:
@@ -33,7 +33,7 @@ def run(*arguments: str) -> Result:
     ],
 )
 def test_a_quantity_is_read_in_its_units(text: str, unit: str, value: float) -> None:
-    assert quantity(text, unit) == pytest.approx(value, rel=1e-14)
+    assert quantity(text, READ[unit]) == pytest.approx(value, rel=1e-14)
 
 
 @pytest.mark.parametrize(
@@ -41,7 +41,7 @@ def test_a_quantity_is_read_in_its_units(text: str, unit: str, value: float) -> 
 )
 def test_a_quantity_that_is_none_is_refused(text: str, unit: str) -> None:
     with pytest.raises(ValueError, match="expected a number and one of"):
-        quantity(text, unit)
+        quantity(text, READ[unit])
 
 
 def test_the_sheet_lists_every_position_and_is_written(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.shared import calibrated, copy_of, session
 from tumble.cli import main
 from tumble.drafting.new_session import new_session
 from tumble.errors import InputError
@@ -25,11 +26,10 @@ NAMES = ("log.parquet", "log.csv", "log-ACC.csv", "log-GYRO.csv", "position-01.p
 SENSORS = {"ACC": ("ax", "ay", "az"), "GYRO": ("gx", "gy", "gz")}
 
 
-@pytest.fixture(scope="module")
-def rows(tmp_path_factory: pytest.TempPathFactory) -> pl.DataFrame:
+@pytest.fixture
+def rows() -> pl.DataFrame:
     """A recording by hand in SI, columns t, ax … gz, of four positions."""
-    folder = tmp_path_factory.mktemp("kept") / "s"
-    simulate_session(folder, Setup.of(grade="mems", positions=4, rest=2.0, sample_rate=50.0), seed=3)
+    folder = session(Setup.of(grade="mems", positions=4, rest=2.0, sample_rate=50.0), seed=3)
     return pl.read_parquet(folder / "log.parquet")
 
 
@@ -105,8 +105,9 @@ def test_no_command_changes_a_file_that_was_there(kind: str, rows: pl.DataFrame,
 
 
 def test_the_log_of_a_session_is_not_replaced_by_its_correction(tmp_path: Path) -> None:
-    folder = simulate_session(tmp_path / "s", Setup.of(grade="mems", positions=12), seed=1)
-    assert CliRunner().invoke(main, ["calibrate", str(folder), "--terms", "linear"]).exit_code == 0
+    setup = Setup.of(grade="mems", positions=12)
+    folder = copy_of(session(setup, seed=1), tmp_path / "s")
+    calibrated(setup, seed=1).write(folder / "calibration.json")
     before = hashes(folder)
     alias = tmp_path / "alias.parquet"
     alias.symlink_to(folder / "log.parquet")

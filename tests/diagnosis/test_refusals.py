@@ -13,6 +13,7 @@ import re
 import tomllib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import combinations, permutations, product
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ import pytest
 import tomli_w
 from click.testing import CliRunner, Result
 
+from tests.support.shared import session
 from tumble.cli import main
 from tumble.errors import ProgrammeError
 from tumble.inference.estimate import Estimate
@@ -37,7 +39,6 @@ from tumble.sensors.grades import GRADES
 from tumble.sensors.model import Block
 from tumble.simulation.recording import record
 from tumble.simulation.scenario import Scenario, Vibration, draw_parameters
-from tumble.simulation.session import simulate_session
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array
 
 ACCEL, GYRO = ("ax", "ay", "az"), ("gx", "gy", "gz")
@@ -45,6 +46,7 @@ SAMPLE_RATE = 50.0
 ACCEL_UNITS = {"m/s^2": 1.0, "g": G_STANDARD, "mg": 1e-3 * G_STANDARD}
 GYRO_UNITS = {"rad/s": 1.0, "deg/s": DEGREE, "deg/h": DEGREE_PER_HOUR}
 GRADE_NAMES = tuple(GRADES)
+PERMUTATIONS = tuple(permutations(range(3)))
 
 
 # -------------------- recordings, and what is done to them --------------------
@@ -127,18 +129,14 @@ HAND = Setup.of(grade="mems", positions=14, rest=5.0, rate_deg_s=120.0, sample_r
 TABLE = Setup.of(grade="navigation", rest=6.0, rate_deg_s=60.0, sample_rate=SAMPLE_RATE)
 
 
+WEEKLY = pytest.mark.weekly
+"""Further sessions and combinations of what is tested with one on every change."""
+
+
 @pytest.fixture(scope="session")
-def simulated(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Setup, int], Recording]:
-    """Simulated sessions by request and seed, each made once."""
-    made: dict[tuple[str, int], Recording] = {}
-
-    def recording(request: Setup, seed: int) -> Recording:
-        if (repr(request), seed) not in made:
-            folder = tmp_path_factory.mktemp("simulated") / "session"
-            made[repr(request), seed] = read_recording(simulate_session(folder, request, seed=seed))
-        return made[repr(request), seed]
-
-    return recording
+def simulated() -> Callable[[Setup, int], Recording]:
+    """Simulated sessions by request and seed."""
+    return cache(lambda request, seed: read_recording(session(request, seed=seed)))
 
 
 Simulated = Callable[[Setup, int], Recording]
@@ -154,7 +152,9 @@ def table(simulated: Simulated) -> Recording:
     return simulated(TABLE, 1)
 
 
-@pytest.fixture(params=["hand", "table", "truth-handheld", "truth-turntable"])
+@pytest.fixture(
+    params=["hand", "truth-turntable", *(pytest.param(n, marks=WEEKLY) for n in ("table", "truth-handheld"))]
+)
 def recording(request: pytest.FixtureRequest, simulated: Simulated) -> Recording:
     """Sound sessions of four kinds: of the project's own simulation, and of another one."""
     name: str = request.param
@@ -216,7 +216,7 @@ def test_sound_sessions_are_accused_of_nothing(simulated: Simulated, tmp_path: P
     accepted(simulated(Setup.of(**COURSES[course], grade=grade), 0), tmp_path / "session")
 
 
-@pytest.mark.parametrize("course", ["table", "hand"])
+@pytest.mark.parametrize("course", ["table", pytest.param("hand", marks=WEEKLY)])
 @pytest.mark.parametrize("grade", GRADE_NAMES)
 def test_sessions_without_noise_are_accused_of_nothing(
     simulated: Simulated, tmp_path: Path, grade: str, course: str
@@ -224,7 +224,7 @@ def test_sessions_without_noise_are_accused_of_nothing(
     accepted(simulated(Setup.of(**COURSES[course], grade=grade, noise_factor=0.0), 3), tmp_path / "session")
 
 
-@pytest.mark.parametrize("course", ["table", "nine", "hand"])
+@pytest.mark.parametrize("course", ["nine", *(pytest.param(course, marks=WEEKLY) for course in ("table", "hand"))])
 @pytest.mark.parametrize("grade", GRADE_NAMES)
 def test_coarse_counts_are_not_taken_for_clipped_or_stuck_channels(
     simulated: Simulated, tmp_path: Path, grade: str, course: str
@@ -506,7 +506,7 @@ def test_a_latitude_of_the_wrong_hemisphere_is_suspected(table: Recording, tmp_p
     assert "site.latitude_deg" in reason(replace(table, content=content), tmp_path / "session")
 
 
-@pytest.mark.parametrize("order", list(permutations(range(3))))
+@pytest.mark.parametrize("order", [(1, 0, 2), *(pytest.param(o, marks=WEEKLY) for o in PERMUTATIONS if o != (1, 0, 2))])
 def test_no_signed_permutation_of_the_gyros_is_left_without_words(
     hand: Recording, tmp_path: Path, order: tuple[int, int, int]
 ) -> None:

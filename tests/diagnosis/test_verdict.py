@@ -16,6 +16,7 @@ import polars as pl
 import pytest
 
 from tests.support import study
+from tests.support.shared import copy_of, session
 from tumble.diagnosis.causes import followed
 from tumble.diagnosis.misfit import misfit
 from tumble.diagnosis.projection import (
@@ -42,7 +43,6 @@ from tumble.run.calibrate import calibrate
 from tumble.sensors.parameters import Terms
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import scenario_of
-from tumble.simulation.session import simulate_session
 from tumble.units import DEGREE, Array
 
 Samples = tuple[Array, Array]
@@ -118,10 +118,10 @@ def test_lost_samples_are_refused() -> None:
     assert any("samples are missing or held in the log" in reason for reason in outcome.reasons)
 
 
-def _unstamped(folder: Path, seed: int) -> Samples:
+def _unstamped(seed: int) -> Samples:
     """Twelve positions by hand at 20 Hz, without time stamps."""
     setup = Setup.of(grade="mems", positions=12, rest=4.0, rate_deg_s=150.0, sample_rate=20.0)
-    log = pl.read_parquet(simulate_session(folder, replace(setup, first_rest=6.0), seed=seed, launch=1) / "log.parquet")
+    log = pl.read_parquet(session(replace(setup, first_rest=6.0), seed=seed) / "log.parquet")
     return log.select("ax", "ay", "az").to_numpy(), log.select("gx", "gy", "gz").to_numpy()
 
 
@@ -129,43 +129,38 @@ def _lost_in_turn(samples: Samples, turn: int, rows: int, terms: Terms = "linear
     """The result of a log without time stamps, and of the same without rows at the start of a turn."""
     accel, gyro = samples
     whole = calibrate(accel=accel, gyro=gyro, rate=20.0, latitude=0.9921, serial="A", terms=terms)
-    start = round(whole.rests[whole.turns[turn].first].stop * 20.0)
+    start = round(whole.evidence.rests[whole.evidence.turns[turn].first].stop * 20.0)
     moving = start + int(np.argmax(np.linalg.norm(gyro[start:], axis=1) > 0.05))
     accel, gyro = (np.delete(each, range(moving, moving + rows), axis=0) for each in samples)
     return whole, calibrate(accel=accel, gyro=gyro, rate=20.0, latitude=0.9921, serial="A", terms=terms)
 
 
-@pytest.fixture(scope="module")
-def unstamped(tmp_path_factory: pytest.TempPathFactory) -> Samples:
-    return _unstamped(tmp_path_factory.mktemp("unstamped") / "session", 7)
-
-
 @pytest.mark.parametrize("terms", ["linear", "full"])
-def test_rows_lost_at_the_start_of_a_turn_are_named(unstamped: Samples, terms: Terms) -> None:
+def test_rows_lost_at_the_start_of_a_turn_are_named(terms: Terms) -> None:
     """What the other turns of a short session cannot contradict: its velocity does."""
-    whole, lost = _lost_in_turn(unstamped, 8, 2, terms)
+    whole, lost = _lost_in_turn(_unstamped(7), 8, 2, terms)
     assert whole.outcome.verdict == "accepted"
     assert lost.outcome.verdict == "not accepted"
     assert any("the turn from rest 9 to rest 10" in reason for reason in lost.outcome.reasons)
 
 
-def test_a_loss_that_does_little_harm_is_named(tmp_path: Path) -> None:
+def test_a_loss_that_does_little_harm_is_named() -> None:
     """One row: its turn stands out, and no parameter errs by three times its u."""
-    whole, lost = _lost_in_turn(_unstamped(tmp_path / "session", 11), 2, 1)
+    whole, lost = _lost_in_turn(_unstamped(11), 2, 1)
     assert whole.outcome.verdict == "accepted"
     assert lost.outcome.verdict == "accepted with scatter"
     assert any("the turn from rest 3 to rest 4" in remark for remark in lost.outcome.remarks)
 
 
-def test_a_loss_is_looked_for_beside_a_warm_up(tmp_path: Path) -> None:
+def test_a_loss_is_looked_for_beside_a_warm_up() -> None:
     """The estimate of all groups takes what was lost for a warm-up as well."""
-    _, lost = _lost_in_turn(_unstamped(tmp_path / "session", 8), 0, 1)
+    _, lost = _lost_in_turn(_unstamped(8), 0, 1)
     assert lost.outcome.remarks
 
 
 def test_time_stamps_that_jitter_are_named_with_their_remedy(tmp_path: Path) -> None:
     """By 1 ms of 10, in a navigation unit's log of even rows: scatter, and none once the stamps are passed over."""
-    folder = simulate_session(tmp_path / "s", Setup.of(grade="navigation", positions=12, rest=10.0), seed=1)
+    folder = copy_of(session(Setup.of(grade="navigation", positions=12, rest=10.0), seed=1), tmp_path / "s")
     log = pl.read_parquet(folder / "log.parquet")
     jitter = 1e-3 * np.random.default_rng(3).standard_normal(log.height)
     log.with_columns(pl.col("t") + pl.Series(jitter)).write_parquet(folder / "log.parquet")
@@ -174,8 +169,8 @@ def test_time_stamps_that_jitter_are_named_with_their_remedy(tmp_path: Path) -> 
     (said,) = [remark for remark in scattering.remarks if remark.startswith("the rotations of the turns")]
     assert "the time stamps jitter by 1 ms: if the rows are equally spaced" in said
     assert "regular = true" in said
-    session = folder / "session.toml"
-    session.write_text(session.read_text(encoding="utf-8").replace("[log]", "[log]\nregular = true"), encoding="utf-8")
+    stated = folder / "session.toml"
+    stated.write_text(stated.read_text(encoding="utf-8").replace("[log]", "[log]\nregular = true"), encoding="utf-8")
     assert calibrate(folder).outcome.verdict == "accepted"
 
 

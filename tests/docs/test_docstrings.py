@@ -10,12 +10,18 @@ from pathlib import Path
 import pytest
 
 import tumble
+from tumble.lab import open_registry
+from tumble.methods.ellipsoid_fit import fit_ellipsoid
+from tumble.recording.arrays import session_of_arrays
 from tumble.recording.columns.names import unit_of_name
+from tumble.recording.log import open_log
+from tumble.recording.session_file import description_of
 
 CALLS = [name for name in tumble.__all__ if inspect.isfunction(getattr(tumble, name))]
+OTHERS = (description_of, fit_ellipsoid, open_log, open_registry, session_of_arrays, unit_of_name)
 EXAMPLES = [
     example
-    for item in (*(getattr(tumble, name) for name in tumble.__all__ if name != "__version__"), unit_of_name)
+    for item in (*(getattr(tumble, name) for name in tumble.__all__ if name != "__version__"), *OTHERS)
     if callable(item) and item.__module__.startswith("tumble")
     for example in doctest.DocTestFinder(recurse=False).find(
         item, item.__name__, globs={**vars(inspect.getmodule(item) or tumble)}

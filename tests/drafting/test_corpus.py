@@ -473,7 +473,7 @@ def test_a_log_of_the_world_gives_the_result_of_the_clean_one(
         assert result.exit_code == 0, (result.stderr, result.exception)
     found = read_calibration(folder / "calibration.json")
     for words in case.noted:
-        assert any(words in note for note in found.notes), found.notes
+        assert any(words in note for note in found.provenance.notes), found.provenance.notes
     spec = read_session(folder).log
     assert off(found.accel, spec.accel, clean, case, "accel") < case.within
     if case.gyro:

@@ -11,8 +11,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from evidence.case import NAMES, Array, Case, Estimate, matrix_of, parameters_of
-from evidence.peers import PROGRAMS, allan, ardupilot, ferraris, gravity_norm, imu_tk, magneto, mikoff
-from evidence.peers.rests import chained, faces, found, rotation_of, runs
+from evidence.peers import allan, ardupilot, ferraris, gravity_norm, imu_tk, magneto, mikoff
+from evidence.peers.rests import chained, faces, found, rotation_of
 from evidence.programs import named
 from evidence.real.get import named as source
 from evidence.real.get import place_of
@@ -259,15 +259,6 @@ def test_rests_are_found_where_they_are() -> None:
     assert len(spans) == 10
     for number, (start, stop) in enumerate(spans):
         assert 500 * number <= start < stop <= 500 * number + 400
-
-
-def test_runs_are_those_of_true() -> None:
-    assert runs(np.array([True, True, False, True])).tolist() == [[0, 2], [3, 4]]
-
-
-def test_every_program_says_where_it_is_from_and_has_a_name_of_its_own() -> None:
-    assert len({program.name for program in PROGRAMS}) == len(PROGRAMS) >= 5
-    assert all(program.source for program in PROGRAMS)
 
 
 # -------------------- allan_variance_ros --------------------

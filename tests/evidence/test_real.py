@@ -12,11 +12,11 @@ import polars as pl
 import pytest
 from scipy.spatial.transform import Rotation
 
-from evidence.case import NAMES, Array, Case, Estimate, matrix_of
+from evidence.case import NAMES, Case, Estimate, matrix_of
 from evidence.peers.rests import found
-from evidence.real import get, run
+from evidence.real import get
 from evidence.real.cases import cases, normal_gravity, psins_truth
-from evidence.real.page import predicted, ratio, read_results, real_losses, repeated, sources
+from evidence.real.page import predicted, read_results, real_losses, repeated, sources
 from evidence.real.run import content_of, found_from
 from evidence.real.scores import FEWEST, folds, prediction, repeatability
 
@@ -128,25 +128,6 @@ def test_folds_share_no_sample_and_hold_out_a_quarter_of_the_rests() -> None:
     assert folds(turned_about(device(2), FEWEST)) == []
 
 
-def test_what_is_fitted_and_held_out_is_made_anew_by_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
-    case = turned_about(device(2), 20)
-    monkeypatch.setattr(run, "cases", lambda _: iter([replace(case, name="another"), case]))
-    whole = run.Part("source", "turned")
-    assert whole() is case
-    pairs = run.pairs_of({whole: case})
-    assert [[one.name for one in pair] for pair in pairs] == [
-        ["turned, fold 1, fitted", "turned, fold 1, held out"],
-        ["turned, fold 2, fitted", "turned, fold 2, held out"],
-    ]
-    for (fitted, held), (to_fit, unseen) in zip(pairs, folds(case), strict=True):
-        assert (fitted().name, held().name) == (fitted.name, held.name)
-        np.testing.assert_array_equal(fitted().time, to_fit.time)
-        np.testing.assert_array_equal(held().time, unseen.time)
-    entries = run.entries_of({whole: case}, pairs)
-    assert [entry.name for entry in entries] == ["turned", *(fitted.name for fitted, _ in pairs)]
-    assert len({entry.key for entry in entries}) == 3
-
-
 def test_repeatability_is_the_scatter_over_sessions_and_over_u() -> None:
     """12 devices of 9 sessions, scatter 1e-4, u as it is: a group of three has 288 degrees of freedom: its
     standard deviation is known to 4.2 %, its mean square over u to 8.3 %; three sigma."""
@@ -178,12 +159,6 @@ def test_an_estimate_comes_back_from_its_file() -> None:
     assert back.refused == {"gyro"}
     assert back.u == estimate.u
     np.testing.assert_array_equal(np.asarray(back.accel), np.asarray(estimate.accel))
-
-
-def test_a_ratio_has_its_standard_error() -> None:
-    logs: Array = np.log([2.0, 2.0, 2.0, 2.0])
-    assert ratio(logs) == "2.00 ± 0.00 (4)"
-    assert ratio(logs[:0]) == ""
 
 
 # -------------------- recordings --------------------
@@ -226,14 +201,6 @@ def test_a_file_that_has_changed_is_not_kept(tmp_path: Path, monkeypatch: pytest
         monkeypatch.setattr(get, "content", lambda *_, content=content: content)
         assert get.get(source, "a/b.csv").startswith(said)
     assert get.place_of(source, "a/b.csv").read_bytes() == b"right"
-
-
-def test_every_source_says_its_licence_and_where_it_is_published() -> None:
-    for source in (*get.SOURCES, *get.SIMULATED_BY_OTHERS):
-        assert source.title
-        assert source.licence
-        assert source.address or (source.repository and source.commit)
-        assert all(len(digest) == 64 for digest in source.files.values())
 
 
 def test_every_table_of_the_page_is_made_and_losses_come_by_name() -> None:

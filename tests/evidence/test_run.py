@@ -105,12 +105,6 @@ def test_a_verdict_is_held_against_what_is_expected() -> None:
     assert not as_expected(accepted, "refuse", "")
 
 
-def test_a_program_that_cannot_run_is_told_from_one_that_gives_up() -> None:
-    case = answered(0.0)[0]
-    assert row_of(case, "some", Refusal(reason="needs faces")).verdict == "cannot run"
-    assert row_of(case, "some", Refusal(reason="no rests")).verdict == "gave up"
-
-
 # -------------------- the runner --------------------
 
 
@@ -133,16 +127,6 @@ def test_processes_of_a_cluster_make_what_one_process_makes(monkeypatch: pytest.
     assert tuple(Row.from_content(each.content) for each in told.values()) == one.rows
 
 
-def test_what_was_done_is_not_done_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    first = computed(("hand-8",))
-
-    def never(*_: object) -> list[dict[str, object]]:
-        raise AssertionError("computed again")
-
-    monkeypatch.setattr(work, "tried", never)
-    assert computed(("hand-8",)).rows == first.rows
-
-
 def test_a_run_goes_on_where_it_was_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
     done: list[int] = []
     tried = work.tried
@@ -155,14 +139,6 @@ def test_a_run_goes_on_where_it_was_stopped(monkeypatch: pytest.MonkeyPatch) -> 
     computed(("hand-8",))
     computed(("hand-8", "cube-alone"))
     assert len(done) == 2
-
-
-def test_another_source_of_a_program_is_computed_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    entry = run.entries_of("short", 1)[0]
-    before = work.cached(entry, "tumble joint")
-    monkeypatch.setattr(work, "source_of", lambda _: "changed")
-    assert work.cached(entry, "tumble joint") != before
-    assert work.cached(replace(entry, key="another"), "tumble joint") != work.cached(entry, "tumble joint")
 
 
 def test_what_a_program_hangs_on_is_its_own_file_and_what_it_imports() -> None:

@@ -51,20 +51,23 @@ def gcc() -> str:
     return found
 
 
+def compiled(gcc: str, folder: Path, made: Calibration, program: str, rows: Array) -> list[str]:
+    """The lines that a program with the header of a calibration prints of rows of numbers."""
+    (folder / "imu.h").write_bytes(export_calibration(made, "c").content)
+    (folder / "main.c").write_text(program)
+    flags = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wno-unused-function"]
+    subprocess.run([gcc, *flags, str(folder / "main.c"), "-o", str(folder / "main")], check=True)
+    given = "\n".join(" ".join(map(float.hex, row)) for row in rows.tolist())
+    return subprocess.run(
+        [folder / "main"], input=given, capture_output=True, text=True, check=True
+    ).stdout.splitlines()
+
+
 def run(gcc: str, folder: Path, made: Calibration, function: str, readings: Array) -> tuple[Array, list[str]]:
     """What the compiled function makes of readings: exact values (m, 3), and each line as printed."""
-    kind = function.removesuffix("f") if function != "accelf" else "accel"
-    model = made.accel if kind == "accel" else made.gyro
-    assert model is not None
-    (folder / "imu.h").write_bytes(export_calibration(made, "c").content)
-    names = {"n": len(model.bias), "function": function, "digits": DIGITS}
-    single = function.endswith("f")
-    (folder / "main.c").write_text(PROGRAM % (names | {"type": "float" if single else "double"}))
-    flags = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wno-unused-function"]
-    program = folder / function
-    subprocess.run([gcc, *flags, str(folder / "main.c"), "-o", str(program)], check=True)
-    given = "\n".join(" ".join(map(float.hex, row)) for row in readings.tolist())
-    lines = subprocess.run([program], input=given, capture_output=True, text=True, check=True).stdout.splitlines()
+    names = {"n": readings.shape[1], "function": function, "digits": DIGITS}
+    program = PROGRAM % (names | {"type": "float" if function.endswith("f") else "double"})
+    lines = compiled(gcc, folder, made, program, readings)
     exact = np.array([[float.fromhex(word) for word in line.split()[:3]] for line in lines])
     return exact, [" ".join(line.split()[3:]) for line in lines]
 
@@ -152,15 +155,9 @@ def test_the_lag_is_followed_as_the_library_does(tmp_path: Path, gcc: str, lag: 
     made = replace(made, parameters=(*made.parameters, parameter), covariance=covariance)
     exported = export_calibration(made, "c")
     assert not any("lag" in loss for loss in exported.losses)
-    (tmp_path / "imu.h").write_bytes(exported.content)
-    (tmp_path / "main.c").write_text(LAGGING)
-    flags = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wno-unused-function"]
-    subprocess.run([gcc, *flags, str(tmp_path / "main.c"), "-o", str(tmp_path / "lag")], check=True)
 
-    def run_on(readings: list[tuple[float, float]]) -> Array:
-        given = "\n".join(f"{celsius.hex()} {seconds.hex()}" for celsius, seconds in readings)
-        done = subprocess.run([tmp_path / "lag"], input=given, capture_output=True, text=True, check=True)
-        return np.array([float.fromhex(line) for line in done.stdout.split()])
+    def run_on(readings: Array) -> Array:
+        return np.array(list(map(float.fromhex, compiled(gcc, tmp_path, made, LAGGING, readings))))
 
     rng = np.random.default_rng(1)
     celsius, steps = 20.0 + np.cumsum(rng.normal(size=400)), 10.0 ** rng.uniform(-3.0, 4.0, 400)
@@ -169,9 +166,9 @@ def test_the_lag_is_followed_as_the_library_does(tmp_path: Path, gcc: str, lag: 
         before = expected[-1] if lag > 0.0 else 2.0 * celsius[i - 1] - expected[-1]
         now = followed(celsius[i - 1 : i + 1], float(steps[i]), abs(lag), first=float(before))[1]
         expected.append(now if lag > 0.0 else 2.0 * celsius[i] - now)
-    found = run_on(list(zip(celsius.tolist(), steps.tolist(), strict=True)))
+    found = run_on(np.column_stack([celsius, steps]))
     np.testing.assert_allclose(found, expected, rtol=1e-11)
     stated = re.search(r"the sensors have ([-0-9. ]+)", exported.content.decode())
     assert stated is not None
-    np.testing.assert_allclose(run_on(list(LAG_EXAMPLE)), [float(word) for word in stated[1].split()], atol=1e-9)
+    np.testing.assert_allclose(run_on(np.array(LAG_EXAMPLE)), [float(word) for word in stated[1].split()], atol=1e-9)
     assert "imu_thermometer" not in export_calibration(warmed(calibration()), "c").content.decode()

@@ -101,22 +101,6 @@ def test_a_left_handed_triad_is_refused() -> None:
         export_calibration(calibration(accel=axes, gyro=axes), "kalibr", noise=NOISE)
 
 
-def test_the_biases_are_named_as_lost() -> None:
-    made = calibration()
-    assert made.accel is not None
-    lost = " ".join(export_calibration(made, "kalibr", noise=NOISE).losses)
-    assert all(repr(float(b)) in lost for b in made.accel.bias.round(9))
-
-
-def test_noise_densities_are_those_of_the_file_and_their_units_kalibrs() -> None:
-    imu = read(calibration())
-    assert imu["accelerometer_noise_density"] == NOISE.accel.white
-    assert imu["gyroscope_random_walk"] == NOISE.gyro.walk
-    assert imu["update_rate"] == 200.0
-    said = export_calibration(calibration(), "kalibr", noise=NOISE).losses
-    assert NOISE.gyro.bounds[0] in said
-
-
 def test_noise_is_what_the_longest_rest_shows(tmp_path: Path) -> None:
     """White noise: its density times √rate is the standard deviation of the samples, within 10 %. What the record does
     not show is bounded: K as large would still lie below the Allan deviation at every averaging time."""

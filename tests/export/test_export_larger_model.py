@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.export.test_export_c import PROGRAM, gcc
+from tests.export.test_export_c import PROGRAM, compiled, gcc
 from tests.export.test_tables import read_csv, read_mat
 from tests.support.calibrated import HEXAD, calibration, warmed
 from tests.support.exports import FORMATS, beside
@@ -30,7 +29,6 @@ __all__ = ["gcc"]
 def run(compiler: str, folder: Path, made: Calibration, kind: str, given: Array, *, warm: bool = False) -> Array:
     """What the compiled function in double makes of rows of readings, for gyros of forces after them, and of
     temperatures after these where it is `warm`."""
-    (folder / "imu.h").write_bytes(export_calibration(made, "c").content)
     model = made.accel if kind == "accel" else made.gyro
     assert model is not None
     n, count = len(model.bias), given.shape[1]
@@ -39,12 +37,8 @@ def run(compiler: str, folder: Path, made: Calibration, kind: str, given: Array,
     force, first = (f", r + {n}", n + 3) if kind == "gyro" else ("", n)
     celsius = "" if not warm else f", r[{first}]" if count == first + 1 else f", r + {first}"
     text = text.replace("(r, t)", f"(r{force}{celsius}, t)")
-    (folder / "main.c").write_text(text)
-    flags = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wno-unused-function"]
-    subprocess.run([compiler, *flags, str(folder / "main.c"), "-o", str(folder / kind)], check=True)
-    lines = "\n".join(" ".join(map(float.hex, row)) for row in given.tolist())
-    out = subprocess.run([folder / kind], input=lines, capture_output=True, text=True, check=True).stdout
-    return np.array([[float.fromhex(word) for word in line.split()[:3]] for line in out.splitlines()])
+    lines = compiled(compiler, folder, made, text, given)
+    return np.array([[float.fromhex(word) for word in line.split()[:3]] for line in lines])
 
 
 @pytest.mark.parametrize("axes", [None, HEXAD / np.linalg.norm(HEXAD, axis=1)[:, None]], ids=["triad", "six sensors"])
@@ -135,12 +129,6 @@ def keeping(made: Calibration, *groups: str) -> Calibration:
     """A calibration without the groups beyond the linear model but for these."""
     parameters = (p for p in made.parameters if not beyond_linear(p.name) or group_name(p.name) in groups)
     return replace(made, parameters=tuple(parameters), covariance=None)
-
-
-def test_parameters_that_a_file_lacks_count_as_zero() -> None:
-    made = keeping(larger()[0], "accel.cubic")
-    parameters = tuple(p for p in made.parameters if p.name != "accel.cubic.y")
-    assert "cubic nonlinearity (" in not_held(replace(made, parameters=parameters))[0]
 
 
 def test_imucal_holds_the_g_sensitivity() -> None:

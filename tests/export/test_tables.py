@@ -14,8 +14,6 @@ from scipy.io import loadmat
 
 from tests.support.calibrated import HEXAD, calibration, warmed
 from tumble.export import export_calibration
-from tumble.export.autopilots import range_of
-from tumble.export.tables import temperatures
 from tumble.result.calibration import Calibration
 from tumble.result.temperature_curves import curve
 from tumble.units import G_STANDARD
@@ -126,14 +124,6 @@ def test_the_table_holds_six_sensors_and_accelerometers_alone() -> None:
     axes = HEXAD / np.linalg.norm(HEXAD, axis=1)[:, None]
     for made in (warmed(calibration(accel=axes, gyro=axes)), warmed(calibration(with_gyro=False))):
         assert b"temperature_degC,accel.bias." in export_calibration(made, "csv-thermal").content
-
-
-def test_the_rows_of_the_table_are_round_and_few() -> None:
-    for low, high in ((20.0, 23.1), (-40.0, 85.0), (21.95, 22.05)):
-        made = warmed(calibration(), low=low, high=high)
-        T = temperatures(range_of(made, "csv-thermal"), made.reference_temperature or 0.0)
-        assert 3 <= len(T) <= 29
-        assert (T[0], T[-1]) == (low, high)
 
 
 def test_a_curve_without_covariance_has_no_band() -> None:

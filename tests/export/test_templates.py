@@ -7,6 +7,7 @@ import json
 import re
 import subprocess
 from collections.abc import Callable
+from dataclasses import replace
 from math import cos, radians, sin
 from pathlib import Path
 
@@ -15,12 +16,11 @@ import pytest
 import yaml
 from click.testing import CliRunner
 
-from tests.support.calibrated import calibration
+from tests.support.calibrated import calibration, with_fields
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.export import TEMPLATES, export_calibration
 from tumble.export.templates import read_template
-from tumble.result.calibration import Calibration
 from tumble.result.parts import Readings
 from tumble.rotation import rotation_matrix
 from tumble.sensors.model import SensorModel
@@ -202,7 +202,7 @@ def test_the_target_makes_of_the_test_vector_what_the_template_says(name: str, k
     test = read_template(TEMPLATES / f"{name}.tmpl").front.test[kind]  # type: ignore[index]
     model = SensorModel(matrix=np.array(test.matrix), bias=np.array(test.bias))
     other = calibration(0)
-    made = Calibration(**{f: getattr(other, f) for f in other.__dataclass_fields__} | {kind: model})
+    made = with_fields(other, **{kind: model})
     found = PARSERS[name](export_calibration(made, name).content.decode(), kind, np.array([test.reading]))
     np.testing.assert_allclose(found[0], test.corrected, rtol=0.0, atol=2e-6)
 
@@ -245,7 +245,7 @@ def test_betaflight_turns_a_board_that_is_mounted_askew(angle: list[float]) -> N
     assert made.accel is not None
     turned = np.asarray(made.accel.matrix @ rotation_matrix(np.array(angle) * DEGREE), dtype=float)
     model = SensorModel(matrix=turned, bias=made.accel.bias)
-    other = Calibration(**{f: getattr(made, f) for f in made.__dataclass_fields__} | {"accel": model})
+    other = replace(made, accel=model)
     true = G_STANDARD * np.random.default_rng(1).standard_normal((50, 3))
     found = betaflight(export_calibration(other, "betaflight").content.decode(), "accel", model.predict(true))
     assert np.abs(found - true).max() < (0.02 + 3 * 0.5 * DEGREE) * np.linalg.norm(true, axis=1).max() + 0.01
@@ -255,7 +255,7 @@ def test_counts_are_those_given_else_those_of_the_recording() -> None:
     made = calibration(2)
     assert made.accel is not None
     raw = Readings(columns=("x", "y", "z"), unit="count", scale=(100.0,) * 3, offset=(0.0,) * 3, increments=False)
-    recorded = Calibration(**{f: getattr(made, f) for f in made.__dataclass_fields__} | {"readings": {"accel": raw}})
+    recorded = with_fields(made, readings={"accel": raw})
     for each, given, per_si in ((made, (1024.0, 16.4), 1024.0 / G_STANDARD), (recorded, None, 100.0)):
         text = export_calibration(each, "inav", counts=given).content.decode()
         zero = named(text, r"^set (acczero_\w) = (-?\d+)$", [f"acczero_{a}" for a in "xyz"])
@@ -317,10 +317,8 @@ def test_a_template_of_ones_own_is_filled_in(tmp_path: Path) -> None:
         ('formula = "corrected = M (reading - b)"\n', "", "formula: expected this key, found none"),
         ("1.0, 0.0, 0.0]\n+++", "2.0, 0.0, 0.0]\n+++", "[test.accel] corrected: expected what the formula gives"),
         ('"inverse"', '"invers"', "[accel] M: expected an expression with a value, found 'invers' is undefined"),
-        ('"inverse"', '"inverse +"', "[accel] M: expected an expression with a value, found"),
         ('"inverse"', "\"inverse.tofile('x')\"", "access to attribute 'tofile' of 'ndarray' object is unsafe"),
         ('"dot(M, reading - b)"', '"1 / 0"', "[accel] corrected: expected an expression with a value, found division"),
-        ('"dot(M, reading - b)"', '"M"', "found an array of the shape (3, 3)"),
         ("accel.M |", "accel.N |", "expected a body that can be filled in, found 'dict object' has no attribute 'N'"),
         ("{% endfor %}", "", "line 21: expected a body that can be filled in, found Unexpected end of template"),
         ("accel.M | json", "comments.__class__.__mro__", "access to attribute '__class__' of 'list' object is unsafe"),

@@ -9,12 +9,15 @@ import numpy as np
 import pytest
 
 import tumble
+from tests.support.shared import copy_of, session
 from tumble.inference.joint import joint
 from tumble.inference.likelihood import Problem, noise_of
 from tumble.inference.linearisation import linearise
 from tumble.inference.sources import by_time_base, clocked, common_rounding
 from tumble.inference.start import start_of
 from tumble.planning.setup import Setup
+from tumble.recording.arrays import session_of_arrays
+from tumble.recording.session_file import description_of
 from tumble.reduction.noise.rounding import Rounding
 from tumble.reduction.observations import Observations
 from tumble.sensors.instrument import Instrument
@@ -115,7 +118,7 @@ def described(accel: str, gyro: str, **log: float) -> tumble.Session:
 
 def test_a_time_base_that_is_not_stated_is_that_of_a_crystal_and_said(tmp_path: Path) -> None:
     """30 ppm in the scale factors of the gyros; stated as 0 it is exact, which a simulated session says."""
-    folder = tumble.simulate_session(tmp_path / "s", tumble.Setup.of(grade="tactical", positions=12, rest=5.0), seed=1)
+    folder = copy_of(session(tumble.Setup.of(grade="tactical", positions=12, rest=5.0), seed=1), tmp_path / "s")
     text = (folder / "session.toml").read_text()
     assert "clock_ppm_u = 0\n" in text
     exact = tumble.calibrate(folder)
@@ -124,19 +127,19 @@ def test_a_time_base_that_is_not_stated_is_that_of_a_crystal_and_said(tmp_path: 
     name = "gyro.scale.x"
     assert (unsaid[name].u or 0.0) ** 2 == pytest.approx((exact[name].u or 0.0) ** 2 + 30e-6**2)
     assert unsaid["accel.scale.x"].u == pytest.approx(exact["accel.scale.x"].u)
-    assert (exact.clock_u, unsaid.clock_u) == (0.0, 30e-6)
-    said = [note for note in unsaid.notes if "time base" in note]
+    assert (exact.provenance.clock_u, unsaid.provenance.clock_u) == (0.0, 30e-6)
+    said = [note for note in unsaid.provenance.notes if "time base" in note]
     assert len(said) == 1
     assert "30 ppm" in said[0]
-    assert not any("time base" in note for note in exact.notes)
+    assert not any("time base" in note for note in exact.provenance.notes)
 
 
 def test_readings_in_memory_have_a_time_base() -> None:
     still = np.tile([0.0, 0.0, 9.81], (300, 1))
     for given, u in ((None, 30e-6), (0.0, 0.0), (5.0, 5e-6)):
-        session = tumble.session_of_arrays(accel=still, gyro=0.0 * still, rate=100.0, clock_ppm_u=given)
+        session = session_of_arrays(accel=still, gyro=0.0 * still, rate=100.0, clock_ppm_u=given)
         assert session.log.time_base_u == pytest.approx(u)
-        again = tumble.description_of(session)["log"]
+        again = description_of(session)["log"]
         assert again.get("clock_ppm_u") == (None if given is None else pytest.approx(given))
 
 

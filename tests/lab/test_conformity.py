@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.support.calibrated import calibration, warmed
+from tests.support.calibrated import calibration, warmed, with_fields
 from tumble.errors import InputError
 from tumble.lab.conformity import verdicts
 from tumble.lab.limits import Limits, parse_limits
@@ -89,7 +89,7 @@ def test_temperatures_that_are_none_are_refused(given: str) -> None:
 
 
 def test_the_report_says_between_which_temperatures_limits_hold() -> None:
-    cold, given = replace(MADE, rests=()), limits("1 g")
+    cold, given = with_fields(MADE, rests=()), limits("1 g")
     shown, unknown = (repr(limits_section(given, verdicts(made, given))) for made in (MADE, cold))
     assert "Periodic check: pass, within limits from −18 to 57 °C." in shown
     assert "at °C" in shown

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 from tests.support.calibrated import calibration as calibrated
+from tests.support.calibrated import with_fields
 from tests.support.postgresql_server import postgresql_server
 from tests.support.registry_files import NAMES, added, content, digest, write
 from tests.support.registry_writer import write_all
@@ -53,7 +54,7 @@ def test_a_record_keeps_the_whole_file(registry: Registry, tmp_path: Path) -> No
     kept = registry.calibration(record)
     assert [p.name for p in kept.parameters] == [*NAMES]
     assert {p.name: p.value for p in kept.parameters if p.name in values} == values
-    assert [launch.parameters[0].value for launch in kept.launches] == [0.25, 0.35]
+    assert [launch.parameters[0].value for launch in kept.evidence.launches] == [0.25, 0.35]
 
 
 def test_the_same_calibration_is_one_record_however_its_file_is_laid_out(registry: Registry, tmp_path: Path) -> None:
@@ -185,7 +186,7 @@ def test_of_a_calibration_with_bad_gyros_the_accelerometers_are_registered(regis
 
 
 def test_a_calibration_is_performed_when_it_was_recorded(registry: Registry) -> None:
-    recorded = replace(calibrated(), circumstances=Circumstances(date="2025-03-04T09:30:00"))
+    recorded = with_fields(calibrated(), circumstances=Circumstances(date="2025-03-04T09:30:00"))
     assert registry.add_calibration(recorded).performed == datetime(2025, 3, 4, 9, 30, tzinfo=UTC)
 
 
@@ -331,8 +332,9 @@ def test_without_the_extra_it_is_named(module: str, tmp_path: Path) -> None:
     code = (
         f"import sys; sys.modules[{module!r}] = None\n"
         "import tumble\n"
+        "from tumble.lab import open_registry\n"
         "try:\n"
-        f"    with tumble.open_registry({place!r}, create=True): pass\n"
+        f"    with open_registry({place!r}, create=True): pass\n"
         "except tumble.MissingExtraError as error: print(error)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from tests.support.calibrated import calibration
+from tests.support.calibrated import calibration, with_fields
 from tests.use.test_compare import of_common_gravity, of_common_time_base
 from tumble.cli import main
 from tumble.lab.registry.registry import open_registry
@@ -26,7 +26,7 @@ def trend_of(folder: Path, *calibrations: Calibration, parameter: str | None = N
     """Of one device, calibrated once a year, each time with another log."""
     with open_registry(folder / "r.sqlite", create=True) as registry:
         for i, made in enumerate(calibrations):
-            other = replace(made, provenance={**made.provenance, "log_sha256": f"{i:064x}"})
+            other = with_fields(made, log_sha256=f"{i:064x}")
             registry.add_calibration(other, performed=datetime(2020 + i, 3, 1, tzinfo=UTC))
         return registry.trend("A-0007", parameter)
 

@@ -68,18 +68,6 @@ def test_the_verdict_is_whether_the_interval_of_the_value_is_within_the_limits(
     assert verdict.endswith("pass") == (low <= value <= high)
 
 
-@pytest.mark.parametrize(
-    ("value", "verdict"),
-    [
-        (0.0, "pass"), (7.9, "pass"), (8.1, "conditional pass"), (10.0, "conditional pass"),
-        (11.9, "conditional fail"), (12.1, "fail"),
-    ],
-)  # fmt: skip
-def test_the_guard_band_is_u_on_either_side_of_the_limit(value: float, verdict: str) -> None:
-    for sign in (1.0, -1.0):
-        assert judge_value(sign * value, 1.0, -10.0, 10.0) == verdict
-
-
 def test_without_an_uncertainty_nothing_is_decided() -> None:
     assert judge_value(0.0, None, -1.0, 1.0) == "undecided"
     assert judge_value(0.0, 0.0, math.nan, math.nan) == "undecided"
@@ -135,24 +123,19 @@ def test_what_was_not_determined_does_not_pass() -> None:
     ("text", "said"),
     [
         ("", "format: expected 1, found none"),
-        ("format = 2", "format: expected 1, found 2"),
         ("format = 1", "expected limits in [incoming] or [periodic], found none"),
-        ("format = 1\n[incoming]", "expected limits in [incoming] or [periodic], found none"),
         ("format = 1\nincoming = 3", "incoming: expected a table of limits, found 3"),
         ("format = 1\n[outgoing]", "unknown key 'outgoing' at the top level"),
         ("format = ", "expected TOML, found an error in its syntax"),
         ('format = 1\nframe = "ned"\n[incoming]', "frame: expected one of accelerometer, case, paper, symmetric"),
         ('format = 1\n[incoming]\naccel.bias = "5 mg"', 'accel: expected a quoted name such as "accel.bias"'),
-        ('format = 1\n[incoming]\n"mag.bias" = "5 mg"', 'mag.bias: expected a quoted name such as "accel.bias"'),
         ('format = 1\n[incoming]\n"accel.bias" = 5', 'expected a text such as "5 mg", or a table'),
         ('format = 1\n[incoming]\n"accel.bias" = "5 ppm"', "accel.bias: expected a number and one of m/s^2, g, mg"),
         ('format = 1\n[incoming]\n"accel.bias" = "-5 mg"', "accel.bias: expected more than 0, found '-5 mg'"),
-        ('format = 1\n[incoming]\n"accel.bias" = {}', 'expected a text such as "5 mg"'),
         ('format = 1\n[incoming]\n"accel.bias" = {min = 1}', 'expected a text such as "5 mg"'),
         ('format = 1\n[incoming]\n"accel.bias" = {min = "1 mg", max = "0 mg"}', "expected a min below max"),
         ('format = 1\n[incoming]\n"accel.bias" = {deviation = "1 mg"}', "expected a systematic value"),
         ('format = 1\ninterval_months = 0\n[incoming]\n"accel.bias" = "5 mg"', "expected a whole number of"),
-        ('format = 1\ninterval_months = true\n[incoming]\n"accel.bias" = "5 mg"', "expected a whole number of"),
         ('format = 1\ndevice_interval_months = 3\n[incoming]\n"accel.bias" = "5 mg"', "expected a table of"),
     ],
 )  # fmt: skip

@@ -13,8 +13,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from matplotlib.colors import to_hex
-from matplotlib.figure import Figure
 from scipy import optimize, stats
 
 from tests.support.registry_files import content, write
@@ -22,8 +20,7 @@ from tumble.errors import InputError, MissingExtraError
 from tumble.lab.registry.records import State
 from tumble.lab.registry.registry import open_registry
 from tumble.lab.registry.trend import YEAR, ParameterTrend, Point, Trend, forecast, parameter_trend
-from tumble.lab.views.control_chart import draw_panel, write_chart
-from tumble.lab.views.registry import sparkline
+from tumble.lab.views.control_chart import write_chart
 from tumble.units import Array
 
 START = datetime(2020, 1, 1, tzinfo=UTC)
@@ -195,12 +192,6 @@ def test_the_change_in_use_is_from_as_left_to_as_found() -> None:
     assert trend(point(0, 1.0, u=None), point(1, 2.0)).changes[0].e_n is None
 
 
-def test_a_sparkline_goes_from_the_lowest_to_the_highest() -> None:
-    assert sparkline([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]) == "▁▂▃▄▅▆▇█"
-    assert sparkline([5.0, 5.0]) == "▄▄"
-    assert len(sparkline(list(map(float, range(100))))) == 24
-
-
 # -------------------- forecasts --------------------
 
 
@@ -258,41 +249,6 @@ def test_the_true_time_is_in_the_interval_as_often_as_stated(instability: float)
 
 
 # -------------------- charts --------------------
-
-
-def heights(made: ParameterTrend, limits: tuple[float, float]) -> tuple[float, float, list[str]]:
-    """The lowest and the highest value in the picture of a parameter, and what stands above it."""
-    axes = Figure().add_subplot()
-    draw_panel(axes, made, limits, {}, (1.0, "mg"))
-    return *axes.get_ylim(), axes.get_title(loc="right").split()
-
-
-def test_the_axis_follows_the_data_and_a_far_limit_is_a_note() -> None:
-    made = trend(point(0, 1.0, u=0.1), point(1, 1.2, u=0.1), point(2, 1.1, u=0.1))
-    low, high, note = heights(made, (-500.0, 1.5))
-    assert 0.6 < low < 0.8
-    assert 1.5 < high < 1.6
-    assert note == ["limit", "−500", "↓"]
-    assert heights(made, (-500.0, 500.0))[1] < 1.6
-    assert heights(made, (-500.0, 500.0))[2] == ["limits", "−500", "↓", "500", "↑"]
-
-
-def test_a_bar_that_is_far_longer_than_the_others_does_not_decide_the_height() -> None:
-    made = trend(point(0, 1.0, u=50.0), point(1, 1.2, u=0.1), point(2, 1.1, u=0.1))
-    low, high, _ = heights(made, (-np.inf, np.inf))
-    assert low > 0.0
-    assert high < 2.0
-
-
-def test_changes_beyond_one_and_failures_are_marked() -> None:
-    made = trend(point(0, 1.0, u=0.1), point(1, 3.0, u=0.1))
-    axes = Figure().add_subplot()
-    draw_panel(axes, made, (-2.0, 2.0), {0: "pass", 1000: "fail"}, (1.0, "mg"))
-    assert [text.get_text() for text in axes.texts] == ["Eₙ +7.1"]
-    colours = [
-        to_hex(line.get_color()) for line in axes.lines if line.get_marker() == "o" and line.get_markersize() < 9
-    ]
-    assert colours == ["#1f4e79", "#a32222"]
 
 
 EVIL = "<script>alert(1)</script> $x^2$ & \"'"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.support.calibrated import calibration, warmed
+from tests.support.calibrated import calibration, warmed, with_fields
 from tests.support.pages import Page
 from tests.views.test_certificate import CERTIFICATE, LABORATORY, RECORDED, files
 from tumble.errors import InputError
@@ -137,13 +136,15 @@ def test_the_budget_has_the_capability_as_a_source_of_its_own() -> None:
     from tumble.result.parts import SourceContributions
     from tumble.result.uncertainty_budget import shares_by_group
 
-    made = replace(calibration(), circumstances=RECORDED)
+    made = with_fields(calibration(), circumstances=RECORDED)
     noise = SourceContributions(
         name="fit", words="fit", type="A", contributions={p.name: p.u for p in made.parameters if p.u}
     )
-    stated, _ = within_scope(replace(made, budget=(noise,)), (Capability(quantity="accel.bias", cmc="1 mg"),))
-    assert [source.name for source in stated.budget] == ["fit", "capability"]
+    stated, _ = within_scope(with_fields(made, budget=(noise,)), (Capability(quantity="accel.bias", cmc="1 mg"),))
+    assert [source.name for source in stated.evidence.budget] == ["fit", "capability"]
     u = np.array([p.u for p in stated.parameters])
-    parts = np.array([[source.contributions.get(p.name, 0.0) for p in stated.parameters] for source in stated.budget])
+    parts = np.array(
+        [[source.contributions.get(p.name, 0.0) for p in stated.parameters] for source in stated.evidence.budget]
+    )
     assert np.sqrt((parts**2).sum(axis=0)) == pytest.approx(u)
     assert shares_by_group(stated)["accel.bias"].sum() == pytest.approx(1.0)

@@ -71,9 +71,9 @@ def test_the_paper_s_methods_do_not_accept_in_silence_what_is_not_linear(tmp_pat
         assert found.outcome.verdict != "accepted"
         assert all(said.startswith("by the method joint, ") for said in found.outcome.remarks)
         assert not any("u contains it" in said for said in found.outcome.remarks)
-        assert any(note.startswith("not in the model: quadratic") for note in found.notes)
+        assert any(note.startswith("not in the model: quadratic") for note in found.provenance.notes)
     alone = calibrate(folder, method="ellipsoid", terms="linear")
-    assert any("they move biases by" in note for note in alone.notes)
+    assert any("they move biases by" in note for note in alone.provenance.notes)
     assert not any("gyros" in said for said in alone.outcome.remarks)
 
 
@@ -101,8 +101,8 @@ def test_a_linear_instrument_is_accepted_by_all_of_them(tmp_path: Path) -> None:
     for method in ("sequential", "scalar", "ellipsoid"):
         found = calibrate(folder, method=method, terms="linear")
         assert found.outcome.verdict == "accepted"
-        assert any(note.startswith("not in the model: quadratic") for note in found.notes)
-    assert not any(note.startswith("not in the model") for note in calibrate(folder).notes)
+        assert any(note.startswith("not in the model: quadratic") for note in found.provenance.notes)
+    assert not any(note.startswith("not in the model") for note in calibrate(folder).provenance.notes)
 
 
 def test_own_positions_are_left_out_alike_with_and_without_the_groups(tmp_path: Path) -> None:

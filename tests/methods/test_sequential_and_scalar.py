@@ -34,7 +34,7 @@ from tumble.reduction.blocks.motion_samples import MotionSamples
 from tumble.reduction.blocks.reducer import reduce_log
 from tumble.reduction.observations import Observations, observe
 from tumble.reduction.rests.matching import match_rests
-from tumble.reduction.rests.rests import Rests
+from tumble.reduction.rests.rests import Rests, rows_of
 from tumble.reduction.rests.segmentation import find_rests
 from tumble.reduction.turns.turns import TurnSamples
 from tumble.rotation import axes_matrix
@@ -406,16 +406,7 @@ def test_two_rests_in_one_position_are_used_both(pipeline: Pipeline) -> None:
     values = drawn_values(1, np.random.default_rng(12))[0]
     seen = observations(values, np.random.default_rng(13))
     twice = np.sort(np.append(np.arange(15), [1]))
-    rests = replace(
-        seen.rests,
-        file=seen.rests.file[twice],
-        start=seen.rests.start[twice],
-        stop=seen.rests.stop[twice],
-        accel=seen.rests.accel[twice],
-        accel_covariance=seen.rests.accel_covariance[twice],
-        gyro=seen.rests.gyro[twice],
-        gyro_covariance=seen.rests.gyro_covariance[twice],
-    )
+    rests = rows_of(seen.rests, twice)
     split = _with_pause(seen, rests, twice)
     np.testing.assert_allclose(pipeline(split).values / SIZES, pipeline(seen).values / SIZES, atol=2e-3)
 

@@ -10,13 +10,10 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from tests.support import ROOT, study
 from tumble.cli import main
 from tumble.errors import ProgrammeError
 from tumble.planning.setup import Setup
 from tumble.programme.positions import ANY_MOVE, BUILT_IN, Position, Programme, programme
-from tumble.programme.sheet import sheet_page
-from tumble.programme.sheet_words import sheet_rows
 from tumble.recording.log import open_log
 from tumble.recording.session import ProgrammeSpec, Session
 from tumble.recording.session_file import read_session
@@ -27,7 +24,7 @@ from tumble.result.calibration import read_calibration
 from tumble.rotation import rotation_matrix
 from tumble.simulation.scenario import scenario_of
 from tumble.simulation.session import simulate_session, write_simulation
-from tumble.units import DEGREE, Array
+from tumble.units import DEGREE
 
 CUBES = tuple(name for name in BUILT_IN if name.startswith(("cube", "faces")))
 
@@ -175,53 +172,3 @@ def test_an_impossible_position_is_named_with_the_nearest(tmp_path: Path) -> Non
     assert said("cube-14", 9) in message
     assert float(message.split("° off")[0].split(" ")[-1]) == pytest.approx(15.0, abs=1.5)
     assert "at most 7°" in message
-
-
-# -------------------- the sheet of the tilter --------------------
-
-
-@pytest.mark.parametrize("name", CUBES)
-def test_the_sheet_says_what_the_block_stands_on_and_shows_it(name: str) -> None:
-    listed = programme(name)
-    rows, page = sheet_rows(listed), sheet_page(listed)
-    words = {1: "on a face", 2: "on an edge", 3: "on a corner"}
-    for row, position in zip(rows, listed.positions, strict=True):
-        assert row.how == words[int(np.count_nonzero(_off_the_horizon(position.vertical_b)))]
-    for how in set(words.values()):
-        assert page.count(f">{how}<") == sum(row.how == how for row in rows)
-    assert page.count("<svg") == len(rows) + 1
-    assert "In any order, and each turned about the vertical in any way" in page
-
-
-def _off_the_horizon(vertical_b: Array) -> Array:
-    return np.asarray(np.abs(vertical_b) > 0.1)
-
-
-# -------------------- what each accessory buys --------------------
-
-
-def test_the_table_of_accessories_is_that_of_the_study() -> None:
-    """Every figure that is not drawn at random, and all that the method states."""
-    accessories = study("cube_accessories")
-    page = (ROOT / "studies/cube.md").read_text(encoding="utf-8")
-    table = page.split("<!-- table: cube_accessories | accessories -->")[1].split("<!-- end -->")[0]
-    lines = table.strip().splitlines()[2:]
-    rows = accessories.rows()
-    assert len(lines) == len(rows)
-    stated = set()
-    for line, row in zip(lines, rows, strict=True):
-        needs, positions, rank, condition, *figures, _, case = (cell.strip() for cell in line.strip("|").split("|"))
-        assert (needs, positions) == (row.needs, row.positions)
-        H = accessories.scalar_rows(row.verticals)
-        singular = np.linalg.svd(H, compute_uv=False)
-        assert int(rank) == (singular > 1e-9 * singular[0]).sum()
-        assert bool(case) == (accessories.alignment_of_the_case(row.verticals, 1, np.random.default_rng(1)) is not None)
-        if int(rank) < 9:
-            assert condition == "refused"
-            continue
-        expected = accessories.largest(np.diag(np.linalg.inv(H.T @ H)))
-        assert condition == f"{singular[0] / singular[-1]:.2f}"
-        assert figures == [f"{value:.0f}" for value in expected]
-        assert accessories.agrees(row, float(condition), tuple(map(float, figures)))
-        stated.add(positions)
-    assert set(accessories.METHOD) <= stated

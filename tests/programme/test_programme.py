@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from itertools import product
 
 import numpy as np
@@ -32,7 +31,6 @@ N, U, E = np.eye(3)
 R = 0.5**0.5
 OBLIQUE_U = [(R, -R, 0), (R, 0, -R), (0, R, -R)]
 
-FACES = ("UEN", "DWN", "NUE", "NDW", "ENU", "WND")
 
 turns = st.tuples(st.sampled_from("NUE"), st.sampled_from("+-"), st.floats(0.0, 360.0))
 
@@ -87,17 +85,12 @@ def test_fractions_of_a_degree_and_spaces_are_read() -> None:
     ("code", "said"),
     [
         ("", 'expected three of N S E W U D, where body X, Y, Z point, found ""'),
-        ("NU", 'found "NU"'),
         ("NUEE", 'found "NUEE"'),
-        ("nue", 'found "nue"'),
-        ("N+45", 'found "N+45"'),
         ("NUS", 'expected three perpendicular directions, found "NUS"'),
         ("UNE", 'found left-handed "UNE"; with this X and Y it is "UNW"'),
         ("NUE N45", 'such as N+45 or E-90.5, found "N45"'),
         ("NUE S+45", 'found "S+45"'),
-        ("NUE N+", 'found "N+"'),
         ("NUE N+nan", 'found "N+nan"'),
-        ("NUE N+1e3", 'found "N+1e3"'),
         ("NUE N+360.5", 'found "N+360.5"'),
         ("NUE\nN+4\n5", 'attitude "NUE N+4 5"'),
     ],
@@ -151,27 +144,6 @@ def test_rough_table_turns_lead_from_each_position_to_the_next() -> None:
         np.testing.assert_allclose(angle * axis, expected, rtol=1e-15)
 
 
-def test_rough_table_turns_have_the_published_condition_number() -> None:
-    """H_G (18×9) of programme A from Eq. (6.3), with perfect accelerometers: rank 9, cond √2 π/2."""
-    made = programme("rough-table")
-    rows: list[Array] = []
-    for position, move in zip(made.positions[:-1], made.moves, strict=True):
-        if move.axis is None or move.angle is None:
-            continue
-        C = position.matrix
-
-        def F(p: Array, q: Array, C: Array = C) -> Array:
-            return np.outer(C.T @ p, C.T @ q).ravel()  # F_pq = pᵀ C E Cᵀ q as a row over vec E
-
-        if abs(move.axis[0]) == 1.0:
-            rows += [-2.0 * F(U, N), math.copysign(math.pi, move.angle) * F(N, N)]
-        else:
-            rows += [2.0 * F(N, U), 2.0 * F(E, U)]
-    H = np.array(rows)
-    assert H.shape == (18, 9)
-    assert np.linalg.cond(H) == pytest.approx(math.sqrt(2.0) * math.pi / 2.0, rel=1e-12)
-
-
 def rows_of_rests(made: Programme) -> Array:
     """H of Eq. (13), (N, 9): bias/g, scale factors and axis angles of three accelerometers in (w² − g²)/2g²."""
     u = np.array([p.vertical_b for p in made.positions])
@@ -199,7 +171,7 @@ def rows_of_turns(made: Programme) -> Array:
     return np.array(rows)
 
 
-def test_rough_table_turns_have_the_published_condition_number_by_the_general_formula_too() -> None:
+def test_rough_table_turns_have_the_published_condition_number() -> None:
     assert np.linalg.cond(rows_of_turns(programme("rough-table"))) == pytest.approx(2.2214, abs=5e-5)
 
 
@@ -212,69 +184,10 @@ def test_every_built_in_programme_shows_all_scale_factors_and_angles(name: str) 
         assert np.linalg.cond(H) < 10.0
 
 
-def test_nine_positions_have_the_published_condition_number() -> None:
-    """Turntable method §3: nine directions, det 1, cond 6.48 for Eq. (13); uncertainties in those of a rest."""
-    made = programme("nine")
-    u = np.array([p.vertical_b for p in made.positions])
+def test_nine_positions_are_the_published_directions() -> None:
+    u = np.array([p.vertical_b for p in programme("nine").positions])
     x, y, z = np.eye(3)
     np.testing.assert_allclose(u, [x, -x, y, -y, z, -z, *np.array(OBLIQUE_U)], atol=1e-15)
-    H = rows_of_rests(made)
-    assert abs(np.linalg.det(H)) == pytest.approx(1.0, rel=1e-9)
-    assert np.linalg.cond(H) == pytest.approx(6.48, abs=0.005)
-    np.testing.assert_allclose(uncertainties(H), np.repeat([0.707, 0.707, 2.646], 3), atol=5e-4)
-
-
-def rows_of_single_turns(codes: list[str], axis_of: Callable[[Array], Array]) -> Array:
-    """H_G of a quarter and a half turn from each attitude, about an axis that may depend on it."""
-    rows = []
-    for code in codes:
-        (stood,) = from_attitudes([code]).positions
-        for angle in (0.5 * math.pi, math.pi):
-            move = Move(axis=axis_of(stood.matrix), angle=angle)
-            rows.append(rows_of_turns(Programme(name="one", positions=(stood, stood), moves=(move,), ordered=True)))
-    return np.concatenate(rows)
-
-
-STANDING = [code + lift for code in triples() for lift in ("", " N+30", " N+30 E+50")]
-
-
-@pytest.mark.parametrize("axis_b", [(1.0, 0.0, 0.0), (0.6, 0.0, 0.8)])
-def test_turns_about_one_body_axis_show_three_gyro_parameters(axis_b: tuple[float, ...]) -> None:
-    H = rows_of_single_turns(STANDING, lambda matrix: np.asarray(matrix @ axis_b))
-    assert np.linalg.matrix_rank(H, tol=1e-9) == 3
-
-
-def test_turns_about_the_vertical_do_not_show_the_common_scale_factor() -> None:
-    H = rows_of_single_turns(STANDING, lambda _: U)
-    assert np.linalg.matrix_rank(H, tol=1e-9) == 8
-    np.testing.assert_allclose(H @ np.eye(3).ravel(), 0.0, atol=1e-12)
-
-
-def uncertainties(H: Array) -> Array:
-    """Of the nine parameters, for unit uncertainty of every row."""
-    return np.asarray(np.sqrt(np.diag(np.linalg.inv(H.T @ H))))
-
-
-def test_faces_and_edges_have_the_published_condition_number() -> None:
-    """Turntable method §3: cond 2.45; angles, for the same number of rests as in programme `nine`, 1.41."""
-    H = rows_of_rests(programme("faces-edges-18"))
-    assert H.shape == (18, 9)
-    assert np.linalg.cond(H) == pytest.approx(2.45, abs=0.005)
-    np.testing.assert_allclose(uncertainties(H)[6:] * math.sqrt(18 / 9), 1.41, atol=0.005)
-
-
-def test_faces_alone_show_no_angle_between_axes() -> None:
-    H = rows_of_rests(from_attitudes(FACES))
-    assert np.linalg.matrix_rank(H) == 6
-    np.testing.assert_allclose(H[:, 6:], 0.0, atol=1e-15)
-
-
-def test_vertices_alone_show_only_the_sum_of_scale_factors() -> None:
-    vertices = [p.attitude for p in programme("cube-14").positions if np.all(np.abs(p.vertical_b) > 0.1)]
-    H = rows_of_rests(from_attitudes(vertices))
-    assert len(vertices) == 8
-    assert np.linalg.matrix_rank(H) == 7
-    np.testing.assert_allclose(H[:, 3:6], 1.0 / 3.0, rtol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -360,7 +273,6 @@ def test_a_programme_takes_as_long_as_its_rests_turns_and_moves(
     ("asked", "said"),
     [
         ({"rest": 0.0}, "rest: expected a positive number of seconds, found 0"),
-        ({"rest": math.nan}, "rest: expected a positive number of seconds, found nan"),
         ({"rate": -10.0 * DEGREE}, "rate: expected a positive number of deg/s, found -10"),
         ({"rate": math.inf}, "rate: expected a positive number of deg/s, found inf"),
         ({"move": -1.0}, "move: expected a number of seconds, not negative, found -1"),

@@ -9,7 +9,6 @@ import math
 import re
 import xml.etree.ElementTree as ET
 from dataclasses import replace
-from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +29,7 @@ from tumble.programme.positions import (
     from_attitudes,
     programme,
 )
-from tumble.programme.sheet import SIGNATURES, sheet_drawing, sheet_page
+from tumble.programme.sheet import sheet_drawing, sheet_page
 from tumble.programme.sheet_pictures import AXIS, CUBE, SCALE, VIEW, legend, picture
 from tumble.programme.sheet_words import clock, direction, move_text, sheet_rows
 from tumble.rotation import rotation_matrix
@@ -61,14 +60,11 @@ def position(code: str) -> Position:
 # -------------------- words --------------------
 
 
-@pytest.mark.parametrize(("letter", "vector"), [("N", N), ("U", U), ("E", E), ("S", -N), ("D", -U), ("W", -E)])
-def test_axes_are_said_by_their_letters(letter: str, vector: Array) -> None:
-    assert direction(vector) == letter
-
-
 @pytest.mark.parametrize(
     ("vector", "said"),
     [
+        ((1.0, 0.0, 0.0), "N"),
+        ((0.0, -1.0, 0.0), "D"),
         ((1.0, 0.0, 1.0), "NE"),
         ((-1.0, 0.0, -1.0), "SW"),
         ((0.0, 1.0, 1.0), "45° up to E"),
@@ -78,7 +74,7 @@ def test_axes_are_said_by_their_letters(letter: str, vector: Array) -> None:
         ((math.cos(0.004), 0.0, -math.sin(0.004)), "N"),
     ],
 )
-def test_oblique_directions_are_said_by_elevation_and_bearing(vector: tuple[float, ...], said: str) -> None:
+def test_directions_are_said_by_letters_or_by_elevation_and_bearing(vector: tuple[float, ...], said: str) -> None:
     assert direction(np.array(vector) / np.linalg.norm(vector)) == said
 
 
@@ -138,23 +134,6 @@ def printed(made: Programme) -> str:
     return terminal.text_of(sheet_blocks(made))
 
 
-@pytest.mark.parametrize("name", BUILT_IN)
-def test_the_table_has_every_position_in_a_line(name: str) -> None:
-    made = MADE[name]
-    text = printed(made)
-    for row in sheet_rows(made):
-        line = re.compile(
-            rf"^ *{row.number} +{re.escape(row.how)} +{re.escape(row.attitude)} +"
-            + " +".join(map(re.escape, (*row.points, row.position.label, row.when)))
-            + r" *$",
-            re.MULTILINE,
-        )
-        assert len(line.findall(text)) == 1
-    assert f"{name}: {len(made.positions)} positions" in text
-    assert ("In this order." in text) is made.ordered
-    assert ("right-hand rule" in text) is name.startswith("rough-table")
-
-
 def test_the_table_takes_codes_as_they_are_not_as_markup() -> None:
     odd = replace(position("NUE"), attitude="[red]NUE[/red]", label="[/]")
     text = printed(Programme(name="[bold]odd", positions=(odd,), moves=(), ordered=True))
@@ -197,12 +176,6 @@ def test_the_legend_points_to_north_up_and_east() -> None:
     drawn = dict(groups(legend()))
     for letter, vector in zip("NUE", (N, U, E), strict=True):
         np.testing.assert_allclose(tip(drawn[f"axis-{letter}"]), (AXIS * VIEW @ vector)[:2], atol=0.06 / SCALE)
-
-
-@pytest.mark.parametrize("name", BUILT_IN)
-def test_arrows_end_where_the_attitude_says(name: str) -> None:
-    for stood in MADE[name].positions:
-        check_arrows(stood)
 
 
 @given(codes)
@@ -272,16 +245,6 @@ def test_the_three_faces_drawn_are_those_turned_to_the_viewer(name: str) -> None
             assert area == pytest.approx((2.0 * CUBE) ** 2 * abs(L[2, k]), abs=0.01), "edges follow each other"
 
 
-@pytest.mark.parametrize("name", BUILT_IN)
-def test_no_two_arrows_of_a_position_fall_together(name: str) -> None:
-    for stood in MADE[name].positions:
-        flat = (VIEW @ stood.matrix)[:2].T
-        for i in range(3):
-            for j in {0, 1, 2} - {i}:
-                nearest = flat[j] * np.clip(flat[i] @ flat[j] / (flat[j] @ flat[j]), 0.0, 1.0)
-                assert float(np.linalg.norm(flat[i] - nearest)) > 0.35
-
-
 @pytest.mark.parametrize("axis", [N, U, E, -N, -U, -E, np.array([0.6, 0.64, 0.48])])
 @pytest.mark.parametrize("angle", [math.pi, -math.pi, 0.5 * math.pi, -0.5 * math.pi, 2.0])
 def test_a_turn_is_drawn_about_its_axis_the_right_way_round(axis: Array, angle: float) -> None:
@@ -333,26 +296,6 @@ def test_pictures_are_well_formed_and_stay_within_their_edges(code: str, move: M
 # -------------------- drawing and page --------------------
 
 
-class Strict(HTMLParser):
-    """Every tag and attribute of a page, and that tags are closed in order."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.tags: list[tuple[str, dict[str, str | None]]] = []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append((tag, dict(attrs)))
-        if tag not in {"meta", "col"}:
-            self.open.append(tag)
-
-    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append((tag, dict(attrs)))
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
-
-
 def parsed(page: str) -> ET.Element:
     return ET.fromstring(page.removeprefix("<!DOCTYPE html>\n"))
 
@@ -362,39 +305,24 @@ def text_of(element: ET.Element) -> str:
 
 
 @pytest.mark.parametrize("name", BUILT_IN)
-def test_the_page_has_a_row_with_picture_box_and_lines_for_every_position(name: str) -> None:
+def test_page_drawing_and_table_have_every_position_with_its_picture_and_words(name: str) -> None:
     made = MADE[name]
-    root = parsed(sheet_page(made))
-    lines = root.findall("./body/table/tbody/tr")
-    assert len(lines) == len(made.positions)
-    for line, row in zip(lines, sheet_rows(made), strict=True):
-        cells = line.findall("td")
-        assert text_of(cells[0]) == str(row.number)
-        assert cells[0].find("span[@class='box']") is not None
-        drawn = cells[1].find(f"{SVG}svg")
+    lines = parsed(sheet_page(made)).findall("./body/table/tbody/tr")
+    cells = ET.fromstring(sheet_drawing(made)).findall(f"{SVG}g")[1:]
+    text = " ".join(printed(made).split())
+    for line, cell, row in zip(lines, cells, sheet_rows(made), strict=True):
+        drawn, scene = line.find(f".//{SVG}svg"), cell.find(f"{SVG}g")
         assert drawn is not None
-        assert ET.tostring(drawn) == ET.tostring(ET.fromstring(picture(row.position, row.move)))
-        points = [f"{axis} → {where}" for axis, where in zip("XYZ", row.points, strict=True)]
-        said = [text_of(part) for part in cells[2]]
-        assert said == [row.how, row.position.label, ", ".join(points), row.attitude, f"rest {row.when}"]
-        assert [text_of(part) for part in cells[3]] == ["startstop", "", ""]
-    assert f"{len(made.positions)} positions" in text_of(root)
-
-
-@pytest.mark.parametrize("name", BUILT_IN)
-def test_the_drawing_has_every_position(name: str) -> None:
-    made = MADE[name]
-    root = ET.fromstring(sheet_drawing(made))
-    cells = root.findall(f"{SVG}g")
-    assert len(cells) == 1 + len(made.positions)
-    for cell, row in zip(cells[1:], sheet_rows(made), strict=True):
-        lines = [text.text for text in cell.findall(f"{SVG}text")]
-        assert lines == [f"{row.number}. {row.how}", row.position.label, row.attitude]
-        scene = cell.find(f"{SVG}g")
         assert scene is not None
-        assert [ET.tostring(g) for g in scene.findall(f"{SVG}g")] == [
-            ET.tostring(g) for _, g in groups(picture(row.position, row.move))
-        ]
+        expected = [ET.tostring(group) for _, group in groups(picture(row.position, row.move))]
+        assert [ET.tostring(group) for group in drawn.findall(f"{SVG}g")] == expected
+        assert [ET.tostring(group) for group in scene.findall(f"{SVG}g")] == expected
+        for words in (row.how, row.position.label, row.attitude):
+            assert words in text_of(line)
+            assert words in text_of(cell)
+            assert words in text
+        for axis, where in zip("XYZ", row.points, strict=True):
+            assert f"{axis} → {where}" in text_of(line)
 
 
 HOSTILE = '<script>alert("x")</script>&amp;\''
@@ -413,24 +341,16 @@ def test_names_and_serial_numbers_are_text_not_markup() -> None:
         assert "<script" not in markup
 
 
-def test_an_unnamed_device_leaves_a_line() -> None:
-    assert [text_of(s) for s in parsed(sheet_page(programme("nine"))).iter("span")][:2] == ["Device", "Operator"]
-
-
 @pytest.mark.parametrize("name", BUILT_IN)
 def test_the_page_needs_nothing_else(name: str) -> None:
     page = sheet_page(MADE[name], serial="A-0007")
     assert set(re.findall(r"\w+://[^\"'\s<]+", page)) == {"http://www.w3.org/2000/svg"}  # a name, not an address
     assert "url(" not in page
     assert "@import" not in page
-    reader = Strict()
-    reader.feed(page)
-    reader.close()
-    assert reader.open == []
-    tags = {tag for tag, _ in reader.tags}
-    assert {"html", "table", "svg", "polygon"} <= tags
+    elements = list(parsed(page).iter())
+    tags = {element.tag.rpartition("}")[2] for element in elements}
     assert not tags & {"script", "link", "img", "iframe", "object", "image", "use", "a"}
-    assert not any(key.startswith("on") or key in {"src", "href"} for _, found in reader.tags for key in found)
+    assert not any(key.startswith("on") or key in {"src", "href"} for element in elements for key in element.attrib)
 
 
 def test_a_file_is_a_page_or_a_drawing_by_its_ending(tmp_path: Path) -> None:
@@ -441,14 +361,6 @@ def test_a_file_is_a_page_or_a_drawing_by_its_ending(tmp_path: Path) -> None:
     assert page == sheet_page(made, rest=5.0, move=2.0, serial="Ж-7")
     assert "2 positions, 0:12 in all: rests of 5 s, 2 s for a move" in page
     assert (tmp_path / "sheet.svg").read_text(encoding="utf-8") == sheet_drawing(made, rest=5.0, move=2.0)
-
-
-def test_a_sheet_has_its_number_and_revision_and_lines_to_sign_on() -> None:
-    root = parsed(sheet_page(programme("nine"), serial="A-0007", number="P-12", revision="3"))
-    forms = [[text_of(span) for span in form] for form in root.findall("./body/div[@class='form']")]
-    assert forms[0][:3] == ["Device A-0007", "Operator", "Date"]
-    assert forms[1][:2] == ["Sheet no. P-12", "Revision 3"]
-    assert forms[2] == list(SIGNATURES)
 
 
 def test_a_sheet_as_pdf_is_the_same_bytes_and_takes_any_name(tmp_path: Path) -> None:

@@ -143,8 +143,8 @@ def test_xsens_biases_and_residuals_agree_with_the_independent_fit(xsens: Calibr
     counts = 32768.0 + 415.0 * xsens.accel.bias
     u = np.array([415.0 * (xsens[f"accel.bias.{axis}"].u or 0.0) for axis in "xyz"])
     np.testing.assert_array_less(np.abs(counts - [33123.84, 33275.16, 32364.49]), 3.0 * np.sqrt(2.0) * u)
-    assert len(xsens.rests) == 38
-    residuals = np.array([rest.residual for rest in xsens.rests])
+    assert len(xsens.evidence.rests) == 38
+    residuals = np.array([rest.residual for rest in xsens.evidence.rests])
     assert np.sqrt(np.mean(residuals**2)) <= 1.05e-3
 
 
@@ -225,7 +225,7 @@ def test_ferraris_rests_are_the_sections_its_authors_marked(ferraris: Calibratio
     """Each of the six marked faces is (but for two seconds of hands at its ends) inside a rest, each marked turn
     between two."""
     marked = json.loads((data / "imucal-ferraris" / "example_ferraris_session_list.json").read_text())
-    rests = np.array([(rest.start, rest.stop) for rest in ferraris.rests])
+    rests = np.array([(rest.start, rest.stop) for rest in ferraris.evidence.rests])
     for name, section in marked.items():
         start, stop = section["start"] / 102.4, section["end"] / 102.4
         overlap = np.minimum(rests[:, 1], stop) - np.maximum(rests[:, 0], start)
@@ -306,8 +306,8 @@ def test_psins_truth_is_recovered_once_the_quadratic_terms_are_taken_out(data: P
     angles as they are. Lever arms and the delay do not enter rotations and rests. The height of the site, and with it
     gravity, is not known to better than 10 m: 3 ppm common to the accelerometers."""
     result = psins(data, tmp_path, compensated=True)
-    assert len(result.rests) == 19
-    assert len(result.turns) == 18
+    assert len(result.evidence.rests) == 19
+    assert len(result.evidence.turns) == 18
     assert result.outcome.accepted
     for axis, size in zip("xyz", (1.0, 2.0, 3.0), strict=True):
         assert result[f"gyro.bias.{axis}"].value / DEGREE_PER_HOUR == pytest.approx(-0.1 * size, abs=2e-4)

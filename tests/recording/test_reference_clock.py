@@ -10,6 +10,7 @@ import polars as pl
 import pytest
 
 import tumble
+from tests.support.shared import session
 from tumble.errors import InputError
 from tumble.run.together import calibrate_together
 from tumble.simulation.temperature_profile import TemperatureProfile
@@ -93,7 +94,7 @@ def test_what_is_no_clock_is_refused(change: Any, words: str) -> None:
 
 def test_a_time_base_that_was_compared_corrects_the_scale_factors_of_the_gyros(tmp_path: Path) -> None:
     """A log of 200 ppm too short seconds: without the second clock the scale factors are 200 ppm off."""
-    folder = tumble.simulate_session(tmp_path / "s", tumble.Setup.of(grade="tactical", positions=15), seed=3)
+    folder = session(tumble.Setup.of(grade="tactical", positions=15), seed=3)
     log = pl.read_parquet(folder / "log.parquet")
     t = log["t"].to_numpy()
     short = log.with_columns(pl.Series("t", t / (1.0 + 200e-6)), pl.Series("gps", 1.7e9 + t))
@@ -112,8 +113,8 @@ def test_a_time_base_that_was_compared_corrects_the_scale_factors_of_the_gyros(t
         name = f"gyro.scale.{axis}"
         assert found["with"][name].value == pytest.approx(exact[name].value, abs=0.15 * (exact[name].u or 0.0))
         assert found["alone"][name].value - exact[name].value == pytest.approx(-200e-6, rel=0.03)
-    assert any("+200.0 ppm" in note and "'gps'" in note for note in found["with"].notes)
-    assert found["with"].clock_u < 1e-6
+    assert any("+200.0 ppm" in note and "'gps'" in note for note in found["with"].provenance.notes)
+    assert found["with"].provenance.clock_u < 1e-6
     made = found["with"]
     assert made.gyro is not None
     block = tumble.read_session(folder).gyro_block
@@ -149,9 +150,12 @@ def test_every_session_of_one_estimate_is_read_by_its_own_clock(tmp_path: Path) 
             name = f"gyro.scale.{axis}"
             assert made[name].value == pytest.approx(exact[name].value, abs=0.1 * (exact[name].u or 0.0))
             assert made[name].u == pytest.approx(exact[name].u, rel=0.01)
-        assert made.clock_u == pytest.approx(5e-6)
-        assert any(note.startswith("short: by 'gps'") and "+300.0 ppm" in note for note in made.notes)
-        assert "the clocks of the sessions are known to 0.1 to 5 ppm: u has that of level-1, the largest" in made.notes
+        assert made.provenance.clock_u == pytest.approx(5e-6)
+        assert any(note.startswith("short: by 'gps'") and "+300.0 ppm" in note for note in made.provenance.notes)
+        assert (
+            "the clocks of the sessions are known to 0.1 to 5 ppm: u has that of level-1, the largest"
+            in made.provenance.notes
+        )
 
 
 def test_increments_are_of_true_seconds() -> None:

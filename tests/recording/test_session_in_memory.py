@@ -12,6 +12,7 @@ import numpy as np
 import polars as pl
 import pytest
 
+from tests.support.shared import session
 from tumble.errors import InputError
 from tumble.planning.setup import Setup
 from tumble.recording.arrays import session_of_arrays
@@ -21,7 +22,6 @@ from tumble.recording.session_file import description_of, read_session, session_
 from tumble.run.calibrate import calibrate
 from tumble.run.observed import inspect_session
 from tumble.run.quiet_samples import longest_rest
-from tumble.simulation.session import simulate_session
 from tumble.units import ARCSEC, DEGREE, G_STANDARD, ZERO_CELSIUS, Array
 from tumble.use.apply import apply_to_session
 
@@ -29,8 +29,8 @@ REQUEST = Setup.of(grade="mems", positions=12, rest=3.0)
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return simulate_session(tmp_path_factory.mktemp("memory") / "session", REQUEST, seed=4)
+def folder() -> Path:
+    return session(REQUEST, seed=4)
 
 
 @pytest.fixture(scope="module")
@@ -215,11 +215,11 @@ def test_readings_that_are_not_as_expected_are_refused_in_one_line(given: dict[s
 
 def test_calibrate_says_what_it_takes() -> None:
     with pytest.raises(InputError, match="calibrate: expected a session or readings accel=…, found nothing"):
-        calibrate()  # type: ignore[call-overload]
+        calibrate()
     with pytest.raises(InputError, match="session: expected the path of a session folder or a Session, found int"):
-        calibrate(42)  # type: ignore[call-overload]
+        calibrate(42)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="found accel beside a session"):
-        calibrate("session", accel=STILL)  # type: ignore[call-overload]
+        calibrate("session", accel=STILL)
 
 
 # -------------------- temperature --------------------
@@ -235,7 +235,9 @@ def test_temperature_is_celsius_in_the_calibration_and_kelvin_inside(
     assert observations is not None
     assert observations.rests.temperature == pytest.approx(23.5 + ZERO_CELSIUS)
     calibration = calibrate(session, terms="linear")
-    assert [rest.temperature for rest in calibration.rests] == pytest.approx([23.5] * len(calibration.rests))
+    assert [rest.temperature for rest in calibration.evidence.rests] == pytest.approx(
+        [23.5] * len(calibration.evidence.rests)
+    )
     calibration.write(tmp_path / "calibration.json")
     assert '"temperature": 23.5' in (tmp_path / "calibration.json").read_text()
 

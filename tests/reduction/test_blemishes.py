@@ -8,6 +8,7 @@ import numpy as np
 import polars as pl
 import pytest
 
+from tests.support.shared import calibrated, copy_of, session
 from tumble.planning.setup import Setup
 from tumble.recording.log import Chunk
 from tumble.reduction.blocks.motion_samples import MotionSamples
@@ -24,11 +25,11 @@ from tumble.rotation import unit_vector
 from tumble.run.calibrate import calibrate
 from tumble.run.observed import inspect_session
 from tumble.sensors.model import Block
-from tumble.simulation.session import simulate_session
 from tumble.units import DEGREE, Array
 
 ACCEL, GYRO = Block(kind="accel", axes=np.eye(3)), Block(kind="gyro", axes=np.eye(3))
 SAMPLES = 2000
+NINE = Setup.of(grade="mems", positions=9, rest=5.0)
 
 
 def quiet(rng: np.random.Generator, samples: int = SAMPLES) -> Array:
@@ -155,23 +156,23 @@ def test_blows_and_jerks_are_no_bad_samples() -> None:
 
 def test_a_bad_sample_in_a_turn_costs_nothing(tmp_path: Path) -> None:
     """A spike of 40 g in one sample: its velocity fixed the cubic terms, and moved a scale factor by 20 u."""
-    folder = simulate_session(tmp_path / "s", Setup.of(grade="mems", positions=9, rest=5.0), seed=1)
-    clean, rests = calibrate(folder), inspect_session(folder).segmentation.rests
+    folder = copy_of(session(NINE, seed=1), tmp_path / "s")
+    clean, rests = calibrated(NINE, seed=1), inspect_session(folder).segmentation.rests
     log = pl.read_parquet(folder / "log.parquet")
     at = int(np.searchsorted(log["t"].to_numpy(), 0.5 * (rests[3].stop + rests[4].start)))
     column = log["ax"].to_numpy().copy()
     column[at] += 400.0
     log.with_columns(ax=column).write_parquet(folder / "log.parquet")
     found = calibrate(folder)
-    assert any(note.startswith("1 bad sample") and "turn 4 to 5" in note for note in found.notes)
+    assert any(note.startswith("1 bad sample") and "turn 4 to 5" in note for note in found.provenance.notes)
     values, u = (np.array([getattr(p, what) for p in clean.parameters]) for what in ("value", "u"))
     assert np.all(np.abs([p.value for p in found.parameters] - values) < 0.25 * u)  # of the integral 0.1
 
 
 def test_a_session_with_bad_samples_keeps_its_rests(tmp_path: Path) -> None:
     """Nine rests of 5 s and a sample of 200 m/s² in two of them: with rests cut in two a parameter moved by 6 u."""
-    folder = simulate_session(tmp_path / "s", Setup.of(grade="mems", positions=9, rest=5.0), seed=1)
-    clean, rests = calibrate(folder), inspect_session(folder).segmentation.rests
+    folder = copy_of(session(NINE, seed=1), tmp_path / "s")
+    clean, rests = calibrated(NINE, seed=1), inspect_session(folder).segmentation.rests
     log = pl.read_parquet(folder / "log.parquet")
     at = np.searchsorted(log["t"].to_numpy(), [0.5 * (rests[i].start + rests[i].stop) for i in (3, 5)])
     column = log["ax"].to_numpy().copy()
@@ -179,6 +180,6 @@ def test_a_session_with_bad_samples_keeps_its_rests(tmp_path: Path) -> None:
     log.with_columns(ax=column).write_parquet(folder / "log.parquet")
     assert len(inspect_session(folder).segmentation.rests) == 9
     found = calibrate(folder)
-    assert any(note.startswith("2 bad samples") and "rests 4, 6" in note for note in found.notes)
+    assert any(note.startswith("2 bad samples") and "rests 4, 6" in note for note in found.provenance.notes)
     values, u = (np.array([getattr(p, what) for p in clean.parameters[:21]]) for what in ("value", "u"))
     assert np.all(np.abs([p.value for p in found.parameters[:21]] - values) < 0.5 * u)

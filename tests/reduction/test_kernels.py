@@ -14,7 +14,7 @@ SIZE = 7
 
 def blocks_of(values: Array, cuts: list[int]) -> tuple[Array, Array]:
     """Block sums and the state of the channels, of samples that come in pieces."""
-    time, state = 0.01 * np.arange(len(values)), kernels.new_channel_state(values.shape[1])
+    time, state = 0.01 * np.arange(float(len(values))), kernels.new_channel_state(values.shape[1])
     sums, filled, done = np.zeros(values.shape[1]), np.zeros(1, dtype=np.int64), []
     for part in np.split(np.arange(len(values)), cuts):
         out = np.zeros((len(part) // SIZE + 1, values.shape[1]))

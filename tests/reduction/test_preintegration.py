@@ -1,21 +1,16 @@
-"""Preintegration of turns against its plain twin, closed forms, long double and finite differences."""
+"""Rotations of turns and their sensitivities to the gyros against closed forms and long double; against the plain twin
+and finite differences they are in test_moments.py."""
 
 from __future__ import annotations
 
-from concurrent.futures import ProcessPoolExecutor
 from itertools import pairwise
-from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from tests.support import naive
 from tests.support.preintegrated import preintegrate
-from tumble.reduction.turns.moment_kernels import GROUP
 from tumble.rotation import rotation_matrix, skew
 from tumble.units import Array
 
@@ -49,56 +44,6 @@ def assert_equal(found: Result, expected: Result, tolerance: float) -> None:
         assert np.abs(ours - theirs).max(initial=0.0) <= tolerance * max(1.0, np.abs(theirs).max(initial=0.0))
 
 
-lengths = st.lists(
-    st.one_of(
-        st.integers(0, 40),
-        st.sampled_from([GROUP - 1, GROUP, GROUP + 1, 2 * GROUP, 500, 1507]),
-    ),
-    min_size=1,
-    max_size=35,
-).filter(lambda values: sum(values) <= 6000)
-
-
-@settings(max_examples=12, deadline=None)
-@given(lengths=lengths, seed=st.integers(0, 2**32 - 1), largest=st.sampled_from([1e-6, 0.02, 0.5]))
-def test_kernel_equals_the_plain_recursion(lengths: list[int], seed: int, largest: float) -> None:
-    increment, dt, transform, offset = motion(np.random.default_rng(seed), sum(lengths), largest)
-    turns = ranges(*lengths)
-    found = preintegrate(increment, dt, *turns, transform, offset)
-    assert_equal(found, naive.preintegrate(increment, dt, *turns, transform, offset), 2e-12)
-
-
-def test_turns_may_be_any_ranges_of_the_samples() -> None:
-    increment, dt, transform, offset = motion(np.random.default_rng(1), 900)
-    starts, stops = np.array([400, 0, 10, 850]), np.array([700, 20, 20, 900])  # overlapping, out of order
-    found = preintegrate(increment, dt, starts, stops, transform, offset)
-    assert_equal(found, naive.preintegrate(increment, dt, starts, stops, transform, offset), 1e-13)
-
-
-def test_columns_of_a_table_of_samples_are_taken_as_they_are() -> None:
-    increment, dt, transform, offset = motion(np.random.default_rng(2), 300)
-    table = np.column_stack([increment, dt])
-    table.setflags(write=False)
-    found = preintegrate(table[:, :3], table[:, 3], *whole(300), transform, offset)
-    expected = preintegrate(increment, dt, *whole(300), transform, offset)
-    for ours, theirs in zip(found, expected, strict=True):
-        np.testing.assert_array_equal(ours, theirs)
-
-
-def test_an_empty_turn_is_no_rotation_and_no_turns_are_none() -> None:
-    increment, dt, transform, offset = motion(np.random.default_rng(3), 5)
-    C, M, B = preintegrate(increment, dt, np.array([3]), np.array([3]), transform, offset)
-    np.testing.assert_array_equal(C, np.eye(3)[None])
-    assert not M.any()
-    assert not B.any()
-    none = np.empty(0, dtype=np.int64)
-    assert [x.shape for x in preintegrate(increment, dt, none, none, transform, offset)] == [
-        (0, 3, 3),
-        (0, 3, 3, 3),
-        (0, 3, 3),
-    ]
-
-
 def test_the_sample_before_a_turn_gives_its_first_coning_term() -> None:
     before, now = np.array([0.03, -0.02, 0.01]), np.array([0.01, 0.02, -0.03])
     increment, dt = np.array([before, now]), np.full(2, 0.01)
@@ -107,19 +52,6 @@ def test_the_sample_before_a_turn_gives_its_first_coning_term() -> None:
     np.testing.assert_allclose(C[0], rotation_matrix(now), atol=1e-15)
     C, _, _ = preintegrate(increment, dt, after, after + 1, np.eye(3), np.zeros(3))
     np.testing.assert_allclose(C[0], rotation_matrix(now + np.cross(before, now) / 12), atol=1e-15)
-
-
-@settings(max_examples=25, deadline=None)
-@given(cuts=st.sets(st.integers(1, 4999), max_size=20), seed=st.integers(0, 2**32 - 1))
-def test_pieces_of_a_turn_combine_to_the_turn(cuts: set[int], seed: int) -> None:
-    increment, dt, transform, offset = motion(np.random.default_rng(seed), 5000)
-    edges = np.array([0, *sorted(cuts), 5000])
-    C, M, B = np.eye(3), np.zeros((3, 3, 3)), np.zeros((3, 3))
-    pieces = preintegrate(increment, dt, edges[:-1], edges[1:], transform, offset)
-    for piece_C, piece_M, piece_B in zip(*pieces, strict=True):
-        M, B, C = M + np.tensordot(C, piece_M, axes=1), B + C @ piece_B, C @ piece_C
-    expected = preintegrate(increment, dt, *whole(5000), transform, offset)
-    assert_equal((C[None], M[None], B[None]), expected, 1e-13)
 
 
 def test_a_turn_at_constant_rate_has_the_closed_form() -> None:
@@ -141,30 +73,6 @@ def test_a_turn_at_constant_rate_has_the_closed_form() -> None:
         K = turned * along + middle * across
         expected = rotation_matrix(turned * n), np.multiply.outer(K, n), K * 0.01 * samples / turned
         assert_equal((C[0], M[0], B[0]), expected, 1e-12)
-
-
-def test_sensitivities_are_the_derivatives_of_the_rotation() -> None:
-    """d/dE and d/dδ of the plain recursion with ω̂ = (1 + E) ω + δ, by central differences. M and B leave out
-    the change of the coning term and J(φ) − 1, of the order 1e-4 of a sample's angle."""
-    increment, dt, transform, offset = motion(np.random.default_rng(5), 700, largest=0.003)
-    turns = np.array([1]), np.array([700])
-    C, M, B = preintegrate(increment, dt, *turns, transform, offset)
-
-    def moved(E: Array, delta: Array) -> Array:
-        back = np.linalg.inv(np.eye(3) + E)
-        changed, _, _ = naive.preintegrate(increment, dt, *turns, back @ transform, back @ (offset - delta))
-        return Rotation.from_matrix(changed[0] @ C[0].T).as_rotvec()
-
-    zero, step = np.zeros((3, 3)), 1e-5
-    for p in range(3):
-        for q in range(3):
-            E = zero.copy()
-            E[p, q] = step
-            slope = (moved(E, zero[0]) - moved(-E, zero[0])) / (2.0 * step)
-            np.testing.assert_allclose(slope, -M[0, :, p, q], atol=2e-5 * np.abs(M).max())
-        delta = step * np.eye(3)[p]
-        slope = (moved(zero, delta) - moved(zero, -delta)) / (2.0 * step)
-        np.testing.assert_allclose(slope, -B[0, :, p], atol=2e-5 * np.abs(B).max())
 
 
 def test_rounding_stays_below_1e_12_over_100_000_samples() -> None:
@@ -246,23 +154,3 @@ def test_error_on_a_coning_motion_is_of_third_order_or_better() -> None:
     for coarse, fine in pairwise(uncorrected):
         assert 0.9 * 2**2 < coarse / fine < 1.1 * 2**2
     assert errors[0] < 0.05 * uncorrected[0]
-
-
-def test_a_number_that_is_not_one_spoils_its_own_turn_only() -> None:
-    increment, dt, transform, offset = motion(np.random.default_rng(8), 20 * 50)
-    turns = ranges(*[50] * 20)
-    clean = preintegrate(increment, dt, *turns, transform, offset)
-    increment[7 * 50 + 10] = np.nan
-    for found, expected in zip(preintegrate(increment, dt, *turns, transform, offset), clean, strict=True):
-        assert np.isnan(found[7]).any()
-        np.testing.assert_array_equal(np.delete(found, 7, axis=0), np.delete(expected, 7, axis=0))
-
-
-def test_spawned_workers_get_the_same_numbers() -> None:
-    increment, dt, transform, offset = motion(np.random.default_rng(9), 400)
-    here = preintegrate(increment, dt, *whole(400), transform, offset)
-    with ProcessPoolExecutor(max_workers=2, mp_context=get_context("spawn")) as pool:
-        jobs = [pool.submit(preintegrate, increment, dt, *whole(400), transform, offset) for _ in range(2)]
-        for job in jobs:
-            for found, expected in zip(job.result(timeout=100), here, strict=True):
-                np.testing.assert_array_equal(found, expected)

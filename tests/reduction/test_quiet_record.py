@@ -10,6 +10,7 @@ import polars as pl
 import pytest
 from click.testing import CliRunner
 
+from tests.support import shared
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.planning.setup import Setup
@@ -17,14 +18,12 @@ from tumble.recording.session_file import read_session
 from tumble.reduction.noise.wavelet_moments import Panel
 from tumble.run.quiet_samples import longest_rest, noise_panels, whole_log
 from tumble.sensors.grades import GRADES
-from tumble.simulation.session import simulate_session
 from tumble.units import DEGREE
 
 
-@pytest.fixture(scope="module")
-def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("noise") / "session"
-    return simulate_session(folder, Setup.of(grade="mems", positions=4), seed=3)
+@pytest.fixture
+def session() -> Path:
+    return shared.session(Setup.of(grade="mems", positions=4), seed=3)
 
 
 def test_the_longest_rest_is_the_first_of_a_hand_held_session(session: Path) -> None:
@@ -86,9 +85,9 @@ def test_the_command_prints_a_row_for_every_sensor_and_draws(session: Path, tmp_
     assert picture.read_text().startswith("<?xml")
 
 
-def test_a_session_without_rest_is_refused(tmp_path: Path) -> None:
+def test_a_session_without_rest_is_refused() -> None:
     setup = replace(Setup.of(grade="mems", positions=3, rest=1.0), first_rest=1.0)
-    folder = simulate_session(tmp_path / "s", setup, seed=3)
+    folder = shared.session(setup, seed=3)
     with pytest.raises(InputError, match="expected a rest"):
         longest_rest(read_session(folder))
 

@@ -11,7 +11,7 @@ import pytest
 from scipy import stats
 
 from tests.methods.test_ellipsoid import FOURTEEN, placed
-from tests.support.calibrated import calibration
+from tests.support.calibrated import calibration, with_fields
 from tests.support.exports import CERTIFICATE
 from tumble.export import export_calibration
 from tumble.inference.estimate import Fit
@@ -30,7 +30,7 @@ from tumble.result.coverage import (
 )
 from tumble.result.further import remarks
 from tumble.result.parts import coverage_factor
-from tumble.run.from_readings import calibrate_table
+from tumble.run.from_readings import calibrate_readings
 from tumble.run.readings_table import ReadingsTable, read_table
 from tumble.units import Array
 from tumble.views.numbers import with_expanded
@@ -50,7 +50,7 @@ def of_groups(**fits: Fit) -> Calibration:
     """A calibration with these fits, an underscore in their names for a blank."""
     found = {name.replace("_", " "): fit for name, fit in fits.items()}
     made = calibration()
-    return replace(made, parameters=with_degrees(made.parameters, found), fits=found)
+    return with_fields(made, parameters=with_degrees(made.parameters, found), fits=found)
 
 
 def table(folder: Path, values: Array) -> ReadingsTable:
@@ -162,7 +162,7 @@ def test_the_error_of_a_table_is_within_u_as_often_as_stated(tmp_path: Path) -> 
         rng = np.random.default_rng(seed)
         values = placed(FOURTEEN, rng) + 1e-5 * rng.standard_normal((14, 3))
         own = table(tmp_path, values)
-        made = calibrate_table(own, unit="g", terms="linear").calibration
+        made = calibrate_readings(own, unit="g", terms="linear").calibration
         inside.append([abs(p.value) <= (expanded(p) or 0.0) for p in made.parameters])
         assert {p.dof for p in made.parameters} == {5.0}
     assert np.mean(inside) == pytest.approx(0.9545, abs=0.03)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.support.calibrated import HEXAD, calibration, warmed
+from tests.support.calibrated import HEXAD, calibration, warmed, with_fields
 from tumble.result.calibration import read_calibration
 from tumble.result.parts import Launch, coverage_factor
 from tumble.result.temperature_curves import changing, curve, measured_range, model_at, warm_rests
@@ -81,8 +81,8 @@ def test_coefficients_against_each_other_leave_u_its_degrees_of_freedom() -> Non
 
 def test_the_range_is_that_of_the_rests_of_all_launches() -> None:
     made = warmed(calibration())
-    empty = Launch(session="a", parameters=(), covariance=None, log_sha256="", rests=made.rests[:2])
-    launches = replace(made, rests=(), launches=(empty, replace(empty, rests=made.rests[3:])))
+    empty = Launch(session="a", parameters=(), covariance=None, log_sha256="", rests=made.evidence.rests[:2])
+    launches = with_fields(made, rests=(), launches=(empty, replace(empty, rests=made.evidence.rests[3:])))
     found = measured_range(launches)
     assert found is not None
     assert (found.low, found.high) == (-18.5, 57.25)
@@ -95,12 +95,12 @@ def test_the_range_is_that_of_the_rests_of_all_launches() -> None:
 
 def test_the_range_is_in_the_file_of_launches_and_survives_where_rests_do_not(tmp_path: Path) -> None:
     made = warmed(calibration())
-    first = Launch(session="a", parameters=(), covariance=None, log_sha256="", rests=made.rests[:2])
-    launches = replace(made, rests=(), launches=(first, replace(first, session="b", rests=made.rests[2:])))
+    first = Launch(session="a", parameters=(), covariance=None, log_sha256="", rests=made.evidence.rests[:2])
+    launches = with_fields(made, rests=(), launches=(first, replace(first, session="b", rests=made.evidence.rests[2:])))
     launches.write(tmp_path / "launches.json")
     kept = json.loads((tmp_path / "launches.json").read_text())["temperature"]["range"]
     assert kept == list(made.temperature_range or ())
-    updated = replace(made, rests=(), temperature=replace(made.temperature, range=made.temperature_range))
+    updated = with_fields(made, rests=(), temperature=replace(made.temperature, range=made.temperature_range))
     updated.write(tmp_path / "updated.json")
     assert measured_range(read_calibration(tmp_path / "updated.json")) == measured_range(made)
 

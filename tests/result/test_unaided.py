@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.support.calibrated import HEXAD, calibration
+from tests.support.calibrated import HEXAD, calibration, with_fields
 from tumble.result.unaided import unaided, unaided_lines
 from tumble.rotation import rotation_matrix, unit_vector
 from tumble.units import G_STANDARD, Array
@@ -26,7 +26,7 @@ def test_the_formulas_are_those_of_a_strapdown_integration() -> None:
     given = tuple(
         replace(p, value=SIZES[p.name.rpartition(".")[0]], u=0.1 * SIZES[p.name.rpartition(".")[0]]) for p in linear
     )
-    made = replace(made, parameters=given, covariance=None, site=None)
+    made = with_fields(made, parameters=given, covariance=None, site=None)
     found = unaided(made, SECONDS)
     assert found is not None
     errors = _integrated(rng)

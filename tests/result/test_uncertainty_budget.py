@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from tests.support.calibrated import with_fields
 from tumble import Setup, calibrate, calibrate_launches, read_calibration, read_session, simulate_session
 from tumble.cli import main
 from tumble.errors import CalibrationError
@@ -39,7 +40,7 @@ def whole(session: Path) -> Calibration:
 
 def assert_whole(calibration: Calibration) -> None:
     """Every parameter has a budget, whose shares are together 1."""
-    assert calibration.budget
+    assert calibration.evidence.budget
     for parameter in calibration.parameters:
         lines = calibration.uncertainty_budget(parameter.name)
         assert sum(line.share for line in lines) == pytest.approx(1.0, abs=1e-12), parameter.name
@@ -50,14 +51,14 @@ def assert_whole(calibration: Calibration) -> None:
 def test_of_the_joint_method_in_every_frame(session: Path, whole: Calibration, frame: Frame) -> None:
     calibration = whole if frame == whole.frame else calibrate(session, frame=frame)
     assert_whole(calibration)
-    assert ("case" in {source.name for source in calibration.budget}) == (frame == "case")
+    assert ("case" in {source.name for source in calibration.evidence.budget}) == (frame == "case")
 
 
 def test_of_the_ellipsoid_method(session: Path) -> None:
     """What the residuals say, gravity, and what it takes as nothing."""
     calibration = calibrate(session, method="ellipsoid")
     assert_whole(calibration)
-    names = {source.name for source in calibration.budget}
+    names = {source.name for source in calibration.evidence.budget}
     assert {"fit", "gravity"} <= names
     assert any(name.startswith("prior.") for name in names)
 
@@ -74,7 +75,7 @@ def test_of_launches(tmp_path: Path) -> None:
     folders = [simulate_session(tmp_path / f"{i}", setup, seed=1, launch=i) for i in (1, 2, 3)]
     mean = calibrate_launches(folders)
     assert_whole(mean)
-    by_name = {source.name: source for source in mean.budget}
+    by_name = {source.name: source for source in mean.evidence.budget}
     assert by_name["launches"].dof == 2.0
     between = by_name["launches"].contributions
     assert between
@@ -103,12 +104,12 @@ def test_of_launches_each_source_is_what_their_mean_varies_by(tmp_path: Path) ->
                     replace(made[name], value=value, u=noise * own, dof=None, prior=None)
                     for name, value, own in zip(names, off.tolist(), u.tolist(), strict=True)
                 )
-                assert made.site is not None
-                site = replace(made.site, gravity_u=0.0)
-                drawn.append(replace(made, parameters=parameters, covariance=noise**2 * C, site=site))
+                assert made.provenance.site is not None
+                site = replace(made.provenance.site, gravity_u=0.0)
+                drawn.append(with_fields(made, parameters=parameters, covariance=noise**2 * C, site=site))
             again = [replace(run, calibration=each) for run, each in zip(runs, drawn, strict=True)]
             mean = mean_of_launches(again)
-            budget = next(each for each in mean.budget if each.name == source)
+            budget = next(each for each in mean.evidence.budget if each.name == source)
             errors.append([mean[name].value for name in names])
             variances.append([budget.contributions.get(name, 0.0) ** 2 for name in names])
         ratio = np.sqrt(np.mean(np.square(errors), axis=0) / np.mean(variances, axis=0))
@@ -138,7 +139,7 @@ def test_type_b_of_gravity_and_time_base(tmp_path: Path) -> None:
 def test_the_file_keeps_it(whole: Calibration, tmp_path: Path) -> None:
     whole.write(tmp_path / "c.json")
     again = read_calibration(tmp_path / "c.json")
-    assert again.budget == whole.budget
+    assert again.evidence.budget == whole.evidence.budget
     assert again.uncertainty_budget("accel.scale.x") == whole.uncertainty_budget("accel.scale.x")
 
 
@@ -154,9 +155,9 @@ def test_without_one_it_says_so(whole: Calibration) -> None:
 
 def test_longer_rests_are_said_to_help_where_noise_is_all(whole: Calibration) -> None:
     """A quarter of a variance that is all there is halves u."""
-    noise = next(source for source in whole.budget if source.name == "accel.noise")
+    noise = next(source for source in whole.evidence.budget if source.name == "accel.noise")
     of_all = {p.name: p.u for p in whole.parameters if p.u is not None}
-    alone = replace(whole, budget=(replace(noise, contributions=of_all),))
+    alone = with_fields(whole, budget=(replace(noise, contributions=of_all),))
     assert what_would_help(alone).startswith("u would be smaller 2.00 times with rests four times as long")
 
 

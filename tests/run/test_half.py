@@ -18,6 +18,7 @@ from tests.use.test_applied_model import larger, read, truth
 from tumble.errors import CalibrationError, InputError
 from tumble.export import export_calibration
 from tumble.inference.estimate import Outcome
+from tumble.lab import open_registry
 from tumble.result.accepted import accepted_part
 from tumble.result.calibration import Calibration, read_calibration
 from tumble.sensors.parameters import sensor_kind
@@ -134,8 +135,8 @@ def test_bad_gyros_leave_the_accelerometers_to_check_report_and_register(spoiled
     assert all(abs(rest.sigmas or 0.0) < checked.rest_limit for rest in checked.rests)
     assert checked.notes[0].startswith(ABSENT["accel"])
     assert checked.updated is not None
-    assert checked.updated.absent[0].startswith(ABSENT["accel"])
-    with tumble.open_registry(tmp_path / "r.sqlite", create=True) as registry:
+    assert checked.updated.provenance.absent[0].startswith(ABSENT["accel"])
+    with open_registry(tmp_path / "r.sqlite", create=True) as registry:
         registry.add_calibration(tmp_path / "calibration.json")
     tumble.write_report([tmp_path / "calibration.json"], tmp_path / "r.html")
     assert "accelerometers: accepted with scatter; gyros: not accepted" in (tmp_path / "r.html").read_text()

@@ -76,7 +76,7 @@ def test_a_jump_of_the_gyros_is_named_and_spoils_their_biases_alone(hand: Record
     (said,) = [reason for reason in made.outcome.gyro.reasons if "jump" in reason]
     assert "after rest 9 " in said or "between rest 9 (" in said
     assert "[[exclude]]" in said
-    assert len(made.rests) == len(hand.rests)
+    assert len(made.evidence.rests) == len(hand.rests)
     assert np.abs(hand.errors(made)).max() < 4.0
     assert np.abs(hand.errors(made, "gyro", ("scale", "axis"))).max() < 4.0
 
@@ -112,9 +112,12 @@ def test_the_parts_before_and_after_a_jump_are_launches_of_one_log(hand: Recorde
     parts = [replace(whole, excluded=(Exclusion(start=start, stop=stop, reason="jump"),)) for start, stop in ends]
     made = calibrate_launches(parts, terms="linear")
     assert made.outcome.accepted
-    assert len(made.launches) == 2
-    change = [made.launches[1].parameters[i].value - made.launches[0].parameters[i].value for i in range(9, 12)]
-    names = [made.launches[0].parameters[i].name for i in range(9, 12)]
+    assert len(made.evidence.launches) == 2
+    change = [
+        made.evidence.launches[1].parameters[i].value - made.evidence.launches[0].parameters[i].value
+        for i in range(9, 12)
+    ]
+    names = [made.evidence.launches[0].parameters[i].name for i in range(9, 12)]
     assert names == ["gyro.bias.x", "gyro.bias.y", "gyro.bias.z"]
     moved = np.linalg.norm(np.abs(change)) / DEGREE
     assert moved == pytest.approx(1.0, abs=0.05)
@@ -122,7 +125,7 @@ def test_the_parts_before_and_after_a_jump_are_launches_of_one_log(hand: Recorde
 
 def test_a_quiet_stretch_that_is_not_used_is_said_with_its_time_and_why(hand: Recorded) -> None:
     session = hand.session(gyro=jumped(hand, 1.0, 17))
-    (said,) = [note for note in tumble.calibrate(session).notes if note.startswith("not used as rests")]
+    (said,) = [note for note in tumble.calibrate(session).provenance.notes if note.startswith("not used as rests")]
     (inspected,) = tumble.inspect_session(session).segmentation.unused()
     assert said == inspected
     start, stop = (float(word) for word in said.split()[4].split("–"))
@@ -193,7 +196,7 @@ def test_a_rest_that_was_touched_is_left_out_and_said(hand: Recorded) -> None:
     assert tumble.calibrate(hand.session(accel=leaning(hand)), without=[6]).outcome.accepted
     again = tumble.calibrate(hand.session(), without=[6])
     assert again.outcome.verdict == "accepted"
-    assert "with what was left out: accepted" in again.notes
+    assert "with what was left out: accepted" in again.provenance.notes
 
 
 def test_without_a_place_everything_is_given_with_gravity_in_u(hand: Recorded) -> None:
@@ -235,7 +238,7 @@ def test_six_faces_give_bias_and_scale_of_each_axis_and_say_what_is_absent(tmp_p
     assert np.abs(z).max() < 3.0
     made.write(tmp_path / "c.json")
     again = tumble.read_calibration(tmp_path / "c.json")
-    assert again.absent == made.absent
+    assert again.provenance.absent == made.provenance.absent
     assert tumble.export_calibration(again, "csv").losses[0].startswith("accel.axis.yx, accel.axis.zx, accel.axis.zy")
     force, _ = again.apply(accel[:400])
     assert abs(np.linalg.norm(force.mean(axis=0)) - SITE["gravity"]) < 1e-3

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from tests.support.calibrated import with_fields
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.planning.setup import Setup
@@ -43,7 +44,7 @@ def test_the_mean_and_the_run_to_run_deviation_are_those_of_the_launches(runs: l
         values = [run.calibration[parameter.name].value for run in runs]
         assert parameter.value == pytest.approx(np.mean(values), rel=1e-12, abs=1e-18)
         assert parameter.run_to_run == pytest.approx(np.std(values, ddof=1), rel=1e-9, abs=1e-18)
-    assert [launch.session for launch in mean.launches] == ["launch1", "launch2", "launch3"]
+    assert [launch.session for launch in mean.evidence.launches] == ["launch1", "launch2", "launch3"]
 
 
 def test_the_mean_agrees_with_the_truth_within_its_uncertainty(runs: list[Run], folders: list[Path]) -> None:
@@ -87,7 +88,7 @@ def test_the_command_writes_every_launch_and_needs_out(folders: list[Path], tmp_
     done = CliRunner().invoke(main, ["calibrate", *sessions, "--out", str(out)])
     assert done.exit_code == 0, done.stderr
     back = read_calibration(out)
-    assert len(back.launches) == 3
+    assert len(back.evidence.launches) == 3
     assert back.accel is not None
     assert back.gyro is not None
     assert back.parameters[0].run_to_run is not None
@@ -116,7 +117,7 @@ def test_a_prior_does_not_average_and_a_group_that_one_launch_lacks_is_left_out(
     lacking = mean_of_launches([replace(runs[0], calibration=without), *runs[1:]])
     assert group not in {group_name(p.name) for p in lacking.parameters}
     assert [finding.kept for finding in lacking.groups if finding.name == group] == [False]
-    assert any("left out of the mean" in note and group in note for note in lacking.notes)
+    assert any("left out of the mean" in note and group in note for note in lacking.provenance.notes)
     assert lacking.prediction is not None
     assert whole.prediction is not None
     assert lacking.prediction.force_u < 3.0 * whole.prediction.force_u
@@ -125,9 +126,10 @@ def test_a_prior_does_not_average_and_a_group_that_one_launch_lacks_is_left_out(
 def test_a_note_stands_once_with_the_launches_it_is_about(runs: list[Run]) -> None:
     said = [("cold", "rates"), ("rates",), ("cold", "rates")]
     noted = [
-        replace(run, calibration=replace(run.calibration, notes=notes)) for run, notes in zip(runs, said, strict=True)
+        replace(run, calibration=with_fields(run.calibration, notes=notes))
+        for run, notes in zip(runs, said, strict=True)
     ]
-    assert mean_of_launches(noted).notes[:2] == ("launch1, launch3: cold", "every launch: rates")
+    assert mean_of_launches(noted).provenance.notes[:2] == ("launch1, launch3: cold", "every launch: rates")
 
 
 def test_launches_at_other_temperatures_meet_at_their_mean(runs: list[Run]) -> None:
@@ -161,14 +163,14 @@ def test_launches_of_the_type_make_two_launches_better_known(runs: list[Run]) ->
     }
     variances = {p.name: ((p.run_to_run or 0.0) ** 2, float(noise[p.name])) for p in alone.parameters}
     known = LaunchVariances(serial="other", logs=frozenset({"a", "b"}), degrees=50, variances=variances)
-    own = replace(known, logs=frozenset({runs[0].calibration.provenance["log_sha256"]}))
+    own = replace(known, logs=frozenset({runs[0].calibration.provenance.log_sha256 or ""}))
     better = mean_of_launches(runs[:2], alike=(known,))
     same = mean_of_launches(runs[:2], alike=(own,))
     for p, q, unchanged in zip(alone.parameters, better.parameters, same.parameters, strict=True):
         assert (q.value, q.run_to_run) == (p.value, p.run_to_run)
         assert (expanded(q) or 0.0) <= (expanded(p) or 0.0) * (1.0 + 1e-9)
         assert (unchanged.u, unchanged.dof) == (p.u, p.dof)
-    assert "by all launches of its type in the registry, 50 degrees of freedom" in better.notes[-1]
+    assert "by all launches of its type in the registry, 50 degrees of freedom" in better.provenance.notes[-1]
 
 
 def test_a_registry_is_for_several_launches_or_one_session(folders: list[Path]) -> None:
@@ -180,14 +182,17 @@ def test_a_registry_is_for_several_launches_or_one_session(folders: list[Path]) 
 
 def test_what_launches_do_not_share_is_not_that_of_the_first(runs: list[Run]) -> None:
     first, second = runs[0], runs[1]
-    other = replace(
+    other = with_fields(
         second.calibration,
-        readings={kind: replace(each, columns=("a", "b", "c")) for kind, each in second.calibration.readings.items()},
+        readings={
+            kind: replace(each, columns=("a", "b", "c"))
+            for kind, each in second.calibration.provenance.readings.items()
+        },
         programme="nine",
         temperature=CalibratedTemperature(range=(1.0, 2.0)),
-        sample_rate=2.0 * (first.calibration.sample_rate or 0.0),
+        sample_rate=2.0 * (first.calibration.provenance.sample_rate or 0.0),
     )
     mean = mean_of_launches([replace(first), replace(second, calibration=other)])
-    assert (mean.readings, mean.programme, mean.temperature.range) == ({}, None, None)
-    assert mean.sample_rate == pytest.approx(1.5 * (first.calibration.sample_rate or 0.0))
-    assert mean_of_launches(runs).readings == first.calibration.readings
+    assert (mean.provenance.readings, mean.provenance.programme, mean.temperature.range) == ({}, None, None)
+    assert mean.provenance.sample_rate == pytest.approx(1.5 * (first.calibration.provenance.sample_rate or 0.0))
+    assert mean_of_launches(runs).provenance.readings == first.calibration.provenance.readings

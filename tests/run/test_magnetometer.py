@@ -153,8 +153,8 @@ def test_without_the_field_scale_factors_are_relative_and_that_is_said(tmp_path:
     known = calibrate(write(tmp_path / "a"))
     found = calibrate(write(tmp_path / "b", changes={"site.field": None}))
     assert found.outcome.accepted
-    assert any("the field is not known (site.field)" in note for note in found.notes)
-    assert not any("not known" in note for note in known.notes)
+    assert any("the field is not known (site.field)" in note for note in found.provenance.notes)
+    assert not any("not known" in note for note in known.provenance.notes)
     # only a common factor of the scale factors differs
     ratio = (1.0 + values(found)[3:6]) / (1.0 + values(known)[3:6])
     assert ratio == pytest.approx(np.full(3, ratio[0]), rel=1e-6)
@@ -181,7 +181,7 @@ def test_a_disturbed_rest_is_left_out_and_named(tmp_path: Path) -> None:
     )
     found = calibrate(folder)
     assert found.outcome.accepted, found.outcome.reasons
-    assert [note for note in found.notes if "rest 5 (" in note and "was left out" in note]
+    assert [note for note in found.provenance.notes if "rest 5 (" in note and "was left out" in note]
     assert np.abs((values(found) - TRUTH) / us(found)).max() < 5.0
 
 
@@ -192,7 +192,7 @@ def test_a_field_that_changes_everywhere_leaves_the_rest_of_the_session_alone(tm
     disturbed = {name: log[name] + over_time(4.0 * rng.standard_normal((18, 1)))[:, 0] for name in ("mx", "my", "mz")}
     log.with_columns(**disturbed).write_parquet(folder / "log.parquet")
     found = calibrate(folder)
-    said = next(note for note in found.notes if note.startswith("magnetometer: the rests scatter by"))
+    said = next(note for note in found.provenance.notes if note.startswith("magnetometer: the rests scatter by"))
     assert "[log.magnetometer] out" in said
     assert said.endswith("the rest of the session is calibrated without it")
     assert found.mag is None
@@ -208,7 +208,7 @@ def test_a_dead_channel_leaves_the_rest_of_the_session_alone_and_its_parameters_
     found = calibrate(folder)
     assert found.outcome.accepted
     assert found.outcome.unobservable == NAMES
-    assert any(note.startswith("magnetometer: ") for note in found.notes)
+    assert any(note.startswith("magnetometer: ") for note in found.provenance.notes)
     assert found.mag is None
     assert found.accel is not None
 
@@ -231,13 +231,13 @@ def test_exchanged_and_mirrored_columns_are_named_by_the_dip_angle(
     log.write_parquet(folder / "log.parquet")
     found = calibrate(folder, method="ellipsoid")
     assert found.outcome.accepted
-    assert any(said in note for note in found.notes), found.notes
+    assert any(said in note for note in found.provenance.notes), found.provenance.notes
 
 
 def test_columns_in_order_are_not_doubted(tmp_path: Path) -> None:
     for seed in range(3):
         found = calibrate(write(tmp_path / str(seed), seed, noise=0.5), method="ellipsoid")
-        assert not any("dip angle" in note for note in found.notes)
+        assert not any("dip angle" in note for note in found.provenance.notes)
 
 
 def test_the_calibration_file_keeps_the_magnetometer(tmp_path: Path) -> None:
@@ -248,7 +248,7 @@ def test_the_calibration_file_keeps_the_magnetometer(tmp_path: Path) -> None:
     assert again.mag is not None
     assert again.mag.matrix.tolist() == found.mag.matrix.tolist()
     assert again.parameters == found.parameters
-    assert again.readings["mag"].unit == "uT"
+    assert again.provenance.readings["mag"].unit == "uT"
 
 
 def test_apply_removes_hard_and_soft_iron(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from tumble.cli import main
 from tumble.errors import InputError
 from tumble.methods.ellipsoid_fit import TRIAD
 from tumble.result.calibration import read_calibration
-from tumble.run.from_readings import AT_REST, calibrate_table, paper_form
+from tumble.run.from_readings import AT_REST, calibrate_readings, paper_form
 from tumble.run.readings_table import ReadingsTable, read_table
 from tumble.sensors.grades import GRADES
 from tumble.sensors.parameters import units_of, usual_sizes
@@ -61,7 +61,7 @@ def test_the_form_of_the_paper_has_the_scatter_of_its_uncertainties(tmp_path: Pa
     z = []
     for seed in range(40):
         table = read_table(written(tmp_path, volts(seed, 3e-5)))
-        form = paper_form(calibrate_table(table, scale=[-2.4], terms="linear"))
+        form = paper_form(calibrate_readings(table, scale=[-2.4], terms="linear"))
         assert form.covariance is not None
         error = np.concatenate([form.k - K, form.theta - THETA, form.b - B])
         z.append(error / np.sqrt(np.diag(form.covariance)))
@@ -84,7 +84,7 @@ def test_the_calibration_file_has_the_form_of_all_others(tmp_path: Path) -> None
     assert content["gyro"] is None
     calibration = read_calibration(target)
     assert calibration.accel is not None
-    worth = calibration.readings["accel"]
+    worth = calibration.provenance.readings["accel"]
     si = (volts() - worth.offset) / worth.scale
     assert np.linalg.norm(calibration.accel.apply(si), axis=1) == pytest.approx(np.full(14, G_STANDARD), rel=1e-4)
 
@@ -151,7 +151,7 @@ def test_the_sizes_of_the_scale_come_from_the_readings_where_none_is_stated(tmp_
     assert "no nominal scale was stated: 2.41, 12, 0.474 V/g was taken from the readings" in found.stdout
     calibration = read_calibration(tmp_path / "readings.calibration.json")
     sensitivity = [
-        calibration.readings["accel"].scale[i] * (1.0 + calibration[f"accel.scale.{a}"].value)
+        calibration.provenance.readings["accel"].scale[i] * (1.0 + calibration[f"accel.scale.{a}"].value)
         for i, a in enumerate("xyz")
     ]
     rows = np.linalg.norm(np.diag(K * ratio) @ [[1, THETA[2], THETA[1]], [0, 1, THETA[0]], [0, 0, 1]], axis=1)
@@ -166,7 +166,7 @@ def test_polarity_comes_from_a_roughly_known_position(tmp_path: Path) -> None:
     found = run(path, "--position", f"{vertex + 1}={direction}")
     assert found.exit_code == 0
     calibration = read_calibration(tmp_path / "readings.calibration.json")
-    assert np.sign(calibration.readings["accel"].scale).tolist() == [-1.0, -1.0, -1.0]
+    assert np.sign(calibration.provenance.readings["accel"].scale).tolist() == [-1.0, -1.0, -1.0]
     assert "polarity of ux, uy, uz: negative" in found.stdout
     assert "the fit needs a reflection" in " ".join(found.stdout.split())
 
@@ -249,12 +249,12 @@ def test_gyros_at_a_constant_rate_and_magnetometers_are_the_same_problem(tmp_pat
 
 def test_rows_that_are_pasted_twice_count_once(tmp_path: Path) -> None:
     once, twice = (written(tmp_path, values, name=name) for name, values in pasted().items())
-    alone, doubled = (calibrate_table(path, scale=[-2.4], terms="linear") for path in (once, twice))
+    alone, doubled = (calibrate_readings(path, scale=[-2.4], terms="linear") for path in (once, twice))
     assert doubled.calibration.covariance == pytest.approx(alone.calibration.covariance, rel=1e-9)
     assert [p.dof for p in doubled.calibration.parameters] == [5.0] * 9
-    note = next(note for note in doubled.calibration.notes if "to the last digit" in note)
+    note = next(note for note in doubled.calibration.provenance.notes if "to the last digit" in note)
     assert "repeat others to the last digit: 14 (line 16 as line 2, line 17 as line 3, line 18 as line 4, 11" in note
-    assert not any("to the last digit" in note for note in alone.calibration.notes)
+    assert not any("to the last digit" in note for note in alone.calibration.provenance.notes)
 
 
 def pasted() -> dict[str, Array]:
@@ -264,9 +264,9 @@ def pasted() -> dict[str, Array]:
 
 def test_nine_rows_pasted_twice_have_no_uncertainty(tmp_path: Path) -> None:
     nine = readings(np.vstack([cube(1), cube(2)[[0, 1, 4]]]))
-    found = calibrate_table(written(tmp_path, np.vstack([nine, nine])), scale=[-2.4]).calibration
+    found = calibrate_readings(written(tmp_path, np.vstack([nine, nine])), scale=[-2.4]).calibration
     assert all(p.u is None for p in found.parameters)
-    assert any("nothing checks the fit" in note for note in found.notes)
+    assert any("nothing checks the fit" in note for note in found.provenance.notes)
 
 
 def test_no_reading_is_known_better_than_its_last_digit(tmp_path: Path) -> None:
@@ -278,7 +278,7 @@ def test_no_reading_is_known_better_than_its_last_digit(tmp_path: Path) -> None:
         np.savetxt(path, values, delimiter=",", header=HEADER, comments="", fmt="%.5g" if step < 1e-3 else "%.2f")
         table = read_table(path)
         assert table.steps == pytest.approx(np.full(3, step))
-        found = calibrate_table(table, scale=[-2.4], terms="linear").calibration
+        found = calibrate_readings(table, scale=[-2.4], terms="linear").calibration
         u.append(np.array([p.u for p in found.parameters]))
         least = step / np.sqrt(12.0) / 2.4 * G_STANDARD
         assert u[-1][:3].min() > 0.2 * least
@@ -289,15 +289,15 @@ def test_readings_better_than_their_digits_have_the_u_of_the_digits(tmp_path: Pa
     """Six edges and eight corners whose readings are exact in four digits."""
     values = volts().round(4)
     paths = [written(tmp_path, values, name=f"{i}.csv") for i in range(2)]
-    found = [calibrate_table(path, scale=[-2.4], terms="linear").calibration for path in paths]
+    found = [calibrate_readings(path, scale=[-2.4], terms="linear").calibration for path in paths]
     assert found[0].covariance == pytest.approx(found[1].covariance)
     exact = readings(FOURTEEN)
     path = tmp_path / "exact.csv"
     np.savetxt(path, exact, delimiter=",", header=HEADER, comments="", fmt="%.12f")
-    plain = calibrate_table(path, scale=[-2.4], terms="linear")
+    plain = calibrate_readings(path, scale=[-2.4], terms="linear")
     assert plain.fit is not None
     assert plain.fit.scatter == 0.0
-    assert any("no larger than the last digit" in note for note in plain.calibration.notes)
+    assert any("no larger than the last digit" in note for note in plain.calibration.provenance.notes)
     least = 1e-12 / np.sqrt(12.0) / 2.4 * G_STANDARD
     assert 0.2 * least < min(p.u or 0.0 for p in plain.calibration.parameters[:3]) < 3.0 * least
     assert all(p.k == 2.0 for p in plain.calibration.parameters)
@@ -309,7 +309,7 @@ def test_blocks_of_rows_are_positions_with_the_scatter_of_a_mean(tmp_path: Path)
     for seed in range(12):
         true = np.repeat(volts(seed), rows, axis=0)
         path = written(tmp_path, true + noise * rng.standard_normal(true.shape), name=f"{seed}.csv")
-        result = calibrate_table(path, scale=[-2.4], rows_per_position=rows, terms="linear")
+        result = calibrate_readings(path, scale=[-2.4], rows_per_position=rows, terms="linear")
         assert result.fit is not None
         assert len(result.fit.residual) == 14
         form = paper_form(result)
@@ -330,7 +330,8 @@ def test_blocks_that_do_not_go_into_the_table_are_refused(tmp_path: Path) -> Non
 def test_the_uncertainty_of_gravity_is_in_all_scale_factors(tmp_path: Path) -> None:
     path = written(tmp_path, volts(noise=1.5e-5))
     exact, known = (
-        calibrate_table(path, scale=[-2.4], gravity=9.81, gravity_u=u, terms="linear").calibration for u in (0.0, 0.002)
+        calibrate_readings(path, scale=[-2.4], gravity=9.81, gravity_u=u, terms="linear").calibration
+        for u in (0.0, 0.002)
     )
     assert known.covariance is not None
     assert exact.covariance is not None
@@ -339,8 +340,8 @@ def test_the_uncertainty_of_gravity_is_in_all_scale_factors(tmp_path: Path) -> N
     assert more == pytest.approx(np.outer(sizes, sizes) * (0.002 / 9.81) ** 2, abs=1e-13)
     assert known["accel.bias.x"].dof == 5.0
     assert known["accel.scale.x"].dof is None  # hardly anything of it is estimated
-    assert known.site is not None
-    assert known.site.gravity_u == 0.002
+    assert known.provenance.site is not None
+    assert known.provenance.site.gravity_u == 0.002
 
 
 def test_gravity_that_is_not_stated_is_the_unit_and_that_is_said(tmp_path: Path) -> None:
@@ -348,13 +349,13 @@ def test_gravity_that_is_not_stated_is_the_unit_and_that_is_said(tmp_path: Path)
     found = run(path, "--scale", NEGATIVE)
     assert "gravity is not stated: g at the place of the readings is the unit" in " ".join(found.stdout.split())
     calibration = read_calibration(tmp_path / "readings.calibration.json")
-    assert calibration.site is not None
-    assert calibration.site.gravity_is_unit
-    stated = calibrate_table(path, scale=[-2.4], gravity=9.81).calibration
-    assert stated.site is not None
-    assert not stated.site.gravity_is_unit
-    assert stated.site.gravity_u == 3e-4  # never none
-    assert any("gravity 9.81 m/s^2 with u = 0.0003 m/s^2" in note for note in stated.notes)
+    assert calibration.provenance.site is not None
+    assert calibration.provenance.site.gravity_is_unit
+    stated = calibrate_readings(path, scale=[-2.4], gravity=9.81).calibration
+    assert stated.provenance.site is not None
+    assert not stated.provenance.site.gravity_is_unit
+    assert stated.provenance.site.gravity_u == 3e-4  # never none
+    assert any("gravity 9.81 m/s^2 with u = 0.0003 m/s^2" in note for note in stated.provenance.notes)
 
 
 def test_the_uncertainty_of_the_field_is_in_the_scale_factors(tmp_path: Path) -> None:
@@ -373,7 +374,7 @@ def test_the_uncertainty_of_the_field_is_in_the_scale_factors(tmp_path: Path) ->
 def test_many_rows_of_few_positions_are_refused_in_little_memory(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     values = np.repeat(readings(cube(1)), 7000, axis=0) + 1e-4 * rng.standard_normal((42_000, 3))
-    found = calibrate_table(written(tmp_path, values), scale=[-2.4])
+    found = calibrate_readings(written(tmp_path, values), scale=[-2.4])
     assert "only 6 of them distinct" in found.calibration.outcome.reasons[0]
 
 
@@ -413,10 +414,10 @@ def test_terms_beyond_the_linear_model_are_in_u_and_said(grade: str, positions: 
     for seed in range(10):
         rng = np.random.default_rng([17, seed])
         values, seen = seen_by(grade, placed(positions, rng), rng)
-        found = calibrate_table(
+        found = calibrate_readings(
             table_of(seen), unit="m/s^2", gravity=9.81, gravity_u=0.0, grade=grade if stated else None
         ).calibration
-        said = next(note for note in found.notes if note.startswith("quadratic and cubic terms"))
+        said = next(note for note in found.provenance.notes if note.startswith("quadratic and cubic terms"))
         assert ("guessed from the" in said) != stated
         z += [(p.value - true) / p.u for p, true in zip(found.parameters, values, strict=False) if p.u]
     assert len(z) == 90
@@ -431,18 +432,18 @@ def test_positions_that_the_terms_explain_are_not_bad() -> None:
     for seed in range(40):
         rng = np.random.default_rng([23, seed])
         _, seen = seen_by("navigation", placed(TWENTY_SIX, rng), rng)
-        found = calibrate_table(table_of(seen), unit="m/s^2", gravity=9.81, grade="navigation").calibration
+        found = calibrate_readings(table_of(seen), unit="m/s^2", gravity=9.81, grade="navigation").calibration
         refused += not found.outcome.accepted
     assert refused == 0
     seen[4] *= 1.01
-    found = calibrate_table(table_of(seen), unit="m/s^2", gravity=9.81, grade="navigation").calibration
+    found = calibrate_readings(table_of(seen), unit="m/s^2", gravity=9.81, grade="navigation").calibration
     assert "position 5 (line 6) does not fit" in found.outcome.reasons[0]
 
 
 def test_the_terms_do_not_change_the_values_and_linear_leaves_them_out(tmp_path: Path) -> None:
     path = written(tmp_path, volts(noise=1.5e-5))
     full, linear = (
-        calibrate_table(path, scale=[-2.4], grade="navigation", terms=terms) for terms in ("full", "linear")
+        calibrate_readings(path, scale=[-2.4], grade="navigation", terms=terms) for terms in ("full", "linear")
     )
     assert [p.value for p in full.calibration.parameters[:9]] == [p.value for p in linear.calibration.parameters]
     assert len(linear.calibration.parameters) == 9
@@ -481,7 +482,7 @@ def test_halves_of_a_waved_recording_agree_within_u(memory: float) -> None:
         directions, error = waved(800, np.random.default_rng([5, seed]), memory)
         seen = TRIAD.model(IRON).predict(49.7 * directions) + 0.3 * error
         every = [
-            calibrate_table(table_of(part), sensor="mag", unit="uT", modulus=49.7, modulus_u=0.0).calibration
+            calibrate_readings(table_of(part), sensor="mag", unit="uT", modulus=49.7, modulus_u=0.0).calibration
             for part in (seen[:400], seen[400:], seen)
         ]
         assert all(found.outcome.verdict == "accepted" for found in every)
@@ -515,7 +516,7 @@ def test_a_waved_magnetometer_is_ten_lines_of_hard_and_soft_iron(tmp_path: Path)
 def test_a_waved_accelerometer_is_said_to_read_its_own_motion() -> None:
     directions, error = waved(600, np.random.default_rng(9), 0.9)
     seen = TRIAD.model(np.linspace(0.0, 0.08, 9)).predict(9.81 * directions) + 0.05 * error
-    found = calibrate_table(table_of(seen), unit="m/s^2", gravity=9.81)
+    found = calibrate_readings(table_of(seen), unit="m/s^2", gravity=9.81)
     assert found.calibration.outcome.verdict == "accepted with scatter"
     assert "reads its own motion" in found.calibration.outcome.remarks[0]
     assert not any(p.name.endswith("drift") for p in found.calibration.parameters)

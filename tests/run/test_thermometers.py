@@ -13,7 +13,7 @@ import pytest
 
 from tests.export.test_export_c import gcc
 from tests.export.test_export_larger_model import run
-from tests.support.calibrated import calibration, session_of, warmed
+from tests.support.calibrated import calibration, session_of, warmed, with_fields
 from tests.use.test_applied_model import larger, read, truth
 from tumble import calibrate
 from tumble.errors import InputError
@@ -136,15 +136,15 @@ def test_the_calibration_names_the_thermometer_of_each_sensor(folder: Path, made
     assert content["thermometers"] == {"accel": 3 * ["T_accel"], "gyro": 3 * ["T_gyro"]}
     again = read_calibration(tmp_path / "calibration.json")
     assert again.compensator.several_thermometers
-    assert again.rests == made.rests
-    rest = again.rests[-1]
+    assert again.evidence.rests == made.evidence.rests
+    rest = again.evidence.rests[-1]
     assert rest.accel is not None
     assert rest.gyro is not None
     assert rest.gyro.temperature[0] - rest.accel.temperature[0] > 3.0
-    of_gyros = [r.gyro.temperature for r in made.rests if r.gyro is not None]
+    of_gyros = [r.gyro.temperature for r in made.evidence.rests if r.gyro is not None]
     np.testing.assert_allclose(made.temperature.references["gyro"], np.mean(of_gyros, axis=0))
     assert made.temperature.references["gyro"][0] - made.temperature.references["accel"][0] > 1.0
-    own = [[getattr(r, kind).temperature[0] for r in again.rests] for kind in ("accel", "gyro")]
+    own = [[getattr(r, kind).temperature[0] for r in again.evidence.rests] for kind in ("accel", "gyro")]
     found = measured_range(again)
     assert found is not None
     assert (found.low, found.high) == (max(map(min, own)), min(map(max, own)))  # where both were
@@ -237,13 +237,13 @@ def test_autopilots_say_which_thermometers_they_have_no_place_for() -> None:
     made = warmed(calibration())
     zero = SensorsAtRest(mean=(0.0,) * 3, noise=(0.0,) * 3, drift=(0.0,) * 3)
     rests = []
-    for rest in made.rests:
+    for rest in made.evidence.rests:
         assert rest.temperature is not None
         each = (rest.temperature - 2.0, rest.temperature + 2.0)
         accel, gyro = (replace(zero, temperature=3 * (celsius,)) for celsius in each)
         rests.append(replace(rest, accel=accel, gyro=gyro))
     thermometers = {"accel": 3 * ("Ta",), "gyro": 3 * ("Tg",)}
-    made = replace(made, rests=tuple(rests), temperature=replace(made.temperature, thermometers=thermometers))
+    made = with_fields(made, rests=tuple(rests), temperature=replace(made.temperature, thermometers=thermometers))
     losses = {to: export_calibration(made, to).losses for to in ("px4-thermal", "ardupilot-thermal")}
     assert not any("thermometers" in said for said in losses["px4-thermal"])
     (said,) = (said for said in losses["ardupilot-thermal"] if "thermometers" in said)

@@ -411,25 +411,25 @@ def test_levels_and_a_quiet_ramp_are_one_calibration(made: tuple[Scenario, list[
 
 def test_the_sessions_are_in_the_file(made: tuple[Scenario, list[Session], Calibration], tmp_path: Path) -> None:
     _, sessions, found = made
-    assert [member.turns > 0 for member in found.together] == [True, True, True, False]
-    assert len({member.log_sha256 for member in found.together}) == len(sessions)
-    assert found.together[3].rests > 20
-    assert found.together[3].temperatures == pytest.approx((0.0, 40.0), abs=1.5)
-    assert {p.name for p in found.together[0].parameters} >= {"accel.bias.x.launch", "gyro.bias.z.drift"}
-    assert any("nothing is turned" in note for note in found.notes)
+    assert [member.turns > 0 for member in found.evidence.together] == [True, True, True, False]
+    assert len({member.log_sha256 for member in found.evidence.together}) == len(sessions)
+    assert found.evidence.together[3].rests > 20
+    assert found.evidence.together[3].temperatures == pytest.approx((0.0, 40.0), abs=1.5)
+    assert {p.name for p in found.evidence.together[0].parameters} >= {"accel.bias.x.launch", "gyro.bias.z.drift"}
+    assert any("nothing is turned" in note for note in found.provenance.notes)
     assert not any(name.endswith((".launch", ".drift")) for name in (p.name for p in found.parameters))
     found.write(tmp_path / "calibration.json")
     assert json.loads((tmp_path / "calibration.json").read_text())["temperature"]["range"] == pytest.approx(
         [0, 40], abs=1
     )
-    assert read_calibration(tmp_path / "calibration.json").together == found.together
+    assert read_calibration(tmp_path / "calibration.json").evidence.together == found.evidence.together
 
 
 def test_a_quiet_ramp_adds_to_biases(made: tuple[Scenario, list[Session], Calibration]) -> None:
     """Up and down; up alone what bends may be hysteresis, and slopes are better known, curvatures hardly."""
     scenario, sessions, up = made
     without = calibrate_together(sessions[:3])
-    assert not any("nothing is turned" in note for note in without.notes)
+    assert not any("nothing is turned" in note for note in without.provenance.notes)
     both_ways = calibrate_together([*sessions[:3], quiet(scenario, CUBE, 4, (0.0, 40.0, 0.0))])
     for name, found in (("gyro.bias.x.t2", both_ways), ("gyro.bias.z.t1", both_ways), ("gyro.bias.z.t1", up)):
         assert (found[name].u or 0.0) < 0.5 * (without[name].u or 0.0)
@@ -504,7 +504,7 @@ def test_the_command_writes_the_calibration(made: tuple[Scenario, list[Session],
     done = CliRunner().invoke(main, ["calibrate", "--together", *folders, "--out", str(out)])
     assert done.exit_code == 0, done.output
     assert re.search(r"^cold +14 +13 +0\.0 +0\.0$", done.output, re.M), done.output
-    assert [member.session for member in read_calibration(out).together] == ["cold", "hot"]
+    assert [member.session for member in read_calibration(out).evidence.together] == ["cold", "hot"]
     assert "two temperatures show slopes and no curvature; take a third between them" in " ".join(done.output.split())
     refused = CliRunner().invoke(main, ["calibrate", "--together", *folders, "--method", "scalar", "--out", str(out)])
     assert refused.exit_code == 2

@@ -36,4 +36,4 @@ def test_a_quiet_mems_device_has_the_priors_of_its_grade(tmp_path: Path) -> None
     session = (folder / "session.toml").read_text()
     assert 'grade = "mems"' not in session
     found = calibrate(folder)
-    assert any("the grade mems, guessed from the biases of the gyros" in note for note in found.notes)
+    assert any("the grade mems, guessed from the biases of the gyros" in note for note in found.provenance.notes)

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import polars as pl
 import pytest
 
@@ -181,57 +180,6 @@ def test_vibration_at_rest_is_averaged_over_the_sample() -> None:
     np.testing.assert_allclose(found.gyro, quiet.gyro, atol=1e-16)
 
 
-def coning(increments: npt.NDArray[np.floating[Any]]) -> Array:
-    """Body at the end → body at the start from angular increments by Eq. (3) of the dynamics method, in
-    extended precision; the first increment only begins the recursion."""
-    C = np.eye(3, dtype=np.longdouble)
-    for before, now in pairwise(increments):
-        phi = now + np.cross(before, now) / np.longdouble(12)
-        a = np.sqrt(phi @ phi)
-        K = skew_long(phi)
-        if a > 0:
-            half = np.sin(a / 2) / a
-            C = C @ (np.eye(3) + np.sin(a) / a * K + 2 * half**2 * (K @ K))
-    return np.asarray(C)
-
-
-def skew_long(v: npt.NDArray[np.floating[Any]]) -> Array:
-    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]], dtype=np.longdouble)
-
-
-def closure(made: Scenario, found: Recording, i: int) -> float:
-    """|log(exp(−[Ω×]T) L_i C L_jᵀ)|, rad, of the move from rest i, Eq. (9) of the dynamics method."""
-    fs = made.setup.sample_rate
-    start, stop = int(found.rests[i, 1] * fs) - 5, int(found.rests[i + 1, 0] * fs) + 6
-    increments = found.gyro[start - 1 : stop].astype(np.longdouble) / np.longdouble(fs)
-    earth = rotation_matrix(-(stop - start) / fs * np.array(earth_rate(made.setup.latitude)))
-    product = earth @ found.attitudes[i] @ coning(increments) @ found.attitudes[i + 1].T
-    return float(np.linalg.norm(rotation_vector(product.astype(float))))
-
-
-@pytest.mark.parametrize(
-    ("rate_deg_s", "fs", "limit"),
-    [(10.0, 100.0, 5e-13), (80.0, 100.0, 3e-11), (80.0, 200.0, 4e-12), (80.0, 1000.0, 1e-13)],
-)
-@pytest.mark.parametrize("by_hand", [None, 4], ids=["table", "hand"])
-def test_the_coning_algorithm_closes_every_move(
-    by_hand: int | None, rate_deg_s: float, fs: float, limit: float
-) -> None:
-    """What remains is the algorithm's: about Ω ω² Δt³/10, so the third power of the interval."""
-    made = scenario(replace(SHORT, by_hand=by_hand, turn_rate=rate_deg_s * DEGREE, sample_rate=fs), perfect=True)
-    found = run(made)
-    # moves 0 to 2 are turns by ±180° about N and U on the table
-    assert max(closure(made, found, i) for i in range(1 if fs > 500 else 3)) < limit
-
-
-def test_closure_would_show_a_microradian_of_latitude() -> None:
-    made = scenario(SLOW, perfect=True)
-    found = run(made)
-    still = made.changed(latitude=made.setup.latitude + 1e-6)
-    assert closure(made, found, 0) < 1e-12
-    assert closure(still, found, 0) > 1e-10
-
-
 # -------------------- the course --------------------
 
 
@@ -385,19 +333,6 @@ def content(folder: Path) -> dict[str, Any]:
     return tomllib.loads((folder / "session.toml").read_text(encoding="utf-8"))
 
 
-def test_a_folder_holds_session_log_and_truth(tmp_path: Path) -> None:
-    folder = simulate_session(tmp_path / "deep" / "launch", QUICK, seed=3)
-    assert sorted(p.name for p in folder.iterdir()) == ["log.parquet", "session.toml", "truth.json"]
-    said = content(folder)
-    assert said["device"] == {"serial": "navigation-3"}
-    assert said["site"]["latitude_deg"] == 56.84
-    assert said["site"]["gravity"] == normal_gravity(LATITUDE, 270.0)
-    assert said["log"]["file"] == "log.parquet"
-    assert said["log"]["accel"] == {"columns": ["ax", "ay", "az"], "unit": "m/s^2"}
-    assert said["log"]["gyro"] == {"columns": ["gx", "gy", "gz"], "unit": "rad/s"}
-    assert said["programme"] == {"name": "rough-table"}
-
-
 def test_truth_has_the_values_of_every_parameter_and_the_log_was_made_with_them(tmp_path: Path) -> None:
     folder = simulate_session(tmp_path / "launch", replace(QUICK, noise=NoiseModel()), seed=3)
     truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
@@ -418,15 +353,6 @@ def test_the_same_seed_gives_the_same_session_and_another_one_does_not(tmp_path:
     assert logs["a"].equals(logs["b"])
     assert (tmp_path / "a" / "truth.json").read_bytes() == (tmp_path / "b" / "truth.json").read_bytes()
     assert abs(logs["a"]["gx"].head(5) - logs["c"]["gx"].head(5)).min() != 0.0
-
-
-def test_noiseless_is_the_same_instrument_in_the_same_attitudes(tmp_path: Path) -> None:
-    noisy = simulate_session(tmp_path / "noisy", QUICK, seed=3)
-    quiet = simulate_session(tmp_path / "quiet", replace(QUICK, noise=NoiseModel()), seed=3)
-    assert (noisy / "truth.json").read_bytes() == (quiet / "truth.json").read_bytes()
-    difference = (pl.read_parquet(noisy / "log.parquet")["ax"] - pl.read_parquet(quiet / "log.parquet")["ax"]).abs()
-    limit = 6 * GRADES["navigation"].noise.accel_white * math.sqrt(20.0)
-    assert 0.0 < float(difference.max()) < limit  # type: ignore[arg-type]
 
 
 def test_csv_and_parquet_hold_the_same_numbers_to_the_last_bit(tmp_path: Path) -> None:
@@ -476,23 +402,18 @@ def test_a_session_reads_back_as_the_scenario_it_was_made_of(tmp_path: Path) -> 
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ({"grade": "toy"}, "grade: expected one of navigation, tactical, mems, consumer, found 'toy'"),
         ({"grade": "navigaton"}, "found 'navigaton'; did you mean 'navigation'?"),
         ({"programme": "rough"}, "programme: expected one of rough-table"),
         ({"positions": 0}, "positions: expected at least 1, found 0"),
         ({"rest": 0.01}, "rest: expected at least two samples, 0.02 s, found 0.01 s"),
         ({"rest": math.nan}, "found nan s"),
-        ({"rest": math.inf}, "found inf s"),
         ({"rest": 1e9}, "session: expected at most 3e+07 samples, found 1.5e+12"),
         ({"rate_deg_s": 0.0}, "rate: expected more than 0, in deg/s, found 0"),
-        ({"rate_deg_s": -5.0}, "found -5"),
         ({"rate_deg_s": 1e-9}, "session: expected at most 3e+07 samples"),
         ({"sample_rate": 0.0}, "sample rate: expected more than 0, in Hz, found 0"),
-        ({"sample_rate": math.inf}, "found inf"),
         ({"table_error_deg": -1.0}, "table error: expected 0 or more, in deg, found -1"),
         ({"mounting_error_deg": math.nan}, "mounting error: expected 0 or more, in deg, found nan"),
         ({"latitude_deg": 91.0}, "latitude: expected -90 to 90 degrees, found 91"),
-        ({"latitude_deg": math.nan}, "found nan"),
     ],
     ids=str,
 )
@@ -503,12 +424,6 @@ def test_an_impossible_request_is_one_line_and_leaves_no_folder(
         simulate_session(tmp_path / "launch", Setup.of(**words), seed=1)
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
-    assert not (tmp_path / "launch").exists()
-
-
-def test_an_impossible_vibration_is_one_line_and_leaves_no_folder(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="at most 1000 Hz"):
-        simulate_session(tmp_path / "launch", Setup.of(), seed=1, vibration=Vibration(amplitude=1.0, frequency=2e3))
     assert not (tmp_path / "launch").exists()
 
 
@@ -526,18 +441,8 @@ def test_a_folder_that_cannot_be_made_is_one_line(tmp_path: Path) -> None:
         simulate_session(tmp_path / "file" / "launch", QUICK, seed=1)
 
 
-def test_truth_must_have_every_parameter() -> None:
-    made = scenario()
-    partial = {name: value for name, value in made.truth.items() if name != "gyro.axis.zx"}
-    with pytest.raises(InputError, match=r"a difference in gyro\.axis\.zx"):
-        run(replace(made, truth=partial))
-
-
-def test_vibration_is_read_from_text() -> None:
+@pytest.mark.parametrize("text", ["", "0.05", "@30", "0.05@0", "-1@30", "nan@30", "1@inf", "1@2@3", "a@b"])
+def test_a_vibration_is_read_from_text_or_refused_in_one_line(text: str) -> None:
     assert vibration_of("0.05@30") == Vibration(amplitude=0.05, frequency=30.0)
-
-
-@pytest.mark.parametrize("text", ["", "0.05", "@30", "0.05@", "0.05@0", "-1@30", "nan@30", "1@inf", "1@2@3", "a@b"])
-def test_a_bad_vibration_is_one_line(text: str) -> None:
     with pytest.raises(InputError, match=r"vibration: expected AMPLITUDE@HZ .*, found "):
         vibration_of(text)

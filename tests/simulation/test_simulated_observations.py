@@ -7,23 +7,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.support.direct import PYRAMID
 from tests.support.formula_setup import device_setup
 from tumble.earth import earth_rate
 from tumble.errors import InputError
 from tumble.programme.positions import programme
-from tumble.reduction.observations import Observations
-from tumble.reduction.turns.turns import AHEAD
 from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.sensors.grades import NoiseModel
 from tumble.sensors.model import Block, SensorModel
-from tumble.simulation.observations import SAMPLES, _mean_verticals, simulate_observations
+from tumble.simulation.observations import SAMPLES, simulate_observations
 from tumble.simulation.scenario import Scenario, Vibration, itinerary, scenario_of
 from tumble.simulation.sensors import SimulatedBlock
 from tumble.units import DEGREE, Array
 
 SETUP = device_setup(latitude=56.8 * DEGREE, gravity=9.815817, rest=120.0)
 QUIET = replace(SETUP, noise=NoiseModel())
-PYRAMID = np.array([[0.8 * np.cos(a), 0.8 * np.sin(a), 0.6] for a in np.arange(4) * np.pi / 2.0])
 
 
 def quiet(seed: int = 1) -> Scenario:
@@ -109,9 +107,6 @@ def normalised(error: Array, covariance: Array) -> Array:
     return np.asarray(np.linalg.solve(np.linalg.cholesky(covariance), error[:, :, None]))[:, :, 0]
 
 
-WHITE_IN_RUN = NoiseModel(accel_instability=1e-3, instability_time=0.0)
-
-
 def test_instability_is_a_bias_of_each_rest() -> None:
     scenario = scenario_of(
         replace(SETUP, noise=NoiseModel(accel_instability=1e-3, instability_time=0.0)), np.random.default_rng(1)
@@ -184,34 +179,10 @@ def test_more_gyros_have_their_integrals() -> None:
     np.testing.assert_allclose(net @ beyond, 0.0, atol=1e-12)
 
 
-def test_the_same_seed_gives_the_same_numbers() -> None:
-    first, second = (simulate_observations(quiet(), np.random.default_rng(3)) for _ in range(2))
-    assert isinstance(first, Observations)
-    np.testing.assert_array_equal(first.rests.accel, second.rests.accel)
-    np.testing.assert_array_equal(first.turns_about(gyro_of(quiet())).C, second.turns_about(gyro_of(quiet())).C)
-
-
 def test_vibration_is_refused() -> None:
     shaken = replace(quiet(), vibration=Vibration(amplitude=0.1, frequency=20.0))
     with pytest.raises(InputError, match="vibration: expected none"):
         simulate_observations(shaken, np.random.default_rng(1))
-
-
-def test_the_forces_of_a_turn_are_the_means_of_gravity_in_the_turning_body() -> None:
-    """The exact mean over each sample against 20 Gauss nodes; a turn of hours, in which the Earth turns too, and none
-    at all are among the turns."""
-    rng = np.random.default_rng(71)
-    start, vector = rotation_matrix(rng.standard_normal((4, 3))), 2.0 * rng.standard_normal((4, 3))
-    vector[3], T = 0.0, np.array([3.0, 300.0, 20_000.0, 5.0])
-    made = quiet(71)
-    found = _mean_verticals(made, start, vector, T)
-    nodes, weights = np.polynomial.legendre.leggauss(20)
-    earth = np.array(earth_rate(made.setup.latitude))
-    for k in range(4):
-        for j in (0, 1, 17, 64):
-            t = (j - AHEAD + 0.5 + 0.5 * nodes[:, None]) * T[k] / SAMPLES
-            up = rotation_matrix(-vector[k] * t / T[k]) @ start[k].T @ rotation_matrix(earth * t)[:, :, 1, None]
-            np.testing.assert_allclose(found[k, j], 0.5 * weights @ up[:, :, 0], atol=1e-14)
 
 
 def test_the_forces_that_are_kept_go_through_the_accelerometers() -> None:

@@ -11,8 +11,7 @@ import polars as pl
 import pytest
 
 import tumble
-from tests.methods.test_redundant_blocks import DODECAHEDRON
-from tests.methods.test_staged import FINE, NAVIGATION, in_the_hand, observations, unit
+from tests.support.direct import DODECAHEDRON, SETUP, in_the_hand, observed, scenario
 from tumble.diagnosis.verdict import verdict
 from tumble.inference.estimate import Estimate, Outcome
 from tumble.inference.joint import joint
@@ -71,7 +70,7 @@ def of_six(seed: int, wanders: float) -> Observations:
     """Twenty positions by hand of a block of six, with a bias of gyro 4 that wanders by so many times the noise of a
     rest."""
     rng = np.random.default_rng([401, seed])
-    seen = observations(unit(rng, FINE, DODECAHEDRON, DODECAHEDRON), in_the_hand(rng, 20), rng, NAVIGATION)
+    seen = observed(in_the_hand(scenario(SETUP, 401 + seed, DODECAHEDRON), 20), seed)
     gyro = seen.rests.gyro.copy()
     gyro[:, 4] += wanders * np.sqrt(seen.rests.gyro_covariance[:, 4, 4]) * rng.standard_normal(len(gyro))
     return replace(seen, rests=replace(seen.rests, gyro=gyro))
@@ -138,5 +137,7 @@ def test_the_end_of_a_converter_is_seen_in_si_units(data: Path) -> None:
     log = pl.read_parquet(data / "mimu4444" / "exp_3.parquet")
     accel, gyro = (log.select(f"{kind}5{axis}" for axis in "xyz").to_numpy() for kind in "ag")
     found = tumble.calibrate(accel=accel / 2048.0 * 9.80665, gyro=np.radians(gyro / 16.4), time=log["t"].to_numpy())
-    assert "turn from rest 20 to rest 21 is left out: gyros are clipped in 1101 of its samples" in found.notes
+    assert (
+        "turn from rest 20 to rest 21 is left out: gyros are clipped in 1101 of its samples" in found.provenance.notes
+    )
     assert found.outcome.accepted

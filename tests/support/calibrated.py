@@ -13,6 +13,7 @@ import numpy as np
 from tumble.inference.estimate import Outcome
 from tumble.recording.session_file import write_session
 from tumble.result.calibration import Calibration
+from tumble.result.evidence import Provenance
 from tumble.result.parts import CalibratedDevice, CalibratedTemperature, Parameter, RestResult
 from tumble.sensors.frames import Frame
 from tumble.sensors.model import Block
@@ -60,8 +61,22 @@ def calibration(
         accel=models[0],
         gyro=models[1],
         outcome=Outcome(),
-        provenance={"log_sha256": f"{seed:064x}", "software": "tumble 0.1.0", "created": "2026-05-04T12:00:00+00:00"},
+        provenance=Provenance(log_sha256=f"{seed:064x}", software="tumble 0.1.0", created="2026-05-04T12:00:00+00:00"),
     )
+
+
+def with_fields(calibration: Calibration, **changes: Any) -> Calibration:
+    """The calibration with other fields, also of its evidence and its provenance."""
+
+    def part(record: Any) -> dict[str, Any]:
+        return {name: value for name, value in changes.items() if name in record.__dataclass_fields__}
+
+    evidence, provenance = calibration.evidence, calibration.provenance
+    parts: dict[str, Any] = {
+        "evidence": replace(evidence, **part(evidence)),
+        "provenance": replace(provenance, **part(provenance)),
+    }
+    return replace(calibration, **parts | part(calibration))
 
 
 def of_device(calibration: Calibration, **changes: Any) -> Calibration:
@@ -103,7 +118,7 @@ def warmed(
         RestResult(file=0, start=60.0 * i, stop=60.0 * i + 50.0, residual=0.0, sigmas=0.0, temperature=float(T))
         for i, T in enumerate(degrees)
     )
-    return replace(
+    return with_fields(
         made,
         parameters=(*made.parameters, *more),
         covariance=covariance,

@@ -4,34 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from tumble.sensors.model import Block
 from tumble.units import Array
 
 IntArray = npt.NDArray[np.int64]
-
-
-def preintegrate(
-    increment: Array, dt: Array, starts: IntArray, stops: IntArray, transform: Array, offset: Array
-) -> tuple[Array, Array, Array]:
-    """C (k, 3, 3), M (k, 3, 3, 3), B (k, 3, 3) of k turns: see `tumble.reduction.kernels.preintegrate`."""
-    angle = increment @ transform.T + dt[:, None] * offset
-    turns = [_turn(angle, dt, int(start), int(stop)) for start, stop in zip(starts, stops, strict=True)]
-    C, M, B = (np.array(values) for values in zip(*turns, strict=True))
-    return C, M, B
-
-
-def _turn(angle: Array, dt: Array, start: int, stop: int) -> tuple[Array, Array, Array]:
-    C, M, B = Rotation.identity(), np.zeros((3, 3, 3)), np.zeros((3, 3))
-    for k in range(start, stop):
-        before = angle[k - 1] if k > 0 else np.zeros(3)
-        phi = angle[k] + np.cross(before, angle[k]) / 12
-        middle = (C * Rotation.from_rotvec(phi / 2)).as_matrix()
-        M += middle[:, :, None] * angle[k]
-        B += middle * dt[k]
-        C = C * Rotation.from_rotvec(phi)
-    return C.as_matrix(), M, B
 
 
 def allan_sums(phase: Array, sizes: IntArray) -> Array:

@@ -1,6 +1,6 @@
 """Variants of the paper's methods that published figures are checked with, and that no command uses: the indirect
-method with the logged Jacobian (§6.6 of the turntable method), gyro biases from two positions, and the angle between
-two axes astride the vertical."""
+method with the logged Jacobian (§6.6 of the turntable method), and gyro biases from two positions and from the dot
+product."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from tumble.methods.least_squares import solved
 from tumble.methods.paper.gyros import (
     _LEVEL,
     Series,
@@ -88,13 +89,6 @@ def _turn_errors(turns: Turns, k: int) -> Array:
     return np.concatenate([np.zeros_like(by_matrix), B, by_matrix], axis=-1)
 
 
-def angle_astride(left: Array, right: Array, across: Array | float, gravity: Array | float) -> Array:
-    """As `angle_between` for two sensing axes on either side of the vertical, which is best for φ > π/2: the sum of
-    the angles. The paper prints the difference only."""
-    in_plane = np.sqrt(gravity**2 - np.asarray(across) ** 2)
-    return np.asarray(np.arccos(left / in_plane) + np.arccos(right / in_plane))
-
-
 def two_position_bias(rates: Array, forces: Array, earth_rate: Array) -> Array:
     """Bias (..., 3) by two-position gyrocompassing: half the sum of the rates (..., 2, 3) before and after a turn by
     exactly 180° about the vertical, less Ω sin B times the levelled vertical. It holds for the horizontal gyros; a
@@ -102,14 +96,8 @@ def two_position_bias(rates: Array, forces: Array, earth_rate: Array) -> Array:
     return np.asarray(rates.mean(axis=-2) - earth_rate[1] * unit_vector(forces).mean(axis=-2))
 
 
-def turned_bias(rates: Array, forces: Array, C: Array, earth_rate: Array) -> Array:
-    """Bias (..., 3) by two-position gyrocompassing with the turn C (..., 3, 3) as the gyros integrated it, body after
-    it → body before it: (I − C) δω = ω̂₁ − C ω̂₂, and along the axis of the turn, where that says nothing, the
-    dot-product invariant. Not in the paper: it needs no exact 180°.
-
-    It is exact that ω₁ = C ω₂ in the non-rotating frame, since the Earth's rate is the axis of the Earth's turn."""
-    u = unit_vector(forces)
-    rows = np.concatenate([np.eye(3) - C, u], axis=-2)
-    turned = rates[..., 0, :] - (C @ rates[..., 1, :, None])[..., 0]
-    right = np.concatenate([turned, (u * rates).sum(axis=-1) - earth_rate[1]], axis=-1)
-    return np.asarray((np.linalg.pinv(rows) @ right[..., None])[..., 0])
+def invariant_bias(rate: Array, force: Array, earth_rate: Array) -> Array:
+    """Bias (..., 3) from the dot-product invariant û·ω̂ − Ω sin B = û·δω by least squares: linear in the bias, and
+    without an azimuth. Not in the paper, where the scalar method has to take its place."""
+    u = unit_vector(force)
+    return solved(u, (u * rate).sum(axis=-1) - earth_rate[1])

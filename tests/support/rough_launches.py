@@ -7,7 +7,7 @@ in 20 s. Rates of a turn are exact means over its samples. Sensor errors are Gau
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -16,10 +16,8 @@ from tests.support.preintegrated import preintegrate
 from tumble.earth import earth_rate, normal_gravity
 from tumble.methods.paper.four_stages import (
     PaperMethod,
-    accelerometer_pass,
     course_of_programme,
-    gyro_bias_pass,
-    gyro_matrix_pass,
+    one_pass,
 )
 from tumble.programme.positions import programme
 from tumble.reduction.noise.coloured_noise import WHITE
@@ -159,15 +157,13 @@ def passes(
     found: Launches, method: PaperMethod, iterations: int, *, accel: SensorModel | None = None
 ) -> list[tuple[SensorModel, SensorModel]]:
     """Models after each pass of the four stages; with `accel` given the accelerometers are known."""
-    before, gyro = PERFECT_TRIAD if accel is None else accel, PERFECT_TRIAD
-    out = []
+    models = PERFECT_TRIAD if accel is None else accel, PERFECT_TRIAD
+    if accel is not None:
+        method = replace(method, accelerometers=lambda *_: PERFECT_TRIAD)
+    rests, out = (found.force, found.rate), []
     for _ in range(iterations):
-        if accel is None:
-            before = accelerometer_pass(method, COURSE, found.force, np.array(GRAVITY), before)
-        force = before.apply(found.force)
-        gyro = gyro_bias_pass(COURSE, found.rate, force, gyro)
-        gyro = gyro_matrix_pass(COURSE, found.rate, force, found.turns(gyro).C, gyro)
-        out.append((before, gyro))
+        models = one_pass(method, COURSE, rests, lambda gyro: found.turns(gyro).C, np.array(GRAVITY), models)
+        out.append(models)
     return out
 
 

@@ -69,15 +69,16 @@ class Measuring:
         """Add up, where the reports of all processes arrive."""
         if report.when == "teardown":
             file, function = report.nodeid.partition("[")[0].split("::")[:2]
-            self._seconds[file][function] += sum(s for name, s in report.user_properties if name == _PROPERTY)
+            spent = (value for name, value in report.user_properties if name == _PROPERTY)
+            self._seconds[file][function] += sum(float(str(value)) for value in spent)
 
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
         """Write the table."""
         if hasattr(session.config, "workerinput") or not self._seconds:
             return
         table = {file: row for file, row in read().items() if (ROOT / file).exists()}
-        for file, functions in self._seconds.items():
-            table[file] = sum(functions.values()), {name: s for name, s in functions.items() if s > LONG}
+        for file, spent in self._seconds.items():
+            table[file] = sum(spent.values()), {name: s for name, s in spent.items() if s > LONG}
         lines = [HEAD]
         for file, (seconds, functions) in sorted(table.items(), key=lambda row: -row[1][0]):
             lines.append(f"{seconds:7.1f} {file}\n")

@@ -1,7 +1,7 @@
 """The staged method, an oracle of the joint one: accelerometers by the scalar method on all rests, then the gyros.
 
 Stage 1 is Eqs. (12), (13) in norm form and with covariance, for any number of sensors: the geometric fit of the sphere
-of radius g (`tumble.methods.ellipsoid_fit.sphere_rows`). Iterated to convergence, so that the coefficients are those of
+of radius g (`sphere_rows`). Iterated to convergence, so that the coefficients are those of
 the estimated orientation and the second-order errors of (15) do not remain.
 
 Stage 2, with û = S⁻¹(y − b)/g from stage 1:
@@ -23,7 +23,7 @@ have in common. Scatter between rests and of turns is estimated where the residu
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -31,24 +31,24 @@ import numpy as np
 
 from tumble.earth import EARTH_RATE
 from tumble.inference.estimate import Estimate, Fit
-from tumble.methods.ellipsoid_fit import SphereRows, sphere_rows
 from tumble.methods.least_squares import (
+    MAX_ITERATIONS,
+    SCATTER_ROUNDS,
     Residuals,
     Solution,
-    explaining,
-    gauss_newton,
     least_squares,
+    scatter_of,
     sigmas,
-    with_scatter,
+    unexplained,
 )
 from tumble.recording.session_file import read_session
 from tumble.reduction.observations import Observations
 from tumble.reduction.turns.turns import Turns
 from tumble.rotation import onto_body, rotation_matrix, skew, tangent_basis, unit_vector
 from tumble.run.observed import inspect_session
-from tumble.sensors.model import Block, SensorModel, beyond_body
+from tumble.sensors.model import Block, SensorModel, beyond_body, beyond_turning
 from tumble.sensors.parameters import limits_of, units_of
-from tumble.units import Array
+from tumble.units import Array, BoolArray
 
 
 def staged_estimate(folder: Path) -> Estimate:
@@ -77,9 +77,87 @@ def staged(observations: Observations) -> Estimate:
         turn_sigmas=np.empty(0),
         increments=accel.increments,
         fits={"accelerometers": accel.fit},
-        converged=accel.solution.negligible(),
+        converged=accel.solution.negligible(1e-15),
     )
     return estimate if gyro_block is None else _with_gyros(estimate, accel, observations, gyro_block)
+
+
+# ---- least squares with a scatter, and readings of a vector of known length
+
+
+def gauss_newton(
+    solution_at: Callable[[Array], Solution], values: Array, spread: Array, rounding: Array | float = 1e-15
+) -> tuple[Array, tuple[Array, ...]]:
+    """Values (m,) after the last step, and all steps, from `values` on, until one is negligible against u;
+    `solution_at` linearises about values. No parameter moves by more than its spread (m,) in a step: far from any
+    solution the linearisation says nothing."""
+    steps: list[Array] = []
+    for _ in range(MAX_ITERATIONS):
+        solution = solution_at(values)
+        steps.append(np.asarray(solution.step / max(1.0, float(np.max(np.abs(solution.step) / spread)))))
+        values = values + steps[-1]
+        if solution.negligible(rounding):
+            break
+    return values, tuple(steps)
+
+
+def with_scatter(
+    solution_at: Callable[[Array, float], Solution],
+    agreement_at: Callable[[Array], tuple[Callable[[float], float], float, float]],
+    values: Array,
+    spread: Array,
+    rounding: Array | float = 1e-15,
+) -> tuple[Array, float, tuple[Array, ...]]:
+    """Values (m,), the scatter that explains the residuals, zero where they need none, and all steps. `agreement_at`
+    values has the chi-square of the residuals by their scatter, its degrees of freedom, and a first guess of it."""
+    scatter = 0.0
+    values, steps = gauss_newton(lambda at: solution_at(at, 0.0), values, spread, rounding)
+    for again in range(SCATTER_ROUNDS):
+        chi_square, degrees, size = agreement_at(values)
+        if not again and not unexplained(chi_square(0.0), degrees):
+            break
+        scatter = scatter_of(lambda trial, of=chi_square, expected=degrees: of(trial) - expected, size)  # type: ignore[misc]
+        values, more = gauss_newton(lambda at, size=scatter: solution_at(at, size), values, spread, rounding)  # type: ignore[misc]
+        steps += more
+    return values, scatter, steps
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class SphereRows:
+    """Whitened residuals (N, n − 2) and their derivatives with respect to the parameters (N, n − 2, m), to minus
+    the readings (N, n − 2, n) and to the modulus (N, n − 2)."""
+
+    residual: Array
+    jacobian: Array
+    reading: Array
+    modulus: Array
+
+    def solution(self, spread: Array, used: BoolArray | slice = slice(None)) -> Solution:
+        """The step of the parameters, of spreads (m,), by the readings that are used."""
+        return least_squares(self.jacobian[used].reshape(-1, len(spread)), self.residual[used].ravel(), spread)
+
+
+def sphere_rows(
+    block: Block, readings: Array, covariance: Array, modulus: float, values: Array, scatter: float
+) -> SphereRows:
+    """What readings (N, n) of covariance (N, n, n) and of a scatter say of the sensors of a block that measure a vector
+    of this length, linearised about values (m,)."""
+    model, covariance = block.model(values), covariance + scatter**2 * np.eye(block.size)
+    direction = unit_vector(model.apply(readings))
+    if block.size == 3:
+        normal = direction @ model.inverse()
+        whiten = (normal / np.sqrt(np.einsum("ip,ipq,iq->i", normal, covariance, normal))[:, None])[:, None]
+    else:
+        lower = np.linalg.cholesky(covariance)
+        free = beyond_turning(np.linalg.solve(lower, model.matrix), direction)
+        whiten = np.swapaxes(np.linalg.solve(np.swapaxes(lower, 1, 2), free), 1, 2)
+    homogeneous = np.concatenate([modulus * direction, np.ones((len(direction), 1))], axis=1)
+    return SphereRows(
+        residual=np.einsum("irp,ip->ir", whiten, readings - model.predict(modulus * direction)),
+        jacobian=np.einsum("irp,pqm,iq->irm", whiten, block.jacobian(values), homogeneous),
+        reading=whiten,
+        modulus=np.einsum("irp,pk,ik->ir", whiten, model.matrix, direction),
+    )
 
 
 # ---- stage 1
@@ -217,7 +295,8 @@ def _with_gyros(estimate: Estimate, accel: Accelerometers, observations: Observa
                     return rows.residuals(name, {**scatter, name: trial}, spread)
 
                 size = float(np.sqrt(np.trace(noise, axis1=1, axis2=2).mean())) if len(noise) else 0.0
-                scatter[name] = explaining(residuals_at, size, needed=scatter[name] > 0.0)
+                if scatter[name] > 0.0 or unexplained(*residuals_at(0.0).chi_square()):
+                    scatter[name] = scatter_of(lambda trial, of=residuals_at: of(trial).excess(), size)  # type: ignore[misc]
         values, steps = gauss_newton(solution_at, values, spread)
         increments += steps
     rows = rows_at(values, scatter)
@@ -246,7 +325,7 @@ def _with_gyros(estimate: Estimate, accel: Accelerometers, observations: Observa
             "accelerometers": accel.fit,
             **{f"gyro {name}": left[name].fit(scatter[name], unit) for name, (unit, _) in GROUPS.items()},
         },
-        converged=estimate.converged and solution.negligible(),
+        converged=estimate.converged and solution.negligible(1e-15),
     )
 
 

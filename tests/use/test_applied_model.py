@@ -84,6 +84,32 @@ def read(instrument: Instrument, values: Array, force: Array, rate: Array, celsi
     return [np.array(kind) for kind in zip(*rows, strict=True)]
 
 
+COLUMNS = ["ax", "ay", "az", "p", "q", "r"]
+
+
+def logged(
+    folder: Path, t: Array, accel: Array, gyro: Array, temperature: Array | None = None, unit: str = "K"
+) -> Path:
+    """A session with this log, perhaps with a thermometer."""
+    table = pl.DataFrame({"t": t, **dict(zip(COLUMNS, np.hstack([accel, gyro]).T, strict=True))})
+    log: dict[str, object] = {
+        "time": "t",
+        "accel": {"columns": COLUMNS[:3], "unit": "m/s^2"},
+        "gyro": {"columns": COLUMNS[3:], "unit": "rad/s"},
+    }
+    if temperature is not None:
+        table = table.with_columns(T=temperature)
+        log["temperature"] = {"columns": ["T"], "unit": unit}
+    return session_of(folder, table.write_csv(), log)
+
+
+def corrected(made: Calibration, folder: Path) -> tuple[Array, Array]:
+    """Forces and rates that `apply` makes of it."""
+    apply_to_session(made, folder, folder / "out.parquet")
+    out = pl.read_parquet(folder / "out.parquet").select(COLUMNS).to_numpy()
+    return out[:, :3], out[:, 3:]
+
+
 @pytest.mark.parametrize("axes", [None, HEXAD / np.linalg.norm(HEXAD, axis=1)[:, None]], ids=["triad", "six sensors"])
 @pytest.mark.parametrize("warm", [False, True])
 def test_readings_of_all_groups_give_the_truth_back(axes: Array | None, warm: bool) -> None:
@@ -152,7 +178,7 @@ def instrument_groups() -> list[str]:
 def test_lever_arms_are_undone_in_a_log_with_rates_whatever_its_pieces(tmp_path: Path) -> None:
     """A smooth motion at 200 Hz: what is left is the error of central differences, and each row is there."""
     made, instrument, values = larger(leave=("accel.delay", "accel.cubic", "gyro.cubic"))
-    t = 0.005 * np.arange(N)
+    t = 0.005 * np.arange(float(N))
     force = np.column_stack([9.8 * np.sin(t), 9.8 * np.cos(t), 3.0 * np.sin(2 * t)])
     rate = np.column_stack([3.0 * np.sin(3 * t), 2.0 * np.cos(2 * t), np.sin(t)])
     change = np.column_stack([9.0 * np.cos(3 * t), -4.0 * np.sin(2 * t), np.cos(t)])
@@ -161,16 +187,8 @@ def test_lever_arms_are_undone_in_a_log_with_rates_whatever_its_pieces(tmp_path:
     across = np.cross(rate[:, None], np.cross(rate[:, None], arms))
     felt = force[:, None] + np.cross(change[:, None], arms) + across
     accel = readings(instrument.accel, instrument.coefficients(instrument.accel, values), felt, rate)
-    names = ["ax", "ay", "az", "p", "q", "r"]
-    table = pl.DataFrame({"t": t + 0.005, **dict(zip(names, np.hstack([accel, gyro]).T, strict=True))})
-    log = {
-        "time": "t",
-        "accel": {"columns": names[:3], "unit": "m/s^2"},
-        "gyro": {"columns": names[3:], "unit": "rad/s"},
-    }
-    folder = session_of(tmp_path, table.write_csv(), log)
-    apply_to_session(made, folder, tmp_path / "out.parquet")
-    found = pl.read_parquet(tmp_path / "out.parquet").select(names[:3]).to_numpy()
+    folder = logged(tmp_path, t + 0.005, accel, gyro)
+    found, _ = corrected(made, folder)
     alone, _ = made.apply(accel, gyro)
     inside = slice(1, -1)
     assert np.abs(alone - force)[inside].max() > 0.05
@@ -188,23 +206,12 @@ def test_a_log_with_a_thermometer_is_corrected_at_its_temperatures(tmp_path: Pat
     accel, gyro = read(instrument, values, force, rate, celsius)
     accel[200, 1] = np.nan
     celsius[100] = np.nan
-    names = ["ax", "ay", "az", "p", "q", "r", "T"]
-    table = pl.DataFrame(
-        {"t": 0.01 * np.arange(1, N + 1), **dict(zip(names, [*accel.T, *gyro.T, celsius + zero], strict=True))}
-    )
-    log = {
-        "time": "t",
-        "accel": {"columns": names[:3], "unit": "m/s^2"},
-        "gyro": {"columns": names[3:6], "unit": "rad/s"},
-        "temperature": {"columns": ["T"], "unit": unit},
-    }
-    session_of(tmp_path, table.write_csv(), log)
-    apply_to_session(made, tmp_path, tmp_path / "out.parquet")
-    out = pl.read_parquet(tmp_path / "out.parquet")
-    lost = np.isnan(out.select(names[:6]).to_numpy()).any(axis=1)
+    folder = logged(tmp_path, 0.01 * np.arange(1.0, N + 1), accel, gyro, celsius + zero, unit)
+    found_f, found_w = corrected(made, folder)
+    lost = np.isnan(np.hstack([found_f, found_w])).any(axis=1)
     assert np.flatnonzero(lost).tolist() == [200]
-    np.testing.assert_allclose(out.select(names[:3]).to_numpy()[~lost], force[~lost], atol=1e-8)
-    np.testing.assert_allclose(out.select(names[3:6]).to_numpy()[~lost], rate[~lost], atol=2e-9)
+    np.testing.assert_allclose(found_f[~lost], force[~lost], atol=1e-8)
+    np.testing.assert_allclose(found_w[~lost], rate[~lost], atol=2e-9)
 
 
 def test_a_log_is_corrected_at_the_temperatures_of_sensors_that_lag(tmp_path: Path) -> None:
@@ -212,7 +219,6 @@ def test_a_log_is_corrected_at_the_temperatures_of_sensors_that_lag(tmp_path: Pa
     made, instrument, values = larger()
     force, rate = truth()
     celsius = 20.0 + 15.0 * np.sin(np.arange(N) / 60.0)
-    names = ["ax", "ay", "az", "p", "q", "r", "T"]
     for lag in (1.5, -1.5):
         behind, a = celsius.copy(), np.exp(-0.01 / 1.5)
         for k in range(1, N):  # what follows, in steps of a straight line
@@ -220,22 +226,10 @@ def test_a_log_is_corrected_at_the_temperatures_of_sensors_that_lag(tmp_path: Pa
             behind[k] = a * behind[k - 1] + celsius[k] - a * celsius[k - 1] - change / 0.01 * 1.5 * (1.0 - a)
         sensors = behind if lag > 0.0 else 2.0 * celsius - behind
         accel, gyro = read(instrument, values, force, rate, sensors)
-        table = pl.DataFrame(
-            {"t": 0.01 * np.arange(1, N + 1), **dict(zip(names, [*accel.T, *gyro.T, celsius], strict=True))}
-        )
-        log = {
-            "time": "t",
-            "accel": {"columns": names[:3], "unit": "m/s^2"},
-            "gyro": {"columns": names[3:6], "unit": "rad/s"},
-            "temperature": {"columns": ["T"], "unit": "degC"},
-        }
-        folder = tmp_path / f"{lag}"
-        folder.mkdir()
-        session_of(folder, table.write_csv(), log)
+        folder = logged(tmp_path / f"{lag}", 0.01 * np.arange(1.0, N + 1), accel, gyro, celsius, "degC")
         late = Parameter(name="temperature.lag", value=lag, u=0.1, unit="s", prior=200.0, learned=0.99)
         lagging = replace(made, parameters=(*made.parameters, late), covariance=None)
-        apply_to_session(lagging, folder, folder / "out.parquet")
-        out = pl.read_parquet(folder / "out.parquet")
-        np.testing.assert_allclose(out.select(names[:3]).to_numpy(), force, atol=1e-8)
-        np.testing.assert_allclose(out.select(names[3:6]).to_numpy(), rate, atol=2e-9)
+        found_f, found_w = corrected(lagging, folder)
+        np.testing.assert_allclose(found_f, force, atol=1e-8)
+        np.testing.assert_allclose(found_w, rate, atol=2e-9)
         assert any(f"with a lag of {lag:.0f} s" in said for said in applied(lagging, folder))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,8 +10,6 @@ import numpy as np
 import polars as pl
 import pytest
 from click.testing import CliRunner
-from hypothesis import given
-from hypothesis import strategies as st
 
 from tests.support.calibrated import HEXAD, calibration, session_of
 from tumble.cli import main
@@ -21,7 +18,6 @@ from tumble.planning.setup import Setup
 from tumble.recording.session_file import read_session
 from tumble.result.calibration import Calibration
 from tumble.run.calibrate import calibrate
-from tumble.sensors.model import SensorModel
 from tumble.simulation.session import simulate_session
 from tumble.units import DEGREE, Array
 from tumble.use.apply import apply_to_session
@@ -183,32 +179,6 @@ def test_a_corrected_device_has_no_errors_left(tmp_path: Path) -> None:
     assert max(abs(p.value) for p in made.parameters) > 1e-3
 
 
-@pytest.mark.parametrize("ending", [".csv.gz", ".parquet"])
-def test_any_format_of_a_log_gives_the_same_numbers(tmp_path: Path, ending: str) -> None:
-    accel, gyro = recording()
-    text = triad_csv(accel, gyro)
-    session_of(tmp_path / "a", text, {"time": "t", **RATE})
-    session_of(tmp_path / "b", text, {"time": "t", **RATE})
-    log = tmp_path / "b" / f"log{ending}"
-    if ending == ".parquet":
-        pl.read_csv(text.encode()).write_parquet(log)
-    else:
-        log.write_bytes(gzip.compress(text.encode()))
-    toml = tmp_path / "b" / "session.toml"
-    toml.write_text(toml.read_text().replace("log.csv", log.name))
-    one, other = (corrected(calibration(), tmp_path / name) for name in "ab")
-    a, b = (table.cast(pl.Float64).to_numpy() for table in (one, other))
-    np.testing.assert_allclose(a, b, rtol=0, atol=ROUNDING)
-
-
-@given(seed=st.integers(0, 50), rows=st.integers(1, 5))
-def test_a_reading_predicted_from_a_true_vector_gives_it_back(seed: int, rows: int) -> None:
-    made = calibration(seed)
-    assert made.accel is not None
-    true = np.random.default_rng(seed).standard_normal((rows, 3)) * 20.0
-    np.testing.assert_allclose(made.apply(made.accel.predict(true))[0], true, atol=1e-11)
-
-
 @pytest.mark.parametrize(
     ("made", "said"),
     [
@@ -254,13 +224,3 @@ def test_the_command_replaces_only_with_force(tmp_path: Path) -> None:
     assert again.exit_code == 2
     assert "give --force" in again.stderr
     assert CliRunner().invoke(main, [*words, "--force"]).exit_code == 0
-
-
-def test_models_of_identity_change_nothing(tmp_path: Path) -> None:
-    from dataclasses import replace
-
-    accel, gyro = recording()
-    nothing = SensorModel(matrix=np.eye(3), bias=np.zeros(3))
-    session_of(tmp_path, triad_csv(accel, gyro), {"time": "t", **RATE})
-    out = corrected(replace(calibration(), accel=nothing, gyro=nothing), tmp_path)
-    np.testing.assert_allclose(out.select("ax", "ay", "az").to_numpy(), accel, rtol=0, atol=1e-15)

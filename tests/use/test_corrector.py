@@ -7,13 +7,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import polars as pl
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tests.support.calibrated import HEXAD, calibration, session_of, warmed
-from tests.use.test_applied_model import N, larger, read, truth
+from tests.support.calibrated import HEXAD, calibration, warmed, with_fields
+from tests.use.test_applied_model import N, corrected, larger, logged, read, truth
 from tumble.errors import CalibrationError, InputError
 from tumble.inference.estimate import Outcome
 from tumble.inference.prediction import Prediction
@@ -23,10 +22,8 @@ from tumble.result.calibration import Calibration
 from tumble.result.parts import CalibratedTemperature, Parameter, RestResult, SensorsAtRest
 from tumble.sensors.model import Block
 from tumble.units import G_STANDARD, ZERO_CELSIUS, Array
-from tumble.use.apply import apply_to_session
 from tumble.use.corrector import LATEST, Corrected, Corrector
 
-NAMES = ["ax", "ay", "az", "p", "q", "r"]
 Readings = tuple[Array, Array, Array, Array]
 """Readings of accelerometers and gyros, stamps, s, and temperatures, K."""
 
@@ -36,7 +33,7 @@ def moving(*, lag: float = 1.5) -> tuple[Calibration, Readings]:
     gap and a step of temperature."""
     made, instrument, values = larger(leave=("accel.delay",))
     late = Parameter(name="temperature.lag", value=lag, u=0.1, unit="s", prior=200.0, learned=0.99)
-    made = replace(made, parameters=(*made.parameters, late), covariance=None, sample_rate=100.0)
+    made = with_fields(made, parameters=(*made.parameters, late), covariance=None, sample_rate=100.0)
     celsius = np.where(np.arange(N) < 200, 15.0, 40.0) + np.sin(np.arange(N) / 50.0)
     accel, gyro = read(instrument, values, *truth(), celsius)
     time = 0.01 * np.arange(1, N + 1) + 1e-4 * np.random.default_rng(8).uniform(-1.0, 1.0, N)
@@ -63,16 +60,8 @@ def fed(corrector: Corrector, readings: Readings, cuts: list[int]) -> tuple[Arra
 def applied(tmp_path_factory: pytest.TempPathFactory) -> tuple[Calibration, Readings, float, Array]:
     """The same as a log, its sample rate, and what `apply` makes of it."""
     made, (accel, gyro, time, kelvin) = moving()
-    table = pl.DataFrame({"t": time, **dict(zip(NAMES, [*accel.T, *gyro.T], strict=True)), "T": kelvin})
-    log = {
-        "time": "t",
-        "accel": {"columns": NAMES[:3], "unit": "m/s^2"},
-        "gyro": {"columns": NAMES[3:], "unit": "rad/s"},
-        "temperature": {"columns": ["T"], "unit": "K"},
-    }
-    folder = session_of(tmp_path_factory.mktemp("corrector"), table.write_csv(), log)
-    apply_to_session(made, folder, folder / "out.parquet")
-    expected = pl.read_parquet(folder / "out.parquet").select(NAMES).to_numpy()
+    folder = logged(tmp_path_factory.mktemp("corrector"), time, accel, gyro, kelvin)
+    expected = np.hstack(corrected(made, folder))
     return made, (accel, gyro, time, kelvin), open_log(read_session(folder)).rate, expected
 
 
@@ -257,7 +246,7 @@ def noisy(made: Calibration) -> Calibration:
         )
         for i in range(3)
     )
-    return replace(made, rests=rests)
+    return with_fields(made, rests=rests)
 
 
 def test_the_covariance_is_that_of_samples_with_drawn_parameters_and_noise() -> None:
@@ -312,7 +301,7 @@ def test_the_noise_of_the_angular_acceleration_is_in_the_covariance() -> None:
 
 def test_gyros_alone_leave_the_specific_force_unknown() -> None:
     why = ("the accelerometers scatter",)
-    made = replace(calibration(), outcome=Outcome(reasons=why, concerns={why[0]: ("accel",)}), sample_rate=100.0)
+    made = with_fields(calibration(), outcome=Outcome(reasons=why, concerns={why[0]: ("accel",)}), sample_rate=100.0)
     found = Corrector(made).add([0.1, 0.2, 9.8], [0.1, 0.2, 0.3])
     assert np.isnan(found.force).all()
     _, rate = made.apply([0.1, 0.2, 9.8], [0.1, 0.2, 0.3])

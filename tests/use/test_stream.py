@@ -16,6 +16,7 @@ import polars as pl
 import pytest
 from click.testing import CliRunner, Result
 
+from tests.support.shared import calibrated
 from tests.use.test_check import device, seen
 from tumble.cli import main
 from tumble.errors import InputError
@@ -26,11 +27,9 @@ from tumble.recording.live.samples import SI_LOG
 from tumble.recording.live.sources import Ended, LineSource
 from tumble.recording.log import Chunk, open_log
 from tumble.recording.session_file import read_session, session_of
-from tumble.reduction.blocks.reducer import Reducer
 from tumble.reduction.observations import Observations
 from tumble.reduction.rest_stream import LONGEST
 from tumble.result.calibration import Calibration
-from tumble.run.calibrate import calibrate
 from tumble.run.observed import inspect_session
 from tumble.sensors.parameters import usual_sizes
 from tumble.simulation.session import simulate_session
@@ -47,8 +46,7 @@ MOVED_AT = 150.0
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A calibrated device, "calibration.json", and a day of it, "day", of 30 rests, and "warm", with a thermometer."""
     out = tmp_path_factory.mktemp("watch")
-    setup = Setup.of(grade="mems", positions=18)
-    calibrate(simulate_session(out / "calibrated", setup, seed=3)).write(out / "calibration.json")
+    calibrated(Setup.of(grade="mems", positions=18), seed=3).write(out / "calibration.json")
     simulate_session(out / "day", Setup.of(grade="mems", positions=30), seed=3)
     return out
 
@@ -187,30 +185,6 @@ def test_a_stream_has_the_rests_of_the_log_however_it_is_cut(folder: Path) -> No
     assert [rest.label.split(" (")[0] for rest in first] == [f"rest {i}" for i in range(1, 31)]
 
 
-def test_what_is_forgotten_leaves_the_other_blocks_as_they_are(folder: Path) -> None:
-    log = open_log(read_session(folder / "day"))
-    blocks = log.session.accel_block, log.session.gyro_block
-    whole, short = (Reducer(rate=log.rate, accel=blocks[0], gyro=blocks[1]) for _ in range(2))
-    for k, chunk in enumerate(log.chunks(3001)):
-        whole.feed(chunk)
-        short.feed(chunk)
-        if k in (2, 4):
-            short.forget(200)
-    (full,), (rest,) = whole.now().files, short.now().files
-    assert len(rest) == len(full) - 400
-    np.testing.assert_array_equal(rest.edges, full.edges[400:])
-    np.testing.assert_array_equal(rest.gyro.means, full.gyro.means[400:])
-    kept, every = short.now().samples, whole.now().samples
-    assert kept is not None
-    assert every is not None
-    one, other = (
-        samples.read(file.sample_at(block), file.sample_at(block) + 500)
-        for samples, file, block in ((kept, rest, 7), (every, full, 407))
-    )
-    for ours, theirs in zip(one, other, strict=True):
-        np.testing.assert_array_equal(ours, theirs)
-
-
 def changed_day(folder: Path, to: Path, *changes: pl.Expr, keep: pl.Expr | None = None) -> Path:
     """The day with another log."""
     to.mkdir()
@@ -325,12 +299,10 @@ def still(seconds: float, *, celsius: float = 20.0, shake: float = 0.0, seed: in
     return {"accel": force, "gyro": rate, "temperature": np.full((n, 1), celsius + 273.15)}
 
 
-@pytest.fixture(scope="module")
-def warm(tmp_path_factory: pytest.TempPathFactory) -> Calibration:
+@pytest.fixture
+def warm() -> Calibration:
     """A calibration over 10 to 30 °C."""
-    out = tmp_path_factory.mktemp("warm")
-    setup = Setup.of(grade="mems", positions=18)
-    return calibrate(simulate_session(out / "calibrated", setup, seed=5, temperature=temperature_profile("10:30")))
+    return calibrated(Setup.of(grade="mems", positions=18), seed=5, temperature=temperature_profile("10:30"))
 
 
 def checked(calibration: Calibration, *parts: dict[str, Array]) -> tuple[StreamCheck, list[Event]]:

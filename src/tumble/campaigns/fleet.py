@@ -134,7 +134,7 @@ def calibrated(method: Method, _number: int, session: str) -> list[Row]:
     row |= {"parameter": [p.name for p in parameters]}
     row |= {name: [getattr(p, name) for p in parameters] for name in ("value", "u", "unit")}
     row["covariance"] = None if covariance is None else covariance.ravel().tolist()
-    return [row | {"rests": len(calibration.rests), "log_sha256": calibration.provenance["log_sha256"]}]
+    return [row | {"rests": len(calibration.evidence.rests), "log_sha256": calibration.provenance.log_sha256}]
 
 
 def result_of(rows: Path) -> FleetResult:

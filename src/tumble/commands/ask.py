@@ -90,14 +90,14 @@ def together(*options: _Option) -> _Option:
 
 
 def programmes_like(_context: click.Context, _parameter: click.Parameter, typed: str) -> list[str]:
-    """The built-in programmes that begin with what was typed, for the tab key."""
+    """Built-in programmes that begin with what was typed, for the tab key."""
     from tumble.programme.positions import programmes
 
     return [name for name in programmes() if name.startswith(typed)]
 
 
 def _grades_like(_context: click.Context, _parameter: click.Parameter, typed: str) -> list[str]:
-    """The grades that begin with what was typed, for the tab key."""
+    """Grades that begin with what was typed, for the tab key."""
     from tumble.sensors.grades import GRADES
 
     return [name for name in GRADES if name.startswith(typed)]

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from tumble.result.calibration import Calibration
     from tumble.run.calibrate import Method
     from tumble.sensors.frames import Frame
-    from tumble.sensors.parameters import Terms
     from tumble.units import Array
 
 _RESTS = ask.Numbers("numbers of rests such as 3,7", int)
@@ -59,17 +58,12 @@ _RESTS = ask.Numbers("numbers of rests such as 3,7", int)
 def calibrate(
     sessions: tuple[Path, ...],
     method: tuple[Method, ...],
-    iterations: int | None,
-    frame: Frame,
-    terms: Terms,
     without: tuple[int, ...] | None,
     together: bool,
+    registry: str | None,
+    truth: Path | None,
     out: Path | None,
     force: bool,
-    truth: Path | None,
-    registry: str | None,
-    budget: bool,
-    every: bool,
     **options: Any,
 ) -> None:
     """Calibrate the device of SESSION, a folder with session.toml and a log.
@@ -85,19 +79,20 @@ def calibrate(
     from tumble.run.calibrate import calibrate as calibrate_session
     from tumble.views.calibration import calibration_blocks
 
-    methods = tuple(dict.fromkeys(method))
+    methods, estimation = tuple(dict.fromkeys(method)), _taken(options, "iterations", "frame", "terms")
+    shown, frame, linear = _taken(options, "every", "budget"), estimation["frame"], estimation["terms"] == "linear"
     if len(sessions) > 1 and out is None:
         raise InputError("--out: expected a file for the result of several sessions, found none; give --out FILE.json")
     if truth is not None and frame != "accelerometer":
         raise InputError(f"--truth: expected the frame 'accelerometer', in which truth.json is, found {frame!r}")
-    if registry is not None and (together or (len(sessions) == 1 and (methods != ("joint",) or terms != "full"))):
+    if registry is not None and (together or (len(sessions) == 1 and (methods != ("joint",) or linear))):
         raise InputError(
             "--registry: expected several launches, or one session and the method joint with all terms, found another "
             "kind of calibration"
         )
     if without is not None and len(sessions) > 1:
         raise InputError("--without: expected one session, whose rests are numbered, found several; use [[exclude]]")
-    if together and (list(methods) != ask.METHOD_NAMES[:1] or iterations is not None or terms != "full"):
+    if together and (list(methods) != ask.METHOD_NAMES[:1] or estimation["iterations"] is not None or linear):
         raise InputError(
             f"--together: expected the method {ask.METHOD_NAMES[0]!r} with all terms and no iterations, found others"
         )
@@ -116,15 +111,14 @@ def calibrate(
 
             results = [calibrate_together(described, frame=frame, progress=tell.with_progress)]
         else:
-            words: dict[str, Any] = {"iterations": iterations, "frame": frame, "terms": terms}
             if registry is not None:
-                words |= _known_in(registry, described[0], frame, several=len(described) > 1)
+                estimation |= _known_in(registry, described[0], frame, several=len(described) > 1)
             calibrated: Callable[..., Calibration] = partial(calibrate_session, described[0])
             if len(described) > 1:
                 from tumble.run.launches import calibrate_launches
 
                 calibrated = partial(calibrate_launches, described)
-            results = [calibrated(method=each, progress=tell.with_progress, **words) for each in methods]
+            results = [calibrated(method=each, progress=tell.with_progress, **estimation) for each in methods]
         result, *others = results
         target = out or Path(described[0].name) / "calibration.json"
         result.write(target, force=force)
@@ -135,13 +129,18 @@ def calibrate(
         known = truth_at(true, result.reference_temperature, partial(reference_of_parameter, result))
     tell.show(
         result.content() | ({"others": [other.content() for other in others]} if others else {}),
-        lambda: calibration_blocks(result, known, others, every=every, budget=budget),
+        lambda: calibration_blocks(result, known, others, **shown),
     )
     tell.say(f"written to {target}")
     for other in others:
         for reason in other.outcome.reasons:
             tell.warn(f"{other.method}: not accepted: {reason}")
     tell.end(result.outcome.reasons, "not accepted: ")
+
+
+def _taken(options: dict[str, Any], *names: str) -> dict[str, Any]:
+    """Options of these names, taken out of all."""
+    return {name: options.pop(name) for name in names}
 
 
 def _known_in(registry: str, session: Session, frame: Frame, *, several: bool) -> dict[str, Any]:
@@ -223,10 +222,10 @@ def ellipsoid(
 
     The table has a header with the names of three columns, one per channel, and a row per position.
     """
-    from tumble.run.from_readings import calibrate_table
+    from tumble.run.from_readings import calibrate_readings
     from tumble.views.readings import readings_blocks
 
-    result = calibrate_table(readings, known=dict(map(_position, positions)), **options)
+    result = calibrate_readings(readings, directions=dict(map(_position, positions)), **options)
     target = out or readings.with_suffix(".calibration.json")
     result.calibration.write(target, force=force)
     tell.show(result.calibration.content(), lambda: readings_blocks(result))

@@ -91,11 +91,11 @@ def noise(
     from tempfile import TemporaryDirectory
 
     from tumble.drafting.new_session import new_session
-    from tumble.run.quiet_samples import is_session, noise
+    from tumble.run.quiet_samples import is_session, noise_of
     from tumble.views.noise import noise_blocks, plot
 
     if all(map(is_session, recordings)):
-        found = noise(*recordings)
+        found = noise_of(*recordings)
     else:
         with TemporaryDirectory() as folder:
             given = ask.given_of(options)
@@ -108,7 +108,7 @@ def noise(
             for kind, unit in (("accel", accel_unit), ("gyro", gyro_unit)):
                 if unit is not None:
                     layout[kind] = {"columns": layout.get(kind, {"columns": []})["columns"], "unit": unit}
-            found = noise(*recordings, layout=layout)
+            found = noise_of(*recordings, layout=layout)
         for sentence in draft.said:
             tell.say(sentence)
     if picture is not None:

@@ -49,6 +49,8 @@ def check(
 
     Exit status 0: no change is shown; 1: something has changed.
     """
+    from tumble.documents import as_json
+    from tumble.recording.session_file import read_session
     from tumble.use.check import check_calibration
     from tumble.use.stream import check_stream
     from tumble.views.checks import check_blocks
@@ -61,14 +63,17 @@ def check(
         raise InputError("check: expected --out and --registry with READINGS alone, found one with --listen")
     if listen is None:
         assert readings is not None
-        launches = () if registry is None else _launches(registry, readings)
+        launches: tuple[LaunchVariances, ...] = ()
+        if registry is not None:
+            with ask.opened(registry) as opened:
+                launches = opened.launches(serial=read_session(readings).device.serial)
         found = check_calibration(calibration, readings, launches=launches)
     else:
         found = check_stream(calibration, listen, session=session, show=_show)
     if out is not None and found.updated is not None:
         found.updated.write(out, force=force)
     if tell.as_json() and listen is not None:
-        tell.print_json(_event("check", found))
+        tell.print_json({"event": "check", **as_json(found)})
     else:
         tell.show(found, lambda: check_blocks(found, rests=listen is None))
     for note in found.notes:
@@ -78,33 +83,19 @@ def check(
     tell.end(found.reasons, "changed: ")
 
 
-def _launches(place: str, readings: Path) -> tuple[LaunchVariances, ...]:
-    """The launches of the device of a session in a registry."""
-    from tumble.recording.session_file import read_session
-
-    with ask.opened(place) as opened:
-        return opened.launches(serial=read_session(readings).device.serial)
-
-
 def _show(event: Event) -> None:
     """Print a rest of a stream, or a notice, at once."""
+    from tumble.documents import as_json
     from tumble.use.check import CheckedRest
     from tumble.views.checks import event_line, moved_line
 
     rest = event if isinstance(event, CheckedRest) else None
     if tell.as_json():
-        tell.print_json(_event("notice" if rest is None else "rest", event))
+        tell.print_json({"event": "notice" if rest is None else "rest", **as_json(event)})
     else:
         click.echo(event_line(event))
     for moved in () if rest is None or rest.judged is None else rest.judged.moved:
         tell.warn(f"moved: {moved_line(moved)}")
-
-
-def _event(kind: str, result: object) -> dict[str, object]:
-    """A result of a stream as JSON, with the kind of event."""
-    from tumble.documents import as_json
-
-    return {"event": kind, **as_json(result)}
 
 
 @click.command(epilog=ask.examples("tumble compare last-year.json imu-7/calibration.json"))

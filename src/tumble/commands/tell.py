@@ -14,8 +14,6 @@ import click
 from tumble.commands.ask import AS_JSON
 
 if TYPE_CHECKING:
-    from rich.progress import ProgressColumn
-
     from tumble.recording.log import Chunk, Log
     from tumble.views.blocks import Block
 
@@ -87,20 +85,35 @@ Tell = Callable[[int, int], None]
 """What is told the number of tasks that are done and of all."""
 
 
+_CLEARED = "\r\x1b[K"
+"""The beginning of a line of the terminal, which is empty then."""
+_REDRAWN = 0.1  # s
+
+
 @contextmanager
-def working(what: str, *columns: type[ProgressColumn]) -> Iterator[Tell]:
-    """A function that is told how much is done; on a terminal a bar, which is gone at the end, with the time that has
-    passed or these columns."""
+def working(what: str) -> Iterator[Tell]:
+    """A function that is told how much is done; on a terminal a line that says so, with the time that has passed and,
+    as far as it can be told, the time that is left. It is gone at the end."""
     if _quiet() or sys.stderr is None or not sys.stderr.isatty():
         yield lambda _done, _all: None
         return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    started, drawn = time.monotonic(), 0.0
 
-    shown = TextColumn(what), BarColumn(), *(column() for column in columns or (TimeElapsedColumn,))
-    with Progress(*shown, console=Console(stderr=True), transient=True, speed_estimate_period=120.0) as bar:
-        task = bar.add_task("", total=None)
-        yield lambda done, every: bar.update(task, completed=done, total=every or None)
+    def tell(done: int, every: int) -> None:
+        nonlocal drawn
+        now = time.monotonic()
+        if now - drawn < _REDRAWN and done < every:
+            return
+        drawn, passed = now, now - started
+        parts = [what, f"{done} of {every}" if every else f"{done}" if done else "", f"{passed:.0f} s"]
+        parts.append(f"{passed * (every - done) / done:.0f} s left" if 0 < done < every and passed > 1.0 else "")
+        click.echo(_CLEARED + "  ".join(filter(None, parts)), err=True, nl=False)
+
+    tell(0, 0)
+    try:
+        yield tell
+    finally:
+        click.echo(_CLEARED, err=True, nl=False)
 
 
 def with_progress(log: Log) -> Iterator[Chunk]:
@@ -121,12 +134,10 @@ def with_progress(log: Log) -> Iterator[Chunk]:
 
 @contextmanager
 def task_progress(what: str, out: Path) -> Iterator[Tell]:
-    """A function that is told how many of the tasks of a folder are done; on a terminal it shows a progress bar with
-    the remaining time. Where it is told nothing, all were done before: that is said."""
-    from rich.progress import MofNCompleteColumn, TimeElapsedColumn, TimeRemainingColumn
-
+    """A function that is told how many of the tasks of a folder are done; on a terminal it shows them, with the
+    remaining time. Where it is told nothing, all were done before: that is said."""
     news = []
-    with working(what, MofNCompleteColumn, TimeElapsedColumn, TimeRemainingColumn) as tell_bar:
+    with working(what) as tell_bar:
 
         def tell(done: int, every: int) -> None:
             news.append(done)

@@ -180,7 +180,7 @@ def export_calibration(
         if option not in given:
             raise InputError(f"export to {name}: expected {_option(option)}, found none")
     exported = chosen.write(calibration, **given)
-    return replace(exported, losses=(*calibration.absent, *exported.losses))
+    return replace(exported, losses=(*calibration.provenance.absent, *exported.losses))
 
 
 def _option(name: str) -> str:

@@ -109,7 +109,7 @@ def triads(
     known = models(calibration)
     for kind in needed:
         if kind not in known:
-            found = "; ".join(calibration.absent) or "none in the calibration"
+            found = "; ".join(calibration.provenance.absent) or "none in the calibration"
             raise InputError(f"export to {target}: expected {kind} parameters, found {found}")
     for kind, model in known.items():
         if len(model.bias) != 3:
@@ -126,15 +126,14 @@ def origin(calibration: Calibration) -> list[str]:
     device = calibration.serial if calibration.model is None else f"{calibration.serial} ({calibration.model})"
     lines = [
         f"device {device}, frame {calibration.frame}, method {calibration.method}",
-        f"{made.get('software', 'tumble')}, {made.get('created', 'no date')}, "
-        f"log sha256 {made.get('log_sha256', 'unknown')}",
+        f"{made.software or 'tumble'}, {made.created or 'no date'}, log sha256 {made.log_sha256 or 'unknown'}",
     ]
     for kind in UNITS:
-        readings = calibration.readings.get(kind)
+        readings = calibration.provenance.readings.get(kind)
         if readings is not None and readings.unit in ("count", "V"):
             scale, offset = (" ".join(f"{number:g}" for number in row) for row in (readings.scale, readings.offset))
             lines.append(f"{kind} readings in {UNITS[kind]} are (raw - offset) / scale: offset {offset}, scale {scale}")
-    return [one_line(line) for line in (*lines, *calibration.absent)]
+    return [one_line(line) for line in (*lines, *calibration.provenance.absent)]
 
 
 def one_line(text: str) -> str:

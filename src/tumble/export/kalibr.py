@@ -73,9 +73,9 @@ def noise_of_rests(calibration: Calibration) -> NoiseDensities:
     """The noise within the rests of a calibration: the median density, and the random walk that their drifts allow.
     Raises InputError for a calibration without rests or gyros."""
     found = []
-    seconds = np.array([rest.stop - rest.start for rest in calibration.rests])
+    seconds = np.array([rest.stop - rest.start for rest in calibration.evidence.rests])
     for kind, words in WORDS.items():
-        rests: list[SensorsAtRest | None] = [getattr(rest, kind) for rest in calibration.rests]
+        rests: list[SensorsAtRest | None] = [getattr(rest, kind) for rest in calibration.evidence.rests]
         known = [sensors for sensors in rests if sensors is not None]
         if not known or len(known) < len(rests):
             raise InputError(
@@ -90,8 +90,8 @@ def noise_of_rests(calibration: Calibration) -> NoiseDensities:
         )
         walk = float(np.sqrt(walks.mean(axis=0).max()))
         found.append(Densities(white=float(white), walk=walk, bounds=(bound,)))
-    source = f"{len(calibration.rests)} rests of the calibration"
-    return NoiseDensities(accel=found[0], gyro=found[1], rate=calibration.sample_rate, source=source)
+    source = f"{len(calibration.evidence.rests)} rests of the calibration"
+    return NoiseDensities(accel=found[0], gyro=found[1], rate=calibration.provenance.sample_rate, source=source)
 
 
 def kalibr(calibration: Calibration, *, noise: NoiseDensities | Session | FilePath | None = None) -> Exported:

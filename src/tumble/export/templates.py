@@ -286,7 +286,7 @@ def counts_per_si(
     """How many counts an m/s² or a rad/s is, and in words where that is from: of a calibration in counts, the recording
     says it."""
     size, unit = (G_STANDARD, "g") if kind == "accel" else (DEGREE, "deg/s")
-    readings = calibration.readings.get(kind)
+    readings = calibration.provenance.readings.get(kind)
     if given is not None:
         counts, whence = _usual_counts(kind, given), "--counts"
     elif readings is not None and readings.unit == "count" and np.ptp(readings.scale) == 0.0:

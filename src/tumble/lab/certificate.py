@@ -193,7 +193,7 @@ def check_certificate(certificate: Certificate, calibration: Calibration, as_fou
             )
     if as_found is None:
         return
-    before, after = (made.provenance.get("log_sha256") for made in (as_found, calibration))
+    before, after = (made.provenance.log_sha256 for made in (as_found, calibration))
     if before == after and before is not None:
         raise InputError(
             "certificate: as_found: expected a calibration from before the adjustment, found one of the same recording"

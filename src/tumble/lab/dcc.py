@@ -142,7 +142,7 @@ def _text(text: str | None) -> dict[str, Any] | None:
 
 
 def _administrative(calibration: Calibration, certificate: Certificate, scope: Mapping[str, str]) -> dict[str, Any]:
-    name, _, release = calibration.provenance.get("software", "tumble 0").partition(" ")
+    name, _, release = (calibration.provenance.software or "tumble 0").partition(" ")
     begin, end = certificate.days(calibration)
     replaced = {"typeOfChange": "substituted", "replacedUniqueIdentifier": certificate.replaces}
     core = {
@@ -171,7 +171,7 @@ def _administrative(calibration: Calibration, certificate: Certificate, scope: M
     ]
     said = (RELATES, *([statement_of_scope(scope)] if certificate.laboratory.scope else []), *certificate.remarks)
     statements: list[dict[str, Any]] = [{"declaration": _text(each)} for each in said]
-    if traced := (*certificate.traceability, *calibration.circumstances.equipment):
+    if traced := (*certificate.traceability, *calibration.provenance.circumstances.equipment):
         kind = {"@refType": "basic_metrologicallyTraceableToSI", "name": _text("metrological traceability")}
         statements.append(kind | {"declaration": _text("; ".join(traced))})
     return {
@@ -214,9 +214,10 @@ def _results(
         },
     ]
     equipment = [
-        {"@refType": "basic_measurementStandard", "name": _text(each)} for each in calibration.circumstances.equipment
+        {"@refType": "basic_measurementStandard", "name": _text(each)}
+        for each in calibration.provenance.circumstances.equipment
     ]
-    air, site = calibration.circumstances.conditions, calibration.site
+    air, site = calibration.provenance.circumstances.conditions, calibration.provenance.site
     stated: list[tuple[str, str | None, float | None, float | None, str]] = [
         ("temperature", "basic_temperature", air.temperature_degC, air.temperature_u, "degC"),
         ("relative humidity", "basic_humidityRelative", air.humidity_percent, None, "%"),

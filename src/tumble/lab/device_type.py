@@ -107,9 +107,9 @@ class Unit:
 def unit_of(calibration: Calibration) -> Unit | None:
     """What a calibration says by itself, in the frame `accelerometer`; None without a covariance or with a prior."""
     framed = calibration.in_frame("accelerometer")
-    if "prior" in calibration.provenance or framed.covariance is None:
+    if calibration.provenance.prior is not None or framed.covariance is None:
         return None
-    sizes = {h.name: h.value for h in calibration.hyperparameters}
+    sizes = {h.name: h.value for h in calibration.evidence.hyperparameters}
     return unit_by(
         framed.parameters,
         framed.covariance,

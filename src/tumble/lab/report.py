@@ -221,7 +221,7 @@ def certificate_of(
         tone=tone,
         verdict=verdict,
         facts=tuple(facts),
-        created=calibration.provenance.get("created", ""),
+        created=calibration.provenance.created or "",
         parts=(Part(title="", sections=tuple(each for each in made if each is not None), customer=1),),
         statements=_statements(certificate, scope, judged=acceptance is not None),
         signatures=tuple(Signature(name=person.name, role=person.role or "") for person in certificate.person),
@@ -254,7 +254,7 @@ def _certificate_sections(
         yield limits_section(acceptance, checks)
     kept = [
         "; ".join(clause for clause in note.split("; ") if not any(mark in clause for mark in _FOR_THE_OPERATOR))
-        for note in calibration.notes
+        for note in calibration.provenance.notes
     ]
     yield notes(*remarks(calibration), *filter(None, kept))
     yield from annexes(calibration, "c", short=True)

@@ -110,11 +110,12 @@ def within_scope(calibration: Calibration, scope: Sequence[Capability]) -> tuple
     )
     contributions = {p.name: math.sqrt(more) for p, more in zip(parameters, added.tolist(), strict=True) if more > 0.0}
     words = "capability of the laboratory (CMC)"
+    budget = calibration.evidence.budget
     capability = SourceContributions(name="capability", words=words, type="B", contributions=contributions)
     stated = replace(
         calibration,
         parameters=parameters,
         covariance=None if calibration.covariance is None else calibration.covariance + np.diag(added),
-        budget=(*calibration.budget, capability) if calibration.budget and contributions else calibration.budget,
+        evidence=replace(calibration.evidence, budget=(*budget, capability) if budget and contributions else budget),
     )
     return stated, said

@@ -4,24 +4,23 @@
 
 N readings y (N, 3), in units of the true quantity after nominal scale and polarity, lie on an ellipsoid. Its centre is
 the bias; its shape gives M Mᵀ, the lengths of the rows of M (scale factors) and the angles between them
-(nonorthogonality). M itself is known up to a rotation, which is chosen so that M is in the accelerometer frame (see
-`model`); nine parameters. Accelerometers at rest (m = g), magnetometers (m = the field) and gyros on a table that turns
-at a constant rate (m = that rate) are the same problem.
+(nonorthogonality). M is determined up to a rotation, which is chosen so that M is in the accelerometer frame.
+Accelerometers at rest (m = g), magnetometers (m = the field) and gyros on a table that turns at a constant rate (m =
+that rate) are the same problem.
 
 The algebraic fit of Li & Griffiths gives the ellipsoid without a start (`quadric`).
 
 Geometric fit: least squares on |M⁻¹(y − b)| − m with the covariances of the readings as weights, Gauss–Newton from the
 algebraic fit. In programmes that surround the sphere it changes the values by a hundredth of their uncertainties; it is
-there for weights, robustness and covariance. Of n sensors a reading says n − 2 things, y − b − m M t/|t| with the two
-directions projected out in which t may turn (`sphere_rows`); for a triad that is the same.
+there for weights, robustness and covariance.
 
-Readings one after another of a triad that is waved about err alike in neighbours, by noise with a memory and by what
-the model does not have, so that their number says nothing of u. Whole blocks of them are then left out in turn (the
+Readings one after another of a triad that is waved about have similar errors, by coloured noise and by what the model
+does not have, so that u does not fall with their number. Whole blocks of them are then left out in turn (the
 jackknife):
 
     δ_b = −(Σ − Σ_b)⁻¹ J_bᵀ r_b,   Σ = Σ_b Σ_b = JᵀJ,      cov = (B − 1)/B Σ_b (δ_b − δ̄)(δ_b − δ̄)ᵀ
 
-with B − 1 degrees of freedom; and what errs across the vector makes it longer by σ²/m, in u of the modulus.
+with B − 1 degrees of freedom. Errors across the vector make it longer by σ²/m, which is added to u of the modulus.
 
 The polarity of a channel is not in the data, since t and −t have the same length: it comes from the nominal scale or
 from roughly known positions (`readings`).
@@ -33,7 +32,6 @@ Plans, ch. 3; by blocks Künsch (1989), The Annals of Statistics 17, 1217-1241.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,34 +41,42 @@ from tumble.brief import Brief
 from tumble.diagnosis.observability import Refusal, undetermined
 from tumble.errors import InputError
 from tumble.inference.estimate import Fit
-from tumble.methods.least_squares import Solution, as_normal, least_squares, sigmas, with_scatter
+from tumble.methods.least_squares import (
+    MAX_ITERATIONS,
+    SCATTER_ROUNDS,
+    Solution,
+    as_normal,
+    least_squares,
+    scatter_of,
+    sigmas,
+    unexplained,
+)
 from tumble.methods.quadric import fit_many
-from tumble.rotation import unit_vector
-from tumble.sensors.model import Block, SensorModel, beyond_turning, to_accelerometer_frame
+from tumble.sensors.model import Block, SensorModel, to_accelerometer_frame
 from tumble.units import Array, BoolArray, IntArray
 
 TRIAD = Block(kind="accel", axes=np.eye(3))
 """Three sensors along X, Y, Z with the parameters bias, scale and the angles yx, zx, zy of their own frame."""
 
 SPREAD = np.full(9, 10.0)
-"""How far the parameters may be from nominal, biases in parts of the modulus: what is known worse than a tenth of it,
-the modulus itself, is not determined. Positions that determine less are refused before."""
+"""Spreads of the parameters, biases in parts of the modulus: a parameter with a larger u than a tenth of its spread,
+the modulus itself, is not determined."""
 
 BAD_SIGMAS = 5.0
-"""A position so far from the fit through all others is bad, unless stated otherwise: it is named and left out."""
+"""Distance from the fit through all others at which a position is bad, unless stated otherwise."""
 
 FLOOR = 1e-13
-"""Part of the modulus: no reading is taken to be better known, one without noise included."""
+"""Least standard uncertainty of a reading, in parts of the modulus."""
 
 MOST_BAD = 0.2
-"""Where more than this part of the positions is bad, none of them can be told from the good ones."""
+"""Largest part of the positions that is left out as bad: beyond it, good and bad ones cannot be distinguished."""
 
 RIVAL_CHANCE = 1e-3
-"""Leaving out another position instead is as good an explanation where the variance of the others is then not larger by
-more than chance makes it in this part of all cases."""
+"""Leaving out another position explains as much if the variance of the others is then not larger by more than chance
+makes it with this probability."""
 
 SHOWN = 1e-6
-"""Of the variance of a residual: one of which the fit leaves no more shows nothing."""
+"""Part of the variance of a residual that must remain after the fit for it to show anything."""
 
 _LEFT_OUT_EACH = 50
 """Up to so many positions, each is left out in turn to find a bad one."""
@@ -78,9 +84,9 @@ _LEFT_OUT_EACH = 50
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class WorstPosition:
-    """The used position that is furthest, in `sigmas`, from the fit through all others, and the scatter of these; it
-    need not be bad. Without one of the `rivals` the others fit about as well: if one is bad, the positions do not tell
-    which. So it is with opposite edges of a cube where nothing but edges was taken."""
+    """The used position that is furthest, in `sigmas`, from the fit through all others, and the scatter of these.
+    Without one of the `rivals` instead, the others fit about as well, as with opposite edges of a cube if only edges
+    were taken: the positions do not tell which one is bad, if any is."""
 
     position: int
     sigmas: float
@@ -90,14 +96,15 @@ class WorstPosition:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
 class EllipsoidFit(Brief):
-    """Parameter values (9,) in the order of the block's names with their covariance (9, 9), None where there are no
-    more positions than unknowns and the noise is not known, and the `model` they give. In the covariance is what one
-    standard uncertainty of the modulus changes, `by_modulus` (9,); behind the rest of it stand `noise_degrees` of
-    freedom, infinite where the noise is known. Of each position (N,):
-    `residual` |M⁻¹(y − b)| − m; its `leverage`, the part of itself that it explains; `leave_one_out`, the residual
-    against the fit through all others, with its standard uncertainty; `sigmas`, how far that is out; and whether it
-    was `used`, or left out as bad. `doubtful` are positions one of which is bad where it cannot be told which; they are
-    used. `scatter` is that of a reading, estimated on top of the stated noise."""
+    """Parameters of a triad by the ellipsoid through its readings.
+
+    `values` (9,) are in the order of the names of the block, with `covariance` (9, 9), None if there are no more
+    positions than unknowns and no noise is given. It includes `by_modulus` (9,), the change by one standard uncertainty
+    of the modulus; the rest has `noise_degrees` of freedom, infinite if the noise is given. `scatter` is that of a
+    reading, estimated in addition to the noise. `residual` (N,) is |M⁻¹(y − b)| − m of each position; `leverage` the
+    part of itself that it explains; `leave_one_out` the residual against the fit through all others, with its standard
+    uncertainty and, in `sigmas`, their ratio. Positions that are not `used` are left out as bad. One of the `doubtful`
+    positions is bad, but the others do not tell which; they are used."""
 
     values: Array
     covariance: Array | None
@@ -133,17 +140,17 @@ def fit_ellipsoid(
     bad_sigmas: float = BAD_SIGMAS,
     blocks: IntArray | None = None,
 ) -> EllipsoidFit | Refusal:
-    """The parameters of a triad from readings (N, 3) of a vector of length `modulus` in N unknown orientations, in
-    the unit of the modulus after nominal scale and polarity, in the frame that `block` fixes.
+    """Calibrate a triad from readings (N, 3) of a vector of length `modulus` in N unknown orientations, in the unit of
+    the modulus after nominal scale and polarity, in the frame that `block` fixes.
 
-    `covariance` (N, 3, 3) is what is known of their noise; a scatter is estimated on top of it. Without it all are
-    equally good. A position more than `bad_sigmas` from the fit through the others is left out, and says so. Where the
-    readings are samples one after another, `blocks` (N,) are the numbers, from 0, of the blocks they are judged by.
+    `covariance` (N, 3, 3) is that of their noise, in addition to which a scatter is estimated; without it all are
+    equally good. A position more than `bad_sigmas` from the fit through the others is left out. For samples one after
+    another, `blocks` (N,) are the numbers, from 0, of the blocks that the jackknife leaves out.
 
     >>> import numpy as np, tumble
     >>> faces = np.vstack([np.eye(3), -np.eye(3)])
     >>> corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / np.sqrt(3.0)
-    >>> found = tumble.fit_ellipsoid(9.8 * np.vstack([faces, corners]) + [0.1, 0.05, -0.2], modulus=9.8)
+    >>> found = fit_ellipsoid(9.8 * np.vstack([faces, corners]) + [0.1, 0.05, -0.2], modulus=9.8)
     >>> found.values[:3].round(6).tolist()
     [0.1, 0.05, -0.2]
     """
@@ -191,7 +198,7 @@ def fit_ellipsoid(
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Task:
-    """What is fitted, see `fit_ellipsoid`; `noisy` where the noise is known."""
+    """Arguments of `fit_ellipsoid`; `noisy` if the covariance of the readings is given."""
 
     readings: Array
     modulus: float
@@ -208,78 +215,79 @@ class _Task:
             return None
         some = found.models(self.modulus)
         handed = np.diag([1.0, 1.0, np.sign(np.linalg.det(self.block.axes))])
-        own = SensorModel(matrix=some.matrix[0] @ handed, bias=some.bias[0])
-        return np.asarray(self.block.parameters(to_accelerometer_frame(self.block, own, None)[0]))
+        model = SensorModel(matrix=some.matrix[0] @ handed, bias=some.bias[0])
+        return np.asarray(self.block.parameters(to_accelerometer_frame(self.block, model, None)[0]))
 
-    def rows(self, values: Array, scatter: float) -> SphereRows:
-        """What the readings say, linearised about values."""
-        return sphere_rows(self.block, self.readings, self.covariance, self.modulus, values, scatter)
+    def residuals(self, values: Array) -> _SphereResiduals:
+        """Residuals of all readings at parameter values (9,)."""
+        model = self.block.model(values)
+        true = model.apply(self.readings)
+        length = np.linalg.norm(true, axis=1)
+        direction = true / length[:, None]
+        normal = direction @ model.inverse()
+        homogeneous = np.concatenate([self.modulus * direction, np.ones((len(direction), 1))], axis=1)
+        return _SphereResiduals(
+            residual=length - self.modulus,
+            jacobian=np.einsum("ip,pqm,iq->im", normal, self.block.jacobian(values), homogeneous),
+            variance=np.einsum("ip,ipq,iq->i", normal, self.covariance, normal),
+            by_scatter=(normal**2).sum(axis=1),
+        )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class SphereRows:
-    """Whitened residuals (N, n − 2) and their derivatives with respect to the parameters (N, n − 2, m), to minus
-    the readings (N, n − 2, n) and to the modulus (N, n − 2)."""
+class _SphereResiduals:
+    """Residuals |M⁻¹(y − b)| − m (N,) and minus their derivative (N, 9) with respect to the parameters. Their
+    variance is `variance` + scatter² · `by_scatter`, both (N,)."""
 
     residual: Array
     jacobian: Array
-    reading: Array
-    modulus: Array
+    variance: Array
+    by_scatter: Array
 
-    def solution(self, spread: Array, used: BoolArray | slice = slice(None)) -> Solution:
-        """The step of the parameters, of spreads (m,), by the readings that are used."""
-        return least_squares(self.jacobian[used].reshape(-1, len(spread)), self.residual[used].ravel(), spread)
+    def sigma(self, scatter: float) -> Array:
+        """Standard uncertainties (N,)."""
+        return np.sqrt(self.variance + scatter**2 * self.by_scatter)
 
+    def chi_square(self, scatter: float, used: BoolArray) -> float:
+        """χ² of the used readings."""
+        return float(((self.residual / self.sigma(scatter))[used] ** 2).sum())
 
-def sphere_rows(
-    block: Block, readings: Array, covariance: Array, modulus: float, values: Array, scatter: float
-) -> SphereRows:
-    """What readings (N, n) of covariance (N, n, n) and of a scatter say of the sensors of a block that measure a vector
-    of this length, linearised about values (m,)."""
-    model, covariance = block.model(values), covariance + scatter**2 * np.eye(block.size)
-    direction = unit_vector(model.apply(readings))
-    if block.size == 3:
-        normal = direction @ model.inverse()
-        whiten = (normal / np.sqrt(np.einsum("ip,ipq,iq->i", normal, covariance, normal))[:, None])[:, None]
-    else:
-        lower = np.linalg.cholesky(covariance)
-        free = beyond_turning(np.linalg.solve(lower, model.matrix), direction)
-        whiten = np.swapaxes(np.linalg.solve(np.swapaxes(lower, 1, 2), free), 1, 2)
-    homogeneous = np.concatenate([modulus * direction, np.ones((len(direction), 1))], axis=1)
-    return SphereRows(
-        residual=np.einsum("irp,ip->ir", whiten, readings - model.predict(modulus * direction)),
-        jacobian=np.einsum("irp,pqm,iq->irm", whiten, block.jacobian(values), homogeneous),
-        reading=whiten,
-        modulus=np.einsum("irp,pk,ik->ir", whiten, model.matrix, direction),
-    )
+    def solution(self, scatter: float, used: BoolArray, spread: Array) -> Solution:
+        """The step of the parameters, of spreads (9,), by the used readings."""
+        sigma = self.sigma(scatter)[used]
+        return least_squares(self.jacobian[used] / sigma[:, None], self.residual[used] / sigma, spread)
 
 
 def _fitted(task: _Task, used: BoolArray) -> EllipsoidFit | None:
-    """The geometric fit through the used readings with the scatter that explains its residuals; None where the
-    algebraic fit finds no ellipsoid to start from, or where what it finds is not determined."""
+    """Geometric fit through the used readings, with the scatter that explains its residuals.
+
+    None if the algebraic fit finds no ellipsoid to start from, or the readings do not determine the parameters."""
     start, spread, degrees = task.start(used), SPREAD * np.repeat([task.modulus, 1.0, 1.0], 3), int(used.sum()) - 9
     if start is None:
         return None
-
-    def agreement_at(values: Array) -> tuple[Callable[[float], float], float, float]:
-        rows = task.rows(values, 0.0)
-        sigma = 1.0 / rows.modulus[used, 0]
-        square = (sigma * rows.residual[used, 0]) ** 2
-        by_scatter = (sigma[:, None] ** 2 * rows.reading[used, 0] ** 2).sum(axis=1)
-        size = float(np.sqrt(np.mean(square / by_scatter)))
-        return lambda scatter: float(np.sum(square / (sigma**2 + scatter**2 * by_scatter))), degrees, size
-
-    values, scatter, steps = with_scatter(
-        lambda at, size: task.rows(at, size).solution(spread, used), agreement_at, start, spread, FLOOR * spread
-    )
-    rows = task.rows(values, scatter)
-    solution, whitened, sigma = rows.solution(spread, used), rows.jacobian[:, 0], 1.0 / rows.modulus[:, 0]
+    values, scatter, increments = start, 0.0, [start]
+    for scatter_round in range(1 + SCATTER_ROUNDS):
+        rows = task.residuals(values)
+        if scatter_round == 1 and not unexplained(rows.chi_square(0.0, used), degrees):
+            break
+        if scatter_round:
+            size = float(np.sqrt(np.mean((rows.residual**2 / rows.by_scatter)[used])))
+            scatter = scatter_of(lambda trial, rows=rows: rows.chi_square(trial, used) - degrees, size)  # type: ignore[misc]
+        for _ in range(MAX_ITERATIONS):
+            solution = task.residuals(values).solution(scatter, used, spread)
+            # far from any solution the linearisation says nothing: no parameter moves by more than its spread
+            increments.append(solution.step / max(1.0, float(np.max(np.abs(solution.step) / spread))))
+            values = values + increments[-1]
+            if solution.negligible(FLOOR * spread):
+                break
+    rows = task.residuals(values)
+    solution, sigma, residual = rows.solution(scatter, used, spread), rows.sigma(scatter), rows.residual
     if len(solution.null):
         return None
-    residual = sigma * rows.residual[:, 0]
-    leverage = np.einsum("im,mn,in->i", whitened, solution.covariance, whitened)  # variance that the fit predicts
-    # the variance of a residual over that against the fit through all others; one that these do not determine shows
-    # nothing
+    whitened = rows.jacobian / sigma[:, None]
+    leverage = np.einsum("im,mn,in->i", whitened, solution.covariance, whitened)
+    # variance of a residual relative to that against the fit through all others; if these do not determine it, the
+    # residual shows nothing
     free = np.where(used, np.maximum(1.0 - leverage, 0.0), 1.0 / (1.0 + leverage))
     shown = free > SHOWN
     free = np.where(shown, free, 1.0)
@@ -291,7 +299,7 @@ def _fitted(task: _Task, used: BoolArray) -> EllipsoidFit | None:
     by_noise, modulus_u = solution.covariance, task.modulus_u
     noise_degrees = float(degrees) if scatter > 0.0 else np.inf
     if task.blocks is not None:
-        by_noise = _jackknife(whitened, rows.residual[:, 0], task.blocks, spread)
+        by_noise = _jackknife(whitened, residual / sigma, task.blocks, spread)
         noise_degrees, modulus_u = float(task.blocks.max()), float(np.hypot(modulus_u, scatter**2 / task.modulus))
     by_modulus = -modulus_u * (solution.gain / sigma[used]).sum(axis=1)
     return EllipsoidFit(
@@ -307,11 +315,11 @@ def _fitted(task: _Task, used: BoolArray) -> EllipsoidFit | None:
         sigmas=out,
         used=used,
         doubtful=(),
-        chi_square=agreement_at(values)[0](scatter),
+        chi_square=rows.chi_square(scatter, used),
         degrees=degrees,
         scatter=scatter,
         worst=None,
-        increments=(start, *steps),
+        increments=tuple(increments),
         converged=solution.negligible(FLOOR * spread),
     )
 

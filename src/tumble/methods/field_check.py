@@ -16,15 +16,12 @@ be normal. P is estimated, and t_j has Student's t distribution with ν_j degree
 
     1/√ν_j = q_jᵀ D q_j,   q_j = Gᵀ g_j u_j   (3)
 
-where D is the uncertainty of P (`tumble.use.check`, Eq. (1)): if a part of P is wrong by some factor, the same part of
-the variance of t_j is. All parts of P are taken as wrong together. The largest |t_j| is compared with the quantile of
-the largest of such numbers that is exceeded with the probability CHANCE. If it is larger, its parameter is given a
-wide prior, everything is solved again, and so on, which gives the changes together. By Bonferroni's inequality, the
-probability that chance makes the largest of m statistics as large is at most 2 m T_ν(−|t|), with T_ν the distribution
-function of Student's t. What no change explains is judged by χ² = |z|² and the residuals, at MISFIT_CHANCE.
-
-The prior is not a part of a change: the change is what goes beyond it. A change that is smaller than what turning the
-device on again does is not detected. `tumble.methods.rest_chain` tests one rest after the other in the same way.
+where D is the uncertainty of P (`tumble.use.check`, Eq. (1)), all parts of which are taken as wrong together. The
+largest |t_j| is compared with the quantile of the largest of such numbers that is exceeded with the probability CHANCE.
+If it is larger, its parameter is given a wide prior, everything is solved again, and so on, which gives the changes
+together. By Bonferroni's inequality, the probability that chance makes the largest of m statistics as large is at most
+2 m T_ν(−|t|), with T_ν the distribution function of Student's t. What no change explains is judged by χ² = |z|² and the
+residuals, at MISFIT_CHANCE. A change that is smaller than what turning the device on again does is not detected.
 """
 
 from __future__ import annotations
@@ -71,21 +68,10 @@ MAX_ITERATIONS = 12
 class CheckPrior:
     """Prior of gravity and the m parameters of an instrument at the time of a check, SI.
 
-    Attributes
-    ----------
-    values : (m,) array
-        Parameters by the calibration, at the temperature of the check.
-    calibrated : (1 + m, 1 + m) array
-        Covariance Σ of gravity and the parameters by the calibration.
-    turned_on : (1 + m,) array
-        Variances of what turning the device on again changes.
-    inverse_degrees, turned_on_inverse_degrees : (1 + m,) array
-        1/ν of both, with ν the degrees of freedom with which they were estimated.
-    to_temperature : (1 + m, 1 + m) array
-        Matrix that has taken the parameters from the reference temperature of the calibration to that of the check.
-    components : Components
-        Components of variance beside the noise.
-    """
+    `values` (m,) are the parameters by the calibration at the temperature of the check, to which `to_temperature`
+    (1 + m, 1 + m) has taken gravity and the parameters; `calibrated` (1 + m, 1 + m) is their covariance Σ, `turned_on`
+    (1 + m,) the variances of what turning the device on again changes, both estimated with 1/`inverse_degrees` and
+    1/`turned_on_inverse_degrees` (1 + m,) degrees of freedom. `components` are those of variance beside the noise."""
 
     instrument: Instrument
     values: Array
@@ -148,23 +134,11 @@ class ParameterTest:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class CheckResult:
-    """Tests of all parameters that a session determines.
+    """Tests of all parameters that a session determines, by name, and what has changed beyond the prior.
 
-    Attributes
-    ----------
-    changes : tuple of ChangedParameter
-        What has changed, beyond the prior.
-    tests : mapping of str to ParameterTest
-        The test of every parameter by its name.
-    largest, limit : float
-        The largest of |change|/u, and the quantile that it is compared with.
-    unseen : tuple of str
-        Groups of linear parameters that the session does not determine.
-    misfit : Fit
-        Residuals that no change explains.
-    values, covariance : (m,) and (m, m) array
-        Parameters by calibration and check together.
-    """
+    `largest` is the largest of |change|/u, which is compared with the quantile `limit`; `unseen` are groups of linear
+    parameters that the session does not determine, `misfit` the residuals that no change explains. `values` (m,) and
+    `covariance` (m, m) are those of the parameters by calibration and check together."""
 
     changes: tuple[ChangedParameter, ...]
     tests: Mapping[str, ParameterTest]
@@ -231,17 +205,10 @@ def measurement_update(R: Array, d: Array, P: Array) -> tuple[Array, Array, Arra
 class Evidence:
     """A session, whitened by the prior, for the tests of changes.
 
-    Attributes
-    ----------
-    z, G : (p,) and (p, k) array
-        Eq. (1) for the x before the session, whose first 1 + m elements are gravity and the parameters.
-    values, covariance : (m,) and (m, m) array
-        Parameters by prior and session, if nothing has changed.
-    by_x : (m, k) array
-        Derivative of `values` with x before the session.
-    squares, degrees : float
-        Sum of squares that no x explains, and the degrees of freedom of this sum and |z|² together.
-    """
+    `z` (p,) and `G` (p, k) are those of Eq. (1) for the x before the session, whose first 1 + m elements are gravity
+    and the parameters. `values` (m,), with derivative `by_x` (m, k) with respect to this x, and `covariance` (m, m) are
+    those of the parameters by prior and session, if nothing has changed. `squares` is the sum of squares that no x
+    explains, `degrees` the degrees of freedom of this sum and |z|² together."""
 
     z: Array
     G: Array

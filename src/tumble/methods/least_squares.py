@@ -1,8 +1,8 @@
-"""Weighted least squares by Gauss–Newton, and the scatter that makes residuals agree with their noise.
+"""Weighted least squares, and the scatter that makes residuals agree with their noise.
 
-Residuals r of covariance V that a fit takes up in part, so that W is left of it: Σ r_i²/V_ii has the mean t = tr w and
-the variance 2 tr w², w_ij = W_ij/√(V_ii V_jj). Times t/tr w² it has those of a chi-square of t²/tr w² degrees of
-freedom (Satterthwaite 1946).
+Let residuals r have the covariance V before a fit and W after it. Then Σ r_i²/V_ii has the mean t = tr w and the
+variance 2 tr w², w_ij = W_ij/√(V_ii V_jj). Multiplied by t/tr w², it has those of a χ² of t²/tr w² degrees of freedom
+(Satterthwaite 1946).
 """
 
 from __future__ import annotations
@@ -17,26 +17,24 @@ from tumble.inference.estimate import DETERMINED, SEEN, Fit, chance_of
 from tumble.units import Array, BoolArray
 
 RELATIVE_RANK = 1e-11
-"""Singular values below this part of the largest are rounding."""
+"""Relative to the largest singular value: smaller ones are rounding."""
 SCATTER_PROBABILITY = 0.5
-"""Scatter is estimated where chance alone would exceed chi-square less often than this: where it is above its median.
-With a stricter limit a scatter that is there, but not beyond doubt, would be missing from u."""
-TAKEN_UP = 1e-3
-"""Of the variance: residuals of which no more is left show nothing."""
+"""Scatter is estimated if chance exceeds χ² with a smaller probability: if χ² is above its median. With a stricter
+limit, scatter that is present but not beyond doubt would be missing from u."""
+LEAST_SHARE = 1e-3
+"""Residuals that retain no more than this part of their variance after the fit show nothing."""
 MAX_ITERATIONS = 30
 CONVERGED = 1e-3  # of the standard uncertainty
 SCATTER_ROUNDS = 3
 NORMAL = 1e8
-"""Degrees of freedom, from which Student's t is normal."""
-ROUNDING = 1e-15
-"""SI: steps that are no more than rounding."""
+"""Degrees of freedom from which Student's t distribution is taken as normal."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Solution:
-    """A weighted least-squares step: `step` (m,), `gain` (m, r) of the whitened residuals, `null` (q, m) the
-    combinations the data do not determine, in units of the spreads, and the covariance (m, m), to which the
-    spreads of the null space have been added."""
+    """Solution of a weighted least-squares problem: the `step` (m,) of the parameters, its derivative `gain` (m, r)
+    with respect to the whitened residuals, the combinations `null` (q, m) that the data do not determine, in units of
+    the spreads, and the `covariance` (m, m), which includes the spreads of the null space."""
 
     step: Array
     gain: Array
@@ -48,15 +46,17 @@ class Solution:
         """Which parameters the data determine."""
         return np.asarray(np.sqrt((self.null**2).sum(axis=0)) < SEEN)
 
-    def negligible(self, rounding: Array | float = ROUNDING) -> bool:
-        """Whether the step is negligible against the uncertainty."""
+    def negligible(self, rounding: Array | float) -> bool:
+        """Whether the step is negligible against the uncertainty, or no more than `rounding`."""
         u = np.sqrt(np.diag(self.covariance))
         return bool(np.all(np.abs(self.step) <= CONVERGED * u + rounding))
 
 
 def least_squares(jacobian: Array, residual: Array, spread: Array) -> Solution:
-    """Smallest step that minimises |residual − jacobian · step|², both whitened; singular combinations, which the
-    data determine no better than DETERMINED times their spread, are left alone."""
+    """Smallest step that minimises |residual − jacobian · step|², both whitened.
+
+    Combinations that the data determine no better than to DETERMINED times their spread (m,) are not changed.
+    """
     Q, R = np.linalg.qr(jacobian * spread)
     U, s, Vt = np.linalg.svd(R)
     rank = int(np.sum(s > max(DETERMINED, RELATIVE_RANK * s[0])))
@@ -67,58 +67,21 @@ def least_squares(jacobian: Array, residual: Array, spread: Array) -> Solution:
 
 
 def solved(rows: Array, right: Array) -> Array:
-    """Least squares (..., m) of many problems with rows (..., r, m) of full rank, right-hand sides (..., r)."""
+    """Least-squares solutions (..., m) of problems with rows (..., r, m) of full rank and right-hand sides (..., r)."""
     Q, R = np.linalg.qr(rows)
     return np.asarray(np.linalg.solve(R, np.swapaxes(Q, -1, -2) @ right[..., None])[..., 0])
 
 
-def gauss_newton(
-    solution_at: Callable[[Array], Solution], values: Array, spread: Array, rounding: Array | float = ROUNDING
-) -> tuple[Array, tuple[Array, ...]]:
-    """Values (m,) after the last step, and all steps, from `values` on, until one is negligible against u;
-    `solution_at` linearises about values. No parameter moves by more than its spread (m,) in a step: far from any
-    solution the linearisation says nothing."""
-    steps: list[Array] = []
-    for _ in range(MAX_ITERATIONS):
-        solution = solution_at(values)
-        steps.append(np.asarray(solution.step / max(1.0, float(np.max(np.abs(solution.step) / spread)))))
-        values = values + steps[-1]
-        if solution.negligible(rounding):
-            break
-    return values, tuple(steps)
-
-
-def with_scatter(
-    solution_at: Callable[[Array, float], Solution],
-    agreement_at: Callable[[Array], tuple[Callable[[float], float], float, float]],
-    values: Array,
-    spread: Array,
-    rounding: Array | float = ROUNDING,
-) -> tuple[Array, float, tuple[Array, ...]]:
-    """Values (m,), the scatter that explains the residuals, zero where they need none, and all steps. `agreement_at`
-    values has the chi-square of the residuals by their scatter, its degrees of freedom, and a first guess of it."""
-    scatter = 0.0
-    values, steps = gauss_newton(lambda at: solution_at(at, 0.0), values, spread, rounding)
-    for again in range(SCATTER_ROUNDS):
-        chi_square, degrees, size = agreement_at(values)
-        if not again and not unexplained(chi_square(0.0), degrees):
-            break
-        scatter = scatter_of(lambda trial, of=chi_square, expected=degrees: of(trial) - expected, size)  # type: ignore[misc]
-        values, more = gauss_newton(lambda at, size=scatter: solution_at(at, size), values, spread, rounding)  # type: ignore[misc]
-        steps += more
-    return values, scatter, steps
-
-
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Residuals:
-    """Residuals (r,) after a fit, the `variance` (r,) of the rows, and the covariance (r, r) of what is `left`."""
+    """Residuals (r,) after a fit, their `variance` (r,) before it, and their covariance (r, r) after it, `left`."""
 
     residual: Array
     variance: Array
     left: Array
 
     def chi_square(self) -> tuple[float, float]:
-        """Chi-square and its degrees of freedom, matched in mean and variance; zeros where nothing is left."""
+        """χ² and its degrees of freedom, matched in mean and variance; zeros if nothing is left."""
         scale = np.sqrt(self.variance)
         share = self.left / np.outer(scale, scale)
         trace, squares = float(np.trace(share)), float((share**2).sum())
@@ -127,20 +90,20 @@ class Residuals:
         return float(((self.residual / scale) ** 2).sum()) * trace / squares, trace**2 / squares
 
     def excess(self) -> float:
-        """Chi-square less its expectation."""
+        """χ² less its expectation."""
         statistic, degrees = self.chi_square()
         return statistic - degrees
 
     def fit(self, scatter: float, unit: str) -> Fit:
-        """The same as a calibration keeps it."""
+        """χ² as a calibration keeps it."""
         statistic, degrees = self.chi_square()
         return Fit(chi_square=statistic, degrees=degrees, scatter=scatter, unit=unit)
 
     def sigmas(self, size: int, *, scaled: bool) -> Array:
-        """How far residuals, `size` at a time, are out, in sigmas; `scaled` where their scatter is from themselves."""
+        """Deviations of residuals, `size` at a time, in sigmas; `scaled` if their scatter comes from themselves."""
         squares = (self.residual**2 / self.variance).reshape(-1, size).sum(axis=1)
         free = (np.diag(self.left) / self.variance).reshape(-1, size).sum(axis=1)
-        z = np.sqrt(squares / np.where(free > TAKEN_UP, free, np.inf))
+        z = np.sqrt(squares / np.where(free > LEAST_SHARE, free, np.inf))
         return sigmas(z, self.chi_square()[1], scaled)
 
 
@@ -149,17 +112,16 @@ def unexplained(chi_square: float, degrees: float) -> bool:
     return degrees >= 0.5 and chance_of(chi_square, degrees) < SCATTER_PROBABILITY
 
 
-def explaining(residuals_at: Callable[[float], Residuals], start: float, *, needed: bool = False) -> float:
-    """The scatter at which residuals agree with their noise, from a first guess of its size; zero where they do without
-    one, unless it is known to be `needed`."""
-    if not needed and not unexplained(*residuals_at(0.0).chi_square()):
-        return 0.0
-    return scatter_of(lambda scatter: residuals_at(scatter).excess(), start)
-
-
 def scatter_of(excess: Callable[[float], float], start: float) -> float:
-    """The scatter at which `excess(scatter)` (chi-square less its expectation, falling) vanishes; `start` is a
-    first guess of its size. Zero where there is none."""
+    """Scatter at which χ² equals its expectation, zero if there is none.
+
+    Parameters
+    ----------
+    excess
+        χ² less its expectation, a falling function of the scatter.
+    start
+        First guess of the size of the scatter.
+    """
     if excess(0.0) <= 0.0:
         return 0.0
     from scipy.optimize import brentq  # which takes a fifth of a second to import
@@ -171,8 +133,9 @@ def scatter_of(excess: Callable[[float], float], start: float) -> float:
 
 
 def sigmas(normalised: Array, degrees: float, scaled: bool) -> Array:
-    """How many Gaussian sigmas each normalised residual is out; where the scale came from the same residuals, the
-    residual is judged by the scale of all others (externally studentised)."""
+    """Number of Gaussian sigmas that is as improbable as each normalised residual.
+
+    If the scale comes from the same residuals, each is judged by the scale of all others (externally studentised)."""
     z = np.abs(normalised)
     if not scaled or degrees < 2:
         return z
@@ -182,7 +145,7 @@ def sigmas(normalised: Array, degrees: float, scaled: bool) -> Array:
 
 
 def as_normal(t: Array, degrees: Array | float) -> Array:
-    """The standard normal numbers that are as improbable as these of Student's t, of so many degrees of freedom."""
+    """Standard normal numbers that are as improbable as Student's t with these degrees of freedom."""
     below = scipy.special.stdtr(degrees, -np.abs(t))
     normal = np.where(np.asarray(degrees) > NORMAL, np.abs(t), -scipy.special.ndtri(np.maximum(below, 1e-300)))
     return np.asarray(np.sign(t) * normal)

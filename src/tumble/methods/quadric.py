@@ -5,17 +5,17 @@
     C*⁻¹ (S11 − S12 S22⁻¹ S21) ξ1 = λ ξ1, the only positive λ;  ξ2 = −S22⁻¹ S21 ξ1;  S = DᵀD              (20)
 
 on centred and scaled readings; a row of D has the ten monomials of a reading, ξ1 are the first six coefficients.
-4J − I² > 0 is sufficient for an ellipsoid, not necessary: it holds where the shortest semi-axis is at least half the
-longest, hence the scaling of each channel. With the Cholesky factor L of the matrix in brackets the pencil becomes the
-symmetric problem L⁻¹ C* L⁻ᵀ z = z/λ, ξ1 = L⁻ᵀ z. C* as printed, with −4, belongs to d/2, e/2, f/2 as unknowns, the
-products taken twice.
+4J − I² > 0 is sufficient for an ellipsoid, not necessary: it holds if the shortest semi-axis is at least half the
+longest, which is why each channel is scaled. With the Cholesky factor L of the matrix in brackets, (20) becomes the
+symmetric problem L⁻¹ C* L⁻ᵀ z = z/λ, ξ1 = L⁻ᵀ z. C* as printed, with −4, belongs to the unknowns d/2, e/2, f/2, with
+the products taken twice.
 
 Source: Li & Griffiths, Least squares ellipsoid specific fitting (GMP 2004), as the ellipsoid method uses it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -27,24 +27,19 @@ _PENCIL[:3, :3] = 1.0 - 2.0 * np.eye(3)
 _PENCIL[3:, 3:] = -4.0 * np.eye(3)
 """C* (17)."""
 
-_SPHERE = np.array([[1.0], [1.0], [1.0], [0.0], [0.0], [0.0]])
-
-_POWERS = 4
-_CONVERGED = 1e-10
 _LEAST_EIGENVALUE = 1e-14
-"""Added to the diagonals of S, on scaled readings: the square of what no reading resolves, and far enough above
-rounding for the other λ of (20) to be told where the readings have no noise."""
+"""Added to the diagonals of S, on scaled readings: the square of what no reading resolves, and large enough against
+rounding to separate the other λ of (20) if the readings have no noise."""
 _LEAST_SECOND = 1e-3
-"""Second smallest |λ| of (20), on scaled readings (or what the others together make of it): below, the readings do not
-determine the ellipsoid. Good programmes have 0.01 to 0.06."""
-_UNITS_AT_ONCE = 512
+"""Second smallest |λ| of (20), on scaled readings (or what the others together make of it), below which the readings do
+not determine the ellipsoid. Good programmes have 0.01 to 0.06."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Ellipsoids:
-    """U ellipsoids (y − centre)ᵀ shape (y − centre) = 1: centre (U, 3), shape (U, 3, 3). `found` (U,) is false where
-    the readings lie on no ellipsoid; there the numbers are NaN. `determined` (U,) is false where other ellipsoids go
-    through the readings as well: too few positions, or too much alike."""
+    """U ellipsoids (y − centre)ᵀ shape (y − centre) = 1: `centre` (U, 3) and `shape` (U, 3, 3), not a number where the
+    readings lie on no ellipsoid (`found` (U,) is false). `determined` (U,) is false where other ellipsoids go through
+    the readings as well, because the positions are too few or too much alike."""
 
     centre: Array
     shape: Array
@@ -52,21 +47,14 @@ class Ellipsoids:
     determined: BoolArray
 
     def models(self, modulus: float = 1.0) -> SensorModel:
-        """matrix (U, 3, 3) and bias (U, 3) of all units in the accelerometer frame, with positive polarity."""
+        """Matrix (U, 3, 3) and bias (U, 3) in the accelerometer frame, with positive polarity."""
         shape = np.where(self.found[:, None, None], self.shape, np.eye(3))
         lower = np.linalg.cholesky(np.linalg.inv(shape)) / modulus
         return SensorModel(matrix=np.where(self.found[:, None, None], lower, np.nan), bias=self.centre)
 
 
 def fit_many(readings: Array) -> Ellipsoids:
-    """The algebraic fit of U units at once, from their readings (U, N, 3) in N ≥ 9 positions, in any unit and with
-    channels of any ranges."""
-    parts = [_fit_some(readings[i : i + _UNITS_AT_ONCE]) for i in range(0, len(readings), _UNITS_AT_ONCE)]
-    joined = {each.name: np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(Ellipsoids)}
-    return Ellipsoids(**joined)
-
-
-def _fit_some(readings: Array) -> Ellipsoids:
+    """Algebraic fit of ellipsoids to readings (U, N, 3) in N ≥ 9 positions, in any unit, with channels of any range."""
     scaled = np.swapaxes(readings, 1, 2).astype(float)
     mean = scaled.mean(axis=2)
     scaled -= mean[:, :, None]
@@ -90,7 +78,7 @@ def _fit_some(readings: Array) -> Ellipsoids:
 
 
 def _conic(scaled: Array) -> tuple[Array, BoolArray]:
-    """The coefficients (U, 10) of (9), d, e and f halved, a + b + c > 0, from readings (U, 3, N), and whether they
+    """Coefficients (U, 10) of (9), with d, e and f halved and a + b + c > 0, from readings (U, 3, N), and whether these
     determine them."""
     units, _, positions = scaled.shape
     D = np.ones((units, 10, positions))
@@ -101,27 +89,8 @@ def _conic(scaled: Array) -> tuple[Array, BoolArray]:
     to_xi2 = -np.linalg.solve(S[:, 6:, 6:] + _LEAST_EIGENVALUE * np.eye(4), S[:, 6:, :6])
     L = np.linalg.cholesky(S[:, :6, :6] + S[:, :6, 6:] @ to_xi2 + _LEAST_EIGENVALUE * np.eye(6))
     inverse = np.linalg.inv(L)
-    pencil = inverse @ _PENCIL @ np.swapaxes(inverse, 1, 2)
-    value, z = _positive(pencil, np.swapaxes(L, 1, 2) @ _SPHERE)
-    others = pencil - value * z * np.swapaxes(z, 1, 2)
-    xi1 = np.swapaxes(inverse, 1, 2) @ z
+    values, vectors = np.linalg.eigh(inverse @ _PENCIL @ np.swapaxes(inverse, 1, 2))
+    xi1 = np.swapaxes(inverse, 1, 2) @ vectors[:, :, -1:]
     xi = np.concatenate([xi1, to_xi2 @ xi1], axis=1)[:, :, 0]
     scale = np.sign(xi[:, :3].sum(axis=1)) / np.abs(xi[:, :6]).max(axis=1)
-    return xi * scale[:, None], np.linalg.norm(others, axis=(1, 2)) < 1.0 / _LEAST_SECOND
-
-
-def _positive(pencil: Array, start: Array) -> tuple[Array, Array]:
-    """The only positive eigenvalue 1/λ (U, 1, 1) of symmetric matrices (U, 6, 6) and its unit vector (U, 6, 1), near
-    `start` (U, 6, 1). Where noise is small it is by far the largest and found by power iteration; the few others are
-    decomposed."""
-    z = start
-    for _ in range(_POWERS):
-        image = pencil @ z
-        z = image / np.linalg.norm(image, axis=1, keepdims=True)
-    image = pencil @ z
-    value = np.swapaxes(z, 1, 2) @ image
-    off = np.linalg.norm(image - value * z, axis=1)[:, 0] > _CONVERGED * value[:, 0, 0]
-    if off.any():
-        eigenvalues, vectors = np.linalg.eigh(pencil[off])
-        value[off], z[off] = eigenvalues[:, -1:, None], vectors[:, :, -1:]
-    return value, z
+    return xi * scale[:, None], np.linalg.norm(values[:, :-1], axis=1) < 1.0 / _LEAST_SECOND

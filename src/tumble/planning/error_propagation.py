@@ -25,8 +25,6 @@ from typing import Literal
 import numpy as np
 
 from tumble.earth import EARTH_RATE
-from tumble.errors import ProgrammeError
-from tumble.methods.paper.accelerometers import check_for_vector, scalar_rows
 from tumble.methods.paper.four_stages import (
     SCALAR,
     SEQUENTIAL,
@@ -78,14 +76,7 @@ class PaperProgramme:
         """A programme with turns at this rate, rad/s, at a latitude, rad. Raises ProgrammeError where it has not the
         positions that the method needs."""
         nominal = np.array([position.matrix for position in programme.positions])
-        if method == "sequential":
-            check_for_vector(nominal[:, 1])
-        rank = int(np.linalg.matrix_rank(scalar_rows(nominal[:, 1])))
-        if rank < 9:
-            raise ProgrammeError(
-                f"programme {programme.name}: expected positions that determine nine accelerometer parameters, "
-                f"found {rank}; take rough-table, nine or cube-26"
-            )
+        _METHODS[method].check(nominal[:, 1])
         course = course_of_programme(programme, turn_rate=turn_rate, latitude=latitude)
         moves = [m.angle * m.axis for m in programme.moves if m.axis is not None and m.angle is not None]
         return PaperProgramme(

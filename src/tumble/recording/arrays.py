@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 import numpy.typing as npt
@@ -23,37 +23,76 @@ _GRAVITY_LIKE = (7.0, 13.0)
 """m/s²: the median length of readings that are mostly taken at rest."""
 
 
-def session_of_arrays(
-    *,
-    accel: npt.ArrayLike,
-    gyro: npt.ArrayLike | None = None,
-    time: npt.ArrayLike | None = None,
-    rate: float | None = None,
-    temperature: Temperatures | None = None,
-    latitude: float | None = None,
-    height: float = 0.0,
-    gravity: float | None = None,
-    gravity_u: float | None = None,
-    accel_axes: npt.ArrayLike | None = None,
-    gyro_axes: npt.ArrayLike | None = None,
-    programme: str | Sequence[str] | None = None,
-    serial: str = "unknown",
-    clock_ppm_u: float | None = None,
-) -> Session:
-    """The session of SI readings (N, n) in memory: specific force, m/s², and angular rate, rad/s, as arrays, polars or
-    pandas frames; the end times of the samples (N,), s, or their rate, Hz; temperature (N,), K, or where they
-    have thermometers of their own those of "accel" and "gyro", (N,) or (N, n); geodetic latitude, rad, height, m,
-    gravity and its standard uncertainty, m/s². The nominal axes (n, 3) of more than three sensors are unit vectors in
-    the body. `programme` names a built-in programme or lists attitude codes. `clock_ppm_u` is the standard uncertainty
-    of the time base, parts per million, 0 for an exact one; 30 where None.
+class SensorArrays(TypedDict, total=False):
+    """Readings in memory in SI, as arrays, polars or pandas frames, and what is stated of them.
 
-    Raises InputError for another shape, another unit, and numbers that are not finite.
+    Attributes
+    ----------
+    accel : array_like, shape (N, n)
+        Specific force, m/s²; required.
+    gyro : array_like, shape (N, n)
+        Angular rate, rad/s.
+    time : array_like, shape (N,)
+        Time at the end of each sample, s; either this or `rate` is required.
+    rate : float
+        Samples per second.
+    temperature : array_like, shape (N,), or mapping of str to array_like
+        Temperature, K; if the sensors have several thermometers, those of "accel" and "gyro", (N,) or (N, n).
+    latitude, height : float
+        Geodetic latitude, rad, and height, m (default 0).
+    gravity, gravity_u : float
+        Gravity and its standard uncertainty, m/s²; by default normal gravity.
+    accel_axes, gyro_axes : array_like, shape (n, 3)
+        Nominal sensing directions in the body, unit vectors; required for more than three sensors.
+    programme : str or sequence of str
+        Name of a programme, or attitudes of its positions in order.
+    serial : str
+        Serial number of the device.
+    clock_ppm_u : float
+        Standard uncertainty of the time base, parts per million, 0 for an exact one; default 30.
+    """
 
-    >>> import numpy as np, tumble
+    accel: npt.ArrayLike
+    gyro: npt.ArrayLike | None
+    time: npt.ArrayLike | None
+    rate: float | None
+    temperature: Temperatures | None
+    latitude: float | None
+    height: float
+    gravity: float | None
+    gravity_u: float | None
+    accel_axes: npt.ArrayLike | None
+    gyro_axes: npt.ArrayLike | None
+    programme: str | Sequence[str] | None
+    serial: str
+    clock_ppm_u: float | None
+
+
+def session_of_arrays(**arrays: Unpack[SensorArrays]) -> Session:
+    """Make a session of readings in memory.
+
+    Parameters
+    ----------
+    **arrays
+        Readings and what is stated of them, see `SensorArrays`.
+
+    Raises
+    ------
+    InputError
+        For another shape or unit, and for numbers that are not finite.
+
+    Examples
+    --------
+    >>> import numpy as np
     >>> still = np.tile([0.0, 0.0, 9.81], (300, 1))
-    >>> tumble.session_of_arrays(accel=still, rate=100.0, serial="A-0007").log.columns
+    >>> session_of_arrays(accel=still, rate=100.0, serial="A-0007").log.columns
     ('accel_x', 'accel_y', 'accel_z')
     """
+    known = list(SensorArrays.__annotations__)
+    if unknown := [name for name in arrays if name not in known]:
+        raise TypeError(f"unexpected argument {unknown[0]!r}; expected one of {', '.join(known)}")
+    accel, time, rate = arrays.get("accel"), arrays.get("time"), arrays.get("rate")
+    temperature, latitude, programme = arrays.get("temperature"), arrays.get("latitude"), arrays.get("programme")
     if (time is None) == (rate is None):
         raise InputError(
             f"time, rate: expected one of them, the times of the samples, s, or their rate, Hz, found "
@@ -64,7 +103,10 @@ def session_of_arrays(
     log: dict[str, Any] = {"rate_hz": _number("rate", rate)} if rate is not None else {"time": "time"}
     data: dict[str, Array] = {}
     sensors: dict[str, int] = {}
-    for kind, given, axes in (("accel", accel, accel_axes), ("gyro", gyro, gyro_axes)):
+    for kind, given, axes in (
+        ("accel", accel, arrays.get("accel_axes")),
+        ("gyro", arrays.get("gyro"), arrays.get("gyro_axes")),
+    ):
         if given is not None:
             readings = readings_of(kind, given)
             sensors[kind] = readings.shape[1]
@@ -93,15 +135,20 @@ def session_of_arrays(
                 f"{name}: expected {len(data[first])} samples, as many as {first} has, found {len(data[name])}"
             )
     data |= {name: celsius_of(data[name]) for name in dict.fromkeys(warm)}
-    if clock_ppm_u is not None:
+    if (clock_ppm_u := arrays.get("clock_ppm_u")) is not None:
         log["clock_ppm_u"] = _number("clock_ppm_u", clock_ppm_u)
-    stated = {"height_m": height, "gravity": gravity, "gravity_u": gravity_u}
+    stated = {"height_m": arrays.get("height"), "gravity": arrays.get("gravity"), "gravity_u": arrays.get("gravity_u")}
     site = {key: _number(key.removesuffix("_m"), value) for key, value in stated.items() if value is not None}
     if latitude is not None:
         if not abs(_number("latitude", latitude)) <= np.pi / 2:
             raise InputError(f"latitude: expected radians from -π/2 to π/2, found {latitude:g}; use np.radians(…)")
         site["latitude_deg"] = _number("latitude", latitude) / DEGREE
-    description: dict[str, Any] = {"format": 1, "device": {"serial": serial}, "site": site, "log": log}
+    description: dict[str, Any] = {
+        "format": 1,
+        "device": {"serial": arrays.get("serial", "unknown")},
+        "site": site,
+        "log": log,
+    }
     if isinstance(programme, str):
         description["programme"] = {"name": programme}
     elif programme is not None:

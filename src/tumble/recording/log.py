@@ -154,7 +154,7 @@ def open_log(session: Session) -> Log:
     ...     "log": {"rate_hz": 100.0, "accel": {"columns": ["ax", "ay", "az"], "unit": "g"}},
     ... }
     >>> still = {"ax": np.zeros(300), "ay": np.zeros(300), "az": np.ones(300)}
-    >>> log = tumble.open_log(tumble.session_of(description, still))
+    >>> log = open_log(tumble.session_of(description, still))
     >>> [chunk.accel.shape for chunk in log.chunks(rows=200)]
     [(200, 3), (100, 3)]
 

@@ -63,7 +63,8 @@ def session_of(description: Mapping[str, Any], data: Data | None = None) -> Sess
     >>> accel = {"columns": ["ax", "ay", "az"], "unit": "count", "scale": 1000.0, "scale_per": "g"}
     >>> description = {"format": 1, "device": {"serial": "A-0007"}, "log": {"rate_hz": 100.0, "accel": accel}}
     >>> counts = {"ax": np.zeros(300), "ay": np.zeros(300), "az": np.full(300, 1000.0)}
-    >>> chunk = next(tumble.open_log(tumble.session_of(description, counts)).chunks())
+    >>> from tumble.recording.log import open_log
+    >>> chunk = next(open_log(tumble.session_of(description, counts)).chunks())
     >>> chunk.accel[0].tolist()
     [0.0, 0.0, 9.80665]
     """
@@ -116,8 +117,9 @@ def write_session(folder: FilePath, content: Mapping[str, Any]) -> None:
     Raises SessionError if the content is not a session's; the log need not exist yet.
 
     >>> import numpy as np, tumble
-    >>> session = tumble.session_of_arrays(accel=np.tile([0.0, 0.0, 9.81], (300, 1)), rate=100.0)
-    >>> content = tumble.description_of(session)
+    >>> from tumble.recording.arrays import session_of_arrays
+    >>> session = session_of_arrays(accel=np.tile([0.0, 0.0, 9.81], (300, 1)), rate=100.0)
+    >>> content = description_of(session)
     >>> tumble.write_session("session", content | {"log": {"file": "log.csv", **content["log"]}})
     """
     folder = Path(folder)
@@ -136,8 +138,9 @@ def description_of(session: Session) -> dict[str, Any]:
     paths absolute; without log.file where its samples are in memory.
 
     >>> import numpy as np, tumble
-    >>> session = tumble.session_of_arrays(accel=np.tile([0.0, 0.0, 9.81], (300, 1)), rate=100.0)
-    >>> tumble.description_of(session)["log"]
+    >>> from tumble.recording.arrays import session_of_arrays
+    >>> session = session_of_arrays(accel=np.tile([0.0, 0.0, 9.81], (300, 1)), rate=100.0)
+    >>> description_of(session)["log"]
     {'rate_hz': 100.0, 'accel': {'columns': ['accel_x', 'accel_y', 'accel_z'], 'unit': 'm/s^2'}}
     """
     content = deepcopy(dict(session.description))

@@ -12,8 +12,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from tumble.errors import CalibrationError
-from tumble.inference.estimate import Judgement, Outcome
+from tumble.inference.estimate import Fit, Judgement, Outcome
 from tumble.result.calibration import Calibration
+from tumble.result.evidence import Evidence
 from tumble.result.parts import Launch
 from tumble.sensors.model import SensorKind, SensorModel
 from tumble.sensors.parameters import sensor_kind
@@ -56,7 +57,7 @@ def accepted_accelerometers(calibration: Calibration, wanted_by: str) -> Calibra
     are `wanted_by`."""
     part = accepted_part(calibration)
     if part.accel is None:
-        found = "; ".join(part.absent) or "none of accelerometers"
+        found = "; ".join(part.provenance.absent) or "none of accelerometers"
         raise CalibrationError(
             f"calibration of {part.serial!r}: expected accepted accelerometers, by which {wanted_by}, found {found}"
         )
@@ -67,6 +68,7 @@ def _alone(calibration: Calibration, kind: SensorKind) -> Calibration:
     """The sensors of one kind, with what belongs to no kind."""
     other: SensorKind = "gyro" if kind == "accel" else "accel"
     outcome, prediction = calibration.outcome, calibration.prediction
+    evidence, provenance = calibration.evidence, calibration.provenance
     without: dict[str, Any] = {other: None}
     kept, refused = (outcome.accel, outcome.gyro) if kind == "accel" else (outcome.gyro, outcome.accel)
 
@@ -78,8 +80,10 @@ def _alone(calibration: Calibration, kind: SensorKind) -> Calibration:
         return {
             "parameters": tuple(result.parameters[i] for i in at),
             "covariance": None if result.covariance is None else result.covariance[np.ix_(at, at)],
-            "fits": {name: fit for name, fit in result.fits.items() if name not in _FITS[other]},
         }
+
+    def fits(result: Evidence | Launch) -> dict[str, Fit]:
+        return {name: fit for name, fit in result.fits.items() if name not in _FITS[other]}
 
     return replace(
         calibration,
@@ -89,15 +93,22 @@ def _alone(calibration: Calibration, kind: SensorKind) -> Calibration:
             remarks=kept.remarks,
             unobservable=tuple(name for name in outcome.unobservable if sensor_kind(name) != other),
         ),
-        absent=(f"{WORDS[other]} are absent, they were not accepted: {refused.reasons[0]}",),
-        iterations=tuple(
-            {name: value for name, value in step.items() if sensor_kind(name) != other}
-            for step in calibration.iterations
+        evidence=replace(
+            evidence,
+            fits=fits(evidence),
+            iterations=tuple(
+                {name: value for name, value in step.items() if sensor_kind(name) != other}
+                for step in evidence.iterations
+            ),
+            rests=tuple(replace(rest, **without) for rest in evidence.rests),
+            turns=() if kind == "accel" else evidence.turns,
+            launches=tuple(replace(launch, **estimates(launch), fits=fits(launch)) for launch in evidence.launches),
         ),
-        rests=tuple(replace(rest, **without) for rest in calibration.rests),
-        turns=() if kind == "accel" else calibration.turns,
-        readings=of_kind(calibration.readings),
-        launches=tuple(replace(launch, **estimates(launch)) for launch in calibration.launches),
+        provenance=replace(
+            provenance,
+            readings=of_kind(provenance.readings),
+            absent=(f"{WORDS[other]} are absent, they were not accepted: {refused.reasons[0]}",),
+        ),
         groups=tuple(group for group in calibration.groups if sensor_kind(group.name) != other),
         prediction=None if prediction is None or kind == "gyro" else replace(prediction, rate_u=None),
         device=replace(calibration.device, imu=of_kind(calibration.imu)),

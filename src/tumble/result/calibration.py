@@ -8,49 +8,48 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
+from functools import cache
+from importlib import import_module
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import AfterValidator, ConfigDict, Field
+from pydantic import AfterValidator, Field
 
 from tumble.errors import InputError, MissingExtraError
 from tumble.files import FilePath
-from tumble.inference.estimate import GroupFinding, HyperparameterEstimate, Integral, ProcessBias
+from tumble.inference.estimate import GroupFinding
 from tumble.inference.prediction import Prediction
-from tumble.recording.session import UNKNOWN, AutopilotSensor, Circumstances
+from tumble.recording.session import AutopilotSensor
 from tumble.result.coverage import with_degrees
-from tumble.result.file import content_of, parsed, text_of, text_of_calibration, write_calibration
+from tumble.result.evidence import Evidence, Provenance
+from tumble.result.file import (
+    KEYS,
+    adapter_of,
+    content_of,
+    file_record,
+    parsed,
+    text_of,
+    text_of_calibration,
+    write_calibration,
+)
 from tumble.result.parts import (
-    LEAST,
-    MOST_LAUNCHES,
     MOST_PARAMETERS,
     CalibratedDevice,
     CalibratedTemperature,
     Covariance,
-    Fits,
-    Increments,
     Judged,
     Launch,
-    Member,
     Name,
     Parameter,
     Parameters,
-    Place,
-    Positive,
-    Readings,
-    Rests,
     Sensors,
-    Size,
-    SourceContributions,
-    Turns,
     checked_result,
     checked_sizes,
 )
-from tumble.result.shown import views
 from tumble.result.uncertainty_budget import BudgetLine, uncertainty_budget
 from tumble.sensors.compensation import Compensator
 from tumble.sensors.model import SensorKind
@@ -70,84 +69,64 @@ def _of_unit_length(axis: tuple[float, ...]) -> tuple[float, ...]:
     return axis
 
 
-def _check_scales(readings: Readings) -> Readings:
-    seen = all(abs(scale) >= LEAST for scale in readings.scale)
-    if not len(readings.columns) == len(readings.scale) == len(readings.offset) or not seen:
-        raise ValueError("expected a scale, not zero, and an offset for every column, found others")
-    if len(readings.row_u) not in (0, len(readings.columns)):
-        raise ValueError("expected row_u for every column or none, found others")
-    return readings
-
-
 _Direction = Annotated[tuple[float, ...], Field(min_length=3, max_length=3), AfterValidator(_of_unit_length)]
 SensingAxes = tuple[_Direction, ...]
 """Sensing directions, a row a sensor."""
-_OfParameters, _OfSessions = Field(max_length=MOST_PARAMETERS), Field(max_length=MOST_LAUNCHES)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
 class Calibration(Mapping[str, Parameter]):
-    """The result for one device, a mapping of the names of its parameters to them, and the description of its file.
-    Two are equal whose files are."""
+    """Calibration of one device: a mapping from the names of its parameters to the parameters.
 
-    __pydantic_config__ = ConfigDict(extra="ignore", strict=True, allow_inf_nan=False)
+    Two calibrations are equal if their files are.
 
-    format: Literal[1] = 1
-    """That of the file."""
+    Attributes
+    ----------
+    device : CalibratedDevice
+        Serial number and type.
+    method, frame : str
+        Method of estimation, and frame that the parameters are given in.
+    parameters : tuple of Parameter
+        Values with standard uncertainties, SI.
+    covariance : ndarray, shape (m, m), or None
+        In the order of the parameters.
+    accel, gyro, mag : SensorModel or None
+        Matrix and bias by kind of sensor; None if there are no such sensors or one of their parameters is
+        unobservable. The magnetometer is in its own frame, fixed like that of the accelerometers, and in the unit of
+        `mag.bias.x`.
+    outcome : Outcome
+        Whether the values may be used, and why not.
+    groups : tuple of GroupFinding
+        What the session determines of each group of parameters beyond the linear model.
+    prediction : Prediction or None
+        Standard uncertainties of corrected readings.
+    axes : mapping of str to tuple
+        Nominal sensing directions (n, 3) of "accel" and "gyro".
+    temperature : CalibratedTemperature
+        Reference temperatures and thermometers.
+    evidence : Evidence
+        Rests, turns, fits, budget and launches behind the parameters.
+    provenance : Provenance
+        Recording and software that it comes from.
+    """
+
     device: CalibratedDevice
     method: Name
     frame: Name
     parameters: Parameters
     covariance: Covariance | None
-    """In the order of the parameters."""
-    site: Place | None = None
-    rests: Rests = ()
-    turns: Turns = ()
-    fits: Fits = field(default_factory=dict)
-    """Chi-square, degrees of freedom and estimated scatter, by what they judge."""
     accel: Sensors | None
-    """None where a parameter that they need is unobservable, as the gyros."""
     gyro: Sensors | None
     mag: Sensors | None = None
-    """The magnetometer, in its own frame, fixed as that of the accelerometers, and in the unit of `mag.bias.x`."""
     outcome: Judged
-    groups: Annotated[tuple[Annotated[GroupFinding, checked_sizes("prior", "prior_widened")], ...], _OfParameters] = ()
-    """What the session says of the groups of parameters beyond the linear model."""
-    hyperparameters: Annotated[
-        tuple[Annotated[HyperparameterEstimate, checked_sizes("value", "low", "high", "usual")], ...], _OfParameters
+    groups: Annotated[
+        tuple[Annotated[GroupFinding, checked_sizes("prior", "prior_widened")], ...], Field(max_length=MOST_PARAMETERS)
     ] = ()
-    """What the model did not know about itself: scatter, in-run biases, sizes of groups."""
-    integral: Integral | None = None
-    """How the posterior was integrated over them."""
-    process_bias: Annotated[tuple[Annotated[ProcessBias, checked_sizes("u", "next_u")], ...], _OfParameters] = ()
-    """The biases as the means of their processes, what the next minute's are about; the parameters are those of the
-    session. In the frame of the accelerometers alone."""
-    budget: Annotated[tuple[Annotated[SourceContributions, checked_sizes("u")], ...], _OfParameters] = ()
-    """What the u of every parameter is made of, by source; empty in a frame it was not made in."""
     prediction: Annotated[Prediction, checked_sizes("force_u", "rate_u")] | None = None
-    """What corrected readings are known to."""
     axes: Mapping[str, SensingAxes] = field(default_factory=dict)
-    """Nominal sensing directions (n, 3) of "accel" and "gyro"."""
     temperature: CalibratedTemperature = field(default_factory=CalibratedTemperature)
-    iterations: tuple[Increments, ...] = ()
-    """What each has added to the parameters."""
-    sample_rate: Positive | None = None
-    """Samples a second of the recording."""
-    clock_u: Size = 0.0
-    """Relative standard uncertainty of the time base as it is in the scale factors of the gyros."""
-    circumstances: Annotated[Circumstances, Field(alias="session")] = UNKNOWN
-    """When, by whom, with what and in what air it was recorded."""
-    programme: str | None = None
-    """Its name."""
-    readings: Mapping[str, Annotated[Readings, AfterValidator(_check_scales)]] = field(default_factory=dict)
-    """What the readings of "accel" and "gyro" are."""
-    notes: tuple[str, ...] = ()
-    absent: tuple[str, ...] = ()
-    """In sentences, the sensors of the device that are not in this calibration, and why."""
-    launches: Annotated[tuple[Annotated[Launch, AfterValidator(checked_result)], ...], _OfSessions] = ()
-    together: Annotated[tuple[Member, ...], _OfSessions] = ()
-    """The sessions, where several are in one estimate."""
-    provenance: Mapping[str, str] = field(default_factory=dict)
+    evidence: Evidence = field(default_factory=Evidence)
+    provenance: Provenance = field(default_factory=Provenance)
 
     @property
     def serial(self) -> str:
@@ -181,12 +160,26 @@ class Calibration(Mapping[str, Parameter]):
     def temperature_range(self) -> tuple[float, float] | None:
         """The lowest and the highest temperature, °C, that the rests of all launches have of every sensor; None where
         they have none."""
-        every = chain(self.rests, *(launch.rests for launch in self.launches))
+        every = chain(self.evidence.rests, *(launch.rests for launch in self.evidence.launches))
         by_sensor = list(zip(*(rest.temperatures for rest in every if rest.temperature is not None), strict=False))
         if not by_sensor:
             return self.temperature.range
         low, high = max(map(min, by_sensor)), min(map(max, by_sensor))
         return (low, high) if low <= high else None
+
+    def as_launch(self, session: str) -> Launch:
+        """This calibration of one session as one of the launches behind a mean, with the name of the session."""
+        return Launch(
+            session=session,
+            log_sha256=self.provenance.log_sha256 or "",
+            parameters=self.parameters,
+            covariance=self.covariance,
+            site=self.provenance.site,
+            circumstances=self.provenance.circumstances,
+            rests=self.evidence.rests,
+            turns=self.evidence.turns,
+            fits=self.evidence.fits,
+        )
 
     def covariance_of(self, names: Sequence[str]) -> Array | None:
         """The covariance (m, m) of the parameters of these names; None where there is none."""
@@ -225,13 +218,14 @@ class Calibration(Mapping[str, Parameter]):
         return self.content() == other.content() if isinstance(other, Calibration) else NotImplemented
 
     def __hash__(self) -> int:
-        """Of the device, the method and where it is from."""
-        return hash((self.serial, self.method, self.frame, *sorted(self.provenance.items())))
+        """Hash of the device, the method, the frame and the log."""
+        return hash((self.serial, self.method, self.frame, self.provenance.log_sha256, self.provenance.created))
 
     @property
     def headline(self) -> str:
         """The device, the method, how many parameters, and whether it was accepted, in a line."""
-        several = f" of {len(self.launches)} launches" if self.launches else ""
+        launches = self.evidence.launches
+        several = f" of {len(launches)} launches" if launches else ""
         count, verdict = len(self.parameters), self.outcome.verdict
         return f"Calibration of {self.serial}: {self.method}{several}, {count} parameters, {verdict}"
 
@@ -241,23 +235,29 @@ class Calibration(Mapping[str, Parameter]):
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the headline, the reasons and the table of parameters."""
-        return views().as_html(self)
+        return str(_views().as_html(self))
 
     def uncertainty_budget(self, name: str) -> tuple[BudgetLine, ...]:
-        """What the u of a parameter is made of, the largest first: source, type A or B, its standard uncertainty, the
-        sensitivity, contribution and share of u². Raises KeyError for a name that is none, and CalibrationError
-        where there is no budget."""
+        """Contributions to the u of a parameter by source, the largest first.
+
+        Raises
+        ------
+        KeyError
+            If there is no such parameter.
+        CalibrationError
+            If the calibration has no budget.
+        """
         return uncertainty_budget(self, name)
 
     def table(self) -> str:
-        """The parameters in the field's units, with standard and expanded uncertainty (k = 2), as plain text; where
-        there are such, with coverage factor, degrees of freedom, prior and learned fraction."""
-        return views().as_text(self)
+        """Table of the parameters as plain text: values in the field's units with standard and expanded uncertainty,
+        and, if they have any, coverage factor, degrees of freedom, prior and learned fraction."""
+        return str(_views().as_text(self))
 
     def plot(self, axes: Axes) -> None:
         """Draw the residual of every rest, |corrected reading| − g, on matplotlib axes, and the scatter between rests
         as a band; without rests the parameters in units of their uncertainty, hollow where a prior gives it."""
-        views().draw(self, axes)
+        _views().draw(self, axes)
 
     def to_polars(self) -> pl.DataFrame:
         """The parameters as a polars frame, a row each, in SI: name, value, u, unit, deviation, run_to_run, and
@@ -288,39 +288,77 @@ class Calibration(Mapping[str, Parameter]):
         dt: npt.ArrayLike | None = None,
         temperature: Temperatures | None = None,
     ) -> tuple[Array, Array | None]:
-        """Specific force and angular rate (..., 3), m/s² and rad/s in the calibration's frame, by the whole model from
-        readings (..., n) in SI after nominal scale and offset, arrays or frames, of more than three sensors by least
-        squares. With the intervals `dt` (...), s, of the samples both are increments, m/s and rad. Without gyro
-        readings the rate is None; without accelerometers in the calibration the specific force is not a number, and
-        what the gyros feel of it is as their readings have it. The `temperature` (...), K, of the sensors counts where
-        parameters change with it (in a stream it follows the thermometer with temperature.lag), of accelerometers and
-        gyros with thermometers of their own a mapping of "accel" and "gyro", (...) or (..., n); without it they are
-        those of the reference temperature. Lever arms and delays, which need the motion, are not applied: see
-        `apply_to_session`.
+        """Correct readings by the whole model.
 
-        Raises CalibrationError where none of these sensors were accepted (what is there all the same corrects by the
-        `compensator`), and InputError for another number of sensors than the calibration has, numbers that are not
-        finite, intervals that are not positive, columns of a frame whose names say another unit, and temperatures that
-        are not in kelvin."""
+        Lever arms and delays, which need the motion, are not applied: see `apply_to_session`.
+
+        Parameters
+        ----------
+        accel, gyro : array_like, shape (..., n)
+            Readings in SI after nominal scale and offset, as arrays or frames; by least squares if n > 3.
+        dt : array_like, shape (...), optional
+            Intervals of the samples, s, if the readings are increments, m/s and rad.
+        temperature : array_like, shape (...), or mapping of str to array_like, optional
+            Temperature of the sensors, K, by default the reference temperature. In a stream it follows the thermometer
+            with the lag `temperature.lag`. If the sensors have several thermometers, a mapping of "accel" and "gyro" to
+            arrays (...) or (..., n).
+
+        Returns
+        -------
+        force : ndarray, shape (..., 3)
+            Specific force in the frame of the calibration, m/s², or its increments. If the calibration has no
+            accelerometers it is NaN, and their readings as they are serve for what gyros feel of it.
+        rate : ndarray, shape (..., 3), or None
+            Angular rate, rad/s, or its increments; None without readings of gyros.
+
+        Raises
+        ------
+        CalibrationError
+            If neither accelerometers nor gyros were accepted; `compensator` corrects all the same.
+        InputError
+            For another number of sensors, numbers that are not finite, intervals that are not positive, columns of a
+            frame in another unit, and temperatures that are not in kelvin.
+        """
         from tumble.result.correction import corrected_readings
 
         return corrected_readings(self, accel, gyro, dt=dt, temperature=temperature)
 
     def in_frame(self, frame: str) -> Calibration:
-        """This calibration of triads in the frame `accelerometer`, `paper` or `symmetric`, with covariance, iterations
-        and launches; g-sensitivity and lever arms turn with the frame; deviations from a systematic calibration are
-        left out. A magnetometer keeps its own frame.
+        """Convert the calibration of a triad to another frame.
 
-        Raises CalibrationError for the case, which only the session gives, where a parameter of accelerometers or
-        gyros is missing, and for more than three of them."""
+        Covariance, iterations and launches are converted too; g-sensitivity and lever arms turn with the frame, a
+        magnetometer keeps its own, and deviations from a systematic calibration are left out.
+
+        Parameters
+        ----------
+        frame : {"accelerometer", "paper", "symmetric"}
+            The frame. The frame `case` needs the session: see `calibrate`.
+
+        Raises
+        ------
+        CalibrationError
+            If a parameter of accelerometers or gyros is missing, or if there are more than three of them.
+        """
         from tumble.result.frames import calibration_in
 
         return calibration_in(self, frame)
 
     def write(self, path: FilePath, *, force: bool = False) -> None:
-        """Write the calibration file, whole or not at all. An existing calibration file is replaced only if it came
-        from the same log by the same method, if neither its accelerometers nor its gyros were accepted, or with
-        `force`; a file that is none is not replaced."""
+        """Write the calibration file, whole or not at all.
+
+        Parameters
+        ----------
+        path
+            The file. An existing calibration file is replaced if it came from the same log by the same method, or if
+            neither its accelerometers nor its gyros were accepted; any other kind of file is not.
+        force
+            Replace any calibration file.
+
+        Raises
+        ------
+        CalibrationError
+            If the file cannot be written or must not be replaced.
+        """
         write_calibration(self, path, force=force)
 
     def text(self) -> str:
@@ -336,8 +374,15 @@ _COLUMNS = ("name", "value", "u", "unit", "deviation", "run_to_run", "k", "dof",
 
 
 def read_calibration(path: FilePath) -> Calibration:
-    """A calibration file as written by `Calibration.write`. Raises CalibrationError for a file that is none.
+    """Read a calibration file, as `Calibration.write` writes it.
 
+    Raises
+    ------
+    CalibrationError
+        If the file is not a calibration file.
+
+    Examples
+    --------
     >>> import tumble
     >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
     >>> tumble.calibrate(folder).write("calibration.json")
@@ -364,8 +409,13 @@ def text_and_name(given: Calibration | FilePath) -> tuple[str, str]:
     return text_of(Path(given)), str(given)
 
 
-def _check_sensors(calibration: Calibration) -> None:
-    """Raises ValueError where parts of a calibration, named by their keys, are of another number of sensors."""
+def _views() -> Any:
+    """What shows calibrations: a folder above this one, loaded when something is first shown."""
+    return import_module("tumble.views.calibration")
+
+
+def _check_sensors(calibration: Any) -> None:
+    """Raises ValueError if parts of the record of a file, named by their keys, have different numbers of sensors."""
     launches = [(f"launches[{number}].rests", launch.rests) for number, launch in enumerate(calibration.launches, 1)]
     kinds: tuple[SensorKind, ...] = ("accel", "gyro")
     for kind in kinds:
@@ -389,9 +439,34 @@ def _check_sensors(calibration: Calibration) -> None:
 
 def calibration_of(text: str, name: str) -> Calibration:
     """The calibration of the text of a file; in messages the file is called `name`."""
-    read = parsed(Calibration, text, name, lambda made: _check_sensors(checked_result(made)))
-    return replace(
-        read,
-        parameters=with_degrees(read.parameters, read.fits),
-        launches=tuple(replace(x, parameters=with_degrees(x.parameters, x.fits)) for x in read.launches),
+    return parsed(_file_record(), text, name, _calibration_of_record)
+
+
+@cache
+def _file_record() -> type:
+    """The flat record of a calibration file."""
+    return file_record(Calibration, Evidence, Provenance)
+
+
+def json_schema() -> dict[str, Any]:
+    """The JSON Schema of a calibration file."""
+    return adapter_of(_file_record()).json_schema()
+
+
+def _calibration_of_record(read: Any) -> Calibration:
+    """The calibration of the record of a file. Raises ValueError if its parts contradict each other."""
+    _check_sensors(checked_result(read))
+    flat = {key: getattr(read, key) for key in KEYS}
+    flat["parameters"] = with_degrees(read.parameters, read.fits)
+    flat["launches"] = tuple(replace(x, parameters=with_degrees(x.parameters, x.fits)) for x in read.launches)
+
+    def part(record: type, values: Mapping[str, Any]) -> dict[str, Any]:
+        return {f.name: values[f.name] for f in fields(record) if f.name in values}
+
+    return Calibration(
+        **part(Calibration, flat)
+        | {
+            "evidence": Evidence(**part(Evidence, flat)),
+            "provenance": Provenance(**part(Provenance, read.provenance | flat)),
+        }
     )

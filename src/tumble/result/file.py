@@ -1,9 +1,9 @@
-"""The calibration file: how the records of `Calibration` are read, checked and written.
+"""The calibration file: how a `Calibration` is written, and how its file is read and checked.
 
 JSON; parameters in SI and radians with standard uncertainties and covariance, the matrices and biases that apply them,
-the outcome with its reasons, and where it all came from. The dataclass `Calibration` is its description: the keys are
-its fields, the checks stand in their types, and keys that are not known are ignored; `json_schema` gives it for other
-programs. A message names the key: "found 'much' in place of a number at parameters[3].value".
+the outcome with its reasons, and where it all came from. The keys are the fields of `Calibration`, `Evidence` and
+`Provenance`, side by side; the checks are in the types of these fields, and unknown keys are ignored. A message names
+the key: "found 'much' in place of a number at parameters[3].value".
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, field, fields, make_dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, get_type_hints
 
 import numpy as np
-from pydantic import TypeAdapter, ValidationError
+from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from tumble.documents import as_json, dotted, faults_of, is_plain, json_of, shown, text_of_document
 from tumble.errors import CalibrationError, InputError
@@ -32,16 +32,40 @@ if TYPE_CHECKING:
 
 FORMAT = 1
 LONGEST_TEXT = 10_000
+KEYS = (
+    *("format", "device", "method", "frame", "parameters", "covariance", "site", "rests", "turns", "fits"),
+    *("accel", "gyro", "mag", "outcome", "groups", "hyperparameters", "integral", "process_bias", "budget"),
+    *("prediction", "axes", "temperature", "iterations", "sample_rate", "clock_u", "circumstances", "programme"),
+    *("readings", "notes", "absent", "launches", "together", "provenance"),
+)
+"""Keys of the file in their order; `circumstances` is written as "session"."""
+ORIGIN = ("log_sha256", "software", "created", "prior", "calibrated_log_sha256")
+"""Fields of `Provenance` that the file has in its table "provenance"."""
+
+
+def file_record(*parts: type) -> type:
+    """A dataclass whose fields are the keys of the file, from the fields of `Calibration` and of its parts."""
+    described: dict[str, tuple[Any, Any]] = {
+        "format": (Literal[1], field(default=FORMAT)),
+        "provenance": (Mapping[str, str], field(default_factory=dict)),
+    }
+    for part in parts:
+        hints = get_type_hints(part, include_extras=True)
+        for each in fields(part):
+            default = field(default=each.default, default_factory=each.default_factory)
+            described.setdefault(each.name, (hints[each.name], default))
+    return make_dataclass(
+        "Calibration",
+        [(key, *described[key]) for key in KEYS],
+        kw_only=True,
+        namespace={"__pydantic_config__": ConfigDict(extra="ignore", strict=True, allow_inf_nan=False)},
+    )
 
 
 @cache
-def _adapter(record: type[Calibration]) -> TypeAdapter[Calibration]:
+def adapter_of(record: type) -> TypeAdapter[Any]:
+    """What reads a `file_record` and describes it."""
     return TypeAdapter(record)
-
-
-def json_schema(record: type[Calibration]) -> dict[str, Any]:
-    """The JSON Schema of the file of `Calibration`."""
-    return _adapter(record).json_schema()
 
 
 # -------------------- writing --------------------
@@ -50,13 +74,16 @@ def json_schema(record: type[Calibration]) -> dict[str, Any]:
 def content_of(calibration: Calibration) -> dict[str, Any]:
     """What the calibration file holds, as JSON has it: beside the fields the range of temperatures that the rests have,
     the lag behind the thermometer, and with each sensor model its unit and the values of the groups beyond it."""
+    values: dict[str, Any] = {"format": FORMAT}
+    for part in (calibration, calibration.evidence, calibration.provenance):
+        values |= {each.name: getattr(part, each.name) for each in fields(part)}
+    values["provenance"] = {key: values[key] for key in ORIGIN if values[key] is not None}
     content: dict[str, Any] = {
-        "session" if name == "circumstances" else name: as_json(getattr(calibration, name), _AS_TABLES)
-        for name in calibration.__dataclass_fields__
+        "session" if key == "circumstances" else key: as_json(values[key], _AS_TABLES) for key in KEYS
     }
     content["iterations"] = [
         {"parameters": [{"name": name, "increment": value} for name, value in step.items()]}
-        for step in calibration.iterations
+        for step in calibration.evidence.iterations
     ]
     content["device"]["imu"] = sensors_content(calibration.imu)
     range_of_rests = calibration.temperature_range
@@ -130,7 +157,7 @@ def write_calibration(calibration: Calibration, path: FilePath, *, force: bool =
 def _check_replaceable(new: Calibration, path: Path, force: bool) -> None:
     try:
         old = json_of(text_of_document(path))
-        same = old["method"] == new.method and old["provenance"]["log_sha256"] == new.provenance["log_sha256"]
+        same = old["method"] == new.method and old["provenance"]["log_sha256"] == new.provenance.log_sha256
         of_use = any(not old["outcome"][kind]["reasons"] and old[kind] is not None for kind in ("accel", "gyro"))
     except (ValueError, KeyError, TypeError, InputError) as error:
         raise CalibrationError(
@@ -151,9 +178,26 @@ def text_of(path: Path) -> str:
     return text_of_document(path, CalibrationError)
 
 
-def parsed(record: type[Calibration], text: str, name: str, check: Callable[[Calibration], None]) -> Calibration:
-    """The record of the text of a file, which messages call `name`, and of which the `check` raises no ValueError.
-    Raises CalibrationError with the first fault."""
+def parsed(record: type, text: str, name: str, build: Callable[[Any], Calibration]) -> Calibration:
+    """Read a calibration.
+
+    Parameters
+    ----------
+    record
+        The `file_record` that describes the file.
+    text
+        Text of the file.
+    name
+        How messages call the file.
+    build
+        Function that makes the calibration of a record, and raises ValueError if the parts of the record contradict
+        each other.
+
+    Raises
+    ------
+    CalibrationError
+        With the first fault.
+    """
     try:
         content = json_of(text)
     except ValueError as error:
@@ -167,8 +211,7 @@ def parsed(record: type[Calibration], text: str, name: str, check: Callable[[Cal
             if isinstance(value, float) and abs(value) > LARGEST:
                 size = f"expected a number of at most {LARGEST:g} in size, found {value:g}"
                 raise ValueError(f"{dotted(key)[:80]}: {size}")
-        result = _adapter(record).validate_json(text)
-        check(result)
+        result = build(adapter_of(record).validate_json(text))
         for key, value in _values(content):
             plain_wanted = key[:1] not in (("notes",), ("absent",))  # but for notes, of characters that do nothing
             if isinstance(value, str) and (len(value) > LONGEST_TEXT or (plain_wanted and not is_plain(value))):

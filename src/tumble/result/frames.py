@@ -88,6 +88,7 @@ def calibration_in(calibration: Calibration, frame: str) -> Calibration:
     """A calibration in another frame, see `Calibration.in_frame`."""
     if frame == calibration.frame:
         return calibration
+    evidence = calibration.evidence
     missing = tuple(name for name in calibration.outcome.unobservable if sensor_kind(name) != "mag")
     missing = missing or (() if calibration.accel is not None else ("those of accelerometers",))
     if missing or calibration.accel is None:
@@ -100,7 +101,7 @@ def calibration_in(calibration: Calibration, frame: str) -> Calibration:
         frames = frame_of(calibration.frame), frame_of(frame)
         accel = Block(kind="accel", axes=triad_axes(calibration.accel.matrix))
         gyro = None if calibration.gyro is None else Block(kind="gyro", axes=triad_axes(calibration.gyro.matrix))
-        mean, launches = in_frame(calibration), [in_frame(launch) for launch in calibration.launches]
+        mean, launches = in_frame(calibration), [in_frame(launch) for launch in evidence.launches]
     except InputError as error:
         raise CalibrationError(str(error)) from error
     return replace(
@@ -110,12 +111,15 @@ def calibration_in(calibration: Calibration, frame: str) -> Calibration:
         covariance=mean.covariance,
         accel=mean.framed.accel,
         gyro=mean.framed.gyro,
-        process_bias=(),
-        budget=(),
-        iterations=tuple(_increments_in(mean, list(calibration), step) for step in calibration.iterations),
-        launches=tuple(
-            replace(launch, parameters=each.parameters, covariance=each.covariance)
-            for launch, each in zip(calibration.launches, launches, strict=True)
+        evidence=replace(
+            evidence,
+            process_bias=(),
+            budget=(),
+            iterations=tuple(_increments_in(mean, list(calibration), step) for step in evidence.iterations),
+            launches=tuple(
+                replace(launch, parameters=each.parameters, covariance=each.covariance)
+                for launch, each in zip(evidence.launches, launches, strict=True)
+            ),
         ),
     )
 

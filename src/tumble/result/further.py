@@ -16,6 +16,7 @@ from tumble.inference.estimate import Fit
 from tumble.inference.prediction import Prediction, directions
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import without_expanded
+from tumble.result.evidence import Evidence
 from tumble.result.parts import Launch, Parameter
 from tumble.sensors.parameters import beyond_linear, group_name, named_group, sensor_kind, shown_in
 from tumble.units import G_STANDARD, Array, engineering, two_digits
@@ -173,12 +174,16 @@ def accepted_groups(calibration: Calibration) -> tuple[str, ...]:
 def recorded_on(calibration: Calibration) -> list[str]:
     """When the recordings behind a calibration were made, ISO 8601, each once and in their order; what is not known is
     left out."""
-    sessions = [launch.circumstances.date for launch in calibration.launches]
-    every = [*sessions, *(member.date for member in calibration.together), calibration.circumstances.date]
+    sessions = [launch.circumstances.date for launch in calibration.evidence.launches]
+    every = [
+        *sessions,
+        *(member.date for member in calibration.evidence.together),
+        calibration.provenance.circumstances.date,
+    ]
     return sorted({moment for moment in every if moment is not None})
 
 
-def rests_said(recorded: Calibration | Launch) -> str:
+def rests_said(recorded: Evidence | Launch) -> str:
     """How far the corrected readings at rest are from g, and turns from the fit."""
     rests, turns = recorded.rests, recorded.turns
     rms = sqrt(sum(rest.residual**2 for rest in rests) / len(rests))
@@ -245,10 +250,10 @@ def remarks(calibration: Calibration) -> tuple[str, ...]:
         return sqrt(max(fit.chi_square / least - 1.0, 0.0))
 
     found = list(without_expanded(calibration.parameters))
-    if calibration.launches:
+    if calibration.evidence.launches:
         return tuple(found)
     for kind, sensors in KINDS.items():
-        groups = [fit for name, fit in calibration.fits.items() if name.startswith(kind) and fit.degrees > 0.0]
+        groups = [fit for name, fit in calibration.evidence.fits.items() if name.startswith(kind) and fit.degrees > 0.0]
         hidden = max(((unseen(fit), fit.degrees) for fit in groups if fit.scatter == 0.0), default=(0.0, 0.0))
         if hidden[0] > 1.0:
             found.append(

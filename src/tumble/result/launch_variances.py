@@ -50,13 +50,13 @@ class LaunchVariances:
 
 def launch_variances(calibration: Calibration) -> LaunchVariances | None:
     """The variances from launch to launch of a calibration; None unless it has several launches."""
-    count = len(calibration.launches)
+    count = len(calibration.evidence.launches)
     if count < 2:
         return None
-    own = [{p.name: (p.u or 0.0) ** 2 for p in launch.parameters} for launch in calibration.launches]
+    own = [{p.name: (p.u or 0.0) ** 2 for p in launch.parameters} for launch in calibration.evidence.launches]
     return LaunchVariances(
         serial=calibration.serial,
-        logs=frozenset(launch.log_sha256 for launch in calibration.launches),
+        logs=frozenset(launch.log_sha256 for launch in calibration.evidence.launches),
         degrees=count - 1,
         variances={
             p.name: (p.run_to_run**2, sum(each[p.name] for each in own) / count)

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from itertools import pairwise
 from math import erfc, inf, isfinite, sqrt
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import Annotated, Any
 
 import numpy as np
 import scipy
@@ -34,9 +34,6 @@ from tumble.recording.session.table import name_of
 from tumble.sensors.model import SensorModel
 from tumble.sensors.parameters import is_parameter
 from tumble.units import Array
-
-if TYPE_CHECKING:
-    from tumble.result.calibration import Calibration
 
 MOST_PARAMETERS, MOST_RESTS, MOST_LAUNCHES = 1000, 100_000, 1000
 LARGEST, LEAST = 1e60, 1e-60
@@ -345,10 +342,7 @@ class CalibratedTemperature:
     """The reference of each sensor of "accel" and "gyro", by its own thermometer."""
 
 
-_R = TypeVar("_R", bound="Calibration | Launch")
-
-
-def checked_result(result: _R) -> _R:
+def checked_result(result: Launch) -> Launch:
     """The result. Raises ValueError, with the key, for a covariance that no parameters have, or turns between no
     rests."""
     for name, count in Counter(parameter.name for parameter in result.parameters).items():

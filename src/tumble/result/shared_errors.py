@@ -32,10 +32,12 @@ def shared_errors(first: Calibration, second: Calibration) -> dict[str, tuple[Ar
     """For every source whose errors both share, what one standard uncertainty of each error changes in all parameters
     of the first (m₁, k) and of the second (m₂, k)."""
     found = {}
-    if shared_gravity(first.site, second.site):
-        ours, theirs = (by_gravity(each.parameters, each.covariance, each.site)[:, None] for each in (first, second))
+    if shared_gravity(first.provenance.site, second.provenance.site):
+        ours, theirs = (
+            by_gravity(each.parameters, each.covariance, each.provenance.site)[:, None] for each in (first, second)
+        )
         found[GRAVITY] = (ours, theirs)
-    if first.serial == second.serial and shared_time_base(first.clock_u, second.clock_u):
+    if first.serial == second.serial and shared_time_base(first.provenance.clock_u, second.provenance.clock_u):
         found[TIME_BASE] = (of_time_base(first)[:, None], of_time_base(second)[:, None])
     if first.serial == second.serial:
         by_ours, by_theirs = (by_priors(each.parameters, each.covariance) for each in (first, second))
@@ -67,5 +69,5 @@ def shared_time_base(first: float, second: float) -> bool:
 def of_time_base(calibration: Calibration) -> Array:
     """What one standard uncertainty of the time base changes in the parameters (m,) of a calibration."""
     increments = dict.fromkeys(("accel", "gyro"), False)
-    increments |= {kind: readings.increments for kind, readings in calibration.readings.items()}
-    return by_time_base([p.name for p in calibration.parameters], clocked(calibration.clock_u, increments))
+    increments |= {kind: readings.increments for kind, readings in calibration.provenance.readings.items()}
+    return by_time_base([p.name for p in calibration.parameters], clocked(calibration.provenance.clock_u, increments))

@@ -42,7 +42,7 @@ class Range:
 
 def warm_rests(calibration: Calibration) -> list[RestResult]:
     """The rests of all launches that have a temperature."""
-    rests = chain(calibration.rests, *(launch.rests for launch in calibration.launches))
+    rests = chain(calibration.evidence.rests, *(launch.rests for launch in calibration.evidence.launches))
     return [rest for rest in rests if rest.temperature is not None]
 
 

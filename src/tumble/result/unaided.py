@@ -66,11 +66,11 @@ def unaided(calibration: Calibration, seconds: float = SECONDS) -> tuple[Unaided
     tuple of Unaided, or None
         None if the calibration has no gyros, no uncertainties, or more than three sensors of a kind.
     """
-    accel, gyro, site = calibration.accel, calibration.gyro, calibration.site
+    accel, gyro, site = calibration.accel, calibration.gyro, calibration.provenance.site
     if accel is None or gyro is None or len(accel.bias) != 3 or len(gyro.bias) != 3:
         return None
     gravity = G_STANDARD if site is None else site.gravity
-    next_u = {bias.name: bias.next_u for bias in calibration.process_bias}
+    next_u = {bias.name: bias.next_u for bias in calibration.evidence.process_bias}
     before, after = dict[str, float](), dict[str, float]()
     for p in calibration.parameters:
         if beyond_linear(p.name):

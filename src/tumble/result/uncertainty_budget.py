@@ -82,7 +82,7 @@ def uncertainty_budget(calibration: Calibration, name: str) -> tuple[BudgetLine,
     """The budget of a parameter, the largest contribution first. Raises KeyError for a name that is none, and
     CalibrationError where the calibration has no budget."""
     parameter = calibration[name]
-    if not calibration.budget:
+    if not calibration.evidence.budget:
         raise CalibrationError(
             f"calibration of {calibration.serial}: expected one with its budget, found one that was turned into the "
             f"frame {calibration.frame!r}, or made by hand; calibrate again with this --frame"
@@ -94,7 +94,7 @@ def uncertainty_budget(calibration: Calibration, name: str) -> tuple[BudgetLine,
             share=(each.contributions[name] / (parameter.u or np.inf)) ** 2,
             sensitivity=each.contributions[name] / each.u if each.u else None,
         )
-        for each in calibration.budget
+        for each in calibration.evidence.budget
         if name in each.contributions
     ]
     return tuple(sorted(lines, key=lambda line: -line.contribution))
@@ -121,7 +121,8 @@ def what_would_help(calibration: Calibration) -> str:
     whole, gains = variances.sum(axis=0), list[tuple[float, str]]()
     for remedy, names in _REMEDIES.items():
         own = [
-            any(s.name == n or (n.endswith(".") and s.name.startswith(n)) for n in names) for s in calibration.budget
+            any(s.name == n or (n.endswith(".") and s.name.startswith(n)) for n in names)
+            for s in calibration.evidence.budget
         ]
         if any(own):
             left = whole - (1.0 - LESS) * variances[own].sum(axis=0)
@@ -134,5 +135,5 @@ def what_would_help(calibration: Calibration) -> str:
 
 def _variances(calibration: Calibration) -> Array:
     """The variances (S, m) that sources have in parameters."""
-    every = [[source.contributions.get(name, 0.0) for name in calibration] for source in calibration.budget]
+    every = [[source.contributions.get(name, 0.0) for name in calibration] for source in calibration.evidence.budget]
     return np.array(every).reshape(len(every), len(calibration)) ** 2

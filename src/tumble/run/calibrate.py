@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Literal, get_args, overload
+from typing import Any, Literal, Unpack, get_args
 
 import numpy as np
-import numpy.typing as npt
 
 from tumble import __version__
 from tumble.diagnosis.undetermined import one_attitude
@@ -23,12 +22,14 @@ from tumble.inference.hyperparameters import GUESSED, SHEET, STATED
 from tumble.inference.joint import joint
 from tumble.inference.prior import Prior, with_prior
 from tumble.inference.sources import by_time_base, clocked, of_fit, source
+from tumble.recording.arrays import SensorArrays, session_of_arrays
 from tumble.recording.log import Log
 from tumble.recording.session import LogSpec, Session
 from tumble.recording.session_file import session_from
 from tumble.reduction.observations import Observations
 from tumble.result.calibration import Calibration, read_calibration
 from tumble.result.coverage import by_gravity
+from tumble.result.evidence import Provenance
 from tumble.result.parts import Parameter
 from tumble.run.from_estimate import bridged_in, reference_of, result_of, without_result
 from tumble.run.observed import Progress, inspected, observations_for_calibration
@@ -36,9 +37,6 @@ from tumble.sensors.frames import Convention, Frame
 from tumble.sensors.grades import grade as grade_named
 from tumble.sensors.grades import guessed_grade
 from tumble.sensors.parameters import Terms, usual_sizes
-
-if TYPE_CHECKING:
-    from tumble.recording.arrays import Temperatures
 
 _LOG = logging.getLogger(__name__)
 Method = Literal["joint", "sequential", "scalar", "ellipsoid"]
@@ -63,45 +61,6 @@ ITERATED_METHODS: Mapping[str, Callable[..., Estimate]] = {
 """The pipelines of the paper, which take a number of iterations."""
 
 
-@overload
-def calibrate(
-    session: Session | FilePath,
-    *,
-    method: Method = ...,
-    iterations: int | None = ...,
-    frame: Frame = ...,
-    terms: Terms = ...,
-    without: Iterable[int] = ...,
-    prior: Prior | None = ...,
-    progress: Progress = ...,
-) -> Calibration: ...
-
-
-@overload
-def calibrate(
-    *,
-    accel: npt.ArrayLike,
-    gyro: npt.ArrayLike | None = ...,
-    time: npt.ArrayLike | None = ...,
-    rate: float | None = ...,
-    temperature: Temperatures | None = ...,
-    latitude: float | None = ...,
-    height: float = ...,
-    gravity: float | None = ...,
-    gravity_u: float | None = ...,
-    accel_axes: npt.ArrayLike | None = ...,
-    gyro_axes: npt.ArrayLike | None = ...,
-    programme: str | Sequence[str] | None = ...,
-    serial: str = ...,
-    clock_ppm_u: float | None = ...,
-    method: Method = ...,
-    iterations: int | None = ...,
-    frame: Frame = ...,
-    terms: Terms = ...,
-    without: Iterable[int] = ...,
-) -> Calibration: ...
-
-
 def calibrate(
     session: Session | FilePath | None = None,
     *,
@@ -112,17 +71,45 @@ def calibrate(
     without: Iterable[int] = (),
     prior: Prior | None = None,
     progress: Progress = Log.chunks,
-    **readings: Any,
+    **arrays: Unpack[SensorArrays],
 ) -> Calibration:
-    """Calibrate the device of a session: a `Session`, the path of its folder, or readings in SI as
-    `session_of_arrays` takes them. `iterations` is for the methods that iterate as the paper does (default 2), `terms`
-    for the methods joint and ellipsoid: `linear` leaves out what is not bias, scale factor or axis angle. The rests
-    `without`, by their numbers from 1 in the result with all, are left out beside those of [[exclude]]. With
-    `prior`, such as `Registry.prior` makes of other units of the type, takes the place of what is usual of the grade,
-    for the method joint with all terms. The result is given in `frame` (see `frames`).
-    A recording that cannot be calibrated comes back with the reasons in its outcome;
-    unusable input raises an `InputError`.
+    """Calibrate the device of a session.
 
+    Parameters
+    ----------
+    session
+        A session or the path of its folder. Without it, give the readings as `accel=…, gyro=…, rate=…`.
+    method
+        `joint`, maximum likelihood of all readings; `sequential` and `scalar`, the methods of the paper; `ellipsoid`,
+        accelerometers alone, without attitudes.
+    iterations
+        Number of passes of `sequential` and `scalar`; default 2.
+    frame
+        Frame of the result: `accelerometer`, `paper`, `symmetric` or `case`.
+    terms
+        `full`, or `linear` for bias, scale factor and axis angles alone, by the methods `joint` and `ellipsoid`.
+    without
+        Numbers from 1 of rests to leave out, beside those that the session excludes.
+    prior
+        What calibrations of other devices of the type say, such as `Registry.prior` gives, in place of sizes that are
+        usual for the grade; for the method `joint` with all terms.
+    progress
+        Function that gives the chunks of a log as they are read, such as one that draws a bar.
+    **arrays
+        Readings in memory and what is stated of them, see `tumble.types.SensorArrays`.
+
+    Returns
+    -------
+    Calibration
+        If the recording cannot be calibrated, the reasons are in its `outcome`.
+
+    Raises
+    ------
+    InputError
+        For input that cannot be used.
+
+    Examples
+    --------
     >>> import tumble
     >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
     >>> tumble.calibrate(folder)
@@ -130,12 +117,10 @@ def calibrate(
     """
     if terms not in get_args(Terms):
         raise InputError(f"terms: expected {' or '.join(get_args(Terms))}, found {terms!r}")
-    if session is None and "accel" in readings:
-        from tumble.recording.arrays import session_of_arrays
-
-        given = session_of_arrays(**readings)
-    elif session is None or readings:
-        found = ", ".join(readings) or "nothing"
+    if session is None and "accel" in arrays:
+        given = session_of_arrays(**arrays)
+    elif session is None or arrays:
+        found = ", ".join(arrays) or "nothing"
         beside = "" if session is None else " beside a session"
         raise InputError(f"calibrate: expected a session or readings accel=…, found {found}{beside}")
     else:
@@ -171,7 +156,7 @@ def calibrate(
     outcome = made.outcome
     chosen = tuple(kind for kind in accepted_kinds(made) if not whole.of(kind))
     if not chosen:
-        return replace(made, notes=(*made.notes, of_whole))
+        return _with_provenance(made, notes=(*made.provenance.notes, of_whole))
     remark = f"accepted without what was left out only, a choice of which u contains nothing; {of_whole}"
     concerns = {**outcome.concerns, remark: chosen}
     return replace(made, outcome=replace(outcome, remarks=(*outcome.remarks, remark), concerns=concerns))
@@ -213,9 +198,9 @@ def _calibrated(
             from tumble.run.magnetometer import with_magnetometer
 
             made = with_magnetometer(made, session.log.magnetometer, estimate[1])
-        made = replace(made, sample_rate=observed.rate)
+        made = _with_provenance(made, sample_rate=observed.rate)
         if prior is not None and estimate[0].of_type:
-            made = replace(made, provenance={**made.provenance, "prior": prior.words})
+            made = _with_provenance(made, prior=prior.words)
         if faults:
             without = session.gyro_block is not None and estimate[0].gyro is None
             concerns = {**made.outcome.concerns, **dict.fromkeys(faults, ("gyro",) if without else ("gyro.bias",))}
@@ -227,9 +212,14 @@ def _calibrated(
                 unobservable=(*made.outcome.unobservable, *names),
             )
             made = replace(made, outcome=outcome)
-    for sentence in (*made.notes, *made.outcome.remarks, *made.outcome.reasons):
+    for sentence in (*made.provenance.notes, *made.outcome.remarks, *made.outcome.reasons):
         _LOG.info("%s: %s", session.name, sentence)
-    return replace(made, circumstances=observed.circumstances)
+    return _with_provenance(made, circumstances=observed.circumstances)
+
+
+def _with_provenance(calibration: Calibration, **changed: Any) -> Calibration:
+    """The calibration with changed fields of its provenance."""
+    return replace(calibration, provenance=replace(calibration.provenance, **changed))
 
 
 def systematic_of(session: Session) -> Mapping[str, float]:
@@ -341,7 +331,7 @@ def by_reference_clock(log: LogSpec) -> tuple[str, ...]:
     )
 
 
-def provenance_of(log_sha256: str) -> dict[str, str]:
-    """Where a calibration is from: its log, the program and the time."""
+def provenance_of(log_sha256: str) -> Provenance:
+    """Log, program and time of a calibration that is made now."""
     created = datetime.now(UTC).isoformat(timespec="seconds")
-    return {"log_sha256": log_sha256, "software": f"tumble {__version__}", "created": created}
+    return Provenance(log_sha256=log_sha256, software=f"tumble {__version__}", created=created)

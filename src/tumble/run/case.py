@@ -1,20 +1,16 @@
-"""Where the triad is in its case, and how two blocks on one base stand to each other: rotations from verticals.
+"""Alignment of the accelerometers to the case of the device, from rests on its faces.
 
-Case. The accelerometers say where the vertical is in their own frame b, u_i, to a few µrad. When the block stands on
-a face, the vertical is along ±X, ±Y or ±Z of the case, n_i, but for the tilt of the plate and the seating. With
-L_i the attitude case → geographic and t the lean of the plate's normal to north and east,
+The accelerometers give the vertical in their frame b at every rest, u_i, to a few µrad. If the device stands on a face,
+the vertical is along ±X, ±Y or ±Z of the case, n_i, except for the tilt of the plate and the seating. With the attitude
+L_i of the case, case → geographic, and the lean t of the plate's normal to north and east,
 
     C_cb u_i = n_i − L_iᵀ t − ψ × n_i,     |t|, |ψ| ≪ 1
 
-Wahba's problem (SVD) gives C_cb without t; ψ and t are then least squares of 2N equations, iterated. The tilt is
-resolved in the case by the azimuth: a second placement turned by 180° on the same face has −L_iᵀ t, so that it
-cancels there and is determined. Azimuths need not be true: any common north will do. They come from the gyros, or
-from a programme in order. Where they are not known, the tilt of each placement is part of the scatter, which is
-estimated from the residuals; if the tilt has a stated tolerance, the scatter is not taken to be less, and where
-the azimuths are known it holds t to zero within the tolerance.
-
-Two blocks. Simultaneous verticals of both in three or more positions: Wahba again, weighted by the noise, with what
-each calibration leaves uncertain propagated.
+Wahba's problem (SVD) gives C_cb without t; ψ and t are then the least-squares solution of 2N equations, iterated. The
+azimuth resolves the tilt in the case: a second placement on the same face, turned by 180°, has −L_iᵀ t, so that the
+tilt cancels and is determined. Azimuths need not be true: any common north will do. They come from the gyros or from
+a programme in order. Where they are not known, the tilt of each placement is part of the scatter, which is estimated
+from the residuals.
 
 Wahba's problem: Markley (1988), The Journal of the Astronautical Sciences 36, 245-258.
 """
@@ -29,7 +25,7 @@ from tumble.errors import InputError
 from tumble.inference.estimate import Estimate
 from tumble.inference.sources import source
 from tumble.reduction.observations import Observations
-from tumble.rotation import UP, rotation_matrix, skew, tangent_basis
+from tumble.rotation import UP, rotation_matrix, skew, tangent_basis, unit_vector
 from tumble.sensors.compensation import specific_force
 from tumble.sensors.frames import Alignment, Frame, carried_further, convert
 from tumble.sensors.instrument import Instrument, functions
@@ -40,61 +36,37 @@ _ON_A_FACE = np.cos(1.0 * DEGREE)
 _ITERATIONS = 5  # each leaves the square of ψ and t, which are below 0.2 rad
 _SINGULAR = 1e-6  # of the largest singular value
 _WAYS = (("up", 1.0), ("down", -1.0))
-_SPREAD_OUT = 0.05  # rad: directions nearer to one line do not give a rotation
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Verticals:
-    """Directions (N, 3) of the vertical in the frame of a block, with the covariance (N, 3, 3) of each from the noise
-    of its rest, and the derivative (N, 3, m) with parameters whose covariance is (m, m)."""
-
-    direction: Array
-    covariance: Array
-    by_parameters: Array
-    parameter_covariance: Array
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class CaseAlignment:
     """The case in the frame b of the accelerometers: rotation `mat_cb`, covariance and derivative as in
     `frames.Alignment`; `tilt` and `tilt_u` (2,), rad, the lean of the plate's normal to north and east, empty where
-    the azimuths are not known; `scatter`, rad, of a placement about each horizontal axis, and the `residual` (N,),
-    rad, of the placements `rests` (N,)."""
+    the azimuths are not known; `scatter`, rad, of a placement about each horizontal axis; `rests` (N,), the numbers of
+    the placements."""
 
     alignment: Alignment
     tilt: Array
     tilt_u: Array
     scatter: float
-    residual: Array
     rests: IntArray
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Relation:
-    """Rotation `mat_12` from the frame of the second block to that of the first, the covariance (3, 3), rad², of its
-    error ψ (the true one is exp([ψ×]) mat_12), and the residual (N,), rad, of each position with `chi_square` of
-    `degrees` of freedom against the noise of the rests."""
+def vertical_by_parameters(model: SensorModel, force: Array, change: Array) -> Array:
+    """Derivative (N, 3, m) of the vertical with respect to parameters.
 
-    mat_12: Array
-    covariance: Array
-    residual: Array
-    chi_square: float
-    degrees: int
-
-
-def verticals_of(model: SensorModel, force: Array, change: Array, covariance: Array, known: Array) -> Verticals:
-    """Verticals from specific forces at rest (N, 3), the sensor model, the derivative (N, n, m) of the readings with
-    respect to parameters, and the covariances of the readings (N, n, n) and of the parameters (m, m)."""
-    inverse = model.inverse()
-    length = np.linalg.norm(force, axis=1)
-    direction = force / length[:, None]
-    across = (np.eye(3) - direction[:, :, None] * direction[:, None, :]) @ inverse / length[:, None, None]
-    return Verticals(
-        direction=direction,
-        covariance=across @ covariance @ np.swapaxes(across, 1, 2),
-        by_parameters=-across @ change,
-        parameter_covariance=known,
-    )
+    Parameters
+    ----------
+    model
+        Model of the accelerometers.
+    force : shape (N, 3)
+        Specific force at rest.
+    change : shape (N, n, m)
+        Derivative of the readings with respect to the parameters.
+    """
+    u = unit_vector(force)
+    length = np.linalg.norm(force, axis=1)[:, None, None]
+    return np.asarray(-(np.eye(3) - u[:, :, None] * u[:, None, :]) @ model.inverse() / length @ change)
 
 
 def rotation_between(first: Array, second: Array) -> Array:
@@ -108,18 +80,28 @@ def rotation_between(first: Array, second: Array) -> Array:
 
 
 def align_case(
-    verticals: Verticals,
-    normals_c: Array,
-    *,
-    rests: IntArray,
-    attitudes: Array | None = None,
-    tolerance: float | None = None,
+    vertical: Array, by_parameters: Array, normals_c: Array, *, rests: IntArray, attitudes: Array | None = None
 ) -> CaseAlignment:
-    """The case from placements on its faces: verticals in b, the directions `normals_c` (N, 3) they have in the case,
-    the attitudes (N, 3, 3) body → geographic where the azimuths are known, and the standard uncertainty of the
-    plate's tilt about each horizontal axis, rad, where one is stated.
+    """Align the accelerometers to the case by placements on its faces.
 
-    Raises InputError unless the faces are in three different directions."""
+    Parameters
+    ----------
+    vertical : shape (N, 3)
+        Direction of the vertical in b.
+    by_parameters : shape (N, 3, m)
+        Derivative of the vertical with respect to the parameters of the accelerometers.
+    normals_c : shape (N, 3)
+        Direction of the vertical in the case.
+    rests : shape (N,)
+        Numbers of the rests that the placements are.
+    attitudes : shape (N, 3, 3), optional
+        Attitudes body → geographic if the azimuths are known.
+
+    Raises
+    ------
+    InputError
+        Unless the faces are in three different directions.
+    """
     if len(normals_c) < 3 or np.linalg.svd(normals_c, compute_uv=False)[2] < _SINGULAR:
         raise InputError(
             f"case: expected placements on faces in three directions, found {len(normals_c)} placements in fewer"
@@ -134,40 +116,35 @@ def align_case(
             every.append(np.einsum("irk,ikj->irj", basis, -np.swapaxes(attitudes @ mat_cb.T, 1, 2)[:, :, [0, 2]]))
         return np.asarray(np.concatenate(every, axis=2).reshape(2 * len(normals_c), -1))
 
-    mat_cb = rotation_between(normals_c, verticals.direction)
-    if attitudes is not None and tolerance is None:  # do the placements tell the plate's tilt from the rotation?
+    mat_cb = rotation_between(normals_c, vertical)
+    if attitudes is not None:  # do the placements tell the plate's tilt from the rotation?
         singular = np.linalg.svd(rows_of(mat_cb, attitudes), compute_uv=False)
         if len(normals_c) < 4 or singular[-1] <= 1e-2 * singular[0]:
             attitudes = None
-    scatter, prior = 0.0, np.zeros((3, 3) if attitudes is None else (5, 5))
     for _ in range(_ITERATIONS):
         rows = rows_of(mat_cb, attitudes)
-        misfit = np.einsum("irk,ik->ir", basis, verticals.direction @ mat_cb.T - normals_c).ravel()
-        gain = np.linalg.solve(rows.T @ rows + prior, rows.T)
+        misfit = np.einsum("irk,ik->ir", basis, vertical @ mat_cb.T - normals_c).ravel()
+        gain = np.linalg.solve(rows.T @ rows, rows.T)
         step = gain @ misfit
         mat_cb = rotation_matrix(step[:3]) @ mat_cb
         left = misfit - rows @ step
         scatter = float(np.sqrt(left @ left / max(len(left) - rows.shape[1], 1)))
-        if tolerance is not None and attitudes is None:
-            scatter = max(scatter, tolerance)
-        elif tolerance is not None:
-            prior[3:, 3:] = np.eye(2) * (scatter / tolerance) ** 2
-    covariance = scatter**2 * np.asarray(np.linalg.inv(rows.T @ rows + prior), dtype=float)
-    moved = np.einsum("irk,kj,ijm->irm", basis, mat_cb, verticals.by_parameters).reshape(len(left), -1)
+    covariance = scatter**2 * np.asarray(np.linalg.inv(rows.T @ rows), dtype=float)
+    moved = np.einsum("irk,kj,ijm->irm", basis, mat_cb, by_parameters).reshape(len(left), -1)
     return CaseAlignment(
         alignment=Alignment(mat_cb=mat_cb, covariance=covariance[:3, :3], by_parameters=gain[:3] @ moved),
         tilt=step[3:],
         tilt_u=np.sqrt(np.diag(covariance)[3:]),
         scatter=scatter,
-        residual=np.linalg.norm(left.reshape(-1, 2), axis=1),
         rests=rests,
     )
 
 
 def case_of(
-    observations: Observations, accel: Verticals, gyro: SensorModel | None, *, tolerance: float | None = None
+    observations: Observations, vertical: Array, by_parameters: Array, gyro: SensorModel | None
 ) -> CaseAlignment:
-    """The case of a session whose programme stands on all six faces, from the verticals of all its rests.
+    """Align the accelerometers to the case in a session whose programme stands on all six faces, by the verticals
+    (N, 3) of all its rests and their derivative (N, 3, m) with respect to parameters.
 
     Raises InputError, one line, where the session does not give the case."""
     programme, position = observations.programme, observations.position
@@ -185,19 +162,13 @@ def case_of(
         )
     nominal = nominal[position]
     rests = np.flatnonzero(np.abs(nominal).max(axis=1) > _ON_A_FACE)
-    attitudes = _attitudes(observations, accel.direction, gyro)
-    chosen = Verticals(
-        direction=accel.direction[rests],
-        covariance=accel.covariance[rests],
-        by_parameters=accel.by_parameters[rests],
-        parameter_covariance=accel.parameter_covariance,
-    )
+    attitudes = _attitudes(observations, vertical, gyro)
     return align_case(
-        chosen,
+        vertical[rests],
+        by_parameters[rests],
         np.round(nominal[rests]),
         rests=rests,
         attitudes=None if attitudes is None else attitudes[rests],
-        tolerance=tolerance,
     )
 
 
@@ -238,7 +209,7 @@ def estimate_in(frame: Frame, estimate: Estimate, observations: Observations) ->
 
     accel, found = observations.accel_block, None
     if frame == "case":
-        found = case_of(observations, _verticals_of_rests(estimate, observations), estimate.gyro)
+        found = case_of(observations, *_verticals_of_rests(estimate, observations), estimate.gyro)
     linear = len(estimate.names) if estimate.instrument is None else estimate.instrument.linear_count
     framed = convert(
         accel,
@@ -283,63 +254,16 @@ def estimate_in(frame: Frame, estimate: Estimate, observations: Observations) ->
     return moved, found
 
 
-def _verticals_of_rests(estimate: Estimate, observations: Observations) -> Verticals:
-    """The verticals, by the whole model. Parameters are those of the accelerometers that the frame is made of; what the
-    others leave open counts as noise of each rest."""
+def _verticals_of_rests(estimate: Estimate, observations: Observations) -> tuple[Array, Array]:
+    """The verticals (N, 3) by the whole model, and their derivative (N, 3, m) with respect to the parameters of the
+    accelerometers that define the frame."""
     block, rests = observations.accel_block, observations.rests
     instrument = estimate.instrument or Instrument(accel=block, gyro=None)
-    count, own = len(instrument.names), len(block.names)
-    values, known = estimate.values[:count], estimate.covariance[:count, :count]
+    values = estimate.values[: len(instrument.names)]
     force = specific_force(instrument, values, rests.accel)
     change = np.einsum(
-        "npb,pbm->npm", functions(block, force, np.zeros_like(force)), instrument.derivative(block, values)
+        "npb,pbm->npm",
+        functions(block, force, np.zeros_like(force)),
+        instrument.derivative(block, values)[:, :, : len(block.names)],
     )
-    further = change[:, :, own:] @ known[own:, own:] @ np.swapaxes(change[:, :, own:], 1, 2)
-    noise = rests.accel_covariance + further
-    return verticals_of(estimate.accel, force, change[:, :, :own], noise, known[:own, :own])
-
-
-# -------------------- two blocks --------------------
-
-
-def relate(first: Verticals, second: Verticals) -> Relation:
-    """How two blocks on one base stand to each other, from the verticals both had in the same positions, in order.
-
-    Raises InputError for different numbers of positions, fewer than three, or verticals along one line."""
-    count = len(first.direction)
-    if count != len(second.direction):
-        raise InputError(
-            f"two blocks: expected the same rests of both, found {count} of the first and {len(second.direction)} of "
-            "the second"
-        )
-    if count < 3:
-        raise InputError(f"two blocks: expected rests in three or more positions, found {count}")
-    if np.linalg.svd(first.direction, compute_uv=False)[1] < _SPREAD_OUT:
-        raise InputError("two blocks: expected verticals in different directions, found them along one line")
-    mat_12 = rotation_between(first.direction, second.direction)
-    for _ in range(_ITERATIONS):
-        turned = second.direction @ mat_12.T
-        basis = tangent_basis(first.direction)
-        rows = np.einsum("irk,ikj->irj", basis, skew(turned))
-        noise = first.covariance + mat_12 @ second.covariance @ mat_12.T
-        whiten = np.linalg.inv(np.linalg.cholesky(basis @ noise @ np.swapaxes(basis, 1, 2)))
-        misfit = np.einsum("irk,ik->ir", basis, turned - first.direction)
-        design = (whiten @ rows).reshape(-1, 3)
-        gain = np.linalg.pinv(design)
-        step = gain @ np.einsum("irs,is->ir", whiten, misfit).ravel()
-        mat_12 = rotation_matrix(step) @ mat_12
-    left = misfit - np.einsum("irk,k->ir", rows, step)
-    chi_square = float((np.einsum("irs,is->ir", whiten, left) ** 2).sum())
-    degrees = 2 * count - 3
-    covariance = max(1.0, chi_square / degrees) * gain @ gain.T
-    for block, carry in ((first, np.eye(3)), (second, mat_12)):
-        by = np.einsum("irs,isk,kj,ijm->irm", whiten, basis, carry, block.by_parameters)
-        change = gain @ by.reshape(2 * count, -1)
-        covariance = covariance + change @ block.parameter_covariance @ change.T
-    return Relation(
-        mat_12=mat_12,
-        covariance=covariance,
-        residual=np.linalg.norm(left, axis=1),
-        chi_square=chi_square,
-        degrees=degrees,
-    )
+    return unit_vector(force), vertical_by_parameters(estimate.accel, force, change)

@@ -4,6 +4,7 @@ what the session does not tell."""
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,6 +21,7 @@ from tumble.reduction.rests.matching import left_out
 from tumble.reduction.rests.warming import OVER_TEMPERATURE
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import MANY_DEGREES, with_degrees
+from tumble.result.evidence import Evidence, Provenance
 from tumble.result.parts import (
     CalibratedDevice,
     CalibratedTemperature,
@@ -49,7 +51,7 @@ def result_of(
     observations: Observations,
     systematic: Mapping[str, float],
     frame: Frame,
-    provenance: Mapping[str, str],
+    provenance: Provenance,
     bridged: tuple[str, ...] = (),
 ) -> Calibration:
     """The calibration of an estimate; `bridged` are notes of the gaps of its log."""
@@ -91,25 +93,7 @@ def result_of(
         accel=None if "accel" in missing else estimate.accel,
         gyro=None if missing else estimate.gyro,
         outcome=outcome,
-        iterations=tuple({estimate.names[i]: float(step[i]) for i in seen} for step in estimate.increments),
-        rests=rests,
-        turns=turns,
-        fits=estimate.fits,
-        site=observations.site,
-        programme=None if observations.programme is None else observations.programme.name,
-        readings=readings_of_session(session),
-        notes=(
-            *(*bridged, *left_out(session.excluded), *observations.notes, *gravity_doubted(observations.site)),
-            *_of_the_fit(estimate, observations),
-            *limited,
-            *_of_the_case(case),
-        ),
-        provenance=provenance,
         groups=estimate.groups,
-        hyperparameters=estimate.hyperparameters,
-        integral=estimate.integral,
-        process_bias=estimate.process_bias if frame == "accelerometer" else (),
-        budget=contributions_of(estimate.budget, estimate.names),
         prediction=estimate.prediction,
         axes={kind: tuple(map(tuple, block.axes.tolist())) for kind, block in blocks.items()},
         temperature=CalibratedTemperature(
@@ -117,13 +101,35 @@ def result_of(
             thermometers={} if thermometers is None else {kind: thermometers.names(kind) for kind in blocks},
             references=references_of(observations),
         ),
-        clock_u=session.log.time_base_u,
-        absent=(f"{', '.join(outcome.unobservable)}: not determined by six faces, taken as 0",) if faces else (),
+        evidence=Evidence(
+            rests=rests,
+            turns=turns,
+            fits=estimate.fits,
+            hyperparameters=estimate.hyperparameters,
+            integral=estimate.integral,
+            process_bias=estimate.process_bias if frame == "accelerometer" else (),
+            budget=contributions_of(estimate.budget, estimate.names),
+            iterations=tuple({estimate.names[i]: float(step[i]) for i in seen} for step in estimate.increments),
+        ),
+        provenance=replace(
+            provenance,
+            site=observations.site,
+            clock_u=session.log.time_base_u,
+            programme=None if observations.programme is None else observations.programme.name,
+            readings=readings_of_session(session),
+            notes=(
+                *(*bridged, *left_out(session.excluded), *observations.notes, *gravity_doubted(observations.site)),
+                *_of_the_fit(estimate, observations),
+                *limited,
+                *_of_the_case(case),
+            ),
+            absent=(f"{', '.join(outcome.unobservable)}: not determined by six faces, taken as 0",) if faces else (),
+        ),
     )
 
 
 def without_result(
-    session: Session, method: str, outcome: Outcome, provenance: Mapping[str, str], bridged: tuple[str, ...] = ()
+    session: Session, method: str, outcome: Outcome, provenance: Provenance, bridged: tuple[str, ...] = ()
 ) -> Calibration:
     """A calibration that says why there is none; `bridged` are notes of the gaps of its log."""
     return Calibration(
@@ -135,10 +141,7 @@ def without_result(
         accel=None,
         gyro=None,
         outcome=outcome,
-        site=session.site,
-        readings=readings_of_session(session),
-        notes=bridged,
-        provenance=provenance,
+        provenance=replace(provenance, site=session.site, readings=readings_of_session(session), notes=bridged),
     )
 
 

@@ -23,11 +23,11 @@ smaller.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 import scipy
@@ -44,6 +44,7 @@ from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.rests import Rests
 from tumble.result.calibration import Calibration
+from tumble.result.evidence import Evidence
 from tumble.result.further import KINDS
 from tumble.result.parts import CalibratedDevice, Parameter, Readings
 from tumble.run.calibrate import provenance_of
@@ -53,13 +54,13 @@ from tumble.run.readings_table import (
     THE_FIELD,
     UNITS,
     Nominal,
+    ReadingsDescription,
     ReadingsTable,
-    Sensor,
+    nominal_of,
     positions_of,
     read_table,
     sizes_seen,
 )
-from tumble.run.readings_table import nominal as nominal_of
 from tumble.sensors.frames import Convention, Frame, convert, frame_of
 from tumble.sensors.grades import GRADES
 from tumble.sensors.grades import grade as grade_named
@@ -111,57 +112,64 @@ class ReadingsCalibration(Brief):
     recorded: bool
 
 
-def calibrate_table(
+def calibrate_readings(
     readings: ReadingsTable | FilePath,
     *,
-    sensor: Sensor = "accel",
-    unit: str = "V",
-    scale: Sequence[float] | None = None,
-    scale_per: str | None = None,
-    gravity: float | None = None,
-    gravity_u: float | None = None,
-    modulus: float | None = None,
-    modulus_u: float | None = None,
-    known: Mapping[int, Array] | None = None,
     rows_per_position: int = 1,
     grade: str | None = None,
     terms: Terms = "full",
     frame: Frame = "accelerometer",
     serial: str | None = None,
+    **described: Unpack[ReadingsDescription],
 ) -> ReadingsCalibration:
-    """Calibrate a triad by the ellipsoid method from its readings in N ≥ 9 positions, a table or its CSV file. Each
-    position is `rows_per_position` rows; equal ones count once. What the readings are worth is said as
-    `readings_table.nominal` takes it. The `terms` that accelerometers have beyond bias, scale factor and axis angles
-    are in u, of the size usual for the `grade`, guessed where None; `linear` leaves them out. What cannot be calibrated
-    comes back with the reasons in its outcome. Without a `serial` number of the device it is the name of the table.
-    Raises InputError for a table that cannot be read and for options that do not go together.
+    """Calibrate a triad from a table of its readings in nine or more positions, by the ellipsoid method.
 
+    Parameters
+    ----------
+    readings
+        A table, or the path of its CSV file: a header with the names of three columns, and a row per position.
+    rows_per_position
+        Number of rows of each position; equal positions count once.
+    grade
+        Grade of the accelerometers, by which terms beyond bias, scale factor and axis angles are in u with their usual
+        size; guessed if None.
+    terms
+        `full`, or `linear` to leave these terms out of u.
+    frame
+        Frame of the result: `accelerometer`, `paper` or `symmetric`.
+    serial
+        Serial number of the device; the name of the file if None.
+    **described
+        What the readings are, see `tumble.types.ReadingsDescription`.
+
+    Returns
+    -------
+    ReadingsCalibration
+        The calibration with the fit. If the readings cannot be calibrated, the reasons are in the outcome.
+
+    Raises
+    ------
+    InputError
+        For a table that cannot be read, and for arguments that contradict each other.
+
+    Examples
+    --------
     >>> import tumble
     >>> faces = ["0,0,1", "0,0,-1", "0,1,0", "0,-1,0", "1,0,0", "-1,0,0"]
     >>> edges = ["0.6,0.8,0", "0.6,-0.8,0", "0,0.6,0.8", "0,0.6,-0.8", "0.8,0,0.6", "0.8,0,-0.6"]
     >>> _ = Path("readings.csv").write_text("x,y,z\\n" + "\\n".join(faces + edges))
-    >>> result = tumble.calibrate_table("readings.csv", unit="g")
+    >>> result = tumble.calibrate_readings("readings.csv", unit="g")
     >>> result.calibration
     <Calibration of readings: ellipsoid, 24 parameters, accepted>
     """
+    sensor = described.get("sensor", "accel")
     if sensor != "accel" and frame != "accelerometer":
         raise InputError(f"--frame: expected accelerometer for --sensor {sensor}, found {frame!r}")
     if serial is not None and not serial.strip():
         raise InputError(f"--serial: expected a serial number, found {serial!r}")
     whole = readings if isinstance(readings, ReadingsTable) else read_table(Path(readings))
     table = positions_of(whole, rows_per_position)
-    nominal = nominal_of(
-        table,
-        sensor=sensor,
-        unit=unit,
-        scale=scale,
-        scale_per=scale_per,
-        gravity=gravity,
-        gravity_u=gravity_u,
-        modulus=modulus,
-        modulus_u=modulus_u,
-        known=known,
-    )
+    nominal = nominal_of(table, **described)
     if grade is not None:
         grade_named(grade)
     fitted, noise = _fitted(table, nominal, float(-scipy.special.ndtri(0.5 * BAD_CHANCE / len(table.values))))
@@ -213,13 +221,15 @@ def calibrate_table(
         covariance=estimate.covariance if estimate is not None and has_u else None,
         **models,
         outcome=outcome,
-        fits={} if fit is None else {KINDS[sensor]: fit.fit(nominal.result_unit)},
-        site=site if sensor == "accel" else None,
-        readings={sensor: worth},
-        notes=(*table.left_out, *_notes(table, nominal, fit), *notes),
         groups=() if estimate is None else estimate.groups,
         prediction=None if estimate is None else estimate.prediction,
-        provenance=provenance_of(table.sha256),
+        evidence=Evidence(fits={} if fit is None else {KINDS[sensor]: fit.fit(nominal.result_unit)}),
+        provenance=replace(
+            provenance_of(table.sha256),
+            site=site if sensor == "accel" else None,
+            readings={sensor: worth},
+            notes=(*table.left_out, *_notes(table, nominal, fit), *notes),
+        ),
     )
     return ReadingsCalibration(
         calibration=calibration, table=table, nominal=nominal, fit=fit, recorded=recorded and fit is not None

@@ -30,8 +30,9 @@ from tumble.recording.session_file import session_from
 from tumble.result.calibration import Calibration
 from tumble.result.correction import reference_of_parameter
 from tumble.result.coverage import by_gravity, degrees_of_mean, shared_gravity
+from tumble.result.evidence import Evidence
 from tumble.result.launch_variances import LaunchVariances, pooled, variance_of_type
-from tumble.result.parts import CalibratedTemperature, Launch, Parameter, learned_fraction
+from tumble.result.parts import CalibratedTemperature, Parameter, learned_fraction
 from tumble.result.shared_errors import by_priors
 from tumble.result.uncertainty_budget import contributions_of
 from tumble.run.calibrate import DEFAULT_METHOD, Method, calibrate, provenance_of
@@ -70,9 +71,32 @@ def calibrate_launches(
     prior: Prior | None = None,
     progress: Progress = Log.chunks,
 ) -> Calibration:
-    """Calibrate a device from one session or several, its launches: see `calibrate` and `mean_of_launches`. A
-    `prior` is for one session alone: in the mean of several it would count as often.
+    """Calibrate a device from one session or from several, its launches.
 
+    Parameters
+    ----------
+    sessions
+        Sessions or the paths of their folders.
+    method, iterations, frame, terms, progress
+        See `calibrate`.
+    alike
+        Launches of other devices of the type, by which the instability from launch to launch is better known.
+    prior
+        See `calibrate`; for one session alone, since in the mean of several it would count as often.
+
+    Returns
+    -------
+    Calibration
+        Of several sessions the mean, with the standard deviation from launch to launch and every launch in its
+        `evidence`.
+
+    Raises
+    ------
+    InputError
+        For sessions of different devices, and for one recording given twice.
+
+    Examples
+    --------
     >>> import tumble
     >>> request = tumble.Setup.of(grade="mems", positions=12)
     >>> folders = [tumble.simulate_session(f"launch-{i}", request, seed=1, launch=i) for i in (1, 2)]
@@ -92,21 +116,10 @@ def calibrate_launches(
 
 
 def mean_of_launches(runs: Sequence[Run], *, alike: Sequence[LaunchVariances] = ()) -> Calibration:
-    """One calibration from several sessions of one device by the same method: means with uncertainties, standard
-    deviations from launch to launch, mean increments of each iteration, and every launch. With `alike`, the launches of
-    other devices of the type, uncertainties are of the instability that all these show together.
-
-    >>> import tumble
-    >>> request = tumble.Setup.of(grade="mems", positions=12)
-    >>> folders = [tumble.simulate_session(f"launch-{i}", request, seed=1, launch=i) for i in (1, 2)]
-    >>> sessions = [tumble.read_session(folder) for folder in folders]
-    >>> runs = [tumble.Run(session=each, calibration=tumble.calibrate(each)) for each in sessions]
-    >>> tumble.mean_of_launches(runs)["accel.bias.x"].run_to_run > 0.0
-    True
-    """
+    """Mean of the calibrations of several sessions of one device by the same method, see `calibrate_launches`."""
     launches = [run.calibration for run in runs]
     first, session, count = launches[0], runs[0].session, len(runs)
-    digests = [launch.provenance["log_sha256"] for launch in launches]
+    digests = [launch.provenance.log_sha256 or "" for launch in launches]
     for run in runs[1:]:
         if run.calibration.serial != first.serial:
             raise InputError(
@@ -115,72 +128,175 @@ def mean_of_launches(runs: Sequence[Run], *, alike: Sequence[LaunchVariances] = 
             )
     check_recordings([(r.session.name, d, _means(r.calibration)) for r, d in zip(runs, digests, strict=True)])
     names = [name for name in first if all(name in launch for launch in launches)]
-    members = [[launch[name] for launch in launches] for name in names]
+    temperature = _mean_temperature(launches)
+    values, covariances = _at_temperature(launches, names, temperature)
+    clock_u = min(run.session.log.time_base_u for run in runs)
+    common = _common_errors(launches, names, covariances, by_time_base(names, clocked(clock_u, session.log.increments)))
+    instability, pooled_with = _instability(launches, names, values, digests, alike)
+    parameters, covariance, of_launches = _mean_parameters(launches, names, values, covariances, common, instability)
+    mean, of_common, site = values.mean(axis=0), common.all_launches, first.provenance.site
+    budget = UncertaintyBudget(sources=(source("within launches"),), covariances=of_launches[None])
+    for each_source, of_source in (
+        (source("launches", dof=None if alike else count - 1.0), covariance - of_launches - of_common),
+        (source("gravity", None if site is None else site.gravity_u, "m/s^2"), common.gravity),
+        (source("clock", clock_u, "1"), common.clock),
+        (source("priors"), of_common - common.gravity - common.clock),
+    ):
+        budget = budget.beside(each_source, of_source)
+    by_name, sources = dict(zip(names, mean.tolist(), strict=True)), [launch.provenance for launch in launches]
+    return Calibration(
+        device=replace(first.device, imu=_common_items([launch.imu for launch in launches])),
+        method=first.method,
+        frame=first.frame,
+        parameters=parameters,
+        covariance=covariance,
+        accel=_mean_model(first.frame, session.accel_block, by_name),
+        gyro=_mean_model(first.frame, session.gyro_block, by_name),
+        mag=TRIAD.model(np.array([by_name[n] for n in NAMES])) if set(NAMES) <= set(names) else None,
+        outcome=Outcome(  # every sentence with the name of its session
+            reasons=tuple(f"{run.name}: {reason}" for run in runs for reason in run.calibration.outcome.reasons),
+            remarks=tuple(f"{run.name}: {remark}" for run in runs for remark in run.calibration.outcome.remarks),
+            unobservable=tuple(dict.fromkeys(name for launch in launches for name in launch.outcome.unobservable)),
+            concerns={f"{run.name}: {s}": on for run in runs for s, on in run.calibration.outcome.concerns.items()},
+        ),
+        groups=_groups(launches, parameters),
+        prediction=_prediction(runs, names, mean, covariance),
+        axes=_common_items([launch.axes for launch in launches]),
+        temperature=temperature,
+        evidence=Evidence(
+            budget=contributions_of(budget, names),
+            iterations=tuple(  # of a launch with fewer iterations the last ones added nothing
+                {name: sum(step.get(name, 0.0) for step in steps) / count for name in names}
+                for steps in zip_longest(*(launch.evidence.iterations for launch in launches), fillvalue={})
+            ),
+            launches=tuple(run.calibration.as_launch(run.name) for run in runs),
+        ),
+        provenance=replace(
+            provenance_of(digest_of_all(digests)),
+            site=_common([each.site for each in sources]),
+            sample_rate=_mean_where_known([each.sample_rate for each in sources]),
+            clock_u=clock_u,
+            circumstances=circumstances_of_all([each.circumstances for each in sources]),
+            programme=_common([each.programme for each in sources]),
+            readings=_common_items([each.readings for each in sources]),
+            notes=(*_notes(runs, names), *pooled_with),
+        ),
+    )
 
-    # at one reference temperature
-    reference = _mean_where_known([launch.reference_temperature for launch in launches])
-    sizes = [{kind: len(celsius) for kind, celsius in launch.temperature.references.items()} for launch in launches]
-    references = {
-        kind: tuple(np.mean([launch.temperature.references[kind] for launch in launches], axis=0).tolist())
-        for kind in (sizes[0] if all(each == sizes[0] for each in sizes) else ())
-    }
+
+# -------------------- the statistics of the mean (see `tumble.result.coverage`) --------------------
+
+
+def _mean_temperature(launches: Sequence[Calibration]) -> CalibratedTemperature:
+    """The reference temperatures of the mean: the means of those of the launches."""
+    references = [launch.temperature.references for launch in launches]
+    sizes = [{kind: len(celsius) for kind, celsius in each.items()} for each in references]
+    kinds = sizes[0] if all(each == sizes[0] for each in sizes) else ()
+    return CalibratedTemperature(
+        reference=_mean_where_known([launch.reference_temperature for launch in launches]),
+        thermometers=_common_items([launch.temperature.thermometers for launch in launches]),
+        references={kind: tuple(np.mean([each[kind] for each in references], axis=0).tolist()) for kind in kinds},
+    )
+
+
+def _at_temperature(
+    launches: Sequence[Calibration], names: Sequence[str], temperature: CalibratedTemperature
+) -> tuple[Array, Array]:
+    """Values (L, m) and covariances (L, m, m) of the launches at the reference temperatures of the mean."""
     values, covariances = [], []
     for launch in launches:
         move, C = np.eye(len(names)), launch.covariance_of(names)
-        if reference is not None:
-            there = replace(launch, temperature=CalibratedTemperature(reference=reference, references=references))
+        if temperature.reference is not None:
+            there = replace(launch, temperature=temperature)
             warmer = [reference_of_parameter(there, name) - reference_of_parameter(launch, name) for name in names]
             move = to_temperature(names, np.array(warmer))
         values.append(move @ [launch[n].value for n in names])
         covariances.append(move @ (np.zeros_like(move) if C is None else C) @ move.T)
-    mean, spread = np.mean(values, axis=0), np.std(values, axis=0, ddof=1)
+    return np.array(values), np.array(covariances)
 
-    # how much the device changes from launch to launch, by these launches and, where it is like them, those of its type
-    others = [each for each in alike if not each.logs & set(digests)]
-    pooled_with: tuple[str, ...] = ()
-    instability, unlike = [], []
-    for name, each, s in zip(names, members, spread.tolist(), strict=True):
-        noise = float(np.mean([(p.u or 0.0) ** 2 for p in each]))
-        both = pooled(s**2, count - 1.0, variance_of_type(others, name, noise))
-        unlike += [name] if both is None else []
-        instability.append((s**2, count - 1.0) if both is None else both)
-    if alike:
-        of_type = "its type" if first.model is None else f"the type {first.model}"
-        pooled_with = (
-            f"instability from launch to launch: by all launches of {of_type} in the registry, "
-            f"{sum(each.degrees for each in alike)} degrees of freedom",
-            *([f"more unstable than the type, and by these launches alone: {', '.join(unlike)}"] if unlike else []),
-        )
 
-    # what is common to all launches: one standard uncertainty of gravity, where they are of one value of g and count
-    # it, of the time base and of what is wrong with the priors
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class CommonErrors:
+    """Covariances (m, m) of errors that all launches have in common: of gravity, of the time base, and (L, m, m) of
+    the priors."""
+
+    gravity: Array
+    clock: Array
+    priors: Array
+
+    @property
+    def all_launches(self) -> Array:
+        """Covariance (m, m) of all common errors in the mean."""
+        return np.asarray(self.gravity + self.clock + self.priors.mean(axis=0))
+
+
+def _common_errors(
+    launches: Sequence[Calibration], names: Sequence[str], covariances: Array, by_clock: Array
+) -> CommonErrors:
+    """Errors that the launches have in common, gravity where they used one value of it; `by_clock` (m,) is what one
+    standard uncertainty of the time base changes."""
+    site, members = launches[0].provenance.site, [[launch[n] for n in names] for launch in launches]
     gravity = np.zeros(len(names))
-    if all(shared_gravity(first.site, launch.site) for launch in launches):
-        changes = [by_gravity([x[n] for n in names], C, x.site) for x, C in zip(launches, covariances, strict=True)]
-        gravity = np.mean(changes, axis=0)
-    clock_u = min(run.session.log.time_base_u for run in runs)
-    clock = by_time_base(names, clocked(clock_u, session.log.increments))
-    of_gravity, of_clock = np.outer(gravity, gravity), np.outer(clock, clock)
-    of_priors = [
-        sum((np.outer(each, each) for each in by_priors([launch[n] for n in names], C).values()), np.zeros_like(C))
-        for launch, C in zip(launches, covariances, strict=True)
+    if all(shared_gravity(site, launch.provenance.site) for launch in launches):
+        gravity = np.mean([by_gravity(own, C, site) for own, C in zip(members, covariances, strict=True)], axis=0)
+    priors = [
+        sum((np.outer(each, each) for each in by_priors(own, C).values()), np.zeros_like(C))
+        for own, C in zip(members, covariances, strict=True)
     ]
-    of_site, common = of_gravity + of_clock, of_gravity + of_clock + np.mean(of_priors, axis=0)
+    return CommonErrors(gravity=np.outer(gravity, gravity), clock=np.outer(by_clock, by_clock), priors=np.array(priors))
 
-    # covariance of the mean and degrees of freedom of its diagonal (module docstring)
-    own = [C - of_site - of_prior for C, of_prior in zip(covariances, of_priors, strict=True)]
-    apart = [np.diag(C).clip(0.0) for C in own]
-    covariance = np.sum(own, axis=0) / count**2 + common
-    of_launches = covariance - common
-    np.fill_diagonal(of_launches, np.sum(apart, axis=0) / count**2)
+
+def _instability(
+    launches: Sequence[Calibration],
+    names: Sequence[str],
+    values: Array,
+    digests: Sequence[str],
+    alike: Sequence[LaunchVariances],
+) -> tuple[list[tuple[float, float]], tuple[str, ...]]:
+    """Variance from launch to launch of every parameter with its degrees of freedom, by these launches and, if the
+    device is like them, by those of its type; and notes on that."""
+    others = [each for each in alike if not each.logs & set(digests)]
+    instability, unlike, model = [], [], launches[0].model
+    for name, s2 in zip(names, np.var(values, axis=0, ddof=1).tolist(), strict=True):
+        noise = float(np.mean([(launch[name].u or 0.0) ** 2 for launch in launches]))
+        both = pooled(s2, len(launches) - 1.0, variance_of_type(others, name, noise))
+        unlike += [name] if both is None else []
+        instability.append((s2, len(launches) - 1.0) if both is None else both)
+    if not alike:
+        return instability, ()
+    note = (
+        f"instability from launch to launch: by all launches of {'its type' if model is None else f'the type {model}'} "
+        f"in the registry, {sum(each.degrees for each in alike)} degrees of freedom"
+    )
+    apart = (f"more unstable than the type, and by these launches alone: {', '.join(unlike)}",) if unlike else ()
+    return instability, (note, *apart)
+
+
+def _mean_parameters(
+    launches: Sequence[Calibration],
+    names: Sequence[str],
+    values: Array,
+    covariances: Array,
+    common: CommonErrors,
+    instability: Sequence[tuple[float, float]],
+) -> tuple[tuple[Parameter, ...], Array, Array]:
+    """Parameters of the mean with their covariance (m, m), and the part (m, m) of it from the launches themselves."""
+    count, of_common = len(launches), common.all_launches
+    own = covariances - common.gravity - common.clock - common.priors
+    variances = np.diagonal(own, axis1=1, axis2=2).clip(0.0)
+    of_launches = own.sum(axis=0) / count**2
+    covariance = of_launches + of_common
+    np.fill_diagonal(of_launches, variances.sum(axis=0) / count**2)
+    mean, spread = values.mean(axis=0), np.std(values, axis=0, ddof=1)
     parameters = []
-    for i, (name, each) in enumerate(zip(names, members, strict=True)):
+    for i, name in enumerate(names):
+        each = [launch[name] for launch in launches]
         parts = []
-        for p, C, variance in zip(each, covariances, apart, strict=True):
+        for p, C, variance in zip(each, covariances, variances, strict=True):
             dof = None if p.dof is None or C[i, i] == 0.0 else p.dof * float(variance[i] / C[i, i]) ** 2
             parts.append((float(variance[i]), dof))
         s2, degrees = instability[i]
-        u, dof = degrees_of_mean(parts, float(np.sqrt(s2)), float(np.sqrt(common[i, i])), degrees=degrees)
+        u, dof = degrees_of_mean(parts, float(np.sqrt(s2)), float(np.sqrt(of_common[i, i])), degrees=degrees)
         covariance[i, i] = u**2
         deviations = [p.deviation for p in each if p.deviation is not None]
         prior = max((p.prior for p in each if p.prior is not None), default=None)
@@ -197,63 +313,7 @@ def mean_of_launches(runs: Sequence[Run], *, alike: Sequence[LaunchVariances] = 
                 learned=None if prior is None else learned_fraction(u, prior),
             )
         )
-    budget = UncertaintyBudget(sources=(source("within launches"),), covariances=of_launches[None])
-    for each_source, of_source in (
-        (source("launches", dof=None if alike else count - 1.0), covariance - of_launches - common),
-        (source("gravity", first.site.gravity_u if first.site else None, "m/s^2"), of_gravity),
-        (source("clock", clock_u, "1"), of_clock),
-        (source("priors"), common - of_gravity - of_clock),
-    ):
-        budget = budget.beside(each_source, of_source)
-
-    by_name = dict(zip(names, mean.tolist(), strict=True))
-    alike_in_all: dict[str, Any] = {key: _common_items([getattr(x, key) for x in launches]) for key in _OF_THE_DEVICE}
-    return Calibration(
-        device=replace(first.device, imu=_common_items([launch.imu for launch in launches])),
-        method=first.method,
-        frame=first.frame,
-        parameters=tuple(parameters),
-        covariance=covariance,
-        accel=_mean_model(first.frame, session.accel_block, by_name),
-        gyro=_mean_model(first.frame, session.gyro_block, by_name),
-        mag=TRIAD.model(np.array([by_name[n] for n in NAMES])) if set(NAMES) <= set(names) else None,
-        outcome=Outcome(  # what is said of the sessions, each sentence with the name of its own
-            reasons=tuple(f"{run.name}: {reason}" for run in runs for reason in run.calibration.outcome.reasons),
-            remarks=tuple(f"{run.name}: {remark}" for run in runs for remark in run.calibration.outcome.remarks),
-            unobservable=tuple(dict.fromkeys(name for launch in launches for name in launch.outcome.unobservable)),
-            concerns={f"{run.name}: {s}": on for run in runs for s, on in run.calibration.outcome.concerns.items()},
-        ),
-        iterations=tuple(
-            {name: sum(step.get(name, 0.0) for step in steps) / count for name in names}
-            for steps in zip_longest(
-                *(launch.iterations for launch in launches), fillvalue={}
-            )  # fewer: none at the end
-        ),
-        site=_common([launch.site for launch in launches]),
-        programme=_common([launch.programme for launch in launches]),
-        notes=(*_notes(runs, names), *pooled_with),
-        launches=tuple(
-            Launch(session=run.name, log_sha256=digest, **{key: getattr(run.calibration, key) for key in _OF_A_LAUNCH})
-            for run, digest in zip(runs, digests, strict=True)
-        ),
-        provenance=provenance_of(digest_of_all(digests)),
-        groups=_groups(launches, parameters),
-        budget=contributions_of(budget, names),
-        prediction=_prediction(runs, names, mean, covariance),
-        temperature=CalibratedTemperature(
-            reference=reference,
-            thermometers=_common_items([launch.temperature.thermometers for launch in launches]),
-            references=references,
-        ),
-        circumstances=circumstances_of_all([launch.circumstances for launch in launches]),
-        sample_rate=_mean_where_known([launch.sample_rate for launch in launches]),
-        clock_u=clock_u,
-        **alike_in_all,
-    )
-
-
-_OF_THE_DEVICE = ("readings", "axes")
-_OF_A_LAUNCH = ("parameters", "covariance", "site", "circumstances", "rests", "turns", "fits")
+    return tuple(parameters), covariance, of_launches
 
 
 def digest_of_all(digests: Iterable[str]) -> str:
@@ -305,7 +365,7 @@ def _notes(runs: Sequence[Run], names: list[str]) -> Iterator[str]:
     some of them have and not all."""
     launches_by_note: dict[str, list[str]] = {}
     for run in runs:
-        for note in run.calibration.notes:
+        for note in run.calibration.provenance.notes:
             launches_by_note.setdefault(note, []).append(run.name)
     for note, launches in launches_by_note.items():
         yield f"{'every launch' if len(launches) == len(runs) else ', '.join(launches)}: {note}"
@@ -382,7 +442,7 @@ def same_recording(first: Means, second: Means) -> bool:
 def _means(calibration: Calibration) -> Means:
     """What the sensors read in the rests of a calibration."""
     means, u = [], []
-    for rest in calibration.rests:
+    for rest in calibration.evidence.rests:
         sensors = [each for each in (rest.accel, rest.gyro) if each is not None]
         if sensors:
             means.append(np.concatenate([each.mean for each in sensors]))

@@ -165,7 +165,8 @@ def with_magnetometer(calibration: Calibration, spec: Channels, observations: Ob
         why = "; ".join(fit.reasons) or "magnetometer: nothing says how well it is known"
         note = f"{why}; the rest of the session is calibrated without it"
         missing = replace(calibration.outcome, unobservable=calibration.outcome.unobservable + NAMES)
-        return replace(calibration, outcome=missing, notes=(*calibration.notes, note))
+        provenance = replace(calibration.provenance, notes=(*calibration.provenance.notes, note))
+        return replace(calibration, outcome=missing, provenance=provenance)
     numbers = zip(fit.values.tolist(), np.sqrt(np.diag(fit.covariance)).tolist(), strict=True)
     units = (spec.unit_name,) * 3 + ("1",) * 3 + ("rad",) * 3
     by_fit = UncertaintyBudget(sources=(source("mag.fit"),), covariances=fit.covariance[None])
@@ -178,7 +179,15 @@ def with_magnetometer(calibration: Calibration, spec: Channels, observations: Ob
         ),
         covariance=block_diag(covariance, fit.covariance),
         mag=fit.model,
-        fits=dict(calibration.fits) | fit.fits,
-        budget=(*calibration.budget, *contributions_of(by_fit, NAMES)),
-        notes=calibration.notes + fit.notes + exchanged_columns(calibration.accel, fit.model, observations, spec),
+        evidence=replace(
+            calibration.evidence,
+            fits=dict(calibration.evidence.fits) | fit.fits,
+            budget=(*calibration.evidence.budget, *contributions_of(by_fit, NAMES)),
+        ),
+        provenance=replace(
+            calibration.provenance,
+            notes=calibration.provenance.notes
+            + fit.notes
+            + exchanged_columns(calibration.accel, fit.model, observations, spec),
+        ),
     )

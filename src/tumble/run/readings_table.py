@@ -33,7 +33,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypedDict, Unpack
 
 import numpy as np
 
@@ -210,27 +210,48 @@ def _number(cell: str) -> float:
 # -------------------- what the readings are worth --------------------
 
 
-def nominal(
-    table: ReadingsTable,
-    *,
-    sensor: Sensor = "accel",
-    unit: str = "V",
-    scale: Sequence[float] | None = None,
-    scale_per: str | None = None,
-    gravity: float | None = None,
-    gravity_u: float | None = None,
-    modulus: float | None = None,
-    modulus_u: float | None = None,
-    known: Mapping[int, Array] | None = None,
-) -> Nominal:
-    """What the readings of a table are worth. `scale` is one number or three, for `unit` V or count only, per
-    `scale_per`; without it its sizes are taken from the readings. `gravity` with its standard uncertainty `gravity_u`
-    (m/s²) is the modulus of accelerometers; without it gravity at the place is the unit, and 9.80665 m/s² stands for
-    it. The modulus of the others is `modulus`, with `modulus_u`, in the unit of the readings or of `scale_per`; of raw
-    readings of a magnetometer without that it is the unit itself. `known` are directions (3,) of the vector in
-    positions (from 1).
+class ReadingsDescription(TypedDict, total=False):
+    """What the readings of a table are.
 
-    Raises InputError, one line, for what does not go together."""
+    Attributes
+    ----------
+    sensor : {"accel", "gyro", "mag"}
+        Kind of the sensors; default "accel".
+    unit : str
+        "V" (default) or "count", or a unit of what the sensors measure, such as "g" or "deg/s".
+    scale : sequence of float
+        Nominal output per unit, one number or three, signed by polarity; only for V and count, and by default from the
+        readings themselves.
+    scale_per : str
+        Unit that the scale is per.
+    gravity, gravity_u : float
+        Gravity and its standard uncertainty, m/s², for accelerometers; by default gravity at the place is the unit and
+        counts as 9.80665 m/s².
+    modulus, modulus_u : float
+        Rate of the table for gyros, or the field for magnetometers, with its standard uncertainty, in `unit` or
+        `scale_per`; for raw readings of magnetometers without `scale_per` the field is the unit.
+    directions : mapping of int to ndarray, shape (3,)
+        Rough direction of the vector in positions by their numbers from 1, which gives the polarity of the columns.
+    """
+
+    sensor: Sensor
+    unit: str
+    scale: Sequence[float] | None
+    scale_per: str | None
+    gravity: float | None
+    gravity_u: float | None
+    modulus: float | None
+    modulus_u: float | None
+    directions: Mapping[int, Array]
+
+
+def nominal_of(table: ReadingsTable, **described: Unpack[ReadingsDescription]) -> Nominal:
+    """Nominal scale and true modulus of the readings of a table. Raises InputError if the description of the readings
+    contradicts itself or the table."""
+    sensor, unit = described.get("sensor", "accel"), described.get("unit", "V")
+    scale, scale_per = described.get("scale"), described.get("scale_per")
+    gravity, gravity_u = described.get("gravity"), described.get("gravity_u")
+    modulus, modulus_u = described.get("modulus"), described.get("modulus_u")
     units = UNITS[sensor]
     if unit not in (*_RAW, *units):
         raise InputError(f"--unit: expected one of {', '.join((*_RAW, *units))} for --sensor {sensor}, found {unit!r}")
@@ -276,7 +297,7 @@ def nominal(
         sizes = np.broadcast_to(np.asarray(scale, dtype=float), 3)
         if not np.all((np.abs(sizes) > 1.0 / LARGEST) & (np.abs(sizes) < LARGEST)):
             raise InputError(f"--scale: expected numbers other than zero, found {', '.join(f'{s:g}' for s in sizes)}")
-    signs, told = _polarity(table, sizes, known or {}, free=estimated)
+    signs, told = _polarity(table, sizes, described.get("directions", {}), free=estimated)
     return Nominal(
         sensor=sensor,
         unit=unit,

@@ -30,7 +30,18 @@ import numpy as np
 from tumble.errors import InputError
 from tumble.plugins import load_all
 from tumble.sensors.model import Block, SensorKind
-from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array, coarsest, engineering, quantity
+from tumble.units import (
+    ARCSEC,
+    DEGREE,
+    DEGREE_PER_HOUR,
+    G_STANDARD,
+    READ,
+    Array,
+    as_typed,
+    coarsest,
+    engineering,
+    quantity,
+)
 
 FUNCTIONS = 15
 """How many functions β there are."""
@@ -511,37 +522,23 @@ def prior_of(key: str, text: str) -> tuple[str, float]:
             "accel_hysteresis, gyro_hysteresis, accel_drift, gyro_drift, "
             "accel_launch, gyro_launch, temperature_lag"
         )
-    value = _quantity(group, text)
-    if value is None or not LEAST <= value <= LARGEST:
+    try:
+        value = quantity_of(group, text)
+    except ValueError:
+        value = 0.0
+    if not LEAST <= value <= LARGEST:
         units = ", ".join(_typed_units(group))
         raise ValueError(f"{key}: expected a positive number and one of {units}, found {text!r}")
     return group.name, value
 
 
 def quantity_of(group: ParameterGroup, text: str) -> float:
-    """The SI value of a text such as "-3 ug/g^2" for a parameter of a group. Raises ValueError, one line."""
-    if group.linear:
-        return quantity(text, group.unit)
-    value = _quantity(group, text)
-    if value is None:
-        raise ValueError(f"expected a number and one of {', '.join(_typed_units(group))}, found {text!r}")
-    return value
-
-
-def _quantity(group: ParameterGroup, text: str) -> float | None:
-    number = re.match(r"\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", text)
-    unit = _plain(text[number.end() :].strip()) if number else ""
-    units = _typed_units(group)
-    return float(number.group()) * units[unit] if number is not None and unit in units else None
+    """SI value of a text such as "-3 ug/g^2" for a parameter of a group. Raises ValueError, one line."""
+    return quantity(text, _typed_units(group))
 
 
 def _typed_units(group: ParameterGroup) -> dict[str, float]:
-    """What the units are worth that values of a group are given in, SI."""
-    return {_plain(shown): size for size, shown in group.shown} | {group.unit: 1.0}
-
-
-def _plain(unit: str) -> str:
-    """A unit as it is typed: ug/g^2 for µg/g², deg/s/g for °/s/g, mg/K for mg/°C."""
-    for shown, typed in (("/°C", "/K"), ("µ", "u"), ("²", "^2"), ("³", "^3"), ("°", "deg")):
-        unit = unit.replace(shown, typed)
-    return unit
+    """The units that values of a group may be typed in, SI."""
+    if group.linear:
+        return READ[group.unit]
+    return {as_typed(shown): size for size, shown in group.shown} | {group.unit: 1.0}

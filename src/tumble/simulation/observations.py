@@ -5,19 +5,16 @@ millisecond and thousands are cheap.
     observations = simulate_observations(scenario, rng)
     estimate = joint(observations)                       or any other method; compare with scenario.truth
 
-What is exact. A rest is its true mean reading plus noise of the covariance that is stated: the mean of white noise
-is what it is in a log. A turn is a rotation at constant inertial rate about an axis fixed in the body, from one true
-attitude to the next; every reading of it is then constant, so that a few samples integrate to the rotation about any
-gyro model without an error of discretisation. These samples (SAMPLES a turn, with white noise) are kept, so that
-`Observations.turns_about` works as it does for a log, and with them readings of the accelerometers: the exact mean of
-gravity over each interval through their model, with bias and white noise. The sensitivities M and B are midpoint sums
-over the samples, right to about 1e-4. A log made by `simulate` differs in that its turns have ramps and geographic
-axes, which moves M and B by some 1e-3, and in that the noise has to be estimated from it; here the covariances are
-the true ones.
+A rest is its true mean reading plus noise of the covariance that is stated. A turn is a rotation at a constant inertial
+rate about an axis fixed in the body, from one true attitude to the next: its readings are constant, and a few samples
+integrate to the rotation about any gyro model without an error of discretisation. These samples (SAMPLES a turn, with
+white noise) are kept, with readings of the accelerometers: the exact mean of gravity over each interval through their
+model, with bias and white noise. The sensitivities M and B are midpoint sums over the samples, right to about 1e-4. In
+a log made by `simulate`, turns have ramps and geographic axes, which changes M and B by some 1e-3, and the noise is
+estimated from it; here the covariances are the true ones.
 
-What is not here: vibration, whatever a log has besides rests and turns, and coloured noise other than that of in-run
-biases (`tumble.simulation.sensors`), of which the covariances know nothing.
-The stated gravity differs from the true one by a draw with the stated uncertainty.
+There is no vibration, and no coloured noise but that of in-run biases (`tumble.simulation.sensors`), of which the
+covariances know nothing. The stated gravity differs from the true one by a draw with the stated uncertainty.
 """
 
 from __future__ import annotations
@@ -56,10 +53,10 @@ SAMPLES = 256
 def simulate_observations(
     scenario: Scenario, rng: np.random.Generator, *, only_programmed: bool = False
 ) -> Observations:
-    """The observations of one session of a scenario; the truth is `scenario.truth`. With `only_programmed` the turns
-    that the programme does not prescribe are left out, as if the log had been stopped for them.
+    """Observations of one session of a scenario, whose truth is `scenario.truth`. With `only_programmed`, turns that
+    the programme does not prescribe are left out, as if the log had been stopped for them.
 
-    Raises InputError, one line, for a scenario that is impossible or vibrates."""
+    Raises InputError for a scenario that is impossible or vibrates."""
     if scenario.vibration.amplitude > 0.0:
         raise InputError(
             f"vibration: expected none in observations without a log, found {scenario.vibration.amplitude:g} m/s^2; "

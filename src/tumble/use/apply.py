@@ -1,17 +1,12 @@
 """Recordings corrected with a calibration: a log in, a log out, sample by sample.
 
-The whole model is undone, as `Compensator` does; at the temperature of the row, where the log has a thermometer, or at
-that of sensors which follow it with the calibration's lag, as warm as it where a file begins. Where
-the accelerometers have lever arms and the session has gyros, they are moved to the last one: ω̇ is a central difference
-of the corrected rates, one row of look-ahead. The delays of the accelerometers are not undone. Rows are neither added
-nor bridged: a number that is not finite stays so in its row. What a column gets is what a perfect sensor in that place
-would read, d · true with its nominal axis d, those of a magnetometer being the axes of its own frame; for three sensors
-along the body axes that is the true vector itself. It is in SI, unless the names of the columns say the log's unit:
-"ax [g]" stays in g. A redundant block is solved by least squares first, and its vector is added in the columns accel_x,
-accel_y, accel_z and gyro_x, gyro_y, gyro_z, in SI.
+Each row is corrected by `tumble.use.corrector` at its temperature. Rows are neither added nor bridged, and a number
+that is not finite stays so. A column gets what a perfect sensor in its place would read, d · true, with its nominal
+axis d, in SI, or in the log's unit if the names of the columns state it, as in "ax [g]". A redundant block is solved by
+least squares, and its vector is added in the columns accel_x, accel_y, accel_z and gyro_x, gyro_y, gyro_z, in SI.
 
-Increments stay increments: an integral over an interval T is corrected by bias · T, and its interval is the step in
-time, as in `log`, less the samples that are missing in it.
+Increments stay increments: an integral over an interval T is corrected by bias · T. T is the step in time, less the
+samples that are missing in it.
 """
 
 from __future__ import annotations
@@ -53,8 +48,8 @@ _SLICE = 1 << 14
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Correction:
-    """The sensors of one kind and what corrects them; where they are not in the calibration, they are `copied`, and
-    others feel what they read."""
+    """The sensors of one kind and their model. If they are not in the calibration, their columns are `copied`, and
+    their readings are used in the correction of others."""
 
     kind: str
     channels: Channels
@@ -63,8 +58,7 @@ class _Correction:
 
     @cached_property
     def written(self) -> Channels:
-        """What the corrected columns are: in the log's own unit, with its nominal scale and offset, where the names of
-        the columns say it, else in SI."""
+        """The corrected columns: in the log's unit, scale and offset if their names state them, else in SI."""
         named = {unit_of_name(self.kind, column) for column in self.channels.columns}
         if self.copied or named == {self.channels.unit_name}:
             return self.channels
@@ -157,12 +151,11 @@ def apply_to_session(
 
 
 def applied(calibration: Calibration | FilePath, session: Session | FilePath) -> tuple[str, ...]:
-    """In sentences, what of the larger model `apply_to_session` corrects and what it leaves, where the calibration has
-    such parameters."""
+    """Sentences on the parameters beyond the linear model that `apply_to_session` corrects, and that it does not."""
     calibration, session = accepted_part(calibration_from(calibration)), session_from(session)
     compensator = calibration.compensator
     found = positions_by_group(p.name for p in calibration.parameters)
-    out = [f"{absent}; their columns are copied as they are" for absent in calibration.absent]
+    out = [f"{absent}; their columns are copied as they are" for absent in calibration.provenance.absent]
     without = "the calibration" if session.log.gyro is not None else "the session"
     if np.any(compensator.levers) and (session.log.gyro is None or compensator.gyro is None):
         out.append(f"lever arms are not corrected: {without} has no gyros")
@@ -185,13 +178,13 @@ def applied(calibration: Calibration | FilePath, session: Session | FilePath) ->
 
 
 def _parts(calibration: Calibration, session: Session) -> tuple[_Correction, ...]:
-    """What is to be corrected; the calibration is that of the session's device."""
+    """The sensors to correct. Raises InputError for a calibration of another device or of other sensors."""
     check_device(calibration, session)
     copied = calibration.accel is None
     wanted: list[tuple[str, SensorModel | None, Channels]] = [
         ("accel", calibration.accel or calibration.compensator.model("accel"), session.log.accel)
     ]
-    if session.log.gyro is not None and (calibration.gyro is not None or not calibration.absent):
+    if session.log.gyro is not None and (calibration.gyro is not None or not calibration.provenance.absent):
         wanted.append(("gyro", calibration.gyro, session.log.gyro))
     parts = []
     for kind, model, channels in wanted:
@@ -253,27 +246,26 @@ def _corrected(
     stream: Stream,
     interval: float,
 ) -> Iterator[tuple[pl.DataFrame, dict[str, Array]]]:
-    """Tables of one file and the true vectors (N, 3) of their rows by kind of sensor, increments where the readings
-    are. They come by the delay of the stream later than the rows: the last one with the next table."""
+    """Tables of one file with the true vectors (N, 3) of their rows by kind of sensor, or their increments. With a
+    stream that has a delay, a table comes after the next one is read."""
     spec, increments = session.log, [part.kind for part in parts if part.increments]
     irregular = spec.time is not None and not spec.regular and (stream.moved or bool(increments))
     warm = compensator.warm and bool(compensator.references)
-    table, dt, whole, late = None, dict[str, Array](), dict[str, Array](), 0
-    last: float | None = None
-    for following in chain((t for t in tables if t.height or not stream.delay), [None]):
-        intervals = dict[str, Array]()
-        if following is None:
+    ready = {kind: np.zeros((0, 3)) for kind in ("accel", "gyro")[: 1 + stream.gyros]}
+    waiting, last = list[tuple[pl.DataFrame, Array | None]](), None
+    for table in chain(tables, [None]):
+        if table is None:
             now = stream.finish()
         else:
-            time = celsius = None
+            time = celsius = intervals = None
             with rows_of_numbers(path):
                 if irregular:
-                    time = times_of(following[spec.time or ""], spec)
+                    time = times_of(table[spec.time or ""], spec)
                 if spec.temperature is not None and warm:
-                    numbers = following.select(pl.col(spec.temperature.columns).cast(pl.Float64)).to_numpy()
+                    numbers = table.select(pl.col(spec.temperature.columns).cast(pl.Float64)).to_numpy()
                     celsius = np.asarray(spec.temperature.to_celsius(numbers), dtype=float)
             if increments:  # each is the integral over its step in time, less the samples that are missing in it
-                steps = np.full(following.height, interval)
+                steps = np.full(table.height, interval)
                 if time is not None:
                     steps = np.diff(time, prepend=time[0] - interval if last is None else last)
                     last = float(time[-1])
@@ -283,25 +275,27 @@ def _corrected(
                             f"{path}: expected times that increase, found {at:.9g} s after a later one; cut the log"
                         )
                     steps /= np.maximum(np.floor(steps / interval + 0.5), 1.0)
-                intervals = dict.fromkeys(increments, steps[:, None])
+                intervals = steps[:, None]
             means = {
-                part.kind: part.readings(following) / intervals.get(part.kind, 1.0)
+                part.kind: part.readings(table) / (intervals if intervals is not None and part.increments else 1.0)
                 for part in parts
-                if part.kind != "mag"
+                if part.kind in ("accel", "gyro")
             }
             now = stream.add(means["accel"], means.get("gyro"), time, celsius)
-        true = {"accel": now.force} | ({} if now.rate is None else {"gyro": now.rate})
-        if table is not None:
-            late = stream.delay
-            for kind, vectors in true.items():
-                whole[kind][-late:] = vectors[:late]
-            yield table, whole | {kind: whole[kind] * step for kind, step in dt.items()}
-        if not stream.delay and following is not None:
-            yield following, true | {kind: true[kind] * step for kind, step in intervals.items()}
-        elif following is not None:
-            table, dt, whole = following, intervals, {kind: np.empty((following.height, 3)) for kind in true}
-            for kind, vectors in true.items():
-                whole[kind][: len(vectors) - late] = vectors[late:]
+            waiting.append((table, intervals))
+        for kind, vectors in (("accel", now.force), ("gyro", now.rate)):
+            if vectors is not None:
+                ready[kind] = np.concatenate([ready[kind], vectors])
+        while waiting and len(ready["accel"]) >= waiting[0][0].height:
+            table, intervals = waiting.pop(0)
+            yield (
+                table,
+                {
+                    kind: vectors[: table.height] * (intervals if intervals is not None and kind in increments else 1.0)
+                    for kind, vectors in ready.items()
+                },
+            )
+            ready = {kind: vectors[table.height :] for kind, vectors in ready.items()}
 
 
 def check_device(calibration: Calibration, session: Session) -> None:

@@ -4,27 +4,24 @@ The parameters at the time of the check have the values of the calibration and t
 
     P = Σ + diag(s²),   D = N Σ N + diag(s²/√ν_s),   N = diag(ν^(−1/4))                                         (1)
 
-Σ is the covariance of the calibration, estimated with ν degrees of freedom for each parameter, and s² the variance of
-what turning the device on again changes. It is twice the variance s_g² that is usual for the grade
-(`tumble.sensors.grades`), with 1/ν_s = 0: a single launch is as far from the mean of all launches as the one that is
-checked. If several launches of the device are known, those behind the calibration and those behind its other ones in a
-registry, with the pooled variance s_L² of ν_L degrees of freedom, s_g² is replaced by
+Σ is the covariance of the calibration, estimated with ν degrees of freedom for each parameter, and D the uncertainty of
+P (`tumble.methods.field_check`, Eq. (3)). s² is the variance of what turning the device on again changes: 2 s_g², with
+s_g the usual standard deviation for the grade and 1/ν_s = 0, as a single launch is as far from the mean of all launches
+as the one that is checked. If several launches of the device are known, with the pooled variance s_L² of ν_L degrees of
+freedom, s_g² is replaced by
 
     s² = max(s_L², [4 s_g² + ν_L s_L²]/(ν_L + 4)),   ν_s = ν_L or ν_L + 4                                         (2)
 
 because two launches that happen to agree do not predict that the third will: s_g² counts as if it had been estimated
-with four degrees of freedom. If the calibration is the mean of several launches, Σ contains the uncertainty of this
-mean, and the factor two is absent. D is the uncertainty of P itself (`tumble.methods.field_check`, Eq. (3)).
+with four degrees of freedom. If the calibration is the mean of several launches, the factor two is absent.
 
-Groups of parameters that the calibration does not have, and drifts, which belong to a session, are zero with the
-standard deviation usual for the grade. If the temperatures of calibration and check are known, the parameters are
-taken to that of the check by their slopes and curvatures, unknown ones with their usual size. If both use the same
-stated gravity, the error of this gravity is in the scale factors too, with the opposite sign.
+Groups of parameters that the calibration does not have, and drifts, which belong to a session, are zero with the usual
+standard deviation for the grade. If the temperatures of calibration and check are known, the parameters are taken to
+that of the check. If both use the same stated gravity, its error is in the scale factors too, with the opposite sign.
+Scatter is that of the calibration, and in-run biases have the usual size for the grade.
 
-Rests and turns scatter as they did in the calibration, and in-run biases have the size usual for the grade. With this
-prior the changes are tested as in `tumble.methods.field_check`. The rests are also compared with gravity one by one, as
-in `tumble.use.positions`. These differences alone decide for a table of readings, for the rests of the calibration
-itself, whose parameters cannot be tested with themselves, and for a calibration in the frame of the case.
+The rests are also compared with gravity one by one (`tumble.use.positions`). This alone decides for a table of
+readings, for the rests of the calibration itself, and for a calibration in the frame of the case.
 """
 
 from __future__ import annotations
@@ -60,6 +57,7 @@ from tumble.result.accepted import accepted_accelerometers
 from tumble.result.calibration import Calibration, calibration_from
 from tumble.result.correction import reference_of_parameter
 from tumble.result.coverage import by_gravity, shared_gravity
+from tumble.result.evidence import Evidence
 from tumble.result.launch_variances import LaunchVariances, launch_variances
 from tumble.result.parts import learned_fraction
 from tumble.run.calibrate import grade_of, provenance_of
@@ -90,19 +88,13 @@ class CheckedRest:
     difference : float
         Gravity less the modulus of the corrected reading, m/s².
     u, sigmas : float or None
-        Standard uncertainty of the difference, m/s², and the difference in units of it. In a stream they are those of
-        the prediction by the calibration, the power-on and the rests before. None, or not a number, if nothing predicts
-        the rest.
-    start, stop : float or None
-        Times, s.
-    celsius : float or None
-        Temperature, °C.
-    outside : tuple of str
-        Of "temperature" and "force", what is outside of the range that was calibrated; in a stream only.
-    judged : JudgedRest or None
-        In a stream, the tests of the biases by this rest.
-    why : str
-        In a stream, why a quiet stretch is not used as a rest; empty if it is.
+        Standard uncertainty of the difference, m/s², and the difference in units of it; in a stream as the calibration
+        and the rests before predict it. None, or not a number, if nothing predicts the rest.
+    start, stop, celsius : float or None
+        Times, s, and temperature, °C.
+    outside, judged, why : tuple of str, JudgedRest or None, str
+        In a stream only: which of "temperature" and "force" are outside of the calibrated range, the tests of the
+        biases by this rest, and why a quiet stretch is not used as a rest.
     """
 
     label: str
@@ -126,9 +118,7 @@ class FieldCheck(Judged):
     source : str
         The session, table or stream.
     rests : tuple of CheckedRest
-        Its rests or positions.
-    left_out : bool
-        Whether these are the calibration's own, each left out in turn.
+        Its rests or positions; if `left_out`, those of the calibration, each left out in turn.
     rest_limit : float or None
         What the largest |difference|/u exceeds by chance in one of 100 cases; None in a stream.
     turns : int
@@ -142,9 +132,7 @@ class FieldCheck(Judged):
     unseen : tuple of str
         Groups of parameters that the rests and turns do not determine.
     misfit : Fit or None
-        Residuals that no change explains.
-    rests_agree : bool
-        Whether the rests alone show no change, where no change explains the whole session.
+        Residuals that no change explains; `rests_agree` if they are those of the turns alone.
     notes : tuple of str
         What was assumed.
     updated : Calibration or None
@@ -274,9 +262,8 @@ def check_calibration(
     if not isinstance(readings, Session) and not Path(readings).is_dir():
         rows, table = table_observations(given, Path(readings))
         residuals = residuals_in(given, rows, table.sha256)
-        labels = (f"position {i} (line {line})" for i, line in enumerate(table.lines, 1))
-        rests = tuple(_rest(residuals, i, label=label) for i, label in enumerate(labels))
-        return FieldCheck(source=str(readings), rests=rests, left_out=residuals.left_out, rest_limit=residuals.limit)
+        labels = [f"position {i} (line {line})" for i, line in enumerate(table.lines, 1)]
+        return _checked_rests(str(readings), residuals, labels)
     session = session_from(readings)
     check_session(given, session)
     observed = inspect_session(replace(session, programme=None))
@@ -286,68 +273,51 @@ def check_calibration(
     grade, guessed_from = grade_of(session, observations)
 
     # each rest against gravity
-    residuals = residuals_in(given, observations, observed.sha256, grade)
+    residuals = residuals_in(given, observations, observed.sha256)
     at, kelvin = observations.rests, observations.rests.temperature
-    times = zip(at.start.tolist(), at.stop.tolist(), strict=True)
+    times = list(zip(at.start.tolist(), at.stop.tolist(), strict=True))
+    celsius = len(times) * [None] if kelvin is None else (kelvin - ZERO_CELSIUS).tolist()
+    labels = [f"rest {i} ({start:z.1f}–{stop:z.1f} s)" for i, (start, stop) in enumerate(times, 1)]
+    by_rests = _checked_rests(session.name, residuals, labels)
     rests = tuple(
-        _rest(
-            residuals,
-            i,
-            label=f"rest {i + 1} ({start:z.1f}–{stop:z.1f} s)",
-            start=start,
-            stop=stop,
-            celsius=None if kelvin is None else float(kelvin[i]) - ZERO_CELSIUS,
-        )
-        for i, (start, stop) in enumerate(times)
+        replace(rest, start=start, stop=stop, celsius=warmth)
+        for rest, (start, stop), warmth in zip(by_rests.rests, times, celsius, strict=True)
     )
-    by_rests = FieldCheck(
-        source=session.name,
-        rests=rests,
-        left_out=residuals.left_out,
-        rest_limit=residuals.limit,
-        notes=given.absent,
-    )
-    beyond = sum(rest.sigmas is not None and abs(rest.sigmas) > residuals.limit for rest in rests)
-    if beyond:
-        does = "explains them" if residuals.by_turn_on else "does not explain them"
-        turned_on = f"{beyond} rests differ from gravity by more than their u: a usual change from one power-on to the "
-        turned_on += f"next {does}"
-        by_rests = replace(by_rests, notes=(*by_rests.notes, *(() if residuals.left_out else (turned_on,))))
+    by_rests = replace(by_rests, rests=rests, notes=given.provenance.absent)
     if residuals.left_out or given.frame == "case":
         return by_rests
 
     # all parameters
-    own = given.in_frame("accelerometer")
-    if own.gyro is None and observations.gyro_block is not None:
+    converted = given.in_frame("accelerometer")
+    if converted.gyro is None and observations.gyro_block is not None:
         observations = observations.of_accelerometers()
-    launches, sheet = _launches(own, launches), session.device.prior
-    prior = prior_at_check(own, observations, grade, sheet, launches)
+    launches, sheet = _launches(converted, launches), session.device.prior
+    prior = prior_at_check(converted, observations, grade, sheet, launches)
     result = field_check(observations, prior)
     rests_agree = False
     if not result.explained and observations.gyro_block is not None:
         at_rest = observations.of_accelerometers()
-        rests_agree = field_check(at_rest, prior_at_check(own, at_rest, grade, sheet, launches)).valid
+        rests_agree = field_check(at_rest, prior_at_check(converted, at_rest, grade, sheet, launches)).valid
     check = replace(
         by_rests,
         turns=0 if observations.turns is None else len(observations.turns),
         **tested(result),
         rests_agree=rests_agree,
-        notes=(*by_rests.notes, *_assumptions(own, reference_of(observations), grade, guessed_from, launches)),
+        notes=(*by_rests.notes, *_assumptions(converted, reference_of(observations), grade, guessed_from, launches)),
     )
     if not result.explained:
         return check
-    updated = _updated(own, check, result, prior.instrument, observations, observed)
+    updated = _updated(converted, check, result, prior.instrument, observations, observed)
     return replace(check, updated=updated.in_frame(given.frame))
 
 
-def _rest(residuals: PositionResiduals, i: int, **of_rest: Any) -> CheckedRest:
-    """The i-th position, with its other fields."""
-    return CheckedRest(
-        difference=float(residuals.difference[i]),
-        u=float(residuals.u[i]),
-        sigmas=float(residuals.sigmas[i]),
-        **of_rest,
+def _checked_rests(source: str, residuals: PositionResiduals, labels: Sequence[str]) -> FieldCheck:
+    """A check by the differences from gravity alone."""
+    numbers = zip(
+        labels, *(each.tolist() for each in (residuals.difference, residuals.u, residuals.sigmas)), strict=True
     )
+    rests = tuple(CheckedRest(label=label, difference=d, u=u, sigmas=sigmas) for label, d, u, sigmas in numbers)
+    return FieldCheck(source=source, rests=rests, left_out=residuals.left_out, rest_limit=residuals.limit)
 
 
 def _assumptions(
@@ -389,7 +359,7 @@ def check_session(calibration: Calibration, session: Session) -> None:
                 f"{block.size}"
             )
     for kind, now in readings_of_session(session).items():
-        then = calibration.readings.get(kind)
+        then = calibration.provenance.readings.get(kind)
         raw = then is not None and (now.unit in _RAW or then.unit in _RAW)
         if then is not None and raw and (now.scale, now.offset) != (then.scale, then.offset):
             raise InputError(
@@ -400,8 +370,8 @@ def check_session(calibration: Calibration, session: Session) -> None:
 
 def _launches(calibration: Calibration, others: Sequence[LaunchVariances]) -> Sequence[LaunchVariances]:
     """The launches behind a calibration and those of other ones of its device, each once."""
-    own = launch_variances(calibration)
-    return others if own is None else (own, *(each for each in others if not each.logs & own.logs))
+    behind = launch_variances(calibration)
+    return others if behind is None else (behind, *(each for each in others if not each.logs & behind.logs))
 
 
 # -------------------- the prior --------------------
@@ -414,19 +384,9 @@ def prior_at_check(
     data_sheet: Mapping[str, float],
     launches: Sequence[LaunchVariances] = (),
 ) -> CheckPrior:
-    """The prior of the parameters at the check, Eq. (1).
-
-    Parameters
-    ----------
-    calibration
-        In the frame `accelerometer`.
-    observations
-        The rests and turns of the check.
-    grade, data_sheet
-        Grade of the device, and standard deviations that its data sheet states instead, by group.
-    launches
-        Launches behind other calibrations of the device.
-    """
+    """The prior of the parameters at the check, Eq. (1), by a calibration in the frame `accelerometer`, the grade of
+    the device or the standard deviations by group that its data sheet states instead, and launches behind other
+    calibrations of the device."""
     usual = usual_sizes(grade, data_sheet)
     instrument = Instrument.of(
         observations.accel_block, observations.gyro_block, set(usual), variables_of(observations)
@@ -449,8 +409,8 @@ def prior_at_check(
     at = [i for i, name in enumerate(names) if name in given]
     values[at] = [given[names[i]] for i in at]
     covariance[np.ix_(at, at)] = calibration.covariance_of([names[i] for i in at])
-    if shared_gravity(calibration.site, observations.site):
-        change = by_gravity(calibration.parameters, calibration.covariance, calibration.site)
+    if shared_gravity(calibration.provenance.site, observations.site):
+        change = by_gravity(calibration.parameters, calibration.covariance, calibration.provenance.site)
         by_name = {p.name: c for p, c in zip(calibration.parameters, change.tolist(), strict=True)}
         whole[0, 1:] = whole[1:, 0] = gravity * np.array([by_name.get(name, 0.0) for name in names])
 
@@ -461,21 +421,21 @@ def prior_at_check(
         warmer = [reference_of_parameter(here, name) - reference_of_parameter(calibration, name) for name in names]
         J[1:, 1:] = to_temperature(names, np.array(warmer))
     # s² and 1/ν_s of another power-on, Eq. (2)
-    single = len(calibration.launches) < 2 and not calibration.together
+    single = len(calibration.evidence.launches) < 2 and not calibration.evidence.together
     others = _launches(calibration, launches)
     turned_on, inverse_degrees = np.zeros((2, len(whole)))
     for i, name in enumerate(linear, 1):
         pooled_from = [(each.degrees, each.variances[name][0]) for each in others if name in each.variances]
         degrees = sum(count for count, _ in pooled_from)
-        own = sum(count * between for count, between in pooled_from) / max(degrees, 1)
-        pooled = USUAL_DEGREES * spread_of(TURN_ON[grade], name) ** 2 + degrees * own
+        between_launches = sum(count * between for count, between in pooled_from) / max(degrees, 1)
+        pooled = USUAL_DEGREES * spread_of(TURN_ON[grade], name) ** 2 + degrees * between_launches
         pooled /= USUAL_DEGREES + degrees
-        turned_on[i] = max(own, pooled) * (2.0 if single else 1.0)
+        turned_on[i] = max(between_launches, pooled) * (2.0 if single else 1.0)
         if degrees:
-            inverse_degrees[i] = 1.0 / degrees if own > pooled else 1.0 / (USUAL_DEGREES + degrees)
+            inverse_degrees[i] = 1.0 / degrees if between_launches > pooled else 1.0 / (USUAL_DEGREES + degrees)
 
     inverse = {p.name: 1.0 / p.dof for p in calibration.parameters if p.dof is not None}
-    fits = calibration.fits
+    fits = calibration.evidence.fits
     scatter: dict[str, Any] = {name: fits[fit].scatter for name, fit in _FITS.items() if fit in fits}
     return CheckPrior(
         instrument=instrument,
@@ -509,21 +469,20 @@ def _updated(
         if variable_of(p.name) == "time" or p.name not in instrument.names:
             continue
         i = instrument.names.index(p.name)
-        value, own_u, learned = float(result.values[i]), float(u[i]), p.learned
+        value, new_u, learned = float(result.values[i]), float(u[i]), p.learned
         if p.prior is not None and learned is not None:
-            learned = learned_fraction(own_u, p.prior)
+            learned = learned_fraction(new_u, p.prior)
         dof = None if p.name in changed else p.dof  # what is of the check alone has none of the calibration
-        parameters.append(replace(p, value=value, u=own_u, deviation=None, run_to_run=None, dof=dof, learned=learned))
+        parameters.append(replace(p, value=value, u=new_u, deviation=None, run_to_run=None, dof=dof, learned=learned))
         at.append(i)
     others = [i for i, p in enumerate(before.parameters) if sensor_kind(p.name) == "mag"]  # took no part
     gyro, warm = instrument.gyro, before.reference_temperature is not None
     at_rate = None if before.prediction is None else before.prediction.at_rate
-    predicted = None
-    if before.site is not None:
-        gravity = before.site.gravity
-        predicted = prediction(instrument, result.values, result.covariance, gravity=gravity, rate=at_rate)
+    predicted, site = None, before.provenance.site
+    if site is not None:
+        predicted = prediction(instrument, result.values, result.covariance, gravity=site.gravity, rate=at_rate)
     note = (
-        f"no calibration of its own: that of {before.provenance.get('created', 'an unknown date')}, updated by a field "
+        f"no calibration of its own: that of {before.provenance.created or 'an unknown date'}, updated by a field "
         f"check of {len(check.rests)} rests ({check.source}): "
         f"{'; '.join(check.reasons) or 'nothing had changed beyond chance'}"
     )
@@ -541,23 +500,15 @@ def _updated(
             range=before.temperature_range,
             references=references_of(observations) if warm else {},
         ),
-        site=before.site if before.site == observations.site else None,
-        circumstances=observed.circumstances,
-        sample_rate=observed.rate,
-        notes=(note, *before.notes),
-        provenance={
-            **provenance_of(observed.sha256),
-            "calibrated_log_sha256": before.provenance.get("log_sha256", "unknown"),
-        },
-        iterations=(),
-        rests=(),
-        turns=(),
-        programme=None,
-        launches=(),
-        clock_u=0.0,
-        together=(),
-        hyperparameters=(),
-        integral=None,
-        process_bias=(),
-        budget=(),
+        evidence=Evidence(fits=before.evidence.fits),
+        provenance=replace(
+            provenance_of(observed.sha256),
+            calibrated_log_sha256=before.provenance.log_sha256 or "unknown",
+            site=site if site == observations.site else None,
+            circumstances=observed.circumstances,
+            sample_rate=observed.rate,
+            readings=before.provenance.readings,
+            notes=(note, *before.provenance.notes),
+            absent=before.provenance.absent,
+        ),
     )

@@ -4,12 +4,11 @@ The difference d = second − first of a parameter has
 
     u(d)² = u₁² + u₂² − 2 Σ g₁ g₂,    U(d) = t₉₅.₄₅(ν) u(d),    E_n = d / U(d)
 
-(ISO/IEC 17043, annex B, with ν of Welch and Satterthwaite in place of k = 2: `tumble.result.coverage`). The sum is over
-the errors that both calibrations have in common: those of gravity, of the time base, and of what only priors say of the
-device (`tumble.result.shared_errors`). g₁ and g₂ are the changes of the parameter in both by one standard uncertainty
-of such an error, which is thus no part of the difference. |E_n| ≤ 1 means that the two agree in this parameter, and one
-in twenty-two is larger by chance. All m parameters agree if chance makes the largest |E_n| of m as large with a
-probability of at least CHANCE (Bonferroni's inequality, Student's t).
+(ISO/IEC 17043, annex B, with ν of Welch and Satterthwaite in place of k = 2: `tumble.result.coverage`). g₁ and g₂ are
+the changes of the parameter in both by one standard uncertainty of an error that the calibrations have in common: that
+of gravity, of the time base, and of what only priors say of the device (`tumble.result.shared_errors`). All m
+parameters agree if chance makes the largest |E_n| of m as large with a probability of at least CHANCE (Bonferroni's
+inequality, Student's t).
 
 All m together, correlations included, are tested with χ² = dᵀ C⁻¹ d, C = C₁ + C₂ − Σ (g₁g₂ᵀ + g₂g₁ᵀ), without those
 of which neither has learned anything. If uncertainties were estimated, with ν the fewest degrees of freedom, χ²/m has
@@ -60,11 +59,9 @@ class Difference:
     ----------
     first, second : float
         Its values.
-    u : float or None
-        Standard uncertainty of the difference, without errors in common. None if one of the two has no uncertainty,
-        zero if both have no more than the prior.
-    dof : float or None
-        Degrees of freedom of `u`; None means infinite.
+    u, dof : float or None
+        Standard uncertainty of the difference, without errors in common, and its degrees of freedom, None if infinite.
+        u is None if one of the two has no uncertainty, and zero if both have no more than the prior.
     """
 
     json_fields: ClassVar[tuple[str, ...]] = ("name", "unit", "first", "second", "value", "u", "dof", "e_n")
@@ -78,8 +75,8 @@ class Difference:
 
     @classmethod
     def between(cls, first: KnownValue, second: KnownValue, g: Array, h: Array, **others: Any) -> Self:
-        """The difference of a parameter that k errors in common change by `g` (k,) in the first and by `h` (k,) in the
-        second, with the other fields of the class."""
+        """The difference of a parameter that errors in common change by `g` (k,) in the first and `h` (k,) in the
+        second; `others` are the other fields."""
         parts: list[tuple[float, float | None]] = [
             (float(((g - h) ** 2).sum()), None),
             apart(first.u, first.dof, g.tolist()),
@@ -88,8 +85,8 @@ class Difference:
         variance = sum(variance for variance, _ in parts)
         if variance < UNLEARNED * ((first.u or 0.0) ** 2 + (second.u or 0.0) ** 2):
             variance = 0.0
-        known = first.u is not None and second.u is not None
-        u, dof = (sqrt(variance), welch_satterthwaite(parts)) if known else (None, None)
+        uncertain = first.u is not None and second.u is not None
+        u, dof = (sqrt(variance), welch_satterthwaite(parts)) if uncertain else (None, None)
         return cls(first=first.value, second=second.value, u=u, dof=dof, **others)
 
     @property
@@ -274,6 +271,6 @@ def _remarks(first: Calibration, second: Calibration, frame: str) -> Iterator[st
         if all(p.u is None for p in calibration.parameters):
             yield f"the {which} has no uncertainties: nothing is judged"
         yield from (f"the {which}: {remark}" for remark in remarks_of(calibration))
-    logs = [calibration.provenance.get("log_sha256") for calibration in (first, second)]
+    logs = [calibration.provenance.log_sha256 for calibration in (first, second)]
     if logs[0] is not None and logs[0] == logs[1]:
         yield "both come from the same log: their differences are smaller than their uncertainties allow"

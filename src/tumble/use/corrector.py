@@ -5,9 +5,8 @@ If accelerometers have lever arms and the rate is read, their specific force is 
 
     f = f_p − ω̇ × r − ω × (ω × r),     ω̇ᵢ = (ωᵢ₊₁ − ωᵢ₋₁) / (tᵢ₊₁ − tᵢ₋₁)
 
-so that a sample is corrected when the next one has come: `delay` is 1. If its neighbours are more than LONGEST_STEP
-usual intervals apart, or in the wrong order, ω̇ is unknown and the sample is not transferred. The delays of the
-accelerometers are not undone. `apply_to_session` corrects a log with the same stream.
+so that a sample is corrected one sample later. If its neighbours are more than LONGEST_STEP usual intervals apart, or
+in the wrong order, ω̇ is unknown and the sample is not transferred. The delays of the accelerometers are not undone.
 """
 
 from __future__ import annotations
@@ -89,8 +88,8 @@ class Ranges:
     @staticmethod
     def of(calibration: Calibration) -> Ranges:
         """Temperatures of the rests and, with MARGIN, the rate of the turns and gravity."""
-        known, site = calibration.prediction, calibration.site
-        rate = inf if known is None or known.at_rate is None else (1.0 + MARGIN) * known.at_rate
+        prediction, site = calibration.prediction, calibration.provenance.site
+        rate = inf if prediction is None or prediction.at_rate is None else (1.0 + MARGIN) * prediction.at_rate
         force = (1.0 + MARGIN) * (G_STANDARD if site is None else site.gravity)
         return Ranges(temperature=calibration.temperature_range or (-inf, inf), rate=rate, force=force)
 
@@ -98,24 +97,9 @@ class Ranges:
 class Stream:
     """Corrects the rows of one stream with a compensator.
 
-    Parameters
-    ----------
-    compensator
-        The model.
-    interval
-        Usual interval of samples, s.
-    gyros
-        Whether rates are read.
-    thermometers
-        Number of the thermometer of each accelerometer and of each gyro.
-    heat
-        How many thermometers there are.
-    ranges
-        Ranges outside of which samples are flagged.
-    zero
-        0 °C in the unit of the temperatures.
-    latest
-        LATEST, or 0 for stamps that are in order.
+    The usual `interval` of samples is in s. With `gyros` rates are read. Of `heat` thermometers, `thermometers` are the
+    numbers of those of each accelerometer and of each gyro; `zero` is 0 °C in the unit of their temperatures. Samples
+    outside of the `ranges` are flagged. `latest` is LATEST, or 0 for stamps that are in order.
     """
 
     def __init__(
@@ -143,9 +127,9 @@ class Stream:
         limits = LONGEST_STEP * interval, ranges.rate**2, ranges.force**2
         self._settings = np.array([interval, lag, kept, *ranges.temperature, latest, zero, *limits, nan])
         self._start = np.zeros(heat)
-        for block, own in zip((compensator.accel, compensator.gyro), thermometers, strict=True):
-            if block is not None and block.kind in compensator.references and len(own) == block.size:
-                self._start[own] = compensator.references[block.kind]
+        for block, numbers in zip((compensator.accel, compensator.gyro), thermometers, strict=True):
+            if block is not None and block.kind in compensator.references and len(numbers) == block.size:
+                self._start[numbers] = compensator.references[block.kind]
         self._state: tuple[Array, ...] = (
             np.zeros((2, 2 + 2 * n + m + heat + 9)),
             np.zeros((heat, 2)),
@@ -241,9 +225,8 @@ class Corrector:
 
     Notes
     -----
-    A sample whose stamp is not after the last one is late. It is dropped, and counted in `dropped`. If it is earlier by
-    more than LATEST (1 s), the clock has started anew, as after a restart of the device, which is a gap. Across a gap ω̇
-    is unknown.
+    A sample whose stamp is not after the last one is dropped, and counted in `dropped`. If it is earlier by more than
+    LATEST (1 s), the clock has started anew, which is a gap. Across a gap ω̇ is unknown.
 
     Examples
     --------
@@ -264,7 +247,7 @@ class Corrector:
 
     def __init__(self, calibration: Calibration | FilePath, *, sample_rate: float | None = None) -> None:
         self.calibration = accepted_part(calibration_from(calibration))
-        rate = self.calibration.sample_rate if sample_rate is None else sample_rate
+        rate = self.calibration.provenance.sample_rate if sample_rate is None else sample_rate
         if rate is None or not 0.0 < rate < inf:
             raise InputError(f"sample_rate: expected samples a second, found {rate}; give sample_rate=")
         self.sample_rate = rate
@@ -290,8 +273,7 @@ class Corrector:
 
     @property
     def delay(self) -> int:
-        """Number of samples by which a corrected one is late: 1 with lever arms, for which ω̇ needs the next rate, else
-        0."""
+        """Number of samples by which a corrected one is late: 1 with lever arms, else 0."""
         return self._stream.delay
 
     @property
@@ -353,11 +335,11 @@ class Corrector:
             kelvin = kelvin.reshape(count, self.thermometers)
             check_kelvin(kelvin)
         corrected = self._stream.add(readings, turned, stamps, kelvin)
-        return self._known(corrected)
+        return self._without_absent(corrected)
 
     def finish(self) -> Corrected:
         """Return the last sample, if it waits for the next, with ω̇ from the one before; another stream begins."""
-        return self._known(self._stream.finish())
+        return self._without_absent(self._stream.finish())
 
     def covariance(self, force: Array, rate: Array | None = None, celsius: float | None = None) -> Array:
         """Covariance of one corrected sample, SI.
@@ -400,7 +382,7 @@ class Corrector:
         beta = np.concatenate([functions(block, felt[None], spun[None])[0] for block in instrument.blocks])
         J = (beta[:, None] @ derivative(instrument, values, warmer)[:, :, known])[:, 0]
         parameters = np.array(given.covariance_of(names))
-        for bias in given.process_bias:
+        for bias in given.evidence.process_bias:
             if bias.name in names:
                 parameters[(names.index(bias.name),) * 2] = max(given[bias.name].u or 0.0, bias.next_u) ** 2
         kinds = ("accel", "gyro")[: len(instrument.blocks)]
@@ -421,7 +403,7 @@ class Corrector:
             out[:3], out[:, :3] = nan, nan
         return np.asarray(out if rate is not None else out[:3, :3])
 
-    def _known(self, corrected: Corrected) -> Corrected:
+    def _without_absent(self, corrected: Corrected) -> Corrected:
         if self.calibration.accel is None:
             corrected.force[:] = nan
         return corrected
@@ -444,7 +426,7 @@ def white_noise(given: Calibration) -> dict[str, Array]:
     """Density (n,) of the white noise of "accel" and "gyro" in the rests of a calibration, unit/√Hz."""
     white = {}
     for kind in ("accel", "gyro"):
-        rests = [sensors.noise for rest in given.rests if (sensors := getattr(rest, kind)) is not None]
+        rests = [sensors.noise for rest in given.evidence.rests if (sensors := getattr(rest, kind)) is not None]
         if rests:
             white[kind] = np.sqrt(np.mean(np.square(rests), axis=0))
     return white

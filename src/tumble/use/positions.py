@@ -22,11 +22,7 @@ which is exact for a linear fit. The plain residual would be too small by √(1 
 The largest |Δg|/u of N positions is compared with the quantile that it exceeds by chance with the probability CHANCE,
 by Bonferroni's inequality over the positions. It is one of Student's t distribution if the scatter was estimated.
 
-What turning the device on again changes is not a part of u. Whether it explains the differences is tested with
-
-    Δgᵀ V⁻¹ Δg,   V = diag(variance of the positions) + J (Σ + 2 diag(s_g²)) Jᵀ + u(g)²                          (4)
-
-where s_g is the standard deviation from launch to launch that is usual for the grade of the device.
+What turning the device on again changes is not a part of u; `tumble.use.check` tests the parameters with it.
 """
 
 from __future__ import annotations
@@ -43,12 +39,10 @@ from tumble.inference.variables import sensors_at
 from tumble.methods.least_squares import sigmas
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.rests import Rests
-from tumble.result.accepted import accepted_accelerometers
 from tumble.result.calibration import Calibration
-from tumble.run.case import Verticals, verticals_of
+from tumble.rotation import unit_vector
 from tumble.run.readings_table import ReadingsTable, read_table
 from tumble.sensors.frames import Convention, frame_of, triad_axes
-from tumble.sensors.grades import TURN_ON, spread_of
 from tumble.sensors.instrument import Instrument, functions
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import Variable, beyond_linear, group_name, sensor_kind
@@ -67,52 +61,32 @@ _OVER_TEMPERATURE: dict[Variable, int] = {"temperature": 1, "temperature²": 2}
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PositionResiduals:
-    """Differences in N positions, Eq. (1), without the position itself where `left_out`, Eq. (3).
-
-    Attributes
-    ----------
-    difference, u : (N,) array
-        Δg and its standard uncertainty, m/s²; not a number where nothing but the position determines it.
-    sigmas : (N,) array
-        Δg/u, studentised for positions that are left out.
-    limit : float
-        The quantile that the largest |Δg|/u is compared with.
-    left_out : bool
-        Whether the positions are those of the calibration.
-    by_turn_on : bool
-        Whether the changes usual from one power-on to the next explain the differences, Eq. (4).
-    """
+    """Differences Δg (N,) from gravity with their u, m/s², and Δg/u, `sigmas`, the largest of which is compared with
+    the quantile `limit`. If the positions are those of the calibration, each is `left_out`, Eq. (3): Δg is not a number
+    where nothing but the position determines it, and Δg/u is studentised."""
 
     difference: Array
     u: Array
     sigmas: Array
     limit: float
     left_out: bool
-    by_turn_on: bool = False
 
 
 def table_observations(calibration: Calibration, path: Path) -> tuple[Observations, ReadingsTable]:
-    """The rows of a table of readings as rests, and the table.
+    """The rows of a table of readings as rests, and the table, which has the unit, scale and gravity of the calibration
+    and the noise of its rests, or of a row of its table.
 
-    They have the unit and the scale of the readings that the calibration was made from, and its gravity. Their noise is
-    that of its rests, or that of a row of its table.
-
-    Raises
-    ------
-    InputError
-        For a table that cannot be read.
-    CalibrationError
-        If the calibration does not say what a reading is worth, or how uncertain it is.
-    """
-    table, worth = read_table(path), calibration.readings.get("accel")
-    if calibration.accel is None or worth is None or worth.increments or calibration.site is None:
+    Raises InputError for a table that cannot be read, and CalibrationError for a calibration that does not state the
+    unit of a reading or its uncertainty."""
+    table, worth = read_table(path), calibration.provenance.readings.get("accel")
+    if calibration.accel is None or worth is None or worth.increments or calibration.provenance.site is None:
         raise CalibrationError(
             f"{path}: expected a calibration of three accelerometers that says what their readings are worth, found "
             "none; calibrate again, or check with a session"
         )
 
     # the variance of a row beside the scatter: of a row of its table, or of a mean as long as the rests
-    before = [(np.array(r.accel.noise), r.stop - r.start) for r in calibration.rests if r.accel is not None]
+    before = [(np.array(r.accel.noise), r.stop - r.start) for r in calibration.evidence.rests if r.accel is not None]
     variance = np.array(worth.row_u) ** 2 if worth.row_u else np.zeros(3)
     if before and not worth.row_u:
         variance = np.median([noise**2 / duration for noise, duration in before], axis=0)
@@ -128,7 +102,7 @@ def table_observations(calibration: Calibration, path: Path) -> tuple[Observatio
     observations = Observations(
         accel_block=Block(kind="accel", axes=triad_axes(calibration.accel.matrix)),
         gyro_block=None,
-        site=calibration.site,
+        site=calibration.provenance.site,
         rests=replace(rests, accel_covariance=np.broadcast_to(np.diag(variance), (N, 3, 3))),
     )
     return observations, table
@@ -136,44 +110,29 @@ def table_observations(calibration: Calibration, path: Path) -> tuple[Observatio
 
 def _accelerometer_fit(calibration: Calibration) -> Fit:
     nothing = Fit(chi_square=0.0, degrees=0.0, scatter=0.0, unit="m/s^2")
-    return calibration.fits.get("accelerometers", nothing)
+    return calibration.evidence.fits.get("accelerometers", nothing)
 
 
-def residuals_in(
-    calibration: Calibration, observations: Observations, sha256: str, grade: str | None = None
-) -> PositionResiduals:
-    """Differences in check positions by an accepted calibration, Eq. (1) to (4).
+def residuals_in(calibration: Calibration, observations: Observations, sha256: str) -> PositionResiduals:
+    """Differences by an accepted calibration, Eq. (1) to (3), in check positions whose log or table has this SHA-256.
 
-    Parameters
-    ----------
-    observations
-        The positions, as rests.
-    sha256
-        SHA-256 of their log or table.
-    grade
-        Grade of the device, for Eq. (4).
-
-    Raises
-    ------
-    CalibrationError
-        For a calibration without all parameters of its accelerometers.
-    InputError
-        For positions of other sensors, of one of several launches behind the calibration, or where each of its own
-        positions is determined by nothing but itself.
-    """
-    seen, J, names, length = _seen(calibration, observations)
+    Raises CalibrationError for a calibration without all parameters of its accelerometers, and InputError for positions
+    of other sensors or of one of several launches behind the calibration, and if each of its own positions is
+    determined by nothing but itself."""
+    force, J, names, covariance = _length_and_derivative(calibration, observations)
+    length = np.linalg.norm(force, axis=1)
     rests, there, block = observations.rests, observations.site, observations.accel_block
     assert calibration.accel is not None
-    if any(launch.log_sha256 == sha256 for launch in calibration.launches):
+    if any(launch.log_sha256 == sha256 for launch in calibration.evidence.launches):
         raise InputError(
             f"calibration of {calibration.serial!r}: expected positions that did not take part in it, or those of its "
-            f"only session, found one of its {len(calibration.launches)} launches; check with another session"
+            f"only session, found one of its {len(calibration.evidence.launches)} launches; check with another session"
         )
-    fit, site = _accelerometer_fit(calibration), calibration.site
-    across = seen.direction[:, None, :] @ calibration.accel.inverse()
+    fit, site = _accelerometer_fit(calibration), calibration.provenance.site
+    across = unit_vector(force)[:, None, :] @ calibration.accel.inverse()
     noise = rests.accel_covariance + fit.scatter**2 * np.eye(block.size)
     variance = (across @ noise @ np.swapaxes(across, 1, 2))[:, 0, 0]
-    by_parameters = np.einsum("im,mk,ik->i", J, seen.parameter_covariance, J)
+    by_parameters = np.einsum("im,mk,ik->i", J, covariance, J)
     difference = there.gravity - length
 
     def limit(degrees: float) -> float:
@@ -181,7 +140,7 @@ def residuals_in(
         tail = 1.0 - 0.5 * CHANCE / len(difference)
         return float(scipy.special.ndtri(tail) if np.isinf(degrees) else scipy.special.stdtrit(degrees, tail))
 
-    if calibration.provenance.get("log_sha256") == sha256:  # its own positions: each is left out
+    if calibration.provenance.log_sha256 == sha256:  # its own positions: each is left out
         unlearned = _unlearned(calibration, names, J)
         left = 1.0 - np.maximum(by_parameters - unlearned - there.gravity_u**2, 0.0) / variance
         left = np.where(left > NOTHING_LEFT, left, np.nan)
@@ -202,33 +161,18 @@ def residuals_in(
     by_gravity = -(there.gravity_u**2) if shared else there.gravity_u**2
     u = np.sqrt(variance + np.maximum(by_parameters + by_gravity, 0.0))
     by_scatter = float(np.max(fit.scatter**2 * (across[:, 0] ** 2).sum(axis=1) / u**2))
-
-    # Eq. (4), for a device of a known grade
-    by_turn_on = False
-    if grade is not None:
-        spread, linear = TURN_ON[grade], block.names
-        turned_on = np.zeros(len(names))
-        turned_on[: len(linear)] = [2.0 * spread_of(spread, name) ** 2 for name in linear]
-        V = np.diag(variance) + by_gravity + J @ (seen.parameter_covariance + np.diag(turned_on)) @ J.T
-        N, square = len(difference), float(difference @ np.linalg.solve(V, difference))
-        if fit.scatter == 0.0 or np.isinf(fit.degrees):
-            by_turn_on = square < float(scipy.special.chdtri(N, CHANCE))
-        else:
-            by_turn_on = square / N < float(scipy.special.fdtri(N, fit.degrees, 1.0 - CHANCE))
     return PositionResiduals(
         difference=difference,
         u=u,
         sigmas=difference / u,
         limit=limit(fit.degrees / by_scatter**2 if by_scatter > 0.0 else np.inf),  # Welch–Satterthwaite
         left_out=False,
-        by_turn_on=by_turn_on,
     )
 
 
 def _unlearned(calibration: Calibration, names: tuple[str, ...], J: Array) -> Array:
-    """Part (N,) of the variance of |true| in the calibration's own positions from parameters that have only a prior.
-
-    Given the values of these, |true| is as well determined as in the fit."""
+    """Part (N,) of the variance of |true| in the positions of the calibration from parameters that have only a
+    prior."""
     unlearned = [p.name for p in calibration.parameters if p.learned == 0.0]
     every = calibration.covariance_of([*names, *unlearned])
     if every is None or not unlearned:
@@ -237,15 +181,11 @@ def _unlearned(calibration: Calibration, names: tuple[str, ...], J: Array) -> Ar
     return np.asarray(np.einsum("ik,ki->i", moved, np.linalg.solve(every[len(names) :, len(names) :], moved.T)))
 
 
-def verticals(calibration: Calibration, observations: Observations) -> Verticals:
-    """The vertical in the frame of the calibration in every position, with its covariance, for the relation of two
-    blocks (`tumble.run.case.relate`). Raises as `residuals_in`."""
-    return _seen(accepted_accelerometers(calibration, "positions at rest show the vertical"), observations)[0]
-
-
-def _seen(calibration: Calibration, observations: Observations) -> tuple[Verticals, Array, tuple[str, ...], Array]:
-    """The verticals, the derivative J (N, m) of |true|, the names of the m parameters that a reading of the
-    accelerometers at rest depends on, and |true| (N,)."""
+def _length_and_derivative(
+    calibration: Calibration, observations: Observations
+) -> tuple[Array, Array, tuple[str, ...], Array]:
+    """The true specific force (N, 3) at rest, the derivative J (N, m) of its length, and the names and the covariance
+    (m, m) of the m parameters that it depends on."""
     assert calibration.accel is not None
     block, reference = observations.accel_block, calibration.reference_temperature
     rests, celsius = observations.rests, None
@@ -287,6 +227,5 @@ def _seen(calibration: Calibration, observations: Observations) -> tuple[Vertica
     change = np.concatenate([of_linear, every[:, :, instrument.linear_count :]], axis=2)
     covariance = calibration.covariance_of(names)
     covariance = np.zeros((len(names), len(names))) if covariance is None else covariance
-    seen = verticals_of(calibration.accel, force, change, rests.accel_covariance, covariance)
-    J = -np.einsum("ik,kp,ipm->im", seen.direction, calibration.accel.inverse(), change)
-    return seen, J, names, np.linalg.norm(force, axis=1)
+    J = -np.einsum("ik,kp,ipm->im", unit_vector(force), calibration.accel.inverse(), change)
+    return force, J, names, covariance

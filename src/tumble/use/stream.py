@@ -1,11 +1,9 @@
 """A calibration checked while its device is used: every rest of a flight or a day, as it ends.
 
 The readings are reduced to rests by `RestStream`, at the temperatures of the sensors, which follow their thermometers
-with the lag of the calibration (`Stream`). Each rest is tested against the calibration and the rests before it
-(`tumble.methods.rest_chain`). The calibration is never changed.
-
-Rests need not be level, and the attitude is unknown in each. If nothing rests, as in flight, the noise floors by which
-rests are found are those of the movement: what is noisier than SHAKEN times the rests of the calibration is no rest.
+with the lag of the calibration (`Stream`). Each rest, of unknown attitude, is tested against the calibration and the
+rests before it (`tumble.methods.rest_chain`). If nothing rests, as in flight, the movement passes for noise: what is
+noisier than SHAKEN times the rests of the calibration is no rest.
 """
 
 from __future__ import annotations
@@ -45,7 +43,7 @@ INTERRUPTED = 2.0
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Notice:
-    """A sentence on the stream at a time, s."""
+    """A sentence on the stream, at a `time`, s."""
 
     time: float
     text: str
@@ -229,7 +227,7 @@ class StreamCheck:
             source=self.session.name,
             rests=tuple(self.rests),
             **tested(self._chain.result(self.moved)),
-            notes=(*self.calibration.absent, note),
+            notes=(*self.calibration.provenance.absent, note),
         )
 
 
@@ -277,12 +275,14 @@ def check_stream(
     """
     given, source = calibration_from(calibration), source_of(listen)
     described = source.session if session is None else session_from(session)
-    if described is None and given.site is None:
+    if described is None and given.provenance.site is None:
         raise InputError(
             f"{listen}: expected a calibration with its site, found none; name a session with --session, which has the "
             "latitude and the columns"
         )
-    samples = SampleStream(source, described, serial=given.serial, site=given.site, gyros=given.gyro is not None)
+    samples = SampleStream(
+        source, described, serial=given.serial, site=given.provenance.site, gyros=given.gyro is not None
+    )
     check: StreamCheck | None = None
     with suppress(KeyboardInterrupt):
         for chunk in samples.chunks():

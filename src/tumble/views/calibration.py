@@ -86,7 +86,7 @@ def calibration_blocks(
         Show what every u is made of.
     """
     parameters = calibration.parameters if every else linear_parameters(calibration.parameters)
-    several, passport = bool(calibration.launches), any(p.deviation is not None for p in parameters)
+    several, passport = bool(calibration.evidence.launches), any(p.deviation is not None for p in parameters)
     device, spared = device_name(calibration.serial, calibration.model), accepted_groups(calibration)
     blocks: list[Block] = [
         f"device {device} · method {calibration.method} · frame {calibration.frame}",
@@ -104,7 +104,7 @@ def calibration_blocks(
     if several:
         blocks += [launch_table(calibration, parameters, deviations=which) for which in (False, True)[: 1 + passport]]
     blocks.append(_session_table(calibration))
-    if calibration.method in ITERATED_METHODS and calibration.iterations:
+    if calibration.method in ITERATED_METHODS and calibration.evidence.iterations:
         blocks += [iteration_table(calibration, parameters), WHAT_AN_INCREMENT_SAYS]
     blocks += [method_table(calibration, other, parameters) for other in others]
     if every and not several:
@@ -113,7 +113,7 @@ def calibration_blocks(
         blocks += [shown for shown in tables_of(recordings(calibration)[0]) if shown]
     lines = [] if calibration.prediction is None else [predicted(calibration.prediction)]
     lines += unaided_lines(calibration)
-    lines += [rests_said(calibration)] if calibration.rests and not several else []
+    lines += [rests_said(calibration.evidence)] if calibration.evidence.rests and not several else []
     lines += [] if every else _group_and_fit_lines(calibration)
     if truth is not None:
         z = [(p.value - truth[p.name]) / p.u for p in calibration.parameters if p.u and p.name in truth]
@@ -122,9 +122,9 @@ def calibration_blocks(
         lines.append(f"truth: {known if z else 'no parameter was estimated that it has'}")
     if decided := decided_by_priors(calibration):
         lines.append(decided)
-    if calibration.site is not None and not calibration.site.gravity_is_unit:
-        lines.append(gravity_said(calibration.site))
-    return [*blocks, Items(items=(*lines, *without_expanded(parameters), *calibration.notes))]
+    if calibration.provenance.site is not None and not calibration.provenance.site.gravity_is_unit:
+        lines.append(gravity_said(calibration.provenance.site))
+    return [*blocks, Items(items=(*lines, *without_expanded(parameters), *calibration.provenance.notes))]
 
 
 # -------------------- tables --------------------
@@ -136,7 +136,7 @@ def parameter_table(
     """Parameters with their standard uncertainties; where a coverage factor is not 2, with U = k u; where there are
     any, with deviations from the systematic values and from launch to launch; with `truth`, also true values and the
     distance from them in units of u."""
-    several, expanded = bool(calibration.launches), other_factors(parameters)
+    several, expanded = bool(calibration.evidence.launches), other_factors(parameters)
     passport = any(p.deviation is not None for p in parameters)
 
     def row(p: Parameter, size: float, unit: str) -> dict[str, str]:
@@ -192,26 +192,26 @@ def group_table(calibration: Calibration, *, of_a_page: bool = False) -> Table:
 def unknown_blocks(calibration: Calibration) -> list[Block]:
     """What the model did not know about itself: every hyperparameter with its middle 68 % and the usual value, how the
     posterior was integrated over them, and the biases that are met next. Nothing where nothing was estimated."""
-    if not calibration.hyperparameters:
+    if not calibration.evidence.hyperparameters:
         return []
     rows = []
-    for h in calibration.hyperparameters:
+    for h in calibration.evidence.hyperparameters:
         size, unit = (1.0, "") if h.unit == "1" else engineering(h.unit, h.value)
         row = {"unknown": h.name, "what it is": h.words, "value": significant(h.value / size, 3)}
         row |= {"68 % from": significant(h.low / size, 3), "to": significant(h.high / size, 3)}
         rows.append(row | {"usual": significant(h.usual / size, 3), "unit": unit})
     blocks: list[Block] = [table(rows, words=("unknown", "what it is", "unit"), dense=True)]
-    if (integral := calibration.integral) is not None:
+    if (integral := calibration.evidence.integral) is not None:
         said = f"integrated over them at {integral.points} points, effectively {integral.effective:.0f}; "
         weights = f"shape of the Pareto distribution of their weights {fixed(integral.pareto, 2)}"
         blocks.append(f"{said}{weights}, above 0.7 not to be relied on")
     units, rows = shown_units(calibration.parameters), []
-    for bias in (each for each in calibration.process_bias if each.name in units):  # means of their processes
+    for bias in (each for each in calibration.evidence.process_bias if each.name in units):  # means of their processes
         size, unit = units[bias.name]
         value, u = cells(bias.value, bias.u, size)
         next_u = cells(bias.value, bias.next_u, size)[1]
         rows.append({"mean of": bias.name, "value": value, "u": u, "u the next minute": next_u, "unit": unit})
-    return [*blocks, table(rows, words=("mean of", "unit"))] if calibration.process_bias else blocks
+    return [*blocks, table(rows, words=("mean of", "unit"))] if calibration.evidence.process_bias else blocks
 
 
 def launch_table(
@@ -220,9 +220,9 @@ def launch_table(
     """The value of every parameter in every launch, the mean and the standard deviation from launch to launch, as in
     the paper's Tables 1 to 3; with `deviations`, those from the systematic values, which is what the paper has. On a
     page to the digits of U, without the mean, which stands in the table of results."""
-    names = [launch.session for launch in calibration.launches]
+    names = [launch.session for launch in calibration.evidence.launches]
     headings = [f"{i}: {name}" if names.count(name) > 1 else name for i, name in enumerate(names, 1)]
-    by_name = [{q.name: q for q in launch.parameters} for launch in calibration.launches]
+    by_name = [{q.name: q for q in launch.parameters} for launch in calibration.evidence.launches]
 
     def shown(q: Parameter | None, size: float) -> str:
         if q is None or of_a_page:
@@ -243,10 +243,12 @@ def iteration_table(calibration: Calibration, parameters: Sequence[Parameter]) -
     """What every iteration added to every parameter, of several launches the mean, beside the uncertainty."""
 
     def row(p: Parameter, size: float, unit: str) -> dict[str, str]:
-        steps = {f"iteration {i}": f"{step[p.name] / size:.3g}" for i, step in enumerate(calibration.iterations, 1)}
+        steps = {
+            f"iteration {i}": f"{step[p.name] / size:.3g}" for i, step in enumerate(calibration.evidence.iterations, 1)
+        }
         return steps | {"u (k=1)": cells(p.value, p.u or 0.0, size)[1], "unit": unit}
 
-    name = "mean increment of" if calibration.launches else "increment of"
+    name = "mean increment of" if calibration.evidence.launches else "increment of"
     return quantity_table(parameters, shown_units(calibration.parameters), row, name=name)
 
 
@@ -271,7 +273,7 @@ def method_table(calibration: Calibration, other: Calibration, parameters: Seque
 def _session_table(calibration: Calibration) -> Table:
     """Sessions that are one estimate together."""
     sessions = []
-    for member in calibration.together:
+    for member in calibration.evidence.together:
         low, high = (f"{celsius:z.1f}" for celsius in member.temperatures)
         counts = {"rests": str(member.rests), "turns": str(member.turns)}
         sessions.append({"session": member.session, **counts, "from °C": low, "to °C": high})
@@ -294,7 +296,7 @@ def _group_and_fit_lines(calibration: Calibration) -> list[str]:
         widened = f" ({line.remark})" if line.largest is not None and line.remark else ""
         groups.append(f"{line.name} {line.learned_percent or line.remark}{widened if line.learned_percent else ''}")
     lines = [f"groups beyond bias, scale and axes, learned: {', '.join(groups)}; --all shows them"] if groups else []
-    for name, fit in calibration.fits.items():
+    for name, fit in calibration.evidence.fits.items():
         if not checked(fit):
             fits.append(f"{name}: no more data than unknowns, so that nothing checks the fit")
         else:
@@ -331,7 +333,7 @@ def as_html(calibration: Calibration) -> str:
 
 def _short(calibration: Calibration) -> list[Block]:
     outcome = calibration.outcome
-    said, notes = (*outcome.reasons, *outcome.remarks), tuple(f"note: {note}" for note in calibration.notes)
+    said, notes = (*outcome.reasons, *outcome.remarks), tuple(f"note: {note}" for note in calibration.provenance.notes)
     blocks: list[Block] = [calibration.headline, *([Items(items=said)] if said else [])]
     return [*blocks, whole_table(calibration), *([Items(items=notes)] if notes else [])]
 
@@ -344,10 +346,10 @@ def draw(calibration: Calibration, axes: Axes) -> None:
     units of their uncertainty, hollow where the prior rather than the data knows them."""
     axes.axhline(0.0, color="0.7", linewidth=0.8)
     axes.set_title(calibration.headline, fontsize="medium")
-    if calibration.rests:
-        residual = np.array([rest.residual for rest in calibration.rests])
+    if calibration.evidence.rests:
+        residual = np.array([rest.residual for rest in calibration.evidence.rests])
         size, unit = engineering("m/s^2", float(np.abs(residual).max()))
-        fit, colour = calibration.fits.get("accelerometers"), _COLOURS["accel"]
+        fit, colour = calibration.evidence.fits.get("accelerometers"), _COLOURS["accel"]
         if fit is not None and fit.scatter > 0.0:
             band = fit.scatter / size
             axes.axhspan(-band, band, color=colour, alpha=0.12, linewidth=0, label="scatter between rests")

@@ -47,7 +47,7 @@ def readings_blocks(result: ReadingsCalibration) -> list[Block]:
             )
     if calibration.prediction is not None:
         lines.append(predicted(calibration.prediction))
-    return [*blocks, Items(items=(*lines, *calibration.notes))]
+    return [*blocks, Items(items=(*lines, *calibration.provenance.notes))]
 
 
 def _correction_table(result: ReadingsCalibration) -> Table:

@@ -29,7 +29,7 @@ REST = "all others"
 def budget_blocks(calibration: Calibration, *, every: bool = False) -> list[Block]:
     """What would help most, and the shares of sources in u² of the groups of the linear model; with `every`, the table
     of each of its parameters too. Nothing without a budget."""
-    if not calibration.budget:
+    if not calibration.evidence.budget:
         return []
     helps = what_would_help(calibration)
     blocks: list[Block] = [*([f"{helps}."] if helps else []), share_table(calibration)]
@@ -41,7 +41,7 @@ def budget_blocks(calibration: Calibration, *, every: bool = False) -> list[Bloc
 def share_table(calibration: Calibration) -> Table:
     """Sources with type, standard uncertainty and degrees of freedom, and their mean shares in u² of the parameters of
     each group, the largest first."""
-    shares, budget, rows = shares_by_group(calibration), calibration.budget, []
+    shares, budget, rows = shares_by_group(calibration), calibration.evidence.budget, []
     every = np.array(list(shares.values()))
     order = np.argsort(-every.mean(axis=0)).tolist()
     small = [s for s in order if every[:, s].max() < SHOWN]
@@ -98,7 +98,7 @@ def _size(source: Source) -> dict[str, str]:
 def budget_section(calibration: Calibration, name: str = "") -> Section | None:
     """The budget on a page: the shares of all sources and, as a figure of this `name`, a bar of each parameter of the
     linear model by source; none without a budget."""
-    if not calibration.budget:
+    if not calibration.evidence.budget:
         return None
     if not name:
         return section("Uncertainty budget", share_table(calibration))
@@ -112,14 +112,16 @@ def _bars(calibration: Calibration, name: str) -> str:
     """Bars of the shares of the largest sources in u² of the parameters of the linear model."""
     names = [each for each in calibration if not beyond_linear(each)]
     u = np.array([calibration[each].u or np.inf for each in names])
-    every = np.array([[source.contributions.get(each, 0.0) for each in names] for source in calibration.budget])
+    every = np.array(
+        [[source.contributions.get(each, 0.0) for each in names] for source in calibration.evidence.budget]
+    )
     shares = (every / u) ** 2
     order = np.argsort(-shares.mean(axis=1))
     largest = order[:IN_PICTURE].tolist()
 
     def draw(figure: Drawing) -> None:
         axes, left = figure.subplots(), np.zeros(len(names))
-        rows = [(calibration.budget[s].words, shares[s], COLOURS[i]) for i, s in enumerate(largest)]
+        rows = [(calibration.evidence.budget[s].words, shares[s], COLOURS[i]) for i, s in enumerate(largest)]
         for words, share, colour in [*rows, (REST, shares[order[IN_PICTURE:]].sum(axis=0), FAINT)]:
             axes.barh(np.arange(len(names)), share, left=left, height=0.7, color=colour, label=words)
             left = left + share

@@ -43,8 +43,9 @@ def open_registry(place: FilePath, *, create: bool = False) -> Iterator[Registry
     answer; MissingExtraError without the extra `lab`.
 
     >>> import tumble
+    >>> from tumble.lab import open_registry
     >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
-    >>> with tumble.open_registry("registry.sqlite", create=True) as registry:
+    >>> with open_registry("registry.sqlite", create=True) as registry:
     ...     record = registry.add_calibration(tumble.calibrate(folder))
     ...     trend = registry.trend("mems-1", "accel.bias.x")
     >>> record.number, record.occasion, len(trend.parameters[0].points)
@@ -313,9 +314,9 @@ class Registry:
 def _performed(calibration: Calibration, stated: datetime | None, name: str) -> datetime:
     """When a device was calibrated: as stated, or when it was recorded, or when the file was made."""
     if stated is None:
-        place, text = "session.date", calibration.circumstances.date
+        place, text = "session.date", calibration.provenance.circumstances.date
         if text is None:
-            place, text = "provenance.created", calibration.provenance.get("created")
+            place, text = "provenance.created", calibration.provenance.created
         if text is None:
             raise InputError(f"{name}: provenance.created: expected a time, found none; give --date")
         try:
@@ -330,8 +331,8 @@ def _performed(calibration: Calibration, stated: datetime | None, name: str) -> 
 
 def logs_of(calibration: Calibration) -> list[tuple[str | None, str]]:
     """The sessions behind a calibration, by name where there are several, with the SHA-256 of their logs."""
-    one = (None, calibration.provenance.get("log_sha256", ""))
-    return [(launch.session, launch.log_sha256) for launch in calibration.launches] or [one]
+    one = (None, calibration.provenance.log_sha256 or "")
+    return [(launch.session, launch.log_sha256) for launch in calibration.evidence.launches] or [one]
 
 
 def _in_a_word(calibration: Calibration, limits: Limits, occasion: Occasion) -> str | None:

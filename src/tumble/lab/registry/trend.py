@@ -223,7 +223,7 @@ def trend_of(past: Past, limits: Limits | None, names: Iterable[str], comparison
     units: dict[str, str] = {}
     for record, calibration in reversed(past):
         launches: dict[tuple[str, str], list[tuple[float, float | None]]] = {}
-        for p in (p for launch in calibration.launches for p in launch.parameters):
+        for p in (p for launch in calibration.evidence.launches for p in launch.parameters):
             launches.setdefault((p.name, p.unit), []).append((p.value, p.u))
         sources = _sources(calibration)
         for i, p in enumerate(calibration.parameters):
@@ -254,12 +254,12 @@ def trend_of(past: Past, limits: Limits | None, names: Iterable[str], comparison
 def _sources(calibration: Calibration) -> dict[Hashable, Array]:
     """Changes (m,) of the parameters with one standard uncertainty of each source of error that another calibration of
     the device shares if it has the same: the stated gravity, the time base, what priors are of."""
-    parameters, covariance, site = calibration.parameters, calibration.covariance, calibration.site
+    parameters, covariance, site = calibration.parameters, calibration.covariance, calibration.provenance.site
     sources: dict[Hashable, Array] = {("prior", name): g for name, g in by_priors(parameters, covariance).items()}
     if site is not None and site.gravity_u > 0.0:
         sources["gravity", site.gravity, site.gravity_u] = by_gravity(parameters, covariance, site)
-    if calibration.clock_u > 0.0:
-        sources["time base", calibration.clock_u] = of_time_base(calibration)
+    if calibration.provenance.clock_u > 0.0:
+        sources["time base", calibration.provenance.clock_u] = of_time_base(calibration)
     return sources
 
 

@@ -5,18 +5,14 @@ axis is up and down, Eqs. (3), (4); stage 2 the angle between two from a rest in
 45° below the horizon, Eqs. (8), (10), and the axis angles γ from it by (2). Nothing is solved for jointly, so the
 functions serve redundant blocks with axes of any directions as well.
 
-Scalar method. |ŵ| at rest is g in whatever attitude, and how it misses it tells the errors apart. The coefficients need
-the attitude, Eq. (13): the programme's, when errors are of the order of the parameters times the deviations from the
-programme and two iterations reach what the sequential method does, or the levelled one, when they are of second order
-in the parameters. That is the whole gain: levelled cosines are ŵ_p/|ŵ|, so that the vector method, too, uses nothing
-but |ŵ|.
+Scalar method. |ŵ| at rest is g in whatever attitude. The coefficients of Eq. (13) need the attitude: either that of the
+programme, with errors of the order of the parameters times the deviations from the programme, or the levelled one, with
+errors of second order in the parameters.
 
 All functions take any leading axes. Source: §2 to §4 of the turntable method (Vodicheva & Parysheva 2019).
 """
 
 from __future__ import annotations
-
-from typing import Literal
 
 import numpy as np
 
@@ -32,20 +28,16 @@ EXACT = 1e-6
 PAIRS = ((0, 1), (0, 2), (1, 2))
 """The accelerometers between whose axes the angles yx, zx, zy are."""
 
-Form = Literal["quadratic", "norm"]
-
 
 # The sequential vector method
 
 
 def bias_and_scale(readings: Array, cosines: Array, gravity: Array | float) -> tuple[Array, Array]:
     """Bias, m/s², and scale-factor error (...) of one accelerometer from its readings (..., K) in K ≥ 2 rests in
-    which its axis has these cosines with the vertical: Eqs. (3), (4).
+    which its axis has these cosines with the vertical, Eqs. (3), (4).
 
-    For two rests it is (4); for more, as when a programme has an axis up twice, the straight line of least squares
-    through (3), where the paper does not say how it uses them. The cosines come from `levelled_cosines`, or are ±1
-    where the axis is assumed to be vertical: then errors of half the square of the tilt remain, and iterations do not
-    help."""
+    For two rests it is (4), for more the straight line of least squares through (3). With cosines of ±1 instead of
+    `levelled_cosines`, errors of half the square of the tilt remain, whatever the iterations."""
     mean_cosine = cosines.mean(axis=-1, keepdims=True)
     spread = cosines - mean_cosine
     slope = (spread * readings).sum(axis=-1) / (spread**2).sum(axis=-1)
@@ -54,8 +46,8 @@ def bias_and_scale(readings: Array, cosines: Array, gravity: Array | float) -> t
 
 
 def levelled_cosines(force: Array, axes: Array) -> Array:
-    """Cosines (..., N, n) of sensing axes (n, 3) with the vertical as the accelerometers find it: TRIAD levelling,
-    cos α̂ = d·û. They err by the angles the pass does not know yet, Eq. (7)."""
+    """Cosines d·û (..., N, n) of sensing axes (n, 3) with the vertical by the accelerometers, with the error of
+    Eq. (7)."""
     return np.asarray(unit_vector(force) @ axes.T)
 
 
@@ -63,15 +55,14 @@ def angle_between(above: Array, below: Array, across: Array | float, gravity: Ar
     """Angle φ, rad, between two sensing axes on one side of the vertical from their readings at rest, Eq. (10):
     φ = |arccos(ŵ_η/√(g² − ŵ_ζ²)) − arccos(ŵ_ξ/√(g² − ŵ_ζ²))|.
 
-    `across` is the specific force ŵ_ζ along the normal of their plane, the third reading of a triad; with zero the
-    plane is taken for vertical, Eq. (8). Best where the axes stand symmetric about the horizon."""
+    `across` is the specific force ŵ_ζ along the normal of their plane; with zero it is Eq. (8)."""
     in_plane = np.sqrt(gravity**2 - np.asarray(across) ** 2)
     return np.asarray(np.abs(np.arccos(below / in_plane) - np.arccos(above / in_plane)))
 
 
 def axis_angles(between_xy: Array, between_xz: Array, between_yz: Array) -> Array:
-    """Axis angles γ_yx, γ_zx, γ_zy (..., 3), rad, from the angles between the axes, Eq. (2) inverted, with the third
-    line in full: the approximation beside it errs by γ_yx γ_zx."""
+    """Axis angles γ_yx, γ_zx, γ_zy (..., 3), rad, from the angles between the axes: Eq. (2) inverted, the third line in
+    full."""
     yx, zx = 0.5 * np.pi - between_xy, 0.5 * np.pi - between_xz
     sine = (np.cos(between_yz) - np.sin(yx) * np.sin(zx)) / (np.cos(yx) * np.cos(zx))
     return np.stack([yx, zx, np.arcsin(sine)], axis=-1)
@@ -120,24 +111,17 @@ def check_for_vector(nominal: Array) -> None:
 
 
 def scalar_rows(u: Array) -> Array:
-    """Rows h (..., 9) of Eq. (13) for verticals u (..., 3) in the body: what δw/g, k, γ_yx, γ_zx, γ_zy add to
-    (|ŵ| − g)/g. All three angles have a plus, where the sign in (12) is not legible."""
+    """Rows h (..., 9) of Eq. (13) for verticals u (..., 3) in the body: derivatives of (|ŵ| − g)/g with respect to
+    δw/g, k, γ_yx, γ_zx, γ_zy. All three angles have a plus, where the sign in (12) is not legible."""
     products = u[..., [1, 2, 2]] * u[..., [0, 0, 1]]
     return np.concatenate([u, u**2, products], axis=-1)
 
 
-def scalar_differences(readings: Array, gravity: Array, form: Form) -> Array:
-    """Differences z (..., N) of the measured modulus: (ŵ² − g²)/2g², Eq. (12), or in norm form (|ŵ| − g)/g, which
-    differs by half the square of the error along the vertical."""
+def scalar_fit(readings: Array, verticals: Array, gravity: Array) -> SensorModel:
+    """Model of a triad from readings (..., N, 3) at N ≥ 9 rests by least squares of (ŵ² − g²)/2g², Eqs. (12), (13),
+    with the verticals (..., N, 3) of the programme or of `unit_vector(readings)`. The model is exact, Eq. (1)."""
     g = np.asarray(gravity)[..., None]
-    square = (readings**2).sum(axis=-1)
-    return np.asarray((square - g**2) / (2.0 * g**2) if form == "quadratic" else np.sqrt(square) / g - 1.0)
-
-
-def scalar_fit(readings: Array, verticals: Array, gravity: Array, form: Form = "quadratic") -> SensorModel:
-    """Model of a triad from readings (..., N, 3) at N ≥ 9 rests by least squares, Eq. (13), with the verticals
-    (..., N, 3) of the programme or of `unit_vector(readings)`. The model is the exact one of Eq. (1)."""
-    X = solved(scalar_rows(verticals), scalar_differences(readings, gravity, form))
+    X = solved(scalar_rows(verticals), ((readings**2).sum(axis=-1) - g**2) / (2.0 * g**2))
     return triad_model(np.asarray(gravity)[..., None] * X[..., :3], X[..., 3:6], X[..., 6:])
 
 

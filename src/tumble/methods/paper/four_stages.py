@@ -5,21 +5,17 @@
     3  biases of the gyros                                from rests in which each is vertical, Eq. (18)
     4  scale factors and axis angles of the gyros         from turns, by the indirect method
 
-All stages together are a pass. It starts from the models of the pass before (at first from nominal sensors), looks at
-readings compensated by them, and composes what it finds with them, exactly. Stage 3 is the one of the paper's ways that
-needs neither more positions nor an azimuth: it holds for any bias, where the polar axis (17) and the scalar method want
-one far below the Earth's rate. Stage 4 uses the programme matrix of §6.3 and plain least squares, as the paper has it.
+All stages together are a pass. It starts from the models of the pass before (at first from nominal sensors), takes
+readings compensated by them, and composes the new models with them, exactly. Stage 3 is the only one of the paper's
+ways that holds for any bias. Stage 4 uses the programme matrix of §6.3 and plain least squares. An iteration is one
+pass over the same data, with the turns integrated about the gyro model of the pass.
 
-An iteration is one pass over the same data, with the turns integrated about the gyro model of the pass. Its increment
-measures what the pass before erred by its own method, not the noise, which is common to all.
+The covariance is that of the data, propagated by the derivative of the passes with respect to every mean reading, turn,
+gravity and start value, by central differences, chained. If the residuals need more than the noise within rests and
+turns, scatter between rests and of turns is estimated from them. The error of the last pass by its method is the
+difference from where further passes would lead; there the residuals are taken, too.
 
-Uncertainty is propagated through the passes as they are: the derivative of each pass with respect to every mean
-reading, turn, gravity and the values it starts from, by central differences, chained. Noise within rests and turns
-comes with the observations; where the residuals need more, scatter between rests and of turns is estimated from them
-and included. What the last pass errs by its own method is included, too: it is judged by the passes that would follow,
-as the paper judges an iteration by the next; so are the residuals, which speak of the data alone.
-
-The stages take any leading axes. Source: Vodicheva & Parysheva 2019; the turntable method, §2 to §6.
+Source: Vodicheva & Parysheva 2019; the turntable method, §2 to §6.
 """
 
 from __future__ import annotations
@@ -34,7 +30,7 @@ import numpy as np
 from tumble.earth import earth_rate
 from tumble.errors import InputError, ProgrammeError, SessionError
 from tumble.inference.estimate import Estimate
-from tumble.methods.least_squares import Residuals, explaining, solved
+from tumble.methods.least_squares import Residuals, scatter_of, solved, unexplained
 from tumble.methods.paper.accelerometers import by_modulus, by_vector, check_for_modulus, check_for_vector
 from tumble.methods.paper.gyros import (
     STANDING,
@@ -62,9 +58,9 @@ NEGLIGIBLE = 1e-2
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PaperMethod:
-    """What tells the pipelines apart. `accelerometers(readings, nominal, gravity)` is stages 1 and 2, and
-    `check(nominal)` raises ProgrammeError where the rests, with nominal verticals (N, 3), are not enough;
-    `gyro_bias(rates, force, earth_rate, nominal)` is stage 3."""
+    """A method of the paper: stages 1 and 2, `accelerometers(readings, nominal, gravity)`, and stage 3,
+    `gyro_bias(rates, force, earth_rate, nominal)`. `check(nominal)` raises ProgrammeError if rests with the nominal
+    verticals (N, 3) are not enough."""
 
     name: str
     accelerometers: Callable[[Array, Array, Array], SensorModel]
@@ -77,23 +73,19 @@ SCALAR = PaperMethod(name="scalar", accelerometers=by_modulus, check=check_for_m
 
 
 def sequential(observations: Observations, iterations: int = 2) -> Estimate:
-    """The paper's method with the sequential vector method for the accelerometers.
-
-    Raises ProgrammeError if the session's programme has not the positions or the known turns it needs."""
+    """Estimate of the paper's method with the sequential vector method for accelerometers. Raises as `iterated`."""
     return iterated(observations, SEQUENTIAL, iterations)
 
 
 def scalar(observations: Observations, iterations: int = 2) -> Estimate:
-    """The paper's method with the scalar method for the accelerometers, with the estimated orientation and on all
-    rests of the programme.
-
-    Raises ProgrammeError if the session's programme has not the positions or the known turns it needs."""
+    """Estimate of the paper's method with the scalar method on all rests, in the estimated orientation. Raises as
+    `iterated`."""
     return iterated(observations, SCALAR, iterations)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ProgrammeCourse:
-    """What is known of a session's rests and turns from its programme: nominal verticals (N, 3) in the body, series
+    """Rests and turns of a session by its programme: nominal verticals (N, 3) in the body, series
     of recorded turns, durations (K,) of all turns, the Earth's rate (3,) in N, U, E, and the programme matrix."""
 
     nominal: Array
@@ -106,27 +98,6 @@ class ProgrammeCourse:
 # One pass
 
 
-def accelerometer_pass(
-    method: PaperMethod, course: ProgrammeCourse, readings: Array, gravity: Array, before: SensorModel
-) -> SensorModel:
-    """Stages 1 and 2: the model after a pass over readings (..., N, 3), given the one before."""
-    return before.composed(method.accelerometers(before.apply(readings), course.nominal, gravity))
-
-
-def gyro_bias_pass(
-    course: ProgrammeCourse, rates: Array, force: Array, before: SensorModel, method: PaperMethod = SEQUENTIAL
-) -> SensorModel:
-    """Stage 3: the gyro model with the biases of this pass, from rates (..., N, 3) and calibrated specific forces."""
-    bias = method.gyro_bias(before.apply(rates), force, course.earth_rate, course.nominal)
-    return before.composed(SensorModel(matrix=np.eye(3), bias=bias))
-
-
-def gyro_matrix_pass(course: ProgrammeCourse, rates: Array, force: Array, C: Array, before: SensorModel) -> SensorModel:
-    """Stage 4: the gyro model after a pass, with turns C (..., K, 3, 3) integrated about the model `before`."""
-    x = solved(course.matrix, differences(course, rates, force, C, before))
-    return before.composed(triad_model(np.zeros_like(x[..., :3]), x[..., :3], x[..., 3:]))
-
-
 def one_pass(
     method: PaperMethod,
     course: ProgrammeCourse,
@@ -135,16 +106,22 @@ def one_pass(
     gravity: Array,
     before: tuple[SensorModel, SensorModel],
 ) -> tuple[SensorModel, SensorModel]:
-    """The models of accelerometers and gyros after all stages, from readings at rest (..., N, 3) of both and from
-    turns, which `turn` integrates about a model; after those of the rests without, and of accelerometers alone where
-    there are no rates."""
-    force, rates = rests
-    accel, gyro = accelerometer_pass(method, course, force, gravity, before[0]), before[1]
+    """Models of accelerometers and gyros after all stages, from those of the pass before.
+
+    `rests` are the readings (..., N, 3) of accelerometers and gyros at rest; without gyros the latter have N = 0.
+    `turn` gives the turns (..., K, 3, 3) integrated with a gyro model; if it is None, the pass ends with stage 3."""
+    readings, rates = rests
+    accel, gyro = before
+    accel = accel.composed(method.accelerometers(accel.apply(readings), course.nominal, gravity))
     if not rates.shape[-2]:
         return accel, gyro
-    corrected = accel.apply(force)
-    gyro = gyro_bias_pass(course, rates, corrected, gyro, method)
-    return accel, gyro if turn is None else gyro_matrix_pass(course, rates, corrected, turn(gyro), gyro)
+    force = accel.apply(readings)
+    bias = method.gyro_bias(gyro.apply(rates), force, course.earth_rate, course.nominal)
+    gyro = gyro.composed(SensorModel(matrix=np.eye(3), bias=bias))
+    if turn is None:
+        return accel, gyro
+    x = solved(course.matrix, differences(course, rates, force, turn(gyro), gyro))
+    return accel, gyro.composed(triad_model(np.zeros_like(x[..., :3]), x[..., :3], x[..., 3:]))
 
 
 def differences(course: ProgrammeCourse, rates: Array, force: Array, C: Array, model: SensorModel) -> Array:
@@ -380,9 +357,9 @@ class _SessionData:
             accel.axes.T @ rests.accel_covariance @ accel.axes + scatter.get("accelerometers", 0.0) ** 2 * np.eye(3)
         ]
         if gyro and self.observations.turns is not None:
-            turns, of_rest = self.observations.turns, scatter.get("gyro rests", 0.0)
-            blocks.append(gyro[0].axes.T @ rests.gyro_covariance @ gyro[0].axes + of_rest**2 * np.eye(3))
-            drift = (of_rest * turns.duration) ** 2 + scatter.get("gyro turns", 0.0) ** 2
+            turns, rest_scatter = self.observations.turns, scatter.get("gyro rests", 0.0)
+            blocks.append(gyro[0].axes.T @ rests.gyro_covariance @ gyro[0].axes + rest_scatter**2 * np.eye(3))
+            drift = (rest_scatter * turns.duration) ** 2 + scatter.get("gyro turns", 0.0) ** 2
             blocks.append(turns.covariance + drift[:, None, None] * np.eye(3))
         every = np.concatenate(blocks)
         count, of_data = len(every), np.zeros((len(self.data), len(self.data)))
@@ -412,18 +389,19 @@ def _estimate(launch: _SessionData, values: Array, derivative: Array, increments
     groups = {name: _GROUPS[name] for name in list(_GROUPS)[: 3 if len(launch.blocks) == 2 else 1]}
 
     def residuals_of(name: str, scatter: Mapping[str, float]) -> Residuals:
-        noise, own = launch.covariance(scatter), rows[name]
-        variance = np.sum(direct[own] @ noise * direct[own], axis=1)
-        return Residuals(residual=residual[own], variance=variance, left=total[own] @ noise @ total[own].T)
+        noise, chosen = launch.covariance(scatter), rows[name]
+        variance = np.sum(direct[chosen] @ noise * direct[chosen], axis=1)
+        return Residuals(residual=residual[chosen], variance=variance, left=total[chosen] @ noise @ total[chosen].T)
 
     scatter = dict[str, float]()
     for name in groups:
-
-        def at(trial: float, name: str = name, known: Mapping[str, float] = dict(scatter)) -> Residuals:
-            return residuals_of(name, {**known, name: trial})
-
-        noise = np.diag(launch.covariance({}))[launch.kinds[name]]
-        scatter[name] = explaining(at, float(np.sqrt(np.median(noise))))
+        scatter[name] = 0.0
+        if unexplained(*residuals_of(name, scatter).chi_square()):
+            noise = np.diag(launch.covariance({}))[launch.kinds[name]]
+            scatter[name] = scatter_of(
+                lambda trial, name=name: residuals_of(name, {**scatter, name: trial}).excess(),  # type: ignore[misc]
+                float(np.sqrt(np.median(noise))),
+            )
     fits, outliers = {}, {}
     for name, (unit, size) in groups.items():
         residuals = residuals_of(name, scatter)

@@ -1,13 +1,12 @@
 """The paper's methods for gyros: biases from rests, stage 3, and scale factors and axis angles from turns, stage 4.
 
-Stage 3 compares what gyros read at rest with the Earth's rate Ω, in three ways. Bias is the reading minus the true
+Stage 3 compares the readings of gyros at rest with the Earth's rate Ω, in two ways. Bias is the reading minus the true
 rate.
 
     vector          ω̂ − L̂ᵀΩ, L̂ by TRIAD                  Eq. (16); at the pole (17), vertical (18)
     scalar          (ω̂² − Ω²)/2Ω = û^Ω·δω                 after (12), (13)
-    dot product     û·ω̂ − Ω sin B = û·δω                  not in the paper
 
-What levels them is the accelerometers: an error δw of theirs leaves Ω cos B δw/g in every one.
+Both are levelled by the accelerometers, an error δw of which leaves Ω cos B δw/g in each.
 
 Stage 4, the indirect method, sees what errors of the gyros do to the horizontal after a turn. A series of turns starts
 from an attitude by TRIAD, which the gyros carry through the turns and which is held during rests. Each turn by 180°
@@ -17,12 +16,12 @@ carried attitude:
     y_N = −Δψ_E + Δα_N,   y_E = Δψ_N + Δα_E,   α = L(b + M Lᵀe_U)
 
 with ψ the error of the carried attitude, L̂ = (I + [ψ×]) L, and α that of the accelerometers (b = δw/g, M = S − I).
-`programme_matrix` says it for the programmed attitudes, Eq. (6.3). The paper does not say in which directions it turns;
-they decide whether biases of the accelerometers pass for scale-factor errors of the gyros: `check_directions`.
+`programme_matrix` is Eq. (6.3), for the programmed attitudes. The paper does not state the directions of its turns,
+which decide whether biases of the accelerometers pass for scale-factor errors of the gyros: `check_directions`.
 
-All take any leading axes: rates ω̂ and specific forces (..., N, 3) of N rests in the body frame, `earth_rate` (3,) Ω in
-N, U, E. Columns of the gyros are k_x, k_y, k_z, γ_xy, γ_xz, γ_yx, γ_yz, γ_zx, γ_zy; of the accelerometers b_x, b_y, b_z
-(rad), k_x, k_y, k_z, γ_yx, γ_zx, γ_zy. Source: §5, §6 of the turntable method.
+All functions take any leading axes: rates ω̂ and specific forces (..., N, 3) of N rests in the body frame, `earth_rate`
+(3,) Ω in N, U, E. Columns of the gyros are k_x, k_y, k_z, γ_xy, γ_xz, γ_yx, γ_yz, γ_zx, γ_zy; of the accelerometers
+b_x, b_y, b_z (rad), k_x, k_y, k_z, γ_yx, γ_zx, γ_zy. Source: §5, §6 of the turntable method.
 """
 
 from __future__ import annotations
@@ -64,38 +63,29 @@ def triad(force: Array, rate: Array) -> Array:
 
 
 def vector_bias(rate: Array, force: Array, earth_rate: Array) -> Array:
-    """Bias (..., N, 3), rad/s, that every gyro shows in every rest: ω̂ − L̂ᵀΩ with L̂ by TRIAD, Eq. (16).
+    """Bias (..., N, 3), rad/s, of every gyro in every rest: ω̂ − L̂ᵀΩ with L̂ by TRIAD, Eq. (16).
 
-    To be believed along the polar axis, where sensor errors enter times deviations from the programme, Eq. (17),
-    and along the vertical, Eq. (18). TRIAD's azimuth is not linear in the bias: at the polar axis −δω_E²/2Ω is
-    left, which the paper does not have (1.8 % of 0.3 °/h)."""
+    It holds along the polar axis, where sensor errors enter times deviations from the programme, Eq. (17), and along
+    the vertical, Eq. (18). At the polar axis TRIAD leaves −δω_E²/2Ω, which is not in the paper (1.8 % of 0.3 °/h)."""
     return np.asarray(rate - earth_rate @ triad(force, rate))
 
 
 def vertical_bias(rate: Array, force: Array, earth_rate: Array, nominal: Array) -> Array:
-    """Bias (..., 3) by the vector method where each gyro is vertical, Eq. (18): mean over the rests in which the
-    nominal vertical (N, 3) is along its axis."""
+    """Bias (..., 3) by the vector method, Eq. (18): mean over the rests in which the nominal vertical (N, 3) is along
+    the axis of the gyro."""
     shown = vector_bias(rate, force, earth_rate)
     standing = np.abs(nominal) > 1.0 - STANDING
     return np.stack([shown[..., standing[:, q], q].mean(axis=-1) for q in range(3)], axis=-1)
 
 
 def scalar_bias(rate: Array, force: Array, earth_rate: Array) -> Array:
-    """Bias (..., 3) by the scalar method: least squares of (ω̂² − Ω²)/2Ω = û^Ω·δω, û^Ω = L̂ᵀΩ/Ω, the analogue of
-    Eqs. (12), (13) with the estimated orientation.
+    """Bias (..., 3) by the scalar method, as Eqs. (12), (13) with the estimated orientation: least squares of
+    (ω̂² − Ω²)/2Ω = û^Ω·δω, û^Ω = L̂ᵀΩ/Ω.
 
-    Every rest is left with (δω_N² + δω_U² − δω_E²)/2Ω, which cancels over a programme in which the sensors stand
-    both ways."""
+    Its error (δω_N² + δω_U² − δω_E²)/2Ω cancels over a programme in which the sensors stand both ways."""
     Ω = float(np.linalg.norm(earth_rate))
     polar = earth_rate @ triad(force, rate) / Ω
     return solved(polar, ((rate**2).sum(axis=-1) - Ω**2) / (2.0 * Ω))
-
-
-def invariant_bias(rate: Array, force: Array, earth_rate: Array) -> Array:
-    """Bias (..., 3) from the dot-product invariant û·ω̂ − Ω sin B = û·δω by least squares: linear in the bias, and
-    without an azimuth. Not in the paper, where the scalar method has to take its place."""
-    u = unit_vector(force)
-    return solved(u, (u * rate).sum(axis=-1) - earth_rate[1])
 
 
 # Stage 4: the programmed turns
@@ -125,9 +115,9 @@ def matrix_error(scale: Array, angles: Array) -> Array:
 
 
 def turn_error(attitude: Array, axis: Array, angle: Array, E: Array) -> Array:
-    """Attitude error Δψ (..., 3), rad, about N, U, E, that gyro scale-factor and axis errors E (..., 3, 3) make in a
-    turn by `angle` (..., rad, signed) about the geographic unit vector `axis` n (..., 3) from `attitude` L (..., 3, 3):
-    Δψ = ∫ R dΘ L E Lᵀ n, Eq. (6.2). Any rate profile gives the same."""
+    """Attitude error Δψ = ∫ R dΘ L E Lᵀ n (..., 3), rad, about N, U, E, by errors E (..., 3, 3) of the gyros in a turn
+    by `angle` (...), rad, about the geographic unit vector `axis` n (..., 3) from `attitude` L (..., 3, 3), at any
+    rate. Eq. (6.2)."""
     L, n = np.asarray(attitude), np.asarray(axis)
     return swept(n, angle, (L @ E @ np.swapaxes(L, -1, -2) @ n[..., None])[..., 0])
 
@@ -140,9 +130,8 @@ def swept(axis: Array, angle: Array, vector: Array) -> Array:
 
 
 def programme_matrix(programme: Programme) -> tuple[Array, Array]:
-    """H_G and H_A (2T, 9), by which y of the T known turns depends on the errors of gyros and accelerometers, at
-    the programmed attitudes: Eq. (6.3) for the turns by 180° of the rough-table programme. Terms of the order of
-    Ω T (1.5e-3) are left out, as in the paper. An exact turn leaves nothing of k of the accelerometers."""
+    """Derivatives H_G and H_A (2T, 9) of y of the T known turns with respect to the errors of gyros and accelerometers,
+    at the programmed attitudes, Eq. (6.3). Terms of the order of Ω T (1.5e-3) are left out, as in the paper."""
     known = [(k, m) for k, m in enumerate(programme.moves) if m.axis is not None and m.angle is not None]
     if not known:
         return np.empty((0, 9)), np.empty((0, 9))
@@ -158,16 +147,15 @@ def programme_matrix(programme: Programme) -> tuple[Array, Array]:
 
 
 def accelerometer_leakage(programme: Programme) -> Array:
-    """Errors (9, 9) of the gyros' k (3) and γ (6), rad, per unit of what is left of the accelerometers' b, k, γ after
-    stages 1 and 2 (true − estimated), with the programme's matrix: §6.3."""
+    """Errors (9, 9) of the gyros' k (3) and γ (6), rad, per unit error of the accelerometers' b, k, γ after stages 1
+    and 2, with the matrix of the programme, §6.3."""
     H_G, H_A = programme_matrix(programme)
     return np.asarray(np.linalg.pinv(H_G) @ H_A)
 
 
 def check_directions(programme: Programme) -> None:
     """Raise ProgrammeError if the known turns of a programme do not determine the nine gyro parameters, or if
-    accelerometer biases leak into the gyro scale factors, as with (+N, +U, +N), (+N, −N, +U) and (+U, +N, −N), where
-    k takes up 2/π of them. The paper does not state the directions of its turns."""
+    accelerometer biases leak into the gyro scale factors, as with (+N, +U, +N), where k takes up 2/π of them."""
     H_G, _ = programme_matrix(programme)
     rank = int(np.linalg.matrix_rank(H_G)) if len(H_G) else 0
     described = "; ".join(
@@ -198,8 +186,8 @@ def check_directions(programme: Programme) -> None:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RecordedTurn:
-    """One recorded turn of a series: its index, the rests before and after it, and whether it is a turn of the
-    programme, which counts, or what happened between two rests in the same position."""
+    """One recorded turn of a series: its index, the rests before and after it, and whether it counts: not if both rests
+    are in the same position."""
 
     turn: int
     first: int
@@ -211,14 +199,14 @@ Series = tuple[RecordedTurn, ...]
 
 
 def carried(attitude: Array, C: Array, earth_rate: Array, seconds: Array | float) -> Array:
-    """Attitude (..., 3, 3) after a move that turned the body by C (body at the end → body at the start, in the
-    non-rotating frame) and took `seconds`, in which the geographic frame turned by Ω T: exp(−[Ω T×]) L C."""
+    """Attitude exp(−[Ω T×]) L C (..., 3, 3) after a move by C (body at the end → body at the start, in the non-rotating
+    frame) in so many `seconds`, T, in which the geographic frame turned by Ω T."""
     return np.asarray(rotation_matrix(-earth_rate * seconds) @ attitude @ C)
 
 
 def carried_attitudes(series: Series, attitude: Array, C: Array, duration: Array, earth_rate: Array) -> list[Array]:
-    """Attitudes (..., 3, 3) of a series before its first turn and after each: the start is that of the rest before
-    the first turn, of attitudes (..., N, 3, 3), held during rests and carried by the turns C (..., K, 3, 3)."""
+    """Attitudes (..., 3, 3) of a series before its first turn and after each: that of the rest before the first turn,
+    of attitudes (..., N, 3, 3), is held during rests and carried by the turns C (..., K, 3, 3)."""
     attitudes = [attitude[..., series[0].first, :, :]]
     for t in series:
         attitudes.append(carried(attitudes[-1], C[..., t.turn, :, :], earth_rate, float(duration[t.turn])))

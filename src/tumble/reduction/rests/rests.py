@@ -89,7 +89,7 @@ _Arrays = TypeVar("_Arrays", bound=Any)
 """Arrays of as many rows, or None."""
 
 
-def rows_of(whole: _Arrays, rows: slice) -> _Arrays:
+def rows_of(whole: _Arrays, rows: slice | IntArray) -> _Arrays:
     """Some of the rows of all arrays."""
     columns = {field.name: getattr(whole, field.name) for field in fields(whole)}
     some = {name: None if values is None else values[rows] for name, values in columns.items()}

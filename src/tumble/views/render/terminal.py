@@ -12,9 +12,9 @@ import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from textwrap import wrap
+from unicodedata import combining, east_asian_width
 
 import click
-from rich.cells import cell_len, set_cell_size
 
 from tumble.documents import plain
 from tumble.views.blocks import Block, Facts, Items, Table, Text
@@ -62,6 +62,13 @@ def _lines(block: Block, width: int | None) -> Iterator[str]:
         yield from [sentence] if width is None else broken or [""]
 
 
+def cell_len(text: str) -> int:
+    """Columns of the terminal that a text takes: wide characters two, combining ones none."""
+    if text.isascii():
+        return len(text)
+    return sum(0 if combining(c) else 2 if east_asian_width(c) in "WF" else 1 for c in text)
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Column:
     """Heading and cells; words may be broken between words, numbers never. `least` is the width that it needs, of its
@@ -91,7 +98,7 @@ class _Column:
         if not self.words:
             return [" " * (width - cell_len(line)) + line for line in lines]
         fitting = ([line] if cell_len(line) <= width else wrap(line, width, break_on_hyphens=False) for line in lines)
-        return [set_cell_size(part, width) for parts in fitting for part in parts]
+        return [part + " " * (width - cell_len(part)) for parts in fitting for part in parts]
 
 
 def _table_lines(table: Table, width: int) -> Iterator[str]:

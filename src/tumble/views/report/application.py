@@ -124,14 +124,14 @@ def _what_a_reading_is(calibration: Calibration, kinds: Container[str]) -> list[
             "scale (raw per SI unit)": significant(scale, 10),
             "offset (raw)": significant(offset, 10),
         }
-        for kind, readings in calibration.readings.items()
+        for kind, readings in calibration.provenance.readings.items()
         if kind in kinds
         for column, scale, offset in zip(readings.columns, readings.scale, readings.offset, strict=True)
     ]
     if not rows:
         return ["A reading is the output in SI after the nominal scale and offset of the device."]
     meant = "A reading is the output in SI after the nominal scale and offset: (raw − offset) / scale"
-    if any(readings.increments for readings in calibration.readings.values()):
+    if any(readings.increments for readings in calibration.provenance.readings.values()):
         meant += ", for increments divided by the interval of the sample"
     return [meant + ".", table(rows, words=("column of the log", "sensor", "raw unit"))]
 

@@ -62,7 +62,7 @@ def report_of(sources: Sequence[ReportedFile], further_sections: Sequence[Sequen
         tone=tone,
         verdict=verdict,
         facts=front(first, titles),
-        created=max(calibration.provenance.get("created", "") for calibration in calibrations),
+        created=max(calibration.provenance.created or "" for calibration in calibrations),
         parts=tuple(parts),
         closing="End of the report",
     )
@@ -73,7 +73,7 @@ def titles_of(calibrations: Sequence[Calibration]) -> list[str]:
     titles = [calibration.method for calibration in calibrations]
     if len(set(titles)) == len(titles):
         return titles
-    dates = [(calibration.circumstances.date or "")[:10] for calibration in calibrations]
+    dates = [(calibration.provenance.circumstances.date or "")[:10] for calibration in calibrations]
     return [f"{i}: {name} {day}".rstrip() for i, (name, day) in enumerate(zip(titles, dates, strict=True), 1)]
 
 
@@ -102,7 +102,7 @@ def _sections(source: ReportedFile, inserted: Sequence[Section], key: str) -> It
     calibration, recordings = source.calibration, recording.recordings(source.calibration)
     yield result.result(calibration)
     yield from inserted
-    yield notes(*further.remarks(calibration), *calibration.notes)
+    yield notes(*further.remarks(calibration), *calibration.provenance.notes)
     yield from annexes(calibration, key)
     yield result.unknown(calibration)
     yield from (recording.noise(each) for each in recordings)
@@ -139,9 +139,9 @@ def provenance(source: ReportedFile) -> Section:
     rows = (
         ("data annex", f"the calibration file {source.file}: all values, u, k, ν and covariances in SI"),
         ("its SHA-256", source.sha256),
-        ("SHA-256 of the log" + ("s" if source.calibration.launches else ""), known.get("log_sha256", NONE)),
-        ("software", known.get("software", NONE)),
-        ("computed", _in_words(known.get("created", NONE))),
+        ("SHA-256 of the log" + ("s" if source.calibration.evidence.launches else ""), known.log_sha256 or NONE),
+        ("software", known.software or NONE),
+        ("computed", _in_words(known.created or NONE)),
         ("method", source.calibration.method),
     )
     return section("Provenance", Facts(rows=rows))
@@ -162,12 +162,12 @@ def front(first: Calibration, titles: Sequence[str]) -> tuple[tuple[str, str], .
     rows += [
         ("recorded", ", ".join(map(_in_words, moments)) or "date not stated"),
         ("method", f"{first.method}, frame “{first.frame}”"),
-        ("programme", first.programme or "none"),
+        ("programme", first.provenance.programme or "none"),
         ("launches", str(len(recordings))),
-        *(recording.site_facts(recordings[0].recorded.site) if first.site is not None else ()),
+        *(recording.site_facts(recordings[0].recorded.site) if first.provenance.site is not None else ()),
         ("temperature", recording.temperature(recordings)),
     ]
-    given, air = first.circumstances, first.circumstances.conditions
+    given, air = first.provenance.circumstances, first.provenance.circumstances.conditions
     if air.temperature_degC is not None:
         u = "" if air.temperature_u is None else f", U = {significant(2.0 * air.temperature_u, 2)} °C (k = 2)"
         rows.append(("air temperature", f"{fixed(air.temperature_degC, 1)} °C{u}"))

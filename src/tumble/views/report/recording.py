@@ -30,12 +30,11 @@ _MOST_TURNS = 8
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RecordedSession:
-    """One session behind a calibration, and what was `recorded` in it: the calibration itself, or a launch, which alone
-    has a `title`."""
+    """One session behind a calibration, and what was `recorded` in it; of several launches each has a `title`."""
 
     title: str
     calibration: Calibration
-    recorded: Calibration | Launch
+    recorded: Launch
 
     def verticals(self) -> Array | None:
         """Vertical in the body (N, 3) at every rest from its corrected reading; None where it cannot be known."""
@@ -61,10 +60,9 @@ class RecordedSession:
 
 def recordings(calibration: Calibration) -> list[RecordedSession]:
     """The sessions of a calibration: itself, or its launches."""
-    launches: list[tuple[str, Calibration | Launch]] = [(launch.session, launch) for launch in calibration.launches]
     return [
-        RecordedSession(title=title, calibration=calibration, recorded=recorded)
-        for title, recorded in launches or [("", calibration)]
+        RecordedSession(title=launch.session, calibration=calibration, recorded=launch)
+        for launch in calibration.evidence.launches or [calibration.as_launch("")]
     ]
 
 
@@ -126,10 +124,10 @@ def tables_of(recording: RecordedSession) -> tuple[Table | None, Table | None, T
 
 def _programme_said(recording: RecordedSession) -> str:
     count = f"{len(recording.recorded.rests)} rests"
-    if recording.calibration.programme is None:
+    if recording.calibration.provenance.programme is None:
         return f"No programme: {count} were found, in attitudes that were not prescribed."
-    listed = recording.calibration.programme == "listed"
-    named = "Positions listed in the session" if listed else f"Programme “{recording.calibration.programme}”"
+    listed = recording.calibration.provenance.programme == "listed"
+    named = "Positions listed in the session" if listed else f"Programme “{recording.calibration.provenance.programme}”"
     return (
         f"{named}: {count} were found. Off is the angle between the vertical in the body as it was found and as "
         "the programme has it. N, U, E are north, up, east; a code says where body X, Y, Z point and how they are "
@@ -222,7 +220,7 @@ def noise(recording: RecordedSession) -> Section | None:
         if not seen or any(each is None for each in seen):
             continue
         density, drift = np.array([s.noise for s in seen]), np.array([s.drift for s in seen])
-        readings = recording.calibration.readings.get(kind)
+        readings = recording.calibration.provenance.readings.get(kind)
         sensors = [f"{kind} {i}" for i in range(density.shape[1])] if readings is None else readings.columns
         for i, sensor in enumerate(sensors):
             rows.append(

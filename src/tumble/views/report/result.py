@@ -79,7 +79,7 @@ def verdict_blocks(calibration: Calibration) -> list[Block]:
         verdict = (
             "Accepted: the recording determines every parameter given here, and its residuals agree with the model."
         )
-        if unchecked := " and ".join(name for name, fit in calibration.fits.items() if fit.degrees < 0.5):
+        if unchecked := " and ".join(name for name, fit in calibration.evidence.fits.items() if fit.degrees < 0.5):
             verdict += f" Nothing checks the {unchecked}: there are no more data than unknowns."
     blocks: list[Block] = [Text(text=verdict, tone=tone)]
     *by_kind, _ = verdicts(calibration)
@@ -93,12 +93,12 @@ def value_blocks(calibration: Calibration, further: Cells | None = None, words: 
     to; `words` are the headings of further columns of words."""
     blocks: list[Block] = []
     if calibration.parameters:
-        if len(calibration.launches) > 1:
+        if len(calibration.evidence.launches) > 1:
             next_one = (
-                f"It is of the mean of {len(calibration.launches)} power-ons; a single later one lies about the mean "
-                "with the standard deviation “run to run”, which comes on top."
+                f"It is of the mean of {len(calibration.evidence.launches)} power-ons; a single later one lies about "
+                "the mean with the standard deviation “run to run”, which comes on top."
             )
-        elif calibration.together:
+        elif calibration.evidence.together:
             next_one = "It is of all recorded power-ons together; what changes at the next one comes on top."
         else:
             next_one = "It is of the one power-on that was recorded; what changes at the next one is not in it."
@@ -131,10 +131,10 @@ def _parameter_table(calibration: Calibration, further: Cells | None, words: Col
 
     def row(p: Parameter, size: float, unit: str) -> dict[str, str]:
         (value, shown), U = with_expanded(p, size), expanded(p)
-        row = {"": described(p.name), "mean" if calibration.launches else "value": value}
+        row = {"": described(p.name), "mean" if calibration.evidence.launches else "value": value}
         row |= {"U (95 %)": shown, "unit": unit}
         row |= {"k": factor(p), "ν": degrees(p)} if factors else {}
-        row |= {"run to run": to_digits_of(p.run_to_run, U, size)} if calibration.launches else {}
+        row |= {"run to run": to_digits_of(p.run_to_run, U, size)} if calibration.evidence.launches else {}
         row |= {"from nominal": to_digits_of(p.deviation, U, size)} if passport else {}
         return row | ({} if further is None else further(p, size))
 
@@ -192,21 +192,23 @@ def unknown(calibration: Calibration) -> Section | None:
 
 def launches(calibration: Calibration) -> Section | None:
     """Every launch beside the others: bias, scale and axes, then what is beyond the linear model."""
-    if not calibration.launches:
+    if not calibration.evidence.launches:
         return None
     linear, further = linear_parameters(calibration.parameters), further_parameters(calibration.parameters)
     meaning = (
         "The result is the mean of these launches (power-ons). Run to run is the standard deviation from one launch to "
         "another; it is in the uncertainty of the mean."
     )
-    side_by_side = replace(launch_table(calibration, linear, of_a_page=True), dense=len(calibration.launches) > 4)
+    side_by_side = replace(
+        launch_table(calibration, linear, of_a_page=True), dense=len(calibration.evidence.launches) > 4
+    )
     blocks: list[Block] = [meaning, side_by_side]
     if further:
         beyond_linear = replace(launch_table(calibration, further, of_a_page=True), dense=True)
         blocks += ["Beyond the linear model:", beyond_linear]
     digests = tuple(
         (f"log of {launch.session}", f"SHA-256 {launch.log_sha256}" if launch.log_sha256 else NONE)
-        for launch in calibration.launches
+        for launch in calibration.evidence.launches
     )
     return section("Launches", *blocks, Facts(rows=digests))
 
@@ -214,7 +216,7 @@ def launches(calibration: Calibration) -> Section | None:
 def compared(titles: Sequence[str], calibrations: Sequence[Calibration]) -> Section:
     """Every parameter of several calibrations side by side, in the frame of the first: methods on one log, or launches
     and dates."""
-    first, digests = calibrations[0], {calibration.provenance.get("log_sha256") for calibration in calibrations}
+    first, digests = calibrations[0], {calibration.provenance.log_sha256 for calibration in calibrations}
     one_log = len(digests) == 1 and None not in digests
     title = "Methods compared" if one_log else "Calibrations compared"
     try:
