@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import os
-import signal
 import sys
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -66,28 +63,6 @@ def test_intervals_change_u_and_are_taken_where_they_are_asked_for(tmp_path: Pat
     assert first == pytest.approx(second, rel=0.5)
 
 
-def deadly(home: int, folder: Path, task: Any, number: int, cell: Cell) -> Any:
-    """A task of a campaign; the first time that number 5 is computed, its process ends."""
-    once = folder / "ended"
-    if number == 5 and os.getpid() != home and not once.exists():
-        once.touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return task(number, cell)
-
-
-def test_a_worker_killed_in_the_middle_changes_no_row(processes: Executor, tmp_path: Path) -> None:
-    job = campaign_of(SESSIONS).job()
-    endangered = dataclasses.replace(job, task=partial(deadly, os.getpid(), tmp_path, job.task))
-    found = pl.read_parquet(run(endangered, tmp_path / "killed", executor=processes))
-    assert (tmp_path / "ended").exists()
-    assert found.equals(rows(campaign_of(SESSIONS), tmp_path / "serial"))
-
-
-def test_trials_of_a_number_differ_in_device_and_noise_from_those_of_another() -> None:
-    found = [session_rows(1, ["joint"], False, number, TABLE)[0]["error.accel.bias.x"] for number in range(5)]
-    assert len(set(found)) == 5
-
-
 def test_the_bound_is_taken_where_the_observations_are() -> None:
     noiseless = dataclasses.replace(Setup.of(**TABLE), noise=NoiseModel())
     scenario = scenario_of(noiseless, trial.random_numbers(1, 4))
@@ -115,13 +90,6 @@ def test_a_method_that_cannot_use_the_observations_fails_and_the_others_do_not()
     assert "programme" in first["error"]
     assert second.get("error") is None
     assert second["error.gyro.scale.x"] is not None
-
-
-def test_a_factor_multiplies_all_noise() -> None:
-    rng = np.random.default_rng(0)
-    usual, loud = (scenario_of(Setup.of(noise_factor=f), rng).setup.noise for f in (1.0, 3.0))
-    for name in ("accel_white", "gyro_white", "accel_instability", "gyro_instability"):
-        assert getattr(loud, name) == pytest.approx(3.0 * getattr(usual, name), rel=1e-15) != 0.0
 
 
 # The file
@@ -192,14 +160,6 @@ def test_bias_scatter_rms_ratio_and_coverage_of_rows(tmp_path: Path) -> None:
     assert line.rms == pytest.approx(np.sqrt(5.0))
     assert line.to_bound == pytest.approx(np.sqrt(5.0) / 2.0)
     assert line.coverage == pytest.approx(0.75)
-
-
-def test_without_uncertainties_and_bounds_there_is_no_coverage_and_no_ratio(tmp_path: Path) -> None:
-    path = table(tmp_path, method=["joint"], accepted=[True], **{f"error.gyro.bias.{a}": [1.0] for a in "xyz"})
-    (line,) = summary(path)
-    assert line.rms == pytest.approx(1.0)
-    assert line.to_bound is None
-    assert line.coverage is None
 
 
 def test_a_point_without_an_accepted_trial_has_counts_and_no_errors(tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -20,7 +19,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.support import ROOT
 from tumble.campaigns import cluster, engine
 from tumble.campaigns.cluster import ATTEMPTS, executor_for
 from tumble.campaigns.engine import Done, Executor, Job, Row, chunks, run, serially
@@ -98,20 +96,6 @@ def test_a_task_that_fails_is_a_row_with_its_error(expected: pl.DataFrame) -> No
     }
 
 
-def test_processes_give_the_same_rows(processes: Executor, expected: pl.DataFrame, tmp_path: Path) -> None:
-    assert rows(job(), tmp_path / "out", processes).equals(expected)
-
-
-@pytest.mark.parametrize("size", [3, 40])
-def test_the_size_of_chunks_changes_no_row(size: int, expected: pl.DataFrame, tmp_path: Path) -> None:
-    def in_chunks(of: Job, pending: Sequence[int]) -> Iterator[Done]:
-        for first in reversed(range(0, len(pending), size)):
-            chunk = tuple(pending[first : first + size])
-            yield chunk, engine.compute(of.task, of.label, of.columns, [(i, of.items[i]) for i in chunk])
-
-    assert rows(job(), tmp_path / "out", in_chunks).equals(expected)
-
-
 def test_an_existing_cluster_gives_the_same_rows(processes: Executor, expected: pl.DataFrame, tmp_path: Path) -> None:
     (client,) = cast("partial[Iterator[Done]]", processes).args
     with executor_for(cluster=client.scheduler.address) as executor:
@@ -150,23 +134,6 @@ def test_an_interrupted_job_is_resumed_without_losing_or_repeating_a_row(
     assert sorted(computed(tmp_path / "log")) == list(range(40))
 
 
-@pytest.mark.weekly
-def test_a_job_ended_by_a_kill_is_resumed(expected: pl.DataFrame, tmp_path: Path) -> None:
-    (tmp_path / "log").mkdir()
-    code = (
-        "import sys, pathlib, functools, tests.campaigns.test_engine as t; p = pathlib.Path(sys.argv[1]);"
-        "t.run(t.job(functools.partial(t.noted, p / 'log', 0.02)), p / 'out')"
-    )
-    child = subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], cwd=ROOT)
-    while not list(tmp_path.glob("out/parts/0*.parquet")):
-        assert child.poll() is None
-        time.sleep(0.01)
-    child.kill()
-    assert child.wait() == -signal.SIGKILL
-    assert not (tmp_path / "out" / engine.TABLE).exists()
-    assert rows(job(), tmp_path / "out").equals(expected)
-
-
 def test_rows_that_two_runs_computed_are_taken_once(expected: pl.DataFrame, tmp_path: Path) -> None:
     def twice(of: Job, pending: Sequence[int]) -> Iterator[Done]:
         yield from serially(of, pending)
@@ -189,24 +156,12 @@ def test_a_table_that_another_run_made_meanwhile_is_taken(chunks: int, expected:
     assert rows(job(), tmp_path, overtaken).equals(expected)
 
 
-def test_a_finished_job_is_not_computed_again(tmp_path: Path) -> None:
-    (tmp_path / "log").mkdir()
-    for _ in range(2):
-        run(job(partial(noted, tmp_path / "log", 0.0), tasks=5), tmp_path / "out")
-    assert sorted(computed(tmp_path / "log")) == list(range(5))
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"manifest.json", "rows.parquet"}
-
-
 def test_progress_counts_to_the_end(tmp_path: Path) -> None:
     said: list[tuple[int, int]] = []
     run(job(), tmp_path / "out", progress=lambda done, every: said.append((done, every)))
     assert said[0] == (0, 40)
     assert said[-1] == (40, 40)
     assert said == sorted(said)
-
-
-def test_a_job_without_tasks_has_a_table_without_rows(tmp_path: Path) -> None:
-    assert rows(job(tasks=0), tmp_path / "out").shape == (0, 5)
 
 
 def test_another_job_in_the_folder_is_refused(tmp_path: Path) -> None:
@@ -294,15 +249,6 @@ def test_a_cluster_that_has_lost_all_processes_is_not_waited_for(
     expected = "the processes were ended, and no other has begun; what was computed is kept"
     with pytest.raises(TumbleError, match=expected):
         run(job(), tmp_path / "out", executor=partial(cluster._computed, cast(Any, Deserted())))
-
-
-def test_processes_that_end_while_they_begin_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fails(**_: object) -> None:
-        raise RuntimeError("Nanny failed to start.")
-
-    monkeypatch.setattr("distributed.LocalCluster", fails)
-    with pytest.raises(TumbleError, match=r"the processes could not be begun \(Nanny failed"), executor_for(workers=2):
-        pass
 
 
 def test_everything_listens_on_the_loopback_and_not_at_the_port_of_a_dashboard(processes: Executor) -> None:

@@ -15,10 +15,10 @@ from tests.support.corpus import doubtful as q
 from tests.support.corpus import programs as p
 from tests.support.corpus.dialects import Case
 from tumble.cli import main
-from tumble.drafting.columns import found_log
+from tumble.drafting.columns import identified_log
 from tumble.drafting.containers import files_of, unzipped
-from tumble.drafting.mended import mended
 from tumble.drafting.new_session import new_session
+from tumble.drafting.repairs import repaired
 from tumble.drafting.times import Stamps, times_of_column
 from tumble.errors import InputError
 from tumble.files import OutputFolder
@@ -531,7 +531,7 @@ def test_columns_units_and_times_are_those_of_the_format(name: str, log: pl.Data
     given = tmp_path / write(log, tmp_path)
     output = OutputFolder(tmp_path / "session")
     files = unzipped(given, output) if given.suffix == ".zip" else files_of(given)
-    found = mended(found_log(files, output), output, None)
+    found = repaired(identified_log(files, output), output, None)
     assert said in "; ".join(found.said)
     for kind, unit, columns in (("accel", accel, d.ACCEL), ("gyro", gyro, d.GYRO)):
         sensors = found.columns.triads[kind]

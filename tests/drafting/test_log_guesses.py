@@ -11,8 +11,8 @@ import pytest
 from tumble.diagnosis.turn_likelihood import WIDTHS
 from tumble.drafting.dialects import as_table
 from tumble.drafting.draft import Draft
-from tumble.drafting.found_log import samples_in
-from tumble.drafting.hypotheses import Shown, length_and_zero, ranked
+from tumble.drafting.foreign_log import samples_in
+from tumble.drafting.hypotheses import Evidence, length_and_zero, ranked
 from tumble.drafting.named_values import cells
 from tumble.drafting.new_session import Given, new_session
 from tumble.drafting.times import Stamps, overflow_of, recordings_of, times_of_column
@@ -112,7 +112,7 @@ def test_a_converter_has_its_zero_in_the_middle_where_it_writes_nothing_negative
 def test_readings_of_one_g_tell_a_unit_from_counts(found: float, unit: str | None, doubted: bool) -> None:
     triads = {ACCEL: Sensors(columns=("x", "y", "z"), unit=None)}
     draft = Draft(content={}, said=(), triads=triads, whole={ACCEL: True})
-    best, *rivals = ranked(Shown(rate=100.0, length=found, length_u=0.005), draft)
+    best, *rivals = ranked(Evidence(rate=100.0, length=found, length_u=0.005), draft)
     assert best.accel.unit == unit
     assert any(rival.cost - best.cost < WIDTHS.near for rival in rivals) == doubted
 

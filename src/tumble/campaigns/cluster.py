@@ -36,6 +36,7 @@ _GO_ON = "what was computed is kept: give the same command again to go on"
 _SETTINGS = {
     "distributed.worker.multiprocessing-method": "spawn",
     "distributed.scheduler.allowed-failures": 0,
+    "distributed.deploy.lost-worker-timeout": "30 days",  # by default a process is given up after 15 s
     "distributed.worker.profile.enabled": False,  # it would look at every process a hundred times a second, idle or not
     "distributed.scheduler.http.routes": [],  # the servers cannot be left out, but serve nothing
     "distributed.worker.http.routes": [],

@@ -16,8 +16,8 @@ import polars as pl
 
 from tumble.drafting.containers import check_is_text
 from tumble.drafting.dialects import as_table
-from tumble.drafting.found_log import LONGEST, SAMPLE_ROWS, FoundLog, Stated, samples_in
-from tumble.drafting.mended import nanoseconds_of
+from tumble.drafting.foreign_log import LONGEST, SAMPLE_ROWS, ForeignLog, Stated, samples_in
+from tumble.drafting.repairs import nanoseconds_of
 from tumble.drafting.sensors_apart import are_sensors_apart, of_sensors_apart
 from tumble.drafting.several_sensors import split_by_header, split_by_sensor
 from tumble.drafting.times import times_of_column
@@ -35,12 +35,12 @@ _GROWING = 0.9  # of the steps of stamps that are those of rows
 _DELIMITER_WORDS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "blanks"}
 
 
-def found_log(files: Sequence[Path], folder: OutputFolder, stated: Stated = MappingProxyType({})) -> FoundLog:
+def identified_log(files: Sequence[Path], folder: OutputFolder, stated: Stated = MappingProxyType({})) -> ForeignLog:
     """One log of text and Parquet files, with its columns identified, as far as they are not `stated`.
 
     Files that are written alike and whose columns have no telling names are identified together: a file of one position
     does not show what they are, all of them do. Raises InputError for files that are no logs, or not alike."""
-    logs: list[FoundLog] = []
+    logs: list[ForeignLog] = []
     without: list[_NoRowsError] = []
     omitted: tuple[str, ...] = ()
     for file in files:  # text without rows beside logs that have some, as the metadata that a phone writes, is left out
@@ -84,10 +84,10 @@ class _NoRowsError(InputError):
     """A text file without rows of readings."""
 
 
-def _found(file: Path, folder: OutputFolder) -> list[FoundLog]:
+def _found(file: Path, folder: OutputFolder) -> list[ForeignLog]:
     """The log in a file; one of each sensor where its rows are of single sensors."""
     if file.suffix.lower() == ".parquet":
-        return [FoundLog(files=(file,), keys={}, columns=columns_by_name(source_of(file).names))]
+        return [ForeignLog(files=(file,), keys={}, columns=columns_by_name(source_of(file).names))]
     with readable(file), opened(file) as stream:
         seen = stream.read(_SEEN_BYTES)
     if not seen:
@@ -119,7 +119,7 @@ def _found(file: Path, folder: OutputFolder) -> list[FoundLog]:
     how += ["columns without names"] if not dialect.header else []
     how += [f"{top.lines} lines above the numbers"] if top.lines > 1 else []
     plain = dialect == Dialect() and top.lines == 1 and "".join(file.suffixes[-2:]).lower().endswith(ENDINGS)
-    log = FoundLog(
+    log = ForeignLog(
         files=(file,),
         keys={} if plain else dialect.keys(),
         columns=columns_by_name([name for name in top.names if name not in words]),
@@ -132,7 +132,7 @@ def _found(file: Path, folder: OutputFolder) -> list[FoundLog]:
     return [log.with_columns(time=clock) if log.columns.time is None else log]
 
 
-def _numeric(log: FoundLog) -> list[str]:
+def _numeric(log: ForeignLog) -> list[str]:
     """Columns of numbers."""
     if not log.cells:
         schema = pl.scan_parquet(log.files[0], glob=False).collect_schema()
@@ -141,7 +141,7 @@ def _numeric(log: FoundLog) -> list[str]:
     return [name for name, cells in log.cells.items() if sum(map(is_number, cells)) > len(cells) // 2]
 
 
-def _by_data(log: FoundLog) -> FoundLog:
+def _by_data(log: ForeignLog) -> ForeignLog:
     """A log whose accelerometers, and gyros unless they are named, are identified by their numbers, if they can be.
 
     Columns whose names say that they are something else are left aside."""
@@ -159,9 +159,9 @@ def _by_data(log: FoundLog) -> FoundLog:
     return log.with_columns(told.said(known.triads), triads={**triads, **known.triads}, time=time, others=(), times=())
 
 
-def _with_finest_time(log: FoundLog) -> FoundLog:
+def _with_finest_time(log: ForeignLog) -> ForeignLog:
     """A log with several times: with the first whose stamps grow from row to row, else the first that grows at all."""
-    growing: list[FoundLog] = []
+    growing: list[ForeignLog] = []
     for name in dict.fromkeys((log.columns.time, *log.columns.times)):
         trial = log.with_columns(time=name, time_unit=time_unit(name or ""))
         stamps = trial.stamps()
@@ -175,7 +175,7 @@ def _with_finest_time(log: FoundLog) -> FoundLog:
     return next(iter(growing), log)
 
 
-def _with_thermometers(log: FoundLog) -> FoundLog:
+def _with_thermometers(log: ForeignLog) -> ForeignLog:
     """A log without the thermometers that read nothing, so that one that does is taken."""
     empty = [name for name in log.columns.temperatures if not len(log.readings(name))]
     if not empty:
@@ -187,7 +187,7 @@ def _with_thermometers(log: FoundLog) -> FoundLog:
     return _with_thermometers(log.with_columns([said], temperatures=anew.temperatures, others=anew.others))
 
 
-def _with_time(log: FoundLog) -> FoundLog:
+def _with_time(log: ForeignLog) -> ForeignLog:
     """A log whose time, if no name says which column it is, is one that grows as times do."""
     if log.columns.time is not None:
         return log

@@ -12,7 +12,7 @@ import numpy as np
 
 from tumble.diagnosis.turn_likelihood import WIDTHS, Widths, columns_said
 from tumble.drafting.draft import Draft
-from tumble.drafting.hypotheses import Hypothesis, Shown, ranked, readings, shown_by
+from tumble.drafting.hypotheses import Evidence, Hypothesis, evidence_of, ranked, readings
 from tumble.errors import InputError, TumbleError
 from tumble.recording.columns.names import ACCEL, GYRO
 from tumble.recording.columns.scales import ONE, PER, KnownScale
@@ -28,7 +28,7 @@ _MOST_RATES = 8
 _TIME_KEYS = ("time", "time_unit", "regular", "rate_hz")
 
 
-def weighed(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> tuple[Draft, list[str]]:
+def completed(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> tuple[Draft, list[str]]:
     """A draft completed by what its rests and turns show, and the faults that a look at it finds.
 
     Parameters
@@ -40,7 +40,7 @@ def weighed(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> tuple[
     widths
         Standard deviations of the cost of hypotheses.
     """
-    shown = shown_by(draft, progress, widths)
+    shown = evidence_of(draft, progress, widths)
     every = ranked(shown, draft, widths)
     best = every[0]
     near = [hypothesis for hypothesis in every[1:] if hypothesis.cost < best.cost + widths.near]
@@ -105,7 +105,7 @@ def _differing(rival: Hypothesis, best: Hypothesis) -> str:
     return ", ".join(words)
 
 
-def _of_times(draft: Draft, best: Hypothesis, shown: Shown, near: Sequence[Hypothesis]) -> list[str]:
+def _of_times(draft: Draft, best: Hypothesis, shown: Evidence, near: Sequence[Hypothesis]) -> list[str]:
     """Sentences on the times or the rate."""
     first, taken = draft.times, best.times
     said = list(first.said)
@@ -140,7 +140,7 @@ def _found(best: Hypothesis, gyro: KnownScale) -> float:
     return best.profile.found(math.log(gyro.reads(rate) * rate / DEGREE)) * DEGREE / rate
 
 
-def _comes_near(kind: str, scale: KnownScale, shown: Shown, best: Hypothesis, near: Sequence[Hypothesis]) -> str:
+def _comes_near(kind: str, scale: KnownScale, shown: Evidence, best: Hypothesis, near: Sequence[Hypothesis]) -> str:
     """A unit or counts beside what was found for one g or °/s, and what else would fit at the same rate."""
     rate, per = best.times.rate, PER[kind]
 
@@ -168,7 +168,7 @@ def _counts(columns: list[str], scale: float, per: str, zero: Any, unit: str = "
 
 
 def _accel(
-    draft: Draft, best: Hypothesis, shown: Shown, near: Sequence[Hypothesis]
+    draft: Draft, best: Hypothesis, shown: Evidence, near: Sequence[Hypothesis]
 ) -> tuple[dict[str, Any], list[str]]:
     """The table [log.accel], and what is said of it."""
     columns, scale = list(draft.triads[ACCEL].columns), best.accel
@@ -205,7 +205,7 @@ def _gyro(
     draft: Draft,
     best: Hypothesis,
     gyro: KnownScale,
-    shown: Shown,
+    shown: Evidence,
     every: Sequence[Hypothesis],
     near: Sequence[Hypothesis],
 ) -> tuple[dict[str, Any], list[str]]:

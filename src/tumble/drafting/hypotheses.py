@@ -96,13 +96,14 @@ _TOO_FAST, _IN_STEPS = 30.0, -12.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Shown:
-    """What a recording shows, in raw numbers, with Q and durations counted at `rate`, Hz: how many `rests` and `turns`
-    there are; the `length` of gravity, its standard uncertainty, part of it, and the `zero` of the accelerometers; at
-    the rests (N, 3) the directions of the vertical and what the gyros read, and the scatter of a sample, of the
-    accelerometers as part of gravity; what the gyros read in the midst of a turn, and the likelihoods of the turns,
-    that with the columns as they are first. `by_rate` has the number of rests by trial rates, Hz, where that is
-    unclear."""
+class Evidence:
+    """What rests and turns of a recording show, in raw numbers, with Q and durations counted at `rate`, Hz.
+
+    `rests` and `turns` are counts; `length` is that of gravity, `length_u` its standard uncertainty, part of it, and
+    `zero` that of the accelerometers. At the rests: readings of the gyros `gyro` (N, 3), numbers of `samples` (N,) and
+    the scatter of a sample, of accelerometers as part of gravity. `turning` is the usual reading of the gyros in a
+    turn, `profiles` the likelihoods of the turns, that with the columns as they are first. `by_rate` has the number of
+    rests by trial rates, Hz, where the rate is unclear."""
 
     rate: float
     length: float
@@ -110,7 +111,6 @@ class Shown:
     rests: int = 0
     turns: int = 0
     zero: Sequence[float] = (0.0, 0.0, 0.0)
-    up: Array = field(default_factory=lambda: np.empty((0, 3)))
     gyro: Array = field(default_factory=lambda: np.empty((0, 3)))
     samples: Array = field(default_factory=lambda: np.empty(0))
     accel_scatter: float = 0.0
@@ -125,8 +125,8 @@ class Shown:
         return np.median(self.gyro, axis=0) if len(self.gyro) else np.zeros(3)
 
 
-def shown_by(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> Shown:
-    """What the log of a draft shows. Where its rate is unclear the rows are the clock, and rests are sought with
+def evidence_of(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> Evidence:
+    """The evidence of a draft's log. Where its rate is unclear the rows are the clock, and rests are sought with
     windows that fit several rates: those are taken whose turns tell most, by how much less they cost than if the gyros
     turned nothing, or that show most rests."""
     log = {key: value for key, value in draft.log.items() if key != "temperature"}
@@ -140,14 +140,14 @@ def shown_by(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> Shown
         opened = open_log(session)
         reduction = reduce_log(opened, session.accel_block, session.gyro_block, progress(opened))
     except (TumbleError, np.linalg.LinAlgError):
-        return Shown(rate=draft.rate, length=draft.magnitude, length_u=_MOVING)
+        return Evidence(rate=draft.rate, length=draft.magnitude, length_u=_MOVING)
     trials = [_with_windows(reduction, factor, draft.magnitude, widths) for factor in factors]
     counts = {ASSUMED_RATE * factor: trial.rests for factor, trial in zip(factors, trials, strict=True)}
     most = max(trials, key=lambda t: (max((p.unturned - p.least for p in t.profiles), default=0.0), t.rests))
     return replace(most, by_rate=counts if len(factors) > 1 else {})
 
 
-def _with_windows(reduction: Reduction, factor: float, magnitude: float, widths: Widths) -> Shown:
+def _with_windows(reduction: Reduction, factor: float, magnitude: float, widths: Widths) -> Evidence:
     """What a reduction shows whose rests are sought with windows that fit `factor` times its rate; where there are
     none, gravity has the `magnitude` of what is read."""
     seconds = (f.name for f in fields(Tuning) if f.metadata["unit"] == "s")
@@ -159,7 +159,7 @@ def _with_windows(reduction: Reduction, factor: float, magnitude: float, widths:
             found = find_rests(replace(reduction, tuning=tuning), _TRIAD, None).rests
         spans = tuple(s for s in found if files[s.file].accel.means[s.first : s.last].any())
     if not spans:
-        return Shown(rate=reduction.rate, length=magnitude, length_u=_MOVING)
+        return Evidence(rate=reduction.rate, length=magnitude, length_u=_MOVING)
     accel = [files[s.file].accel.means[s.first : s.last] for s in spans]
     gyro = [files[s.file].gyro.means[s.first : s.last] for s in spans]
     length, length_u, zero, gravity = length_and_zero(np.array([blocks.mean(axis=0) for blocks in accel]), widths)
@@ -170,14 +170,13 @@ def _with_windows(reduction: Reduction, factor: float, magnitude: float, widths:
         of_blocks = [np.sqrt(blocks.var(axis=0).mean()) for blocks in of_rests if blocks.size]
         scatters.append(float(np.median(of_blocks)) * np.sqrt(reduction.files[0].size) if of_blocks else 0.0)
     readings = [np.quantile(np.linalg.norm(sums, axis=1), _USUAL) for sums, _, _ in turns]
-    return Shown(
+    return Evidence(
         rate=reduction.rate,
         rests=len(spans),
         turns=len(turns),
         length=length,
         zero=zero,
         length_u=length_u,
-        up=up,
         gyro=rates,
         samples=np.array([(s.last - s.first) * files[s.file].size for s in spans]),
         accel_scatter=scatters[0] / max(length, 1e-300),
@@ -267,7 +266,7 @@ class Hypothesis:
         return {part for part, unlike in parts.items() if unlike}
 
 
-def ranked(shown: Shown, draft: Draft, widths: Widths = WIDTHS) -> list[Hypothesis]:
+def ranked(shown: Evidence, draft: Draft, widths: Widths = WIDTHS) -> list[Hypothesis]:
     """All hypotheses of a log that shows this, the cheapest first."""
     deviation = math.hypot(widths.scale, shown.length_u)
     accels = list(_assumed(ACCEL, draft, cost_of_any(deviation)))
@@ -301,7 +300,7 @@ def ranked(shown: Shown, draft: Draft, widths: Widths = WIDTHS) -> list[Hypothes
 
 
 def _with_gyros(
-    draft: Draft, shown: Shown, gyros: list[tuple[KnownScale, float]], profile: TurnLikelihood | None, widths: Widths
+    draft: Draft, shown: Evidence, gyros: list[tuple[KnownScale, float]], profile: TurnLikelihood | None, widths: Widths
 ) -> Iterator[tuple[Times, KnownScale | None, float]]:
     """Times with gyros and what these cost in them: by their turns, by what they read, and by what they assume. Where
     the rate may be any, that too with which the turns fit a unit best."""
@@ -348,7 +347,7 @@ def _assumed(kind: str, draft: Draft, unknown: float) -> Iterator[tuple[KnownSca
 
 
 def readings(
-    shown: Shown, gyro: KnownScale, rate: float, draft: Draft, widths: Widths = WIDTHS
+    shown: Evidence, gyro: KnownScale, rate: float, draft: Draft, widths: Widths = WIDTHS
 ) -> list[tuple[float, str]]:
     """Costs of a unit or scale of gyros by what they would read, each with the reason in words.
 

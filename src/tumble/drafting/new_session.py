@@ -1,5 +1,5 @@
 """A first session.toml for a log, in one pass: its files (`containers`), the columns of sensors and times by name and
-unit, and by numbers where names leave them open (`columns`), copies of what a session file cannot describe (`mended`),
+unit, and by numbers where names leave them open (`columns`), copies of what a session file cannot describe (`repairs`),
 times (`times`), units and scales by what rests and turns show (`hypotheses`), and sentences about it (`conclusions`).
 
 Accelerometers at rest must read gravity, which tells their unit, and gyros must carry the vertical from rest to rest,
@@ -20,12 +20,12 @@ from typing import Any
 import numpy as np
 
 from tumble.diagnosis.turn_likelihood import WIDTHS, Widths
-from tumble.drafting.columns import found_log
-from tumble.drafting.conclusions import weighed
+from tumble.drafting.columns import identified_log
+from tumble.drafting.conclusions import completed
 from tumble.drafting.containers import files_of, unzipped
 from tumble.drafting.draft import Draft, session_text
-from tumble.drafting.found_log import HEAD_ROWS, SAMPLE_ROWS, FoundLog
-from tumble.drafting.mended import mended
+from tumble.drafting.foreign_log import HEAD_ROWS, SAMPLE_ROWS, ForeignLog
+from tumble.drafting.repairs import repaired
 from tumble.drafting.sensors_apart import log_of_recording
 from tumble.errors import InputError, LogError
 from tumble.files import FilePath, OutputFolder, nothing_left, whole_file
@@ -142,7 +142,7 @@ def written_session(
     files = [inner for file in files for inner in unzipped(file, folder)]
     imu: Mapping[str, AutopilotSensor] = {}
     if not (recordings := [file for file in files if is_recording(file) or file.is_dir()]):
-        log = found_log(files, folder, given.columns)
+        log = identified_log(files, folder, given.columns)
     elif given.columns:
         raise InputError(
             f"--{', --'.join(given.columns)}: expected a log of text or Parquet, found {recordings[0].name}, whose "
@@ -152,13 +152,13 @@ def written_session(
         raise InputError(f"{recordings[0]}: expected one recording, found other files too; give each its own session")
     else:
         log, imu = log_of_recording(recordings, folder, given.message)
-    draft = _of_log(mended(log, folder, given.sample_rate), given.sample_rate)
+    draft = _of_log(repaired(log, folder, given.sample_rate), given.sample_rate)
     site = {"site": {"latitude_deg": given.latitude}} if given.latitude is not None else {}
     serial = given.serial or folder.path.resolve().name or "unknown"
     device = {"serial": serial, **({"imu": sensors_content(imu)} if imu else {})}
     draft = replace(draft, content={**draft.content, "device": device, **site})
     session_of(draft.content)  # checked as a session is
-    draft, faults = weighed(draft, progress, widths)
+    draft, faults = completed(draft, progress, widths)
     draft = _with_sign(draft)
     if draft.guessed:
         draft = draft.with_log([_row_as_read(draft)])
@@ -171,7 +171,7 @@ def written_session(
 # -------------------- what is known from names and first numbers --------------------
 
 
-def _of_log(log: FoundLog, rate: float | None) -> Draft:
+def _of_log(log: ForeignLog, rate: float | None) -> Draft:
     """From text and Parquet files: what names and first numbers say, and sensors as raw numbers."""
     known, times = log.columns, log.times(rate)
     said = list(log.said)
@@ -261,7 +261,7 @@ def _row_as_read(draft: Draft) -> str:
     return f"row {whole[0] + 1} as it is read: {'; '.join(parts)}"
 
 
-def _thermometers(log: FoundLog, columns: Sequence[str]) -> tuple[dict[str, Any] | None, str]:
+def _thermometers(log: ForeignLog, columns: Sequence[str]) -> tuple[dict[str, Any] | None, str]:
     """The table [log.temperature], None where numbers are raw. A unit is that of the name, or in which the numbers are
     temperatures of the air on Earth or of a chamber; columns in several are, as raw ones, with what their numbers are
     worth."""
@@ -289,13 +289,13 @@ def _thermometers(log: FoundLog, columns: Sequence[str]) -> tuple[dict[str, Any]
     return table, f"temperature: {', '.join(dict.fromkeys(said))}{whose}"
 
 
-def _magnitude(log: FoundLog, sensors: Sensors) -> float:
+def _magnitude(log: ForeignLog, sensors: Sensors) -> float:
     """The median magnitude of what sensors read in the first rows; 0 where they read nothing."""
     read = np.linalg.norm(log.read(sensors.columns, rows=HEAD_ROWS), axis=1)
     return float(np.nanmedian(read)) if np.isfinite(read).any() else 0.0
 
 
-def _magnetometer(log: FoundLog, sensors: Sensors | None) -> tuple[dict[str, Any] | None, list[str]]:
+def _magnetometer(log: ForeignLog, sensors: Sensors | None) -> tuple[dict[str, Any] | None, list[str]]:
     """The table [log.magnetometer]: the unit by name, or the one in which the field is one on Earth."""
     if sensors is None:
         return None, []

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from tumble.drafting.found_log import HEAD_ROWS, SHOWN, FoundLog
+from tumble.drafting.foreign_log import HEAD_ROWS, SHOWN, ForeignLog
 from tumble.drafting.times import grows_mostly, recordings_of, times_of_column
 from tumble.errors import InputError
 from tumble.files import OutputFolder
@@ -39,7 +39,7 @@ _NOT_ACCEL = re.compile(r"lin|user|uncal|without|\bno[_ ]?g", re.IGNORECASE)
 
 def log_of_recording(
     recordings: Sequence[Path], folder: OutputFolder, message: str | None
-) -> tuple[FoundLog, Mapping[str, AutopilotSensor]]:
+) -> tuple[ForeignLog, Mapping[str, AutopilotSensor]]:
     """The log of a recording's message, that of this name or the first with most sensors, and the sensors of an
     autopilot that it is of.
 
@@ -80,7 +80,7 @@ def log_of_recording(
         temperatures=temperatures or tuple(t for m in thermometers for t in m.temperatures),
     )
     imu = {kind: sensor for m in reversed(taken) for kind, sensor in m.imu.items()}
-    return FoundLog(files=(log,), keys={}, columns=columns, said=tuple(said)), imu
+    return ForeignLog(files=(log,), keys={}, columns=columns, said=tuple(said)), imu
 
 
 def _pairs(accel: Message, gyro: Message) -> bool:
@@ -102,7 +102,7 @@ def _thermometers(accel: Message, gyro: Message | None, apart: Sequence[Message]
 # -------------------- files of one kind of sensors each --------------------
 
 
-def are_sensors_apart(logs: Sequence[FoundLog]) -> bool:
+def are_sensors_apart(logs: Sequence[ForeignLog]) -> bool:
     """Whether logs are of one kind of sensors each: the names of their columns say so, or no names of columns say which
     and those of the files do; where columns have no names, they are no more than a time and three sensors. Files that
     all have room for two kinds are recordings of one device."""
@@ -116,10 +116,10 @@ def are_sensors_apart(logs: Sequence[FoundLog]) -> bool:
     return not any(log.columns.triads or log.unnamed for log in logs)
 
 
-def _by_kind(logs: Sequence[FoundLog]) -> dict[str, FoundLog]:
+def _by_kind(logs: Sequence[ForeignLog]) -> dict[str, ForeignLog]:
     """The first log of each kind of sensors by the names of its columns, or where they do not say of its file; of
     accelerometers the first that reads gravity, if one does: what a phone calls so may be without it."""
-    by_kind: dict[str, FoundLog] = {}
+    by_kind: dict[str, ForeignLog] = {}
     for log in logs:
         name = log.files[0].stem
         named = next((kind for kind in (ACCEL, GYRO) if kind in log.columns.triads), None)
@@ -133,7 +133,7 @@ def _by_kind(logs: Sequence[FoundLog]) -> dict[str, FoundLog]:
     return {ACCEL: uncalibrated[0], **by_kind} if uncalibrated else by_kind
 
 
-def _reads_gravity(log: FoundLog) -> bool:
+def _reads_gravity(log: ForeignLog) -> bool:
     """Whether the three sensors of a log of accelerometers read gravity in a unit."""
     columns = _three(log, ACCEL)[1]
     if not columns:
@@ -142,7 +142,7 @@ def _reads_gravity(log: FoundLog) -> bool:
     return any(c.unit is not None and abs(length / c.value - 1.0) < _NEAR for c in CANDIDATES[ACCEL])
 
 
-def of_sensors_apart(logs: Sequence[FoundLog], folder: OutputFolder) -> FoundLog:
+def of_sensors_apart(logs: Sequence[ForeignLog], folder: OutputFolder) -> ForeignLog:
     """Accelerometers and gyros that come in a file each, as of phones, as one log at the times of the gyros."""
     by_kind = _by_kind(logs)
     if ACCEL not in by_kind:
@@ -156,10 +156,10 @@ def of_sensors_apart(logs: Sequence[FoundLog], folder: OutputFolder) -> FoundLog
     also = (f"also there, and not used: {', '.join(unused)}",) if unused else ()
     said = f"{named}: one log at the times of the gyros, written to {joined}"
     fastest = read.get(GYRO, read[ACCEL])
-    return FoundLog(files=(joined,), keys={}, columns=columns, said=(said, *also, fastest.remark))
+    return ForeignLog(files=(joined,), keys={}, columns=columns, said=(said, *also, fastest.remark))
 
 
-def _three(log: FoundLog, kind: str) -> tuple[FoundLog, list[str]]:
+def _three(log: ForeignLog, kind: str) -> tuple[ForeignLog, list[str]]:
     """A log with its time, and its columns x, y and z, none where it has no such: by their names, else the three beside
     one that grows."""
     if kind in log.columns.triads:
@@ -175,7 +175,7 @@ def _three(log: FoundLog, kind: str) -> tuple[FoundLog, list[str]]:
     return log.with_columns(time=time), three if len(three) == len("xyz") else []
 
 
-def _message(log: FoundLog, kind: str) -> Message:
+def _message(log: ForeignLog, kind: str) -> Message:
     """The three columns of the one kind of sensors in a log, with their times, s."""
     log, source = _three(log, kind)
     stamps = log.stamps()

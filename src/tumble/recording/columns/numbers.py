@@ -70,7 +70,7 @@ Run = tuple[int, int, int]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class ToldColumns:
+class IdentifiedColumns:
     """Columns by their numbers, and the next hypotheses in words; none where nothing was told."""
 
     columns: Columns
@@ -99,17 +99,17 @@ class _Hypothesis:
         return f"accelerometers {named[0]}, {f'gyros {named[1]}' if self.gyro else 'no gyros'}"
 
 
-def columns_by_data(names: Sequence[str], read: Array) -> ToldColumns:
+def columns_by_data(names: Sequence[str], read: Array) -> IdentifiedColumns:
     """What the columns (m, n) of a table with these names are; no triads where nothing looks like accelerometers.
     Columns of no numbers are NaN."""
     if not len(read):
-        return ToldColumns(columns=Columns(time=None, time_unit=None, triads={}))
+        return IdentifiedColumns(columns=Columns(time=None, time_unit=None, triads={}))
     growing = [j for j in range(len(names)) if grows(read[:, j])]
     time = time_by_data(names, read) or (names[growing[0]] if growing else None)
     ranked = _hypotheses(names, read, [j for j in range(len(names)) if j not in growing])
     if not ranked:
         triads = _of_gravity_alone(names, read, [j for j in range(len(names)) if j not in growing])
-        return ToldColumns(columns=Columns(time=time, time_unit=None, triads=triads))
+        return IdentifiedColumns(columns=Columns(time=time, time_unit=None, triads=triads))
     best, *others = ranked
     triads = {
         kind: Sensors(columns=in_order([names[j] for j in run]), unit=None)
@@ -122,7 +122,7 @@ def columns_by_data(names: Sequence[str], read: Array) -> ToldColumns:
     further.append((_LIMIT - best.of_accel, "no accelerometers at all"))
     listed = ", ".join(f"{said} (cost +{cost:.1f})" for cost, said in sorted(further))
     doubt = "; too near to be sure: state --accel, --gyro" if min(further)[0] < _APART else ""
-    return ToldColumns(
+    return IdentifiedColumns(
         columns=Columns(time=time, time_unit=None, triads=triads),
         rivals=f"columns: next would be {listed}; +{_APART:g} is 20 times less likely{doubt}",
     )

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from tumble.drafting.found_log import LONGEST, SAMPLE_ROWS, FoundLog, samples_in
+from tumble.drafting.foreign_log import LONGEST, SAMPLE_ROWS, ForeignLog, samples_in
 from tumble.drafting.times import Stamps, overflow_of, recordings_of, times_of_column
 from tumble.errors import InputError
 from tumble.files import OutputFolder
@@ -48,7 +48,7 @@ Edges = list[tuple[int, int]]
 """First and last + 1 row of parts of a log."""
 
 
-def mended(log: FoundLog, folder: OutputFolder, rate: float | None) -> FoundLog:
+def repaired(log: ForeignLog, folder: OutputFolder, rate: float | None) -> ForeignLog:
     """A log of which a session file can say all that is needed: the log itself, or a mended copy of it.
 
     Parameters
@@ -107,10 +107,10 @@ def mended(log: FoundLog, folder: OutputFolder, rate: float | None) -> FoundLog:
     columns = replace(columns, time=TIME, time_unit="s") if in_seconds else columns
     copied = f"so mended, the log is copied to {files[0].name}{' …' * (len(files) > 1)}"
     every_remark = (*log.said, *(said for said, _ in mends), *filter(None, [why]), copied)
-    return FoundLog(files=tuple(files), keys={}, columns=columns, remarks=log.remarks, said=every_remark)
+    return ForeignLog(files=tuple(files), keys={}, columns=columns, remarks=log.remarks, said=every_remark)
 
 
-def _recordings(log: FoundLog) -> tuple[Edges | None, str]:
+def _recordings(log: ForeignLog) -> tuple[Edges | None, str]:
     """The recordings that follow each other in a file, each with a clock that starts anew; None for one."""
     stamps = log.stamps() if len(log.files) == 1 else None
     if stamps is None or stamps.clock or len(stamps.values) >= LONGEST:
@@ -124,7 +124,7 @@ def _each(mend: Callable[[pl.DataFrame], pl.DataFrame]) -> Step:
     return partial(map, mend)
 
 
-def _rows_that_are_samples(log: FoundLog) -> list[Mend]:
+def _rows_that_are_samples(log: ForeignLog) -> list[Mend]:
     """Steps that leave out rows that are no samples: those with which memory was filled, behind the last sample, and
     rows of other sensors. Rows without readings are lost samples instead where they are few, and samples about them are
     farther apart than usual."""
@@ -159,7 +159,7 @@ def _rows_that_are_samples(log: FoundLog) -> list[Mend]:
     return mends
 
 
-def _time(log: FoundLog, rate: float | None) -> tuple[list[str], bool, list[Mend]]:
+def _time(log: ForeignLog, rate: float | None) -> tuple[list[str], bool, list[Mend]]:
     """The columns of the time, whether the steps make a column TIME of them, s, and what is mended."""
     column, interval = log.columns.time, log.columns.interval
     if rate is not None and column is not None:
@@ -223,7 +223,7 @@ def _grown(tables: Iterator[pl.DataFrame], column: str, overflow: float | None) 
         yield table.with_columns(pl.Series(column, stamps))
 
 
-def nanoseconds_of(log: FoundLog) -> str | None:
+def nanoseconds_of(log: ForeignLog) -> str | None:
     """The column of the nanoseconds, where that of the time has the whole seconds alone: header.stamp.nsecs beside
     header.stamp.secs."""
     return next((n for n in log.names if _NANO.search(n) and _NANO.sub("", n) == log.columns.time), None)
@@ -249,7 +249,7 @@ def _unwrapped(columns: Array) -> Array:
 # -------------------- positions without turns between them --------------------
 
 
-def _positions_apart(log: FoundLog, *, unsigned: bool) -> tuple[Edges | None, str]:
+def _positions_apart(log: ForeignLog, *, unsigned: bool) -> tuple[Edges | None, str]:
     """The positions that follow each other in a file without a turn: by a column that names them, or where gravity
     jumps from one row to the next while nothing moves before and after; None where there are none. With `unsigned`, 16
     bits of the accelerometers were read without their sign. Raises InputError for positions of too few rows."""

@@ -1,4 +1,4 @@
-"""A log as it came: its files, how they are written, and which of their columns are what."""
+"""A foreign log: its files, how they are written, and what its columns are."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ Stated = Mapping[str, Sequence[str]]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class FoundLog:
+class ForeignLog:
     """Files of one kind, the keys of [log] that say how they are written, their columns, what was said above the
     numbers, cells of the first rows by column, and what there is to say."""
 
@@ -60,7 +60,7 @@ class FoundLog:
     kept: dict[Path, KeptLog] = field(default_factory=dict)
     """The files that were read, by their paths: every look at them is at what was read once."""
 
-    def with_columns(self, said: Sequence[str] = (), /, **changed: Any) -> FoundLog:
+    def with_columns(self, said: Sequence[str] = (), /, **changed: Any) -> ForeignLog:
         """The log with other columns of these kinds, and what there is to say of them."""
         return replace(self, columns=replace(self.columns, **changed), said=(*self.said, *said))
 
@@ -148,7 +148,7 @@ class FoundLog:
             return assumed
         return replace(assumed, said=(f"time: column {stamps.column!r} does not grow and is not used", *assumed.said))
 
-    def with_stated(self, stated: Stated) -> FoundLog:
+    def with_stated(self, stated: Stated) -> ForeignLog:
         """The log with sensors and time as the user states them, by name or by number from 1.
 
         What these columns were taken for otherwise is dropped. Raises InputError for columns that it does not have."""
