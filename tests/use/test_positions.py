@@ -144,8 +144,7 @@ def test_left_out_positions_are_those_of_a_fit_without_them() -> None:
     compared = 0
     for i in range(14):
         kept, alone = (
-            replace(own, rests=rows_of(own.rests, rows))
-            for rows in (np.delete(np.arange(14), i), np.array([i]))
+            replace(own, rests=rows_of(own.rests, rows)) for rows in (np.delete(np.arange(14), i), np.array([i]))
         )
         without, estimate = calibrated(kept)
         if estimate.fits["accelerometers"].scatter > 0.0:
