@@ -305,40 +305,33 @@ def test_whether_a_unit_is_determined_is_said(kinds: tuple[int, ...], determined
 # -------------------- refused --------------------
 
 
-def test_six_faces_are_refused_by_name() -> None:
-    said = refused(readings(placed(cube(1), np.random.default_rng(13))))
-    assert said.startswith("6 positions determine 6 of the 9 parameters (rank 6)")
-    assert all(name in said for name in ("axis.yx", "axis.zx", "axis.zy"))
-    assert "(45° each)" in said
+AROUND = np.arange(14) * 2.0 * np.pi / 14
+FLAT = np.column_stack([np.cos(AROUND), np.sin(AROUND), np.zeros(14)])
+SIX_OF_14 = np.vstack([cube(1), np.repeat(cube(1)[:1], 8, axis=0)])
 
 
-def test_eight_vertices_are_refused_by_name() -> None:
-    said = refused(readings(placed(cube(3), np.random.default_rng(14))))
-    assert said.startswith("8 positions determine 7 of the 9 parameters (rank 7)")
-    assert "scale.y − scale.x" in said or "scale.x − scale.y" in said
-    assert "axis" not in said.partition("undetermined: ")[2].partition(";")[0]
-    assert "(45° each)" not in said
-
-
-@pytest.mark.parametrize("degrees", [0.0, 2.0])
-def test_fourteen_readings_of_six_positions_are_refused_by_name(degrees: float) -> None:
+@pytest.mark.parametrize(
+    ("verticals", "noise", "words"),
+    [
+        (
+            cube(1),
+            0.0,
+            ["6 positions determine 6 of the 9 parameters (rank 6)", "axis.yx", "zx", "zy", "(45° each)"],
+        ),
+        (cube(3), 0.0, ["8 positions determine 7 of the 9 parameters (rank 7)", "scale.y", "scale.x", " − "]),
+        (SIX_OF_14, 1e-5, ["14 positions, only 6 of them distinct, determine 6 of the 9 parameters (rank 6)"]),
+        (FLAT, 1e-5, ["all of them in one plane across", "(rank 5)"]),
+        (FLAT @ rotation_matrix(np.array([0.5, -0.7, 0.3])).T, 1e-5, ["all of them in one plane across"]),
+    ],
+    ids=["faces", "vertices", "repeated", "coplanar", "coplanar, tilted"],
+)
+def test_positions_that_are_not_enough_are_refused_by_name(verticals: Array, noise: float, words: list[str]) -> None:
     rng = np.random.default_rng(15)
-    six = cube(1)
-    said = refused(
-        draws(readings(placed(np.vstack([six, np.repeat(six[:1], 8, axis=0)]), rng, degrees)), 1e-5, 1, rng)[0]
-    )
-    assert said.startswith("14 positions, only 6 of them distinct, determine 6 of the 9 parameters (rank 6)")
-
-
-def test_coplanar_positions_are_refused_by_name() -> None:
-    rng = np.random.default_rng(16)
-    angle = np.arange(14) * 2.0 * np.pi / 14
-    flat = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(14)])
-    said = refused(draws(readings(placed(flat, rng)), 1e-5, 1, rng)[0])
-    assert "all of them in one plane across" in said
-    assert "(rank 5)" in said
-    tilted = flat @ rotation_matrix(np.array([0.5, -0.7, 0.3])).T
-    assert "all of them in one plane across" in refused(readings(tilted))
+    said = refused(draws(readings(placed(verticals, rng)), noise, 1, rng)[0])
+    assert all(word in said for word in words), said
+    if "(rank 7)" in said:
+        assert "axis" not in said.partition("undetermined: ")[2].partition(";")[0]
+        assert "(45° each)" not in said
 
 
 def test_the_positions_that_would_help_do() -> None:

@@ -22,7 +22,7 @@ from tumble.methods.paper.accelerometers import (
 )
 from tumble.programme.positions import programme
 from tumble.rotation import axes_matrix, rotation_matrix, unit_vector
-from tumble.sensors.model import Block, SensorModel, triad_model, triad_parameters
+from tumble.sensors.model import SensorModel, triad_model, triad_parameters
 from tumble.units import ARCSEC, DEGREE, Array
 
 g = 9.815817
@@ -173,38 +173,6 @@ def test_iterations_on_compensated_readings_converge() -> None:
     assert errors[0] > 1e-6
     assert errors[1] < 0.2 * errors[0]
     assert errors[-1] < 1e-12
-
-
-# Redundant blocks
-
-
-def test_axes_of_a_redundant_block_are_calibrated_one_by_one_and_pair_by_pair() -> None:
-    axes = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [3**-0.5] * 3])
-    block = Block(kind="accel", axes=axes)
-    rng = np.random.default_rng(4)
-    values = np.concatenate(
-        [1e-3 * rng.standard_normal(4), 1e-4 * rng.standard_normal(4), 1e-4 * rng.standard_normal(5)]
-    )
-    model = block.model(values)
-    sensing = model.matrix / np.linalg.norm(model.matrix, axis=1, keepdims=True)
-    u = rotation_matrix(1 * DEGREE * rng.uniform(-1, 1, (2, 3))) @ axes[3] * np.array([[1.0], [-1.0]])
-    true_readings = model.predict(g * u)
-    bias, scale = bias_and_scale(true_readings[:, 3], u @ sensing[3], g)  # exact cosines: decomposed, exact
-    assert bias == pytest.approx(values[3], abs=1e-13)
-    assert scale == pytest.approx(values[7], abs=1e-14)
-    force = true_readings @ np.linalg.pinv(axes).T
-    bias, scale = bias_and_scale(true_readings[:, 3], levelled_cosines(force, axes)[:, 3], g)
-    assert abs(scale - values[7]) < 0.1 * 1e-4
-    assert abs(bias - values[3]) < 0.1 * 1e-3
-
-    pair, φ = sensing[[0, 3]], np.arccos(sensing[0] @ sensing[3])
-    normal = np.cross(pair[0], pair[1]) / np.sin(φ)
-    α, _ = paper.best_elevations(float(φ))
-    across = np.sin(0.03)
-    along = np.cross(normal, pair[0])
-    u_pair = np.cos(0.03) * (np.cos(α) * pair[0] - np.sin(α) * along) + across * normal
-    w = g * pair @ u_pair
-    assert angle_between(w[0], w[1], g * across, g) == pytest.approx(φ, abs=1e-12)
 
 
 def test_positions_that_are_missing_are_named() -> None:

@@ -178,12 +178,6 @@ def test_the_legend_points_to_north_up_and_east() -> None:
         np.testing.assert_allclose(tip(drawn[f"axis-{letter}"]), (AXIS * VIEW @ vector)[:2], atol=0.06 / SCALE)
 
 
-@pytest.mark.parametrize("name", BUILT_IN)
-def test_arrows_end_where_the_attitude_says(name: str) -> None:
-    for stood in MADE[name].positions:
-        check_arrows(stood)
-
-
 @given(codes)
 def test_arrows_of_any_attitude_end_where_it_says(code: str) -> None:
     check_arrows(position(code))

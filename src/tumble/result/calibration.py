@@ -218,7 +218,7 @@ class Calibration(Mapping[str, Parameter]):
         return self.content() == other.content() if isinstance(other, Calibration) else NotImplemented
 
     def __hash__(self) -> int:
-        """Of the device, the method and where it is from."""
+        """Hash of the device, the method, the frame and the log."""
         return hash((self.serial, self.method, self.frame, self.provenance.log_sha256, self.provenance.created))
 
     @property
@@ -238,14 +238,20 @@ class Calibration(Mapping[str, Parameter]):
         return str(_views().as_html(self))
 
     def uncertainty_budget(self, name: str) -> tuple[BudgetLine, ...]:
-        """What the u of a parameter is made of, the largest first: source, type A or B, its standard uncertainty, the
-        sensitivity, contribution and share of u². Raises KeyError for a name that is none, and CalibrationError
-        where there is no budget."""
+        """Contributions to the u of a parameter by source, the largest first.
+
+        Raises
+        ------
+        KeyError
+            If there is no such parameter.
+        CalibrationError
+            If the calibration has no budget.
+        """
         return uncertainty_budget(self, name)
 
     def table(self) -> str:
-        """The parameters in the field's units, with standard and expanded uncertainty (k = 2), as plain text; where
-        there are such, with coverage factor, degrees of freedom, prior and learned fraction."""
+        """Table of the parameters as plain text: values in the field's units with standard and expanded uncertainty,
+        and, if they have any, coverage factor, degrees of freedom, prior and learned fraction."""
         return str(_views().as_text(self))
 
     def plot(self, axes: Axes) -> None:
@@ -282,39 +288,77 @@ class Calibration(Mapping[str, Parameter]):
         dt: npt.ArrayLike | None = None,
         temperature: Temperatures | None = None,
     ) -> tuple[Array, Array | None]:
-        """Specific force and angular rate (..., 3), m/s² and rad/s in the calibration's frame, by the whole model from
-        readings (..., n) in SI after nominal scale and offset, arrays or frames, of more than three sensors by least
-        squares. With the intervals `dt` (...), s, of the samples both are increments, m/s and rad. Without gyro
-        readings the rate is None; without accelerometers in the calibration the specific force is not a number, and
-        what the gyros feel of it is as their readings have it. The `temperature` (...), K, of the sensors counts where
-        parameters change with it (in a stream it follows the thermometer with temperature.lag), of accelerometers and
-        gyros with thermometers of their own a mapping of "accel" and "gyro", (...) or (..., n); without it they are
-        those of the reference temperature. Lever arms and delays, which need the motion, are not applied: see
-        `apply_to_session`.
+        """Correct readings by the whole model.
 
-        Raises CalibrationError where none of these sensors were accepted (what is there all the same corrects by the
-        `compensator`), and InputError for another number of sensors than the calibration has, numbers that are not
-        finite, intervals that are not positive, columns of a frame whose names say another unit, and temperatures that
-        are not in kelvin."""
+        Lever arms and delays, which need the motion, are not applied: see `apply_to_session`.
+
+        Parameters
+        ----------
+        accel, gyro : array_like, shape (..., n)
+            Readings in SI after nominal scale and offset, as arrays or frames; by least squares if n > 3.
+        dt : array_like, shape (...), optional
+            Intervals of the samples, s, if the readings are increments, m/s and rad.
+        temperature : array_like, shape (...), or mapping of str to array_like, optional
+            Temperature of the sensors, K, by default the reference temperature. In a stream it follows the thermometer
+            with the lag `temperature.lag`. If the sensors have several thermometers, a mapping of "accel" and "gyro" to
+            arrays (...) or (..., n).
+
+        Returns
+        -------
+        force : ndarray, shape (..., 3)
+            Specific force in the frame of the calibration, m/s², or its increments. If the calibration has no
+            accelerometers it is NaN, and their readings as they are serve for what gyros feel of it.
+        rate : ndarray, shape (..., 3), or None
+            Angular rate, rad/s, or its increments; None without readings of gyros.
+
+        Raises
+        ------
+        CalibrationError
+            If neither accelerometers nor gyros were accepted; `compensator` corrects all the same.
+        InputError
+            For another number of sensors, numbers that are not finite, intervals that are not positive, columns of a
+            frame in another unit, and temperatures that are not in kelvin.
+        """
         from tumble.result.correction import corrected_readings
 
         return corrected_readings(self, accel, gyro, dt=dt, temperature=temperature)
 
     def in_frame(self, frame: str) -> Calibration:
-        """This calibration of triads in the frame `accelerometer`, `paper` or `symmetric`, with covariance, iterations
-        and launches; g-sensitivity and lever arms turn with the frame; deviations from a systematic calibration are
-        left out. A magnetometer keeps its own frame.
+        """Convert the calibration of a triad to another frame.
 
-        Raises CalibrationError for the case, which only the session gives, where a parameter of accelerometers or
-        gyros is missing, and for more than three of them."""
+        Covariance, iterations and launches are converted too; g-sensitivity and lever arms turn with the frame, a
+        magnetometer keeps its own, and deviations from a systematic calibration are left out.
+
+        Parameters
+        ----------
+        frame : {"accelerometer", "paper", "symmetric"}
+            The frame. The frame `case` needs the session: see `calibrate`.
+
+        Raises
+        ------
+        CalibrationError
+            If a parameter of accelerometers or gyros is missing, or if there are more than three of them.
+        """
         from tumble.result.frames import calibration_in
 
         return calibration_in(self, frame)
 
     def write(self, path: FilePath, *, force: bool = False) -> None:
-        """Write the calibration file, whole or not at all. An existing calibration file is replaced only if it came
-        from the same log by the same method, if neither its accelerometers nor its gyros were accepted, or with
-        `force`; a file that is none is not replaced."""
+        """Write the calibration file, whole or not at all.
+
+        Parameters
+        ----------
+        path
+            The file. An existing calibration file is replaced if it came from the same log by the same method, or if
+            neither its accelerometers nor its gyros were accepted; any other kind of file is not.
+        force
+            Replace any calibration file.
+
+        Raises
+        ------
+        CalibrationError
+            If the file cannot be written or must not be replaced.
+        """
         write_calibration(self, path, force=force)
 
     def text(self) -> str:
@@ -330,8 +374,15 @@ _COLUMNS = ("name", "value", "u", "unit", "deviation", "run_to_run", "k", "dof",
 
 
 def read_calibration(path: FilePath) -> Calibration:
-    """A calibration file as written by `Calibration.write`. Raises CalibrationError for a file that is none.
+    """Read a calibration file, as `Calibration.write` writes it.
 
+    Raises
+    ------
+    CalibrationError
+        If the file is not a calibration file.
+
+    Examples
+    --------
     >>> import tumble
     >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
     >>> tumble.calibrate(folder).write("calibration.json")

@@ -99,10 +99,24 @@ LARGEST_SQUARED = 1e100
 def inspect_session(
     session: Session | FilePath, *, progress: Progress = Log.chunks, tuning: Tuning = USUAL
 ) -> Observed:
-    """The rests and turns of a session, a `Session` or the path of its folder, without matching them to a programme,
-    and what is wrong with the recording, by the thresholds of a `tuning`. Raises InputError for a session or a log that
-    cannot be read.
+    """Find the rests and turns of a session, without matching them to its programme, and faults of the recording.
 
+    Parameters
+    ----------
+    session
+        A session, or the path of its folder.
+    progress
+        See `calibrate`.
+    tuning
+        Thresholds.
+
+    Raises
+    ------
+    InputError
+        If the session or its log cannot be read.
+
+    Examples
+    --------
     >>> import tumble
     >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=4), seed=1)
     >>> found = tumble.inspect_session(folder)

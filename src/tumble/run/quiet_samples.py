@@ -59,12 +59,23 @@ class RecordedNoise(Brief):
 
 
 def noise_of(*recordings: Session | FilePath, layout: Mapping[str, Any] | None = None) -> RecordedNoise:
-    """The noise of every sensor from the longest rest of a session, a `Session` or the path of its folder; with
-    `layout`, the table [log] of session.toml less the file, from all of a log at rest. Several recordings of one device
-    are taken together.
+    """Allan deviation and noise coefficients of every sensor at rest.
 
-    Raises InputError where nothing rests, for a recording that cannot be read, and for several of other sensors.
+    Parameters
+    ----------
+    *recordings
+        Sessions, or the paths of their folders, of which the longest rest is taken; or, with `layout`, logs of a device
+        at rest. Several recordings of one device are taken together.
+    layout
+        Table [log] of session.toml, less the file.
 
+    Raises
+    ------
+    InputError
+        If nothing rests, for a recording that cannot be read, and for several with different sensors.
+
+    Examples
+    --------
     >>> import tumble
     >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=4), seed=3)
     >>> found = tumble.noise_of(folder)

@@ -45,13 +45,29 @@ def calibrate_together(
     frame: Frame = "accelerometer",
     progress: Progress = Log.chunks,
 ) -> Calibration:
-    """Calibrate a device over temperature from several sessions, each a `Session` or the path of its folder, in one
-    estimate by the method joint: parameters and their coefficients over temperature are common, attitudes and what
-    differs from launch to launch each session's own. Levels, ramps, and long recordings in one position may be mixed.
+    """Calibrate a device over temperature from several sessions in one estimate, by the method joint.
 
-    Raises InputError for fewer than two sessions, another device, place or sensors than the first session has, one log
-    twice, and a session without temperatures.
+    Parameters and their coefficients over temperature are common to all sessions; attitudes, and the part of the biases
+    that changes from launch to launch, are estimated for each session. Sessions at constant temperatures, temperature
+    ramps and long recordings in one position can be combined.
 
+    Parameters
+    ----------
+    sessions
+        Two or more sessions of the device, or the paths of their folders.
+    frame
+        Frame of the result: `accelerometer`, `paper` or `symmetric`.
+    progress
+        See `calibrate`.
+
+    Raises
+    ------
+    InputError
+        For fewer than two sessions, for another device, place or sensors than those of the first session, for one log
+        twice, and for a session without temperatures.
+
+    Examples
+    --------
     >>> import tumble
     >>> folders = [tumble.simulate_session(f"level-{i}", tumble.Setup.of(positions=12), seed=i) for i in (1, 2)]
     >>> tumble.calibrate_together(folders)
