@@ -153,7 +153,7 @@ def table(simulated: Simulated) -> Recording:
 
 
 @pytest.fixture(
-    params=["hand", "truth-turntable", *(pytest.param(n, marks=WEEKLY) for n in ("table", "truth-handheld"))]
+    params=["hand", *(pytest.param(name, marks=WEEKLY) for name in ("table", "truth-handheld", "truth-turntable"))]
 )
 def recording(request: pytest.FixtureRequest, simulated: Simulated) -> Recording:
     """Sound sessions of four kinds: of the project's own simulation, and of another one."""

@@ -398,6 +398,7 @@ def test_the_integral_is_the_same_to_the_last_digit() -> None:
     assert (first.effective, first.pareto) == (second.effective, second.pareto)
 
 
+@pytest.mark.weekly
 def test_the_integral_is_that_of_a_sampler() -> None:
     """Means within 0.1 u, u within 10 % of those of a Metropolis sampler of φ with exact conditionals: accelerometers
     alone, where what is not known of the model matters the most."""

@@ -64,7 +64,7 @@ def test_words_and_numbers_with_many_dots_are_no_keys() -> None:
 @pytest.mark.skipif(os.name != "posix", reason="devices and pipes of POSIX")
 @pytest.mark.parametrize(
     "words",
-    ["new {out} {}", "calibrate {} --latitude 5", "report {} -o {out}", "ellipsoid {} --unit g", "verify {} {out}"],
+    ["new {out} {}", "calibrate {} --latitude 5", "report {} -o {out}", "ellipsoid {} --unit g", "check {} {out}"],
 )
 @pytest.mark.parametrize("what", ["device", "pipe"])
 def test_devices_and_pipes_are_no_documents(words: str, what: str, tmp_path: Path) -> None:

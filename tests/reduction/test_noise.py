@@ -139,9 +139,9 @@ def test_variance_degrees_and_intervals_are_those_of_theory(
     ("term", "name", "others"),
     [
         ("N", "white_noise", {}),
-        ("B", "bias_instability", {"N": 0.3}),
-        ("K", "rate_random_walk", {"N": 0.1}),
-        ("Q", "quantisation", {"N": 1.0}),
+        pytest.param("B", "bias_instability", {"N": 0.3}, marks=pytest.mark.weekly),
+        pytest.param("K", "rate_random_walk", {"N": 0.1}, marks=pytest.mark.weekly),
+        pytest.param("Q", "quantisation", {"N": 1.0}, marks=pytest.mark.weekly),
     ],
 )
 def test_a_term_is_recovered_within_its_uncertainty(term: str, name: str, others: dict[str, float]) -> None:
@@ -292,6 +292,7 @@ def test_gauss_markov_noise_is_called_by_its_name(time: float) -> None:
         assert p.variances(np.array([1e-3 * time]))["gauss_markov 1"][0] < 1e-3 * sigma**2
 
 
+@pytest.mark.weekly
 def test_flicker_noise_and_random_walk_are_not_called_gauss_markov() -> None:
     """Of 12 records each chance alone takes none; a random walk of the one, a flat part of the other are as before."""
     rng = np.random.default_rng(32)
@@ -302,6 +303,7 @@ def test_flicker_noise_and_random_walk_are_not_called_gauss_markov() -> None:
         assert sum(getattr(p, name) is not None for p in results) >= 9
 
 
+@pytest.mark.weekly
 def test_white_noise_alone_shows_nothing_else() -> None:
     """80 records of 82 s: a second term in 0.5 % of them at most, less what chance adds but once in 10⁶."""
     runs, limit = 80, 6
@@ -433,7 +435,7 @@ def test_without_matplotlib_the_extra_is_named(
     panels: list[Panel], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(MissingExtraError, match=r"needs matplotlib; install it with: pip install 'tumble\[report\]'"):
+    with pytest.raises(MissingExtraError, match=r"needs matplotlib; install it with: pip install 'tumble\[lab\]'"):
         plot(panels, tmp_path / "allan.svg")
 
 
