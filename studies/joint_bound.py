@@ -24,10 +24,10 @@ from stored import shown, store
 from tests.support.staged import staged
 from tumble.inference.estimate import Estimate
 from tumble.inference.fits import TOTAL
-from tumble.inference.hyperparameters import Components
 from tumble.inference.joint import joint
 from tumble.inference.likelihood import Point, Problem, weights
 from tumble.inference.linearisation import linearise
+from tumble.inference.noise_components import Components
 from tumble.inference.step import solve
 from tumble.inference.turns_about import TurnsAbout
 from tumble.methods.paper.four_stages import scalar, sequential

@@ -26,8 +26,8 @@ import numpy as np
 from scipy import stats
 
 from tumble.inference.estimate import Estimate, Fit
-from tumble.inference.hyperparameters import Components
 from tumble.inference.joint import joint
+from tumble.inference.noise_components import Components
 from tumble.inference.step import solve
 from tumble.planning.setup import Setup
 from tumble.programme.positions import ANY_MOVE, Programme, programme

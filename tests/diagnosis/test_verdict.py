@@ -33,9 +33,9 @@ from tumble.diagnosis.verdict import gravity_doubted, gravity_said, verdict
 from tumble.documents import as_json
 from tumble.earth import NORMAL_GRAVITY_U
 from tumble.inference.estimate import Estimate, Outcome
-from tumble.inference.hyperparameters import Components
 from tumble.inference.joint import joint
 from tumble.inference.linearisation import linearise
+from tumble.inference.noise_components import Components
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
 from tumble.result.calibration import Calibration

@@ -14,14 +14,15 @@ from tests.support.wandering_biases import middles
 from tumble.diagnosis.verdict import verdict
 from tumble.inference import elimination, integral
 from tumble.inference import joint as of_joint
-from tumble.inference.hyperparameters import Components, Hyperparameters
-from tumble.inference.in_run import InRun, mean_along
+from tumble.inference.hyperparameters import Hyperparameters
+from tumble.inference.in_run import InRun
 from tumble.inference.integral import posterior, smoothed
 from tumble.inference.joint import joint
 from tumble.inference.likelihood import NO_PRIOR, Problem, instruments_of, noise_of, weights
 from tumble.inference.maximum import At, Evaluated, Maximum, Status, maximum
+from tumble.inference.noise_components import Components
 from tumble.inference.start import start_of
-from tumble.inference.step import solve
+from tumble.inference.step import mean_along, solve
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
 from tumble.reduction.together import joined

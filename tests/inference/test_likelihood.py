@@ -10,10 +10,10 @@ import pytest
 
 from tests.support.formula_setup import device_setup
 from tumble.inference.elimination import fold
-from tumble.inference.hyperparameters import Components
 from tumble.inference.likelihood import NO_PRIOR, Point, Prior, Problem, Rows, bases, noise_of, weights
 from tumble.inference.linearisation import inverse_left_jacobian, linearise
 from tumble.inference.maximum import heading_information
+from tumble.inference.noise_components import Components
 from tumble.inference.step import left, solve
 from tumble.inference.turns_about import TurnsAbout
 from tumble.planning.setup import Setup

@@ -11,14 +11,15 @@ import pytest
 
 from tests.inference.test_inference import by_hand, fitted_of, observed, two_sessions, without_gyros
 from tumble.inference.estimate import Estimate
-from tumble.inference.hyperparameters import SCATTER, Weights, components_of, sized
-from tumble.inference.in_run import InRun, mean_along
+from tumble.inference.hyperparameters import components_of, sized
+from tumble.inference.in_run import InRun
 from tumble.inference.integral import conditional
 from tumble.inference.joint import joint
 from tumble.inference.likelihood import Problem, Rows
 from tumble.inference.linearisation import with_priors
 from tumble.inference.maximum import Evaluated, Maximum, without_outliers
-from tumble.inference.step import solve
+from tumble.inference.noise_components import SCATTER, Weights
+from tumble.inference.step import mean_along, solve
 from tumble.inference.uncertainty_budget import averaged, contributions, noise_roots
 from tumble.methods.ellipsoid import ellipsoid
 from tumble.planning.setup import Setup

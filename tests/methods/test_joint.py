@@ -30,10 +30,10 @@ from tests.support.staged import staged, staged_estimate
 from tumble.diagnosis.verdict import verdict
 from tumble.inference.estimate import Estimate
 from tumble.inference.fits import TOTAL
-from tumble.inference.hyperparameters import Components
 from tumble.inference.joint import QUICK_STEPS, joint
 from tumble.inference.likelihood import Prior, Problem, weights
 from tumble.inference.linearisation import linearise
+from tumble.inference.noise_components import Components
 from tumble.inference.start import start_of
 from tumble.inference.step import solve
 from tumble.inference.turns_about import TurnsAbout

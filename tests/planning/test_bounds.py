@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from tests.support.formula_setup import bound, bound_of, device_setup
 from tumble.diagnosis.observability import in_words
 from tumble.errors import InputError
-from tumble.inference.hyperparameters import Components
 from tumble.inference.likelihood import Point, Problem, weights
 from tumble.inference.linearisation import linearise
+from tumble.inference.noise_components import Components
 from tumble.inference.step import solve
 from tumble.inference.turns_about import TurnsAbout
 from tumble.planning.itinerary import Itinerary, itinerary_of

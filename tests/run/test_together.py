@@ -19,10 +19,10 @@ from tumble.diagnosis.misfit import misfit
 from tumble.diagnosis.projection import Remaining, projections
 from tumble.diagnosis.verdict import verdict
 from tumble.errors import InputError
-from tumble.inference.hyperparameters import Components
 from tumble.inference.joint import joint
 from tumble.inference.likelihood import OWN, Point, Problem, noise_of
 from tumble.inference.linearisation import linearise
+from tumble.inference.noise_components import Components
 from tumble.inference.step import solve
 from tumble.inference.turns_about import TurnsAbout
 from tumble.inference.variables import variables_of

@@ -26,9 +26,9 @@ from tumble.diagnosis.linearised_session import (
 )
 from tumble.diagnosis.projection import Projection, Remaining, projections
 from tumble.earth import earth_rate
-from tumble.inference.hyperparameters import Components
 from tumble.inference.likelihood import Linearised
 from tumble.inference.linearisation import linearise
+from tumble.inference.noise_components import Components
 from tumble.inference.step import Step
 from tumble.inference.turns_about import TurnsAbout
 from tumble.sensors.instrument import functions

@@ -20,10 +20,10 @@ import numpy as np
 from tumble.diagnosis.causes import Candidate, Cause, tested
 from tumble.diagnosis.linearised_session import SHORTEST_TURN, LinearisedSession
 from tumble.diagnosis.projection import UNSEEN, Remaining, SumOfSquares, standing_out
-from tumble.inference.hyperparameters import SCATTER, Components
 from tumble.inference.joint import joint
 from tumble.inference.likelihood import Linearised, Point, Problem, instruments_of
 from tumble.inference.linearisation import linearised
+from tumble.inference.noise_components import SCATTER, Components
 from tumble.inference.turns_about import TurnsAbout
 from tumble.recording.rows.gaps import REGULAR_HINT
 from tumble.reduction.observations import Observations

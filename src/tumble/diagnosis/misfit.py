@@ -28,8 +28,8 @@ from tumble.diagnosis.lost_samples import (
 )
 from tumble.diagnosis.projection import Remaining, SumOfSquares, standing_out
 from tumble.inference.estimate import Estimate, HyperparameterEstimate
-from tumble.inference.hyperparameters import REST_MODES, SCATTER, Components
 from tumble.inference.likelihood import Linearised, SessionSpan
+from tumble.inference.noise_components import REST_MODES, SCATTER, Components
 from tumble.reduction.observations import Observations
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD
 

@@ -30,9 +30,9 @@ import numpy as np
 import scipy
 
 from tumble.inference.elimination import fold
-from tumble.inference.hyperparameters import Components, Noise
 from tumble.inference.likelihood import Linearised, Problem, Rows
 from tumble.inference.linearisation import with_priors
+from tumble.inference.noise_components import Components, Noise
 from tumble.inference.step import Left, Step, inverse_of, left, solve, tell, with_own
 from tumble.units import Array
 

@@ -19,8 +19,8 @@ import numpy as np
 import scipy
 
 from tumble.inference.estimate import Fit
-from tumble.inference.hyperparameters import Components, Noise, Weights
 from tumble.inference.likelihood import Problem
+from tumble.inference.noise_components import Components, Noise, Weights
 from tumble.inference.step import Left
 from tumble.units import Array, BoolArray
 

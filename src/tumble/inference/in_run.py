@@ -16,23 +16,18 @@ The score is that of Fisher's identity, from moments of the states given the dat
     ∂ℓ/∂ ln σ = Σ (E e² − 1),   ∂ℓ/∂ ln τ = Σ ρ Δt/τ · (E[(β_{k+1} − ρ β_k) β_k] + ρ (1 − E e²)) / (1 − ρ²)
 
 The parameter b is the mean of the process, what the bias of another day or of the next minute is about; what was
-observed is the mean over the rests of the session, b + σ mean β (`mean_along`).
+observed is the mean over the rests of the session, b + σ mean β (`tumble.inference.step.mean_along`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tumble.inference.elimination import along_chains
-from tumble.inference.hyperparameters import Components
+from tumble.inference.likelihood import Problem
+from tumble.inference.noise_components import Components
 from tumble.units import Array, BoolArray
-
-if TYPE_CHECKING:
-    from tumble.inference.likelihood import Problem
-    from tumble.inference.step import Step, Told
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -74,42 +69,3 @@ class InRun:
     def log_determinant(self) -> Array:
         """ln |covariance| of all steps."""
         return np.asarray(2.0 * np.log(self.deviation[..., self.follows, :]).sum(axis=(-2, -1)))
-
-    def scores(self, step: Step) -> tuple[Array, Array, Array]:
-        """∂ℓ/∂ ln σ and ∂ℓ/∂ ln τ of every sensor (n,), each for itself, and how many independent values the data say
-        of its states."""
-        states, follows = slice(-self.sigma.shape[-1], None), self.follows
-        first = np.append(True, ~follows[:-1])
-        here, following = np.flatnonzero(follows), np.flatnonzero(follows) + 1
-        b, root = step.unknowns[..., states], step.along(states)
-        own, with_next = np.moveaxis(np.diagonal(step.given, axis1=-2, axis2=-1)[..., states], -3, 0)
-        variance = own + (root**2).sum(axis=-1)
-        with_next = with_next[..., here, :] + (root[..., here, :, :] * root[..., following, :, :]).sum(axis=-1)
-        rho, square = self.rho[..., here, :], self.deviation[..., here, :] ** 2
-        moment = b**2 + variance
-        before, after, begins = moment[..., here, :], moment[..., following, :], moment[..., first, :]
-        across = b[..., here, :] * b[..., following, :] + with_next
-        e2 = (after - 2.0 * rho * across + rho**2 * before) / square
-        by_size = (e2 - 1.0).sum(axis=-2) + (begins - 1.0).sum(axis=-2)
-        passed = self.passed[..., here, :]
-        growth = np.where(np.isfinite(passed), passed, 0.0) * rho
-        by_time = (growth * ((across - rho * before) + rho * (1.0 - e2)) / square).sum(axis=-2)
-        unknown = (variance[..., following, :] - 2.0 * rho * with_next + rho**2 * variance[..., here, :]) / square
-        told = sum((1.0 - np.clip(each, 0.0, 1.0)).sum(axis=-2) for each in (unknown, variance[..., first, :]))
-        return by_size, by_time, np.asarray(told)
-
-
-def mean_along(told: Told) -> tuple[Array, Array]:
-    """The mean over the rests of a session of its in-run biases: what it changes with x, what the session has of its
-    own, gravity and the common parameters, and its value where x is zero, turned round (n, q + 1 + m + 1); and what it
-    changes with the noise e of every rest (N, n, d), followed along the chain of unknowns u_i = A_i u_{i+1} + B_i x +
-    a_i + R_i⁻¹ e_i from the first."""
-    (inverse, by_next, by), process = told.solved, told.process
-    assert process is not None
-    (*stack, N, d, _), n = inverse.shape, process.sigma.shape[-1]
-    carried, back = np.zeros((*stack, N, d, n)), np.zeros((*stack, N, d, d))  # transposed, from the last rest on
-    carried[..., d - n :, :] = process.sigma[..., None, None, :] * np.eye(n) / N
-    back[..., :-1, :, :] = np.swapaxes(by_next[..., -2::-1, :, :], -1, -2)
-    along_chains(back, carried)
-    of_rests = np.swapaxes(carried[..., ::-1, :, :], -1, -2) @ inverse
-    return process.sigma[..., None] * by[..., d - n :, :].mean(axis=-3), of_rests

@@ -30,9 +30,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from tumble.inference.in_run import mean_along
 from tumble.inference.maximum import Evaluated, Maximum
-from tumble.inference.step import Told
+from tumble.inference.step import Told, mean_along
 from tumble.inference.uncertainty_budget import averaged, contributions, noise_roots
 from tumble.units import Array
 

@@ -29,12 +29,12 @@ from tumble.inference.estimate import (
     ProcessBias,
 )
 from tumble.inference.fits import TOTAL, chi_squares, left_out, sigmas
-from tumble.inference.hyperparameters import SCATTER, Components
 from tumble.inference.integral import POINTS, Posterior, posterior
 from tumble.inference.lag import maximum_with_lag
 from tumble.inference.likelihood import NO_PRIOR, Linearised, Prior, Problem, instruments_of
 from tumble.inference.linearisation import at_reference
 from tumble.inference.maximum import MAX_ITERATIONS, Maximum, without_outliers
+from tumble.inference.noise_components import SCATTER, Components
 from tumble.inference.prediction import prediction
 from tumble.inference.sources import UncertaintyBudget, common_covariances, source
 from tumble.inference.start import start_of

@@ -12,9 +12,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from tumble.inference.hyperparameters import Components, components_of
+from tumble.inference.hyperparameters import components_of
 from tumble.inference.likelihood import Point, Problem
 from tumble.inference.maximum import At, Maximum, likeliest, maximum
+from tumble.inference.noise_components import Components
 from tumble.units import Array
 
 LAGS = (-100.0, -25.0, 0.0, 10.0, 25.0, 50.0, 100.0, 200.0, 400.0, 800.0)

@@ -42,7 +42,7 @@ from functools import cached_property
 import numpy as np
 
 from tumble.earth import EARTH_RATE, earth_rate
-from tumble.inference.hyperparameters import NO_COMPONENTS, Components, Noise, Weights
+from tumble.inference.noise_components import NO_COMPONENTS, Components, Noise, Weights
 from tumble.inference.turns_about import TurnsAbout
 from tumble.inference.variables import GROWING, Variables, by_lag, variables_of
 from tumble.reduction.observations import Observations

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from tumble.inference.elimination import fold
-from tumble.inference.hyperparameters import NO_COMPONENTS, Components
 from tumble.inference.likelihood import Linearised, Point, Problem, Rows, bases, noise_of
+from tumble.inference.noise_components import NO_COMPONENTS, Components
 from tumble.inference.turns_about import TurnsAbout
 from tumble.inference.variables import GROWING
 from tumble.rotation import UP, rotation_matrix, rotation_vector, skew

@@ -38,19 +38,23 @@ from tumble.inference.fits import (
     student,
     weighted,
 )
-from tumble.inference.hyperparameters import (
-    REST_MODES,
-    SCATTER,
-    Components,
-    Hyperparameters,
-    Noise,
-    components_of,
-    sized,
-    table,
-)
+from tumble.inference.hyperparameters import Hyperparameters, components_of, sized, table
 from tumble.inference.likelihood import Point, Problem, Rows, noise_of
 from tumble.inference.linearisation import linearise, with_priors
-from tumble.inference.step import Known, Left, Step, Told, completed, joined, left, scatter_score, solve, tell
+from tumble.inference.noise_components import REST_MODES, SCATTER, Components, Noise
+from tumble.inference.step import (
+    Known,
+    Left,
+    Step,
+    Told,
+    completed,
+    in_run_scores,
+    joined,
+    left,
+    scatter_score,
+    solve,
+    tell,
+)
 from tumble.inference.turns_about import TurnsAbout
 from tumble.units import Array, BoolArray
 
@@ -192,7 +196,7 @@ class Evaluated:
         step, problem, entries, (gradient, learned) = self.step, self.problem, self.entries, self.of_groups
         by_variance, of_variance, by_sensor = scatter_score(self.at.noise, step, self.left)
         twice, process = 2.0 * self.told.weights.components.variances, self.told.process
-        by_size, by_time, states = np.zeros((3, problem.sensors)) if process is None else process.scores(step)
+        by_size, by_time, states = np.zeros((3, problem.sensors)) if process is None else in_run_scores(process, step)
         kinds = np.repeat([0, 1], [problem.instrument.accel.size, problem.sensors - problem.instrument.accel.size])
         gradient = gradient + (twice * by_variance) @ entries.by_scatter.T + by_time @ entries.by_time.T
         gradient = gradient + by_size @ entries.by_in_run.T

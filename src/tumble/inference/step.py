@@ -25,10 +25,10 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from tumble.inference.elimination import eliminate, fold, given_parameters, given_unknowns, put_back
-from tumble.inference.hyperparameters import SCATTER, Noise, Weights
+from tumble.inference.elimination import along_chains, eliminate, fold, given_parameters, given_unknowns, put_back
 from tumble.inference.in_run import InRun
 from tumble.inference.likelihood import Problem, Rows, SessionSpan
+from tumble.inference.noise_components import SCATTER, Noise, Weights
 from tumble.units import Array, IntArray
 
 
@@ -329,3 +329,43 @@ def scatter_score(noise: Noise, step: Step, after: Left) -> tuple[Array, Array, 
     if not (np.isfinite(slope).all() and np.isfinite(information).all()):
         raise np.linalg.LinAlgError("residuals are beyond all measure")
     return slope, information, by_sensor
+
+
+def in_run_scores(process: InRun, step: Step) -> tuple[Array, Array, Array]:
+    """∂ℓ/∂ ln σ and ∂ℓ/∂ ln τ of every sensor (n,), each for itself, and how many independent values the data say
+    of its states."""
+    states, follows = slice(-process.sigma.shape[-1], None), process.follows
+    first = np.append(True, ~follows[:-1])
+    here, following = np.flatnonzero(follows), np.flatnonzero(follows) + 1
+    b, root = step.unknowns[..., states], step.along(states)
+    own, with_next = np.moveaxis(np.diagonal(step.given, axis1=-2, axis2=-1)[..., states], -3, 0)
+    variance = own + (root**2).sum(axis=-1)
+    with_next = with_next[..., here, :] + (root[..., here, :, :] * root[..., following, :, :]).sum(axis=-1)
+    rho, square = process.rho[..., here, :], process.deviation[..., here, :] ** 2
+    moment = b**2 + variance
+    before, after, begins = moment[..., here, :], moment[..., following, :], moment[..., first, :]
+    across = b[..., here, :] * b[..., following, :] + with_next
+    e2 = (after - 2.0 * rho * across + rho**2 * before) / square
+    by_size = (e2 - 1.0).sum(axis=-2) + (begins - 1.0).sum(axis=-2)
+    passed = process.passed[..., here, :]
+    growth = np.where(np.isfinite(passed), passed, 0.0) * rho
+    by_time = (growth * ((across - rho * before) + rho * (1.0 - e2)) / square).sum(axis=-2)
+    unknown = (variance[..., following, :] - 2.0 * rho * with_next + rho**2 * variance[..., here, :]) / square
+    told = sum((1.0 - np.clip(each, 0.0, 1.0)).sum(axis=-2) for each in (unknown, variance[..., first, :]))
+    return by_size, by_time, np.asarray(told)
+
+
+def mean_along(told: Told) -> tuple[Array, Array]:
+    """The mean over the rests of a session of its in-run biases: what it changes with x, what the session has of its
+    own, gravity and the common parameters, and its value where x is zero, turned round (n, q + 1 + m + 1); and what it
+    changes with the noise e of every rest (N, n, d), followed along the chain of unknowns u_i = A_i u_{i+1} + B_i x +
+    a_i + R_i⁻¹ e_i from the first."""
+    (inverse, by_next, by), process = told.solved, told.process
+    assert process is not None
+    (*stack, N, d, _), n = inverse.shape, process.sigma.shape[-1]
+    carried, back = np.zeros((*stack, N, d, n)), np.zeros((*stack, N, d, d))  # transposed, from the last rest on
+    carried[..., d - n :, :] = process.sigma[..., None, None, :] * np.eye(n) / N
+    back[..., :-1, :, :] = np.swapaxes(by_next[..., -2::-1, :, :], -1, -2)
+    along_chains(back, carried)
+    of_rests = np.swapaxes(carried[..., ::-1, :, :], -1, -2) @ inverse
+    return process.sigma[..., None] * by[..., d - n :, :].mean(axis=-3), of_rests

@@ -19,7 +19,7 @@ weight below 1 counts as one of so much more noise, from every source alike.
 Z needs no large matrix. The unknowns of the rests are a chain, δ_i = A_i δ_{i+1} + B_i x + a_i + R_i⁻¹ e_i, with x what
 the session has of its own, gravity and the common parameters, and so δ_i = M_i x + …, M_i = A_i M_{i+1} + B_i.
 y = Y x + Σ_i c_i R_i⁻¹ e_i, where the mean of the biases over a session is followed along the chain from its first rest
-(`tumble.inference.in_run.mean_along`); then
+(`tumble.inference.step.mean_along`); then
 
     Z_x = Cov(x) Yᵀ,   Z_i = M_i Z_x + N_i,   N_i = A_i N_{i+1} + R_i⁻¹ (c_i R_i⁻¹)ᵀ                               (39)
 
@@ -34,10 +34,10 @@ from __future__ import annotations
 import numpy as np
 
 from tumble.inference.elimination import along_chains
-from tumble.inference.hyperparameters import SCATTER
 from tumble.inference.likelihood import Problem, unseen_rate
 from tumble.inference.linearisation import root_of_inverse
 from tumble.inference.maximum import At, Evaluated
+from tumble.inference.noise_components import SCATTER
 from tumble.inference.step import by_others, times
 from tumble.rotation import skew
 from tumble.units import Array, IntArray

@@ -35,10 +35,10 @@ import numpy as np
 import scipy
 
 from tumble.inference.estimate import DETERMINED, Fit
-from tumble.inference.hyperparameters import Components
 from tumble.inference.likelihood import Point, Prior, Problem, weights
 from tumble.inference.linearisation import linearise
 from tumble.inference.maximum import integrated, moved
+from tumble.inference.noise_components import Components
 from tumble.inference.start import headings
 from tumble.inference.step import solve, tell
 from tumble.inference.turns_about import TurnsAbout

@@ -30,13 +30,13 @@ from tumble.brief import Brief
 from tumble.earth import earth_rate
 from tumble.errors import InputError
 from tumble.inference.elimination import fold
-from tumble.inference.hyperparameters import Components
-from tumble.inference.in_run import InRun, mean_along
+from tumble.inference.in_run import InRun
 from tumble.inference.likelihood import Linearised, Point, Problem
 from tumble.inference.linearisation import linearised
+from tumble.inference.noise_components import Components
 from tumble.inference.prior import Prior
 from tumble.inference.sources import by_time_base, clocked
-from tumble.inference.step import joining, tell, whitened_rows
+from tumble.inference.step import joining, mean_along, tell, whitened_rows
 from tumble.inference.turns_about import TurnsAbout
 from tumble.methods.least_squares import least_squares
 from tumble.planning.expected_sizes import expected

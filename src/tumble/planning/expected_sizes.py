@@ -20,10 +20,11 @@ from typing import Any
 
 import numpy as np
 
-from tumble.inference.hyperparameters import SCATTER, table
+from tumble.inference.hyperparameters import table
 from tumble.inference.integral import SHOWN
 from tumble.inference.likelihood import Linearised
 from tumble.inference.maximum import LEAST_DEGREES
+from tumble.inference.noise_components import SCATTER
 from tumble.inference.step import left, scatter_score, solve
 from tumble.units import Array
 
