@@ -33,7 +33,7 @@ _PARQUET_ROWS = 1 << 15
 _KEPT_ROWS = 4_000_000
 
 
-def source_of(file: Path | TableLog | KeptLog, dialect: Dialect | None = None) -> LogSource:
+def source_of(file: Path | LogSource, dialect: Dialect | None = None) -> LogSource:
     """The reader of a file, of a table in memory, or of what was kept of a file; with a dialect, of a text file of any
     name. Raises LogError for a format that cannot be read and an empty or damaged file."""
     if not isinstance(file, Path):

@@ -25,7 +25,7 @@ from tumble.sensors.model import Block
 from tumble.units import TIME_UNITS, Array, Unit
 
 if TYPE_CHECKING:
-    from tumble.recording.readers import KeptLog, TableLog
+    from tumble.recording.log_source import LogSource
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -172,7 +172,7 @@ class LogSpec:
     their times are; `dialect`: how text files are written, None for CSV files with their names in the first line;
     `clock_u`: the relative standard uncertainty of the time base, None where it is not stated."""
 
-    files: tuple[Path | TableLog | KeptLog, ...]
+    files: tuple[Path | LogSource, ...]
     time: str | None
     time_factor: float
     rate: float | None
