@@ -66,8 +66,9 @@ def put_down(seed: int, rate: float, speed: float) -> tuple[Array, Array, dict[s
 
 def calibrated(accel: Array, gyro: Array, rate: float) -> tumble.Calibration:
     time = (np.arange(len(accel)) + 1.0) / rate
-    known = {"latitude": LATITUDE, "gravity": G, "gravity_u": 1e-5, "clock_ppm_u": 0.0}
-    return tumble.calibrate(accel=accel, gyro=gyro, time=time, **known)
+    return tumble.calibrate(
+        accel=accel, gyro=gyro, time=time, latitude=LATITUDE, gravity=G, gravity_u=1e-5, clock_ppm_u=0.0
+    )
 
 
 @pytest.mark.parametrize(("rate", "speed"), [(100.0, 0.15), (62.5, 0.3), (200.0, 0.6)])

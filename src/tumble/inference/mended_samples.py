@@ -100,14 +100,19 @@ def _closing_best(as_recorded: Observations, suspects: BadSamples, runs: IntArra
     none = misclosure(replaced)
     noise = (float(np.median(np.trace(of, axis1=1, axis2=2))) for of in (turns.covariance, turns.velocity_covariance))
     sizes = [float(np.median(np.minimum(a, b))) + of for a, b, of in zip(every, none, noise, strict=True)]
-    Q, Q_every = (sum(a / size for a, size in zip(each, sizes, strict=True)) for each in (none, every))
+
+    def weighed(misclosures: tuple[Array, Array]) -> Array:
+        """Q (K,)."""
+        return np.asarray(misclosures[0] / sizes[0] + misclosures[1] / sizes[1])
+
+    Q, Q_every = weighed(none), weighed(every)
     at_first = Q_every < Q + ALIKE
     replaced, Q = at_first[turn_of], np.where(at_first, Q_every, Q)
     for _ in range(ROUNDS):
         settled = True
         for n in range(int(number.max()) + 1):
             tried = replaced ^ (number == n)
-            Q_tried = sum(each / size for each, size in zip(misclosure(tried), sizes, strict=True))
+            Q_tried = weighed(misclosure(tried))
             better = Q_tried < Q
             taken = better[turn_of] & (number == n)
             settled &= not taken.any()
