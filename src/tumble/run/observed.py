@@ -21,6 +21,7 @@ from tumble.diagnosis.channels import accelerometer_faults, channel_faults, dead
 from tumble.diagnosis.verdict import no_rests
 from tumble.files import FilePath
 from tumble.inference.estimate import Judgement, Outcome
+from tumble.inference.mended_samples import with_mended_samples
 from tumble.recording.log import Chunk, Log, open_log
 from tumble.recording.rows.gaps import Gap
 from tumble.recording.session import Circumstances, Session
@@ -189,7 +190,7 @@ def observations_for_calibration(observed: Observed, *, biases_jump: bool = Fals
     if biases_jump and observed.gyro_bias_faults:
         reduction = without_jump(reduction, match, observed.segmentation.jump, observed.session.gyro_block)
     every = _observed_again(observed, reduction, match)
-    every = replace(every, notes=(*every.notes, *torn))
+    every = with_mended_samples(replace(every, notes=(*every.notes, *torn)))
     spoiled = observed.gyro_faults or (observed.gyro_bias_faults and not biases_jump)
     return every.of_accelerometers() if spoiled else every
 
@@ -202,7 +203,7 @@ def observations_in_parts(observed: Observed) -> tuple[Observations, IntArray] |
     reduction, whole, torn = matched
     match, numbers = in_parts(reduction, whole)
     parts = _observed_again(observed, reduction, match)
-    return held(replace(parts, notes=(*parts.notes, *torn))), numbers
+    return held(with_mended_samples(replace(parts, notes=(*parts.notes, *torn)))), numbers
 
 
 def _observed_again(observed: Observed, reduction: Reduction, match: Match) -> Observations:

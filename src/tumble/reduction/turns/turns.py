@@ -109,6 +109,10 @@ class TurnSamples:
         """How many samples the turns have (K,)."""
         return np.concatenate([self.stop - self.start, *(other.lengths for _, other in self.others)])
 
+    def with_bad(self, bad: BadSamples) -> TurnSamples:
+        """The same samples with these as the bad ones that are replaced."""
+        return replace(self, bad=bad, _kept=[])
+
     def pieces(self) -> Iterator[Pieces]:
         """Batches of whole or cut turns, of no turn two pieces."""
         if not self._kept and int(np.sum(self.stop - self.start)) < KEPT_SAMPLES:

@@ -1,0 +1,133 @@
+"""Which suspect samples of turns are replaced: those without which their turn closes better.
+
+A sample far off its neighbours may be corrupt, or a blow: a device that is put down at 0.1 m/s stops within a sample or
+two, along the axis of one accelerometer where it stands on a face. The samples themselves do not tell one from the
+other (`tumble.reduction.rests.blemishes`), but the turn does. It begins and ends at rest, so that with calibrated
+sensors
+
+    φ = û_a × C û_b = 0,    Δv = ∫ C f dt − g T û_a = 0,
+
+û being the vertical at the rests a and b, C the rotation, f the specific force in the axes of the body at a and T the
+duration. A blow ends the velocity of the approach: without it the turn misses Δv = 0 by that velocity. A corrupt sample
+of force is missed by its own size times the interval, one of rate by an angle, and through it by a velocity.
+
+The parameters are those of the linear model by a maximum with robust rows, from turns in which nothing is replaced.
+With Q = |φ|²/σ_φ² + |Δv|²/σ_v² of a turn, σ² being medians over the turns, all suspects of a turn are replaced at first
+unless Q is smaller by ALIKE without; then they are replaced or put back run by run where Q falls, until none changes it
+(at most ROUNDS times).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from tumble.inference.lag import maximum_with_lag
+from tumble.inference.likelihood import NO_PRIOR, Problem, instruments_of
+from tumble.inference.maximum import MAX_ITERATIONS, without_outliers
+from tumble.inference.start import start_of
+from tumble.inference.turns_about import TurnsAbout
+from tumble.reduction.observations import Observations
+from tumble.reduction.rests.blemishes import NO_BAD_SAMPLES, BadSamples, bad_sample_notes
+from tumble.rotation import unit_vector
+from tumble.sensors.compensation import specific_force
+from tumble.units import Array, BoolArray, IntArray
+
+ROUNDS = 3
+"""Passes over all suspects: the second one takes back what the first took for the lack of another."""
+ALIKE = 4.0
+"""Of Q, two standard deviations: what closes as well either way is replaced, as a corrupt sample that changes no more
+than noise does."""
+MOST_RUNS = 12
+"""Runs of suspects in one turn that are judged one by one; of more, all or none."""
+
+
+def with_mended_samples(observations: Observations) -> Observations:
+    """Observations with the suspect samples replaced without which their turns close better.
+
+    Parameters
+    ----------
+    observations : Observations
+        Of one session, with all suspects replaced.
+
+    Returns
+    -------
+    Observations
+        With a note of the turns in which samples are replaced.
+    """
+    if observations.turn_samples is None or not len(observations.turn_samples.bad.at):
+        return observations
+    suspects = observations.turn_samples.bad
+    runs = _runs_of(suspects)
+    as_recorded = observations.with_bad_samples(NO_BAD_SAMPLES)
+    replaced = _closing_best(as_recorded, suspects, runs)
+    bad = _chosen(suspects, replaced[runs])
+    mended = observations if replaced.all() else observations.with_bad_samples(bad)
+    assert mended.turns is not None
+    return replace(mended, notes=(*mended.notes, *bad_sample_notes(bad, mended.turns.first)))
+
+
+def _closing_best(as_recorded: Observations, suspects: BadSamples, runs: IntArray) -> BoolArray:
+    """Which runs (r,) of suspects are replaced."""
+    linear = replace(as_recorded, usual={})
+    instrument, own = instruments_of(linear)
+    problem = Problem.of(linear, NO_PRIOR, instrument=instrument, own=own, usual={})
+    fitted, _ = maximum_with_lag(problem, start_of(problem)[0], MAX_ITERATIONS)
+    if fitted.converged:
+        fitted = without_outliers(fitted)
+    values = fitted.point.values
+    rests, turns, gravity = linear.rests, as_recorded.turns, linear.site.gravity
+    assert turns is not None
+    vertical = unit_vector(specific_force(instrument, values, rests.accel))
+    before, after = vertical[turns.first], vertical[turns.last]
+
+    def misclosure(replaced: BoolArray) -> tuple[Array, Array]:
+        """|φ|², rad², and |Δv|², m²/s² (K,)."""
+        bad = _chosen(suspects, replaced[runs])
+        observed = replace(linear, turn_samples=as_recorded.turn_samples.with_bad(bad))  # type: ignore[union-attr]
+        moments = TurnsAbout.of(observed, instrument, values).moments
+        φ = np.cross(before, (moments.C @ after[:, :, None])[:, :, 0])
+        Δv = moments.V - gravity * moments.T[:, None] * before
+        return (φ**2).sum(axis=1), (Δv**2).sum(axis=1)
+
+    count = int(runs[-1]) + 1
+    turn_of = suspects.turn[np.searchsorted(runs, np.arange(count))]
+    number = np.arange(count) - np.searchsorted(turn_of, turn_of)  # of a run within its turn
+    number[np.bincount(turn_of)[turn_of] > MOST_RUNS] = 0
+    replaced = np.zeros(count, dtype=bool)
+    every = misclosure(~replaced)
+    none = misclosure(replaced)
+    noise = (float(np.median(np.trace(of, axis1=1, axis2=2))) for of in (turns.covariance, turns.velocity_covariance))
+    sizes = [float(np.median(np.minimum(a, b))) + of for a, b, of in zip(every, none, noise, strict=True)]
+
+    def weighed(misclosures: tuple[Array, Array]) -> Array:
+        """Q (K,)."""
+        return np.asarray(misclosures[0] / sizes[0] + misclosures[1] / sizes[1])
+
+    Q, Q_every = weighed(none), weighed(every)
+    at_first = Q_every < Q + ALIKE
+    replaced, Q = at_first[turn_of], np.where(at_first, Q_every, Q)
+    for _ in range(ROUNDS):
+        settled = True
+        for n in range(int(number.max()) + 1):
+            tried = replaced ^ (number == n)
+            Q_tried = weighed(misclosure(tried))
+            better = Q_tried < Q
+            taken = better[turn_of] & (number == n)
+            settled &= not taken.any()
+            replaced, Q = np.where(taken, tried, replaced), np.where(better, Q_tried, Q)
+        if settled:
+            break
+    return replaced
+
+
+def _runs_of(suspects: BadSamples) -> IntArray:
+    """The number of the run (m,) that each suspect is of: samples one after the other in one turn."""
+    new = (np.diff(suspects.at) > 1) | (np.diff(suspects.turn) > 0)
+    return np.concatenate([[0], np.cumsum(new)])
+
+
+def _chosen(suspects: BadSamples, which: BoolArray) -> BadSamples:
+    """Some of the suspects."""
+    return BadSamples(at=suspects.at[which], turn=suspects.turn[which], values=suspects.values[which])
