@@ -69,6 +69,7 @@ def checked(tmp_path: Path, code: str) -> str:
     return subprocess.run(mypy, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False).stdout
 
 
+@pytest.mark.weekly
 def test_a_type_checker_catches_a_wrong_call(tmp_path: Path) -> None:
     said = checked(
         tmp_path,
@@ -85,6 +86,7 @@ def test_a_type_checker_catches_a_wrong_call(tmp_path: Path) -> None:
     assert re.search(r"user.py:5: error: Argument 1 to \"read_calibration\"", said), said
 
 
+@pytest.mark.weekly
 def test_a_type_checker_knows_every_public_name_and_accepts_right_calls(tmp_path: Path) -> None:
     names = ", ".join(name for name in tumble.__all__ if name != "__version__")
     said = checked(

@@ -202,6 +202,7 @@ def test_a_worker_killed_in_the_middle_costs_no_row(processes: Executor, tmp_pat
     assert found.equals(rows(job(tasks=120), tmp_path / "serial"))
 
 
+@pytest.mark.weekly
 def test_a_task_that_ends_every_process_is_a_row_and_the_others_finish(processes: Executor, tmp_path: Path) -> None:
     found = rows(job(partial(deadly, os.getpid())), tmp_path / "out", processes)
     (row,) = found.filter(pl.col("task") == DEADLY).to_dicts()

@@ -47,6 +47,7 @@ def test_six_noiseless_accelerometers_and_gyros_are_recovered(gyro_axes: Array) 
         np.testing.assert_allclose(error_of(found, chosen), 0.0, atol=1e-9)
 
 
+@pytest.mark.weekly
 def test_normalised_errors_of_six_have_unit_rms() -> None:
     """20 sessions of §8: rms of (value − truth)/u of biases, scale factors and angles of either kind, each group taken
     for as informative as three independent errors a session."""

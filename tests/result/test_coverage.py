@@ -154,6 +154,7 @@ def test_the_sum_of_known_and_estimated_variance_has_more_degrees_than_the_estim
     assert welch_satterthwaite([(1.0, None)]) is None
 
 
+@pytest.mark.weekly
 def test_the_error_of_a_table_is_within_u_as_often_as_stated(tmp_path: Path) -> None:
     """400 tables of 14 positions, 9 correlated parameters each: the part that is covered has a standard deviation of
     0.0056, so that 0.03 is five of them."""

@@ -82,6 +82,7 @@ def test_of_launches(tmp_path: Path) -> None:
     assert set(between) < {p.name for p in mean.parameters}, "of others launches differ by less than they know"
 
 
+@pytest.mark.weekly
 def test_of_launches_each_source_is_what_their_mean_varies_by(tmp_path: Path) -> None:
     """N = 500 times three launches, about the same values with the noise of one alone, and by what a device changes
     from launch to launch alone: the rms of their mean is the contribution of either, in the mean of squares."""

@@ -247,6 +247,7 @@ def test_two_levels_leave_the_curvature_to_what_is_usual(seed: int) -> None:
     assert not verdict(found, levels).reasons
 
 
+@pytest.mark.weekly
 def test_a_ramp_up_and_down_shows_the_lag() -> None:
     scenario = device("navigation", Setup.of(grade="navigation", programme="rough-table"), seed=7)
     lag = 100.0
@@ -425,6 +426,7 @@ def test_the_sessions_are_in_the_file(made: tuple[Scenario, list[Session], Calib
     assert read_calibration(tmp_path / "calibration.json").evidence.together == found.evidence.together
 
 
+@pytest.mark.weekly
 def test_a_quiet_ramp_adds_to_biases(made: tuple[Scenario, list[Session], Calibration]) -> None:
     """Up and down; up alone what bends may be hysteresis, and slopes are better known, curvatures hardly."""
     scenario, sessions, up = made

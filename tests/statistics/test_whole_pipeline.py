@@ -79,6 +79,7 @@ def test_noiseless_parameters_of_other_blocks_are_recovered(axes: Array) -> None
     assert np.abs(errors(estimate, scenario)).max() < 1e-9
 
 
+@pytest.mark.weekly
 def test_errors_are_as_large_as_their_uncertainties_say() -> None:
     """N = 50 sampled sessions with white noise through the whole pipeline: rms of (value − truth)/u of each group of
     parameters. It may be below 1, as a scatter is estimated half of the time where there is none."""
