@@ -454,11 +454,7 @@ def are_alike(one: list[Array], other: list[Array]) -> bool:
     )
 
 
-A_THIRD = [pytest.param(name, marks=[pytest.mark.weekly] if i % 3 else []) for i, name in enumerate(CASES)]
-"""All of them weekly, and on every change each third one."""
-
-
-@pytest.mark.parametrize("name", A_THIRD)
+@pytest.mark.parametrize("name", CASES)
 def test_a_log_of_the_world_gives_the_result_of_the_clean_one(
     name: str, session: Path, log: pl.DataFrame, clean: Calibration, tmp_path: Path
 ) -> None:
