@@ -29,11 +29,14 @@ from tumble.inference.maximum import MAX_ITERATIONS, without_outliers
 from tumble.inference.start import start_of
 from tumble.inference.turns_about import TurnsAbout
 from tumble.reduction.observations import Observations
-from tumble.reduction.rests.blemishes import NO_BAD_SAMPLES, BadSamples, bad_sample_notes
+from tumble.reduction.rests.blemishes import BadSamples, bad_sample_notes
+from tumble.reduction.turns.turns import TurnSamples
 from tumble.rotation import unit_vector
 from tumble.sensors.compensation import specific_force
 from tumble.units import Array, BoolArray, IntArray
 
+ANGLE, VELOCITY = 1.0, 5.0
+"""rad and m/s: what no blow does within a sample; a fall from 1.3 m ends with 5 m/s."""
 ROUNDS = 3
 """Passes over all suspects: the second one takes back what the first took for the lack of another."""
 ALIKE = 4.0
@@ -59,17 +62,34 @@ def with_mended_samples(observations: Observations) -> Observations:
     if observations.turn_samples is None or not len(observations.turn_samples.bad.at):
         return observations
     suspects = observations.turn_samples.bad
-    runs = _runs_of(suspects)
-    as_recorded = observations.with_bad_samples(NO_BAD_SAMPLES)
-    replaced = _closing_best(as_recorded, suspects, runs)
-    bad = _chosen(suspects, replaced[runs])
+    impossible = _impossible(observations.turn_samples, suspects)
+    replaced = impossible
+    if not impossible.all():
+        as_recorded = observations.with_bad_samples(_chosen(suspects, impossible))
+        runs = _runs_of(suspects)
+        replaced = impossible | _closing_best(as_recorded, suspects, runs, impossible)[runs]
+    bad = _chosen(suspects, replaced)
     mended = observations if replaced.all() else observations.with_bad_samples(bad)
     assert mended.turns is not None
     return replace(mended, notes=(*mended.notes, *bad_sample_notes(bad, mended.turns.first)))
 
 
-def _closing_best(as_recorded: Observations, suspects: BadSamples, runs: IntArray) -> BoolArray:
-    """Which runs (r,) of suspects are replaced."""
+def _impossible(samples: TurnSamples, suspects: BadSamples) -> BoolArray:
+    """Which suspects (m,) would turn the body by more than ANGLE or move it by more than VELOCITY in one sample."""
+    out = np.zeros(len(suspects.at), dtype=bool)
+    for i, at in enumerate(suspects.at.tolist()):
+        rates, forces, dt = samples.samples.read(at, at + 1)
+        off = np.hstack([rates[0], forces[0]]) - suspects.values[i]
+        sizes = (
+            np.abs(off).max(initial=0.0, where=np.arange(6) < 3),
+            np.abs(off).max(initial=0.0, where=np.arange(6) > 2),
+        )
+        out[i] = not (sizes[0] * dt[0] <= ANGLE and sizes[1] * dt[0] <= VELOCITY)
+    return out
+
+
+def _closing_best(as_recorded: Observations, suspects: BadSamples, runs: IntArray, impossible: BoolArray) -> BoolArray:
+    """Which runs (r,) of suspects are replaced, those that are `impossible` (m,) being replaced in any case."""
     linear = replace(as_recorded, usual={})
     instrument, own = instruments_of(linear)
     problem = Problem.of(linear, NO_PRIOR, instrument=instrument, own=own, usual={})
@@ -84,7 +104,7 @@ def _closing_best(as_recorded: Observations, suspects: BadSamples, runs: IntArra
 
     def misclosure(replaced: BoolArray) -> tuple[Array, Array]:
         """|φ|², rad², and |Δv|², m²/s² (K,)."""
-        bad = _chosen(suspects, replaced[runs])
+        bad = _chosen(suspects, replaced[runs] | impossible)
         observed = replace(linear, turn_samples=as_recorded.turn_samples.with_bad(bad))  # type: ignore[union-attr]
         moments = TurnsAbout.of(observed, instrument, values).moments
         φ = np.cross(before, (moments.C @ after[:, :, None])[:, :, 0])
