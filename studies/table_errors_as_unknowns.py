@@ -51,10 +51,10 @@ Pass = Callable[[Array, Array], SensorModel]
 """Stages 1 and 2: the model of readings (T, N, 3) at rests with nominal verticals (N, 3)."""
 
 
-def scalar_norm(readings: Array, nominal: Array) -> SensorModel:
-    """The scalar method in norm form with the estimated orientation."""
+def scalar_pass(readings: Array, nominal: Array) -> SensorModel:
+    """The scalar method with the estimated orientation."""
     del nominal
-    return scalar_fit(readings, unit_vector(readings), np.array(SETUP.gravity), "norm")
+    return scalar_fit(readings, unit_vector(readings), np.array(SETUP.gravity))
 
 
 def vector(readings: Array, nominal: Array) -> SensorModel:
@@ -124,8 +124,8 @@ def main(arguments: list[str]) -> int:
     solvers: dict[str, Callable[[], SensorModel]] = {
         "sequential, 1 pass": lambda: iterated(vector, readings, nominal, 1),
         "sequential, 2 passes": lambda: iterated(vector, readings, nominal, 2),
-        "scalar, 1 pass": lambda: iterated(scalar_norm, readings, nominal, 1),
-        "scalar, converged": lambda: iterated(scalar_norm, readings, nominal, CONVERGED),
+        "scalar, 1 pass": lambda: iterated(scalar_pass, readings, nominal, 1),
+        "scalar, converged": lambda: iterated(scalar_pass, readings, nominal, CONVERGED),
         "tilts as unknowns, 1 step": lambda: with_tilts(readings, nominal, 1)[0],
         "tilts as unknowns, 2 steps": lambda: with_tilts(readings, nominal, 2)[0],
         "tilts as unknowns, converged": lambda: with_tilts(readings, nominal, CONVERGED)[0],
