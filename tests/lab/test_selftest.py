@@ -28,7 +28,7 @@ def test_the_reference_cases_pass_and_are_recorded_with_machine_versions_and_has
     assert record["source_sha256"].keys() == {
         path.relative_to(package).as_posix()
         for path in package.rglob("*")
-        if path.suffix in {".py", ".pyi", ".so", ".pyd"}
+        if path.suffix in {".py", ".pyi", ".pyx", ".pxd", ".so", ".pyd"}
     }
     again = CliRunner().invoke(main, ["selftest", "-o", str(tmp_path / "record.json")])
     assert (again.exit_code, again.stderr.count("\n")) == (2, 1)

@@ -34,7 +34,7 @@ def show(result: Any, blocks: Callable[[], Iterable[Block]]) -> None:
         Makes what is shown on the terminal without `--json`.
     """
     if as_json():
-        print_json(result() if callable(result) else result, indent=1)
+        print_json(result, indent=1)
     else:
         from tumble.views.render.terminal import print_blocks
 

@@ -11,10 +11,10 @@ sensors
 duration. A blow ends the velocity of the approach: without it the turn misses Δv = 0 by that velocity. A corrupt sample
 of force is missed by its own size times the interval, one of rate by an angle, and through it by a velocity.
 
-The parameters are those of the linear model by a maximum with robust rows, from turns in which nothing is replaced.
-With Q = |φ|²/σ_φ² + |Δv|²/σ_v² of a turn, σ² being medians over the turns, all suspects of a turn are replaced at first
-unless Q is smaller by ALIKE without; then they are replaced or put back run by run where Q falls, until none changes it
-(at most ROUNDS times).
+A suspect that no blow explains is replaced in any case. The parameters are those of the linear model by a maximum with
+robust rows, from turns in which nothing else is replaced. With Q = |φ|²/σ_φ² + |Δv|²/σ_v² of a turn, σ² being medians
+over the turns, all suspects of a turn are replaced at first unless Q is smaller by ALIKE without; then they are
+replaced or put back run by run where Q falls, until none changes it (at most ROUNDS times).
 """
 
 from __future__ import annotations
@@ -27,12 +27,10 @@ from tumble.inference.lag import maximum_with_lag
 from tumble.inference.likelihood import NO_PRIOR, Problem, instruments_of
 from tumble.inference.maximum import MAX_ITERATIONS, without_outliers
 from tumble.inference.start import start_of
-from tumble.inference.turns_about import TurnsAbout
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.blemishes import BadSamples, bad_sample_notes
-from tumble.reduction.turns.turns import TurnSamples
+from tumble.reduction.turns.turns import TurnSamples, linear_compensation
 from tumble.rotation import unit_vector
-from tumble.sensors.compensation import specific_force
 from tumble.units import Array, BoolArray, IntArray
 
 ANGLE, VELOCITY = 1.0, 5.0
@@ -57,7 +55,8 @@ def with_mended_samples(observations: Observations) -> Observations:
     Returns
     -------
     Observations
-        With a note of the turns in which samples are replaced.
+        With the note of the turns in which samples are replaced. The same where data that contradict each other give
+        no parameters to judge by.
     """
     if observations.turn_samples is None or not len(observations.turn_samples.bad.at):
         return observations
@@ -67,11 +66,17 @@ def with_mended_samples(observations: Observations) -> Observations:
     if not impossible.all():
         as_recorded = observations.with_bad_samples(_chosen(suspects, impossible))
         runs = _runs_of(suspects)
-        replaced = impossible | _closing_best(as_recorded, suspects, runs, impossible)[runs]
-    bad = _chosen(suspects, replaced)
-    mended = observations if replaced.all() else observations.with_bad_samples(bad)
-    assert mended.turns is not None
-    return replace(mended, notes=(*mended.notes, *bad_sample_notes(bad, mended.turns.first)))
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):
+                replaced = impossible | _closing_best(as_recorded, suspects, runs, impossible)[runs]
+        except np.linalg.LinAlgError:
+            return observations
+    if replaced.all():
+        return observations
+    assert observations.turns is not None
+    bad, first = _chosen(suspects, replaced), observations.turns.first
+    others = [note for note in observations.notes if note not in bad_sample_notes(suspects, first)]
+    return replace(observations.with_bad_samples(bad), notes=(*others, *bad_sample_notes(bad, first)))
 
 
 def _impossible(samples: TurnSamples, suspects: BadSamples) -> BoolArray:
@@ -80,11 +85,8 @@ def _impossible(samples: TurnSamples, suspects: BadSamples) -> BoolArray:
     for i, at in enumerate(suspects.at.tolist()):
         rates, forces, dt = samples.samples.read(at, at + 1)
         off = np.hstack([rates[0], forces[0]]) - suspects.values[i]
-        sizes = (
-            np.abs(off).max(initial=0.0, where=np.arange(6) < 3),
-            np.abs(off).max(initial=0.0, where=np.arange(6) > 2),
-        )
-        out[i] = not (sizes[0] * dt[0] <= ANGLE and sizes[1] * dt[0] <= VELOCITY)
+        angle, velocity = (float(np.abs(part).max() * dt[0]) for part in np.split(off, 2))
+        out[i] = not (angle <= ANGLE and velocity <= VELOCITY)
     return out
 
 
@@ -96,19 +98,21 @@ def _closing_best(as_recorded: Observations, suspects: BadSamples, runs: IntArra
     fitted, _ = maximum_with_lag(problem, start_of(problem)[0], MAX_ITERATIONS)
     if fitted.converged:
         fitted = without_outliers(fitted)
-    values = fitted.point.values
-    rests, turns, gravity = linear.rests, as_recorded.turns, linear.site.gravity
+    turns, samples, gyro = linear.turns, linear.turn_samples, linear.gyro_block
     assert turns is not None
-    vertical = unit_vector(specific_force(instrument, values, rests.accel))
+    assert samples is not None
+    assert gyro is not None
+    accel_model, gyro_model = problem.accel_model(fitted.point.values), problem.gyro_model(fitted.point.values)
+    compensation = linear_compensation(gyro, gyro_model, linear.accel_block, accel_model)
+    vertical = unit_vector(accel_model.apply(linear.rests.accel))
     before, after = vertical[turns.first], vertical[turns.last]
 
     def misclosure(replaced: BoolArray) -> tuple[Array, Array]:
         """|φ|², rad², and |Δv|², m²/s² (K,)."""
         bad = _chosen(suspects, replaced[runs] | impossible)
-        observed = replace(linear, turn_samples=as_recorded.turn_samples.with_bad(bad))  # type: ignore[union-attr]
-        moments = TurnsAbout.of(observed, instrument, values).moments
+        moments = replace(linear, turn_samples=samples.with_bad(bad)).moments_about(compensation)
         φ = np.cross(before, (moments.C @ after[:, :, None])[:, :, 0])
-        Δv = moments.V - gravity * moments.T[:, None] * before
+        Δv = moments.V - linear.site.gravity * moments.T[:, None] * before
         return (φ**2).sum(axis=1), (Δv**2).sum(axis=1)
 
     count = int(runs[-1]) + 1
@@ -126,7 +130,7 @@ def _closing_best(as_recorded: Observations, suspects: BadSamples, runs: IntArra
         return np.asarray(misclosures[0] / sizes[0] + misclosures[1] / sizes[1])
 
     Q, Q_every = weighed(none), weighed(every)
-    at_first = Q_every < Q + ALIKE
+    at_first = ~(Q_every >= Q + ALIKE)  # also where either is no number
     replaced, Q = at_first[turn_of], np.where(at_first, Q_every, Q)
     for _ in range(ROUNDS):
         settled = True

@@ -128,7 +128,7 @@ def run_selftest(*, by: str | None = None, progress: Callable[[str], None] = lam
 def _source_hashes() -> dict[str, str]:
     """The SHA-256 of every source file of the program, and of what is compiled of them."""
     package = Path(tumble.__file__).parent
-    paths = sorted(path for path in package.rglob("*") if path.suffix in (".py", ".pyi", ".so", ".pyd"))
+    paths = sorted(path for path in package.rglob("*") if path.suffix in (".py", ".pyi", ".pyx", ".pxd", ".so", ".pyd"))
     return {path.relative_to(package).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
 
 

@@ -28,7 +28,7 @@ from tumble.recording.session import Site
 from tumble.reduction.blocks.reducer import Reduction, extremes
 from tumble.reduction.noise.coloured_noise import fit_coloured_noise
 from tumble.reduction.noise.rounding import Rounding, rounding_notes
-from tumble.reduction.rests.blemishes import BadSamples, blemish_notes
+from tumble.reduction.rests.blemishes import BadSamples, bad_sample_notes, blemish_notes
 from tumble.reduction.rests.matching import Match
 from tumble.reduction.rests.rests import Rests, reduced_rests, rows_of, thermometers_of
 from tumble.reduction.rests.thermometer import Thermometers
@@ -165,20 +165,10 @@ class Observations(Brief):
 
     def with_bad_samples(self, bad: BadSamples) -> Observations:
         """The same with these samples of turns replaced, and no others."""
-        samples, turns, accel, gyro = self._samples.with_bad(bad), self.turns, self.accel_block, self.gyro_block
-        assert turns is not None
+        samples, gyro = self._samples.with_bad(bad), self.gyro_block
         assert gyro is not None
-        moments = integrate(
-            samples.pieces(), len(samples.lengths), linear_compensation(gyro, gyro.nominal(), accel, accel.nominal())
-        )
-        turns = replace(
-            turns,
-            C=moments.C,
-            M=moments.Phi[..., 1:4],
-            B=moments.Phi[..., 0],
-            jumps=moments.jumps,
-            aliased=aliased_rotations(samples, turns.covariance),
-        )
+        turns = replace(self, turn_samples=samples).turns_about(gyro.nominal())
+        turns = replace(turns, aliased=aliased_rotations(samples, turns.covariance))
         return replace(self, turns=turns, turn_samples=samples)
 
     def turns_about(self, gyro: SensorModel) -> Turns:
@@ -216,6 +206,7 @@ def observe(
     if gyro is not None and gyro_noise is not None and reduction.samples is not None:
         noises = (accel, fit_coloured_noise(accel_quiet)), (gyro, gyro_noise)
         turned = turns, samples = reduced_turns(reduction, reduction.samples, spans, rests, *noises, rounded)
+        notes += bad_sample_notes(samples.bad, turns.first)
         readings = turn_readings(reduction, spans, turned, noises[1], rounded["gyro"]) if gyro.size > 3 else None
         if arrays is None:  # that in turns which are left out included
             array = MovedArray(

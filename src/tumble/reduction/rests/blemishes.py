@@ -9,11 +9,11 @@ as if it had not been recorded, and stands for no movement where rests are looke
 In a turn, where there is no mean to compare with, a sample is compared with the cubic through the two before and the
 two after it (Hampel's test about a local fit): it is off by a sixth of its fourth difference. The band of a channel is
 the most that others are off in a quarter of a second, once what is judged is replaced, and at least the noise of the
-rests. What is bad is beyond that, and its neighbours are not: a sensor follows a blow through its filter and the body
-rings after it. A blow may still be over within a sample. But it is felt by several sensors, along the axis of one only
-by an unlikely chance, and it leaves a velocity. So samples are bad where one channel alone stands out, or where the
-body would have to change its velocity or its attitude by what nobody's hand does in a sample. They have the value of
-the cubic then, in the channels that stand out.
+rests. A suspect is beyond that, and its neighbours are not: a sensor follows a blow through its filter and the body
+rings after it. It stands out in one channel alone, or would change the velocity or the attitude of the body by more
+than a hand does in a sample. Its value in the channels that stand out is that of the cubic. A blow may still look like
+it, as of a device that is put down on a face: which suspects are replaced is decided by whether their turn closes
+(`tumble.inference.mended_samples`).
 
 The thresholds, and how often noise exceeds them, are those of `Tuning`.
 """

@@ -32,7 +32,6 @@ from tumble.rotation import onto_body, skew
 from tumble.sensors.model import SensorModel
 from tumble.units import Array, IntArray
 
-REGRESSORS = 13
 NO_AXES: Array = np.empty((0, 3))
 PARTS = 8
 """Parts of a turn in which something grows: a staircase of n steps has 1 − 1/n² of what a line does."""
