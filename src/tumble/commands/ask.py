@@ -159,6 +159,7 @@ def registry_place(**settings: Any) -> _Option:
 
 REGISTRY = registry_place()
 GRAVITY = option("--gravity", "Measured gravity, m/s²; default: normal gravity.", type=float)
+HEIGHT = option("--height", "Of the place, m over the sea; unstated, 1000 m are in u.", type=float, metavar="M")
 LATITUDE = option("--latitude", "Of the place, ° north.", type=float, metavar="DEGREES")
 SERIAL = option("--serial", "Serial number of the device; default: the name of FOLDER or LOG.", metavar="NUMBER")
 SAMPLE_RATE = "--sample-rate", "Samples per second"
@@ -176,7 +177,8 @@ def given_of(options: dict[str, Any]) -> Given:
     from tumble.drafting.new_session import Given
 
     stated: dict[str, Any] = {
-        name: options.pop(name, None) for name in ("serial", "latitude", "sample_rate", "programme", "message", "time")
+        name: options.pop(name, None)
+        for name in ("serial", "latitude", "height", "sample_rate", "programme", "message", "time")
     }
     for kind in ("accel", "gyro"):
         columns = options.pop(kind)

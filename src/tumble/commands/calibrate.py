@@ -47,6 +47,7 @@ _RESTS = ask.Numbers("numbers of rests such as 3,7", int)
 @ask.option("--truth", "truth.json of a simulated session: show true values beside the result.", type=ask.FILE)
 @ask.SERIAL
 @ask.LATITUDE
+@ask.HEIGHT
 @ask.LOG
 @ask.registry(
     "Of other units of the device's type: for one session a prior instead of what is usual of its grade, for several "
@@ -72,8 +73,9 @@ def calibrate(
     launch to launch, and --out is required. With --together they are one estimate by the method joint, with
     coefficients over temperature. Several methods are compared: the first one's result is the one written.
 
-    A file that is no session.toml, or anything with --latitude, --serial, --sample-rate, --accel, --gyro or --time, is
-    a LOG in any dialect: a session is made of it first, as `tumble new` does, in the folder LOG-session beside it.
+    A file that is no session.toml, or anything with --latitude, --height, --serial, --sample-rate, --accel, --gyro or
+    --time, is a LOG in any dialect: a session is made of it first, as `tumble new` does, in the folder LOG-session
+    beside it.
     """
     from tumble.recording.session_file import read_session
     from tumble.run.calibrate import calibrate as calibrate_session
@@ -161,8 +163,8 @@ def _session_of(logs: Sequence[Path], given: Given) -> Iterator[list[Path]]:
 
     if len(logs) > 1 or (logs[0].is_dir() and (logs[0] / "session.toml").exists()) or logs[0].suffix == ".toml":
         raise InputError(
-            "--latitude, --serial, --sample-rate, --accel, --gyro, --time: expected one log with them, found a "
-            "session; they stand in its session.toml"
+            "--latitude, --height, --serial, --sample-rate, --accel, --gyro, --time: expected one log with them, "
+            "found a session; they stand in its session.toml"
         )
     name = logs[0].name.partition(".")[0]
     folder = logs[0].with_name(f"{name}-session")

@@ -18,6 +18,7 @@ from tumble.errors import InputError
 @ask.option("--log", "The recording: a log, a folder, a pattern, a bag.", type=ask.PATH, multiple=True)
 @ask.SERIAL
 @ask.LATITUDE
+@ask.HEIGHT
 @ask.LOG
 @ask.programme("Built-in programme that was gone through.")
 @ask.option("--message", "Topic or message of a recording, where there are several.", metavar="NAME")

@@ -79,7 +79,8 @@ def session_text(draft: Draft, folder: Path, programme: str | None, *, named: bo
     log, device = draft.content["log"], draft.content["device"]
     stated = [log["file"]] if isinstance(log["file"], str) else log["file"]
     files = [os.path.relpath(file, folder.resolve()) for file in stated]
-    latitude = draft.content.get("site", {}).get("latitude_deg")
+    site = draft.content.get("site", {})
+    latitude, height = site.get("latitude_deg"), site.get("height_m")
     comment = "# which sensors of the autopilot these are, from 1, and their device ids: `tumble export` compares them"
     lines = ["format = 1", "", "[device]", _line("serial", device["serial"]) + ("" if named else "   # of the device")]
     lines += ['# model = "…"', ""]
@@ -89,7 +90,9 @@ def session_text(draft: Draft, folder: Path, programme: str | None, *, named: bo
         "# latitude_deg = 0.0   # of the place; without it the Earth's rate and local gravity are unknown"
         if latitude is None
         else _line("latitude_deg", latitude),
-        "# height_m = 0.0",
+        "# height_m = 0.0       # without it, 1000 m are in the uncertainty of gravity"
+        if height is None
+        else _line("height_m", height),
         "# gravity = 9.80665    # m/s², where it was measured; gravity_u is its standard uncertainty",
         "",
     ]

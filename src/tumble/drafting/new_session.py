@@ -54,11 +54,12 @@ _CORE_MOTION = re.compile(r"accelerometerAcceleration[XYZ]\(G\)")
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Given:
-    """What the user knows: serial number, latitude (°), rate (Hz), programme and message of a recording; and the
-    columns of a text or Parquet log that are its accelerometers, gyros and time, by name or by number from 1."""
+    """What the user states: serial number, latitude (°), height (m), rate (Hz), programme and message of a recording,
+    and the columns of a log that are its accelerometers, gyros and time, by name or by number from 1."""
 
     serial: str | None = None
     latitude: float | None = None
+    height: float | None = None
     sample_rate: float | None = None
     programme: str | None = None
     message: str | None = None
@@ -137,6 +138,8 @@ def written_session(
         raise InputError(f"--programme: expected one of {', '.join(programmes())}, found {given.programme!r}")
     if given.latitude is not None and not -90.0 <= given.latitude <= 90.0:
         raise InputError(f"--latitude: expected a number from -90 to 90, found {given.latitude:g}")
+    if given.height is not None and not -1000.0 <= given.height <= 10000.0:
+        raise InputError(f"--height: expected a number from -1000 to 10000, m, found {given.height:g}")
     if given.sample_rate is not None and not 0.0 < given.sample_rate < 1e9:
         raise InputError(f"--sample-rate: expected a positive number, found {given.sample_rate:g}")
     files = [inner for file in files for inner in unzipped(file, folder)]
@@ -153,7 +156,9 @@ def written_session(
     else:
         log, imu = log_of_recording(recordings, folder, given.message)
     draft = _of_log(repaired(log, folder, given.sample_rate), given.sample_rate)
-    site = {"site": {"latitude_deg": given.latitude}} if given.latitude is not None else {}
+    place = {"latitude_deg": given.latitude, "height_m": given.height}
+    known = {key: value for key, value in place.items() if value is not None}
+    site = {"site": known} if known else {}
     serial = given.serial or folder.path.resolve().name or "unknown"
     device = {"serial": serial, **({"imu": sensors_content(imu)} if imu else {})}
     draft = replace(draft, content={**draft.content, "device": device, **site})

@@ -50,7 +50,7 @@ from tumble.reduction.rests.rests import Rests
 from tumble.reduction.turns.turns import TURN_FLOOR, VELOCITY_FLOOR
 from tumble.sensors.grades import NoiseModel
 from tumble.sensors.instrument import Instrument
-from tumble.sensors.parameters import positions_by_group
+from tumble.sensors.parameters import positions_by_group, prior_sizes
 from tumble.units import Array, BoolArray
 
 NOISE, GRAVITY, CLOCK, TYPE = "noise and in-run biases", "gravity of the site", "time base of the log", "device type"
@@ -126,7 +126,7 @@ def stated(setup: Setup, *, gyros: bool = True, prior: Prior | None = None) -> B
 
 def instrument_of(setup: Setup, gyros: bool) -> Instrument:
     """The instrument of a set-up: triads along the body axes with the groups of parameters it has."""
-    return Instrument.of(ACCEL, GYRO if gyros else None, tuple(setup.further))
+    return Instrument.of(ACCEL, GYRO if gyros else None, tuple(prior_sizes(setup.instrument, usual=setup.further)))
 
 
 def bound_by(seen: Linearised, rate: float, clock_u: float = 0.0, by_type: Array | None = None) -> Bound:
@@ -259,10 +259,10 @@ def view(course: Itinerary, setup: Setup, *, gyros: bool) -> Linearised:
         ),
         turns=turns,
         turn_samples=samples,
-        usual=setup.further,
+        usual=prior_sizes(setup.instrument, usual=setup.further),
     )
     point = Point(values=np.zeros(len(instrument.names)), gravity=g, attitudes=course.attitudes)
     if turns is not None:
         about = TurnsAbout.of(observations, instrument, point.values)
-    problem = Problem.of(observations, instrument=instrument, usual=setup.further)
+    problem = Problem.of(observations, instrument=instrument, usual=observations.usual)
     return linearised(problem, point, about, components_of(noise))

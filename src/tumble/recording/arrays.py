@@ -39,7 +39,7 @@ class SensorArrays(TypedDict, total=False):
     temperature : array_like, shape (N,), or mapping of str to array_like
         Temperature, K; if the sensors have several thermometers, those of "accel" and "gyro", (N,) or (N, n).
     latitude, height : float
-        Geodetic latitude, rad, and height, m (default 0).
+        Geodetic latitude, rad, and height, m; where no height is given, 1000 m are in the uncertainty of gravity.
     gravity, gravity_u : float
         Gravity and its standard uncertainty, m/s²; by default normal gravity.
     accel_axes, gyro_axes : array_like, shape (n, 3)
@@ -49,7 +49,8 @@ class SensorArrays(TypedDict, total=False):
     serial : str
         Serial number of the device.
     clock_ppm_u : float
-        Standard uncertainty of the time base, parts per million, 0 for an exact one; default 30.
+        Standard uncertainty of the time base, parts per million, 0 for an exact one; by default 30 of
+        times and 10,000 of a rate.
     """
 
     accel: npt.ArrayLike
@@ -58,7 +59,7 @@ class SensorArrays(TypedDict, total=False):
     rate: float | None
     temperature: Temperatures | None
     latitude: float | None
-    height: float
+    height: float | None
     gravity: float | None
     gravity_u: float | None
     accel_axes: npt.ArrayLike | None

@@ -36,7 +36,7 @@ from tumble.run.observed import Progress, inspected, observations_for_calibratio
 from tumble.sensors.frames import Convention, Frame
 from tumble.sensors.grades import grade as grade_named
 from tumble.sensors.grades import guessed_grade
-from tumble.sensors.parameters import Terms, usual_sizes
+from tumble.sensors.parameters import Terms, poorer, prior_sizes
 
 _LOG = logging.getLogger(__name__)
 Method = Literal["joint", "sequential", "scalar", "ellipsoid"]
@@ -237,18 +237,24 @@ def systematic_of(session: Session) -> Mapping[str, float]:
 
 def with_grade(session: Session, observations: Observations, terms: Terms) -> Observations:
     """The observations with what is usual for instruments of the grade of a session's device: sizes of the groups
-    beyond the linear model, none where that is meant, and the factor by which they may be too small by where they are
-    from, and of in-run biases; and with a note of the grade."""
+    beyond the linear model, none for the linear terms, and of in-run biases, with a note of the grade.
+
+    The factor by which a size may be too small goes by where it is from: a data sheet, a stated grade, or a guessed one
+    whose size is larger in the next poorer grade. A guess between grades of equal sizes cannot be wrong by it."""
     grade, guessed_from = grade_of(session, observations)
     sheet, noise = session.device.prior, grade_named(grade).noise
-    usual = {} if terms == "linear" else usual_sizes(grade, sheet)
-    by_grade = GUESSED if guessed_from else STATED
+    usual = {} if terms == "linear" else prior_sizes(grade, sheet)
+    worse = poorer(grade) if guessed_from else None
+    in_worse = {} if worse is None else prior_sizes(worse)
     said = f"what is not bias, scale or axis angle is taken to be of the size usual for the grade {grade}"
     origin = f", guessed from {guessed_from}; state another as [device] grade" if guessed_from else ""
     return replace(
         observations,
         usual=usual,
-        too_small={name: SHEET if name in sheet else by_grade for name in usual},
+        too_small={
+            name: SHEET if name in sheet else GUESSED if in_worse.get(name, 0.0) > size else STATED
+            for name, size in usual.items()
+        },
         in_run={"accel": noise.accel_instability, "gyro": noise.gyro_instability},
         notes=observations.notes + ((said + origin,) if usual else ()),
     )
@@ -279,13 +285,7 @@ def estimated(
     observations = with_grade(session, observations, terms)
     if prior is not None:
         observations = replace(observations, in_run={**observations.in_run, **prior.in_run})
-    notes = observations.notes
-    if session.log.clock_u is None and by_clock:
-        notes += (
-            f"no uncertainty of the time base is stated: {1e6 * session.log.time_base_u:.0f} ppm, as of a crystal, "
-            f"are in the u of {' and '.join(by_clock)}; state clock_ppm_u in [log], 0 where it is exact",
-        )
-    notes += by_reference_clock(session.log)
+    notes = (*observations.notes, *assumptions(session, by_clock), *by_reference_clock(session.log))
     unstamped = session.log.unstamped
     observations = replace(observations, start=start, notes=notes, by_clock=by_clock, unstamped=unstamped)
     try:
@@ -318,6 +318,34 @@ def estimated(
         broken = f"the estimate broke down ({error}): the data contradict the model; look at them with `tumble inspect`"
         return Outcome(reasons=(one_attitude(observations) or broken,))
     return estimate, replace(observations, notes=notes)
+
+
+def assumptions(session: Session, by_clock: Mapping[str, float]) -> tuple[str, ...]:
+    """What a session does not state and the estimate assumes, a sentence each, with what would replace it."""
+    site, log, out = session.site, session.log, list[str]()
+    mm = f"{1e3 * site.gravity_u:.2g} mm/s²"
+    if site.assumed == "height":
+        out.append(
+            f"the height is not stated: gravity is that of sea level to {mm}, as of 1000 m, which is in the u of "
+            "accel.scale; state height_m in [site] (--height), or gravity"
+        )
+    elif site.assumed == "place":
+        out.append(
+            f"neither place nor gravity is stated: gravity is the standard one to {mm}, which is in the u of "
+            "accel.scale; state latitude_deg and height_m in [site] (--latitude, --height), or gravity"
+        )
+    elif site.assumed == "digits" and site.gravity_u:
+        out.append(
+            f"gravity is taken to its last digit, {mm}, which is in the u of accel.scale; state gravity_u in [site]"
+        )
+    if log.clock_u is None and by_clock:
+        of = "stamps of a crystal" if log.rate is None else "a sample rate without time stamps"
+        size = f"{1e6 * log.time_base_u:.0f} ppm" if log.rate is None else f"{1e2 * log.time_base_u:.0f} %"
+        out.append(
+            f"no uncertainty of the time base is stated: {size}, as of {of}, is in the u of "
+            f"{' and '.join(by_clock)}; state clock_ppm_u in [log], 0 where it is exact"
+        )
+    return tuple(out)
 
 
 def by_reference_clock(log: LogSpec) -> tuple[str, ...]:

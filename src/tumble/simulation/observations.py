@@ -41,6 +41,7 @@ from tumble.reduction.turns.turns import (
     TurnSamples,
 )
 from tumble.rotation import onto_body, rotation_matrix, skew
+from tumble.sensors.parameters import prior_sizes
 from tumble.simulation.scenario import Scenario, itinerary
 from tumble.simulation.sensors import InRunBias, SimulatedBlock
 from tumble.units import Array
@@ -86,7 +87,7 @@ def simulate_observations(
         programme=listed,
         position=None if listed is None else np.array(way.positions),
         turn_readings=integrals if scenario.gyro.size > 3 else None,
-        usual=scenario.setup.further,
+        usual=prior_sizes(scenario.setup.instrument, usual=scenario.setup.further),
         thermometers=None if scenario.climate is None else scenario.climate.record,
     )
     return replace(observations, turns=observations.turns_about(scenario.gyro.nominal()))

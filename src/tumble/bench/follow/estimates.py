@@ -24,7 +24,7 @@ from tumble.reduction.rests.blemishes import without_blemishes
 from tumble.reduction.rests.matching import Match, without_numbered, without_times
 from tumble.reduction.rests.segmentation import RestSpan, find_rests
 from tumble.sensors.model import Block
-from tumble.sensors.parameters import group_name, positions_by_group, shown_in, usual_sizes
+from tumble.sensors.parameters import group_name, positions_by_group, prior_sizes, shown_in
 from tumble.units import G_STANDARD, Array
 
 log = logging.getLogger(__name__)
@@ -98,7 +98,7 @@ def estimate_so_far(
         return None
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         seen = observe(reduction, match, session.accel_block, session.gyro_block, session.site)
-        for usual in (usual_sizes(grade, session.device.prior), {}):  # few rests bear the linear model alone
+        for usual in (prior_sizes(grade, session.device.prior), {}):  # few rests bear the linear model alone
             with contextlib.suppress(np.linalg.LinAlgError):
                 return joint(replace(seen, usual=usual), quick=True)
     return None

@@ -10,7 +10,7 @@ import datetime as dt
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
@@ -66,6 +66,11 @@ class Device:
     """Which "accel" and "gyro" of an autopilot it is, where it is one."""
 
 
+AssumedGravity = Literal["nothing", "digits", "height", "place"]
+"""What a session leaves open about gravity: nothing, the uncertainty of a stated value beyond its last digit, the
+height of the place, or the place."""
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Site:
     """Where the session was recorded: geodetic latitude, rad; height, m; gravity and its standard
@@ -80,6 +85,8 @@ class Site:
     """That gravity is meant, however far it is from normal gravity."""
     gravity_is_unit: bool = False
     """That gravity at the place, whatever it is, is the unit, and `gravity` stands for it."""
+    assumed: AssumedGravity = "nothing"
+    """What gravity is taken from because the session does not state it."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -143,8 +150,11 @@ class TemperatureChannels:
 
 
 USUAL_CLOCK_U = 30e-6
-"""Relative standard uncertainty of a time base of which nothing is said: crystals are off by some 20 to 50 ppm, over
+"""Relative standard uncertainty of time stamps of which nothing is said: crystals are off by some 20 to 50 ppm, over
 temperature and with age."""
+USUAL_RATE_U = 1e-2
+"""The same of a sample rate without time stamps: it is that of the oscillator in a sensor's chip, which data sheets
+have to some per cent, or a number of a configuration."""
 
 
 class ReferenceClock(SessionTable):
@@ -196,8 +206,10 @@ class LogSpec:
 
     @property
     def time_base_u(self) -> float:
-        """The relative standard uncertainty of the time base: the usual one where none is stated."""
-        return USUAL_CLOCK_U if self.clock_u is None else self.clock_u
+        """The relative standard uncertainty of the time base; where none is stated, that of a crystal for time stamps,
+        and of an oscillator in a chip for a sample rate."""
+        usual = USUAL_CLOCK_U if self.rate is None else USUAL_RATE_U
+        return usual if self.clock_u is None else self.clock_u
 
     @property
     def increments(self) -> dict[str, bool]:

@@ -17,6 +17,7 @@ from pydantic import AfterValidator, Field, model_validator
 from tumble.earth import NORMAL_GRAVITY_U, normal_gravity
 from tumble.recording.session import (
     AirConditions,
+    AssumedGravity,
     Circumstances,
     Device,
     Exclusion,
@@ -30,19 +31,30 @@ from tumble.recording.session.table import SessionTable, key, name_of, visible
 from tumble.sensors.parameters import prior_of
 from tumble.units import DEGREE, G_STANDARD, TESLA
 
+_MOST_TYPED = 9
+"""Decimals of a number that was typed and not computed, at most."""
 LEAST_GRAVITY_U = 1e-15
 """m/s²: a smaller uncertainty than no gravimeter reaches is zero, or a mistake."""
 UNKNOWN_SITE_GRAVITY_U = 0.03
 """Standard uncertainty of standard gravity as a value of local gravity at an unknown place on Earth, m/s²."""
+UNKNOWN_HEIGHT_GRAVITY_U = 3e-3
+"""Standard uncertainty of normal gravity where the height of the place is not known, m/s²: that of 1000 m."""
 
 _FIELD_ON_EARTH = (1.5e-5, 8e-5)  # T, at the ground: 22 to 67 µT, and magnetic rock
+
+
+def last_digit_u(value: float) -> float:
+    """Standard uncertainty of a number that is rounded to the digits it is written with, uniform over its last one;
+    0 for a number with more digits than anybody types."""
+    decimals = len(repr(value).partition(".")[2])
+    return 0.0 if decimals > _MOST_TYPED else 10.0**-decimals / 12.0**0.5
 
 
 class SiteTable(SessionTable):
     """[site]"""
 
     latitude_deg: float | None = key("a number from -90 to 90", ge=-90, le=90)
-    height_m: float = key("a number from -1000 to 10000 (m)", 0.0, ge=-1000, le=10000)
+    height_m: float | None = key("a number from -1000 to 10000 (m)", ge=-1000, le=10000)
     gravity: float | None = key("a number from 9.7 to 9.9 (m/s^2, on Earth)", ge=9.7, le=9.9)
     gravity_u: float | None = key("a number from 0 to 0.1 (m/s^2)", ge=0, le=0.1)
     gravity_confirmed: bool = key("true or false", False)
@@ -70,18 +82,26 @@ class SiteTable(SessionTable):
             )
 
     def si(self) -> Site:
-        """Where gravity is not stated, it is normal gravity, or of an unknown place the standard one."""
+        """The site in SI. What is not stated is assumed, with the standard uncertainty of what is plausible: gravity
+        without `gravity_u` is known to its last digit; without gravity it is normal gravity, at sea level where the
+        height is not stated; of an unknown place it is standard gravity."""
         latitude = None if self.latitude_deg is None else self.latitude_deg * DEGREE
-        gravity, u = G_STANDARD, UNKNOWN_SITE_GRAVITY_U
+        height = 0.0 if self.height_m is None else self.height_m
+        assumed: AssumedGravity = "nothing"
         if self.gravity is not None:
-            gravity, u = self.gravity, 0.0
-        elif latitude is not None:
-            gravity, u = normal_gravity(latitude, self.height_m), NORMAL_GRAVITY_U
+            gravity, u, assumed = self.gravity, last_digit_u(self.gravity), "digits"
+        elif latitude is None:
+            gravity, u, assumed = G_STANDARD, UNKNOWN_SITE_GRAVITY_U, "place"
+        elif self.height_m is None:
+            gravity, u, assumed = normal_gravity(latitude, height), UNKNOWN_HEIGHT_GRAVITY_U, "height"
+        else:
+            gravity, u = normal_gravity(latitude, height), NORMAL_GRAVITY_U
         return Site(
             latitude=latitude,
-            height=self.height_m,
+            height=height,
             gravity=gravity,
             gravity_u=u if self.gravity_u is None else self.gravity_u,
+            assumed=assumed if self.gravity_u is None else "nothing",
             field=self.field,
             gravity_confirmed=self.gravity_confirmed,
         )
