@@ -1,8 +1,18 @@
-"""The lag of the sensors behind their thermometer, and the spread it leaves in all parameters.
+"""The lags of the sensors behind their thermometers, and the spread they leave in all parameters.
 
-Everything else is linear, or nearly so, once the lag is known, which multiplies the coefficients over temperature: the
-likelihood has several minima over it, where the temperature hardly bends none that Gauss–Newton finds. So the estimate
-holds the likeliest lag, and in the end its probability is summed over a grid: docs/explanation/mathematics.md (35).
+Accelerometers and gyros have a lag each: they may be chips apart from the thermometer and from each other. Everything
+else is linear, or nearly so, once the lags are known, which multiply the coefficients over temperature: the likelihood
+has several minima over a lag, where the temperature hardly bends none that Gauss–Newton finds. So the estimate holds
+the likeliest lags, and in the end the probability of each is summed over a grid: docs/explanation/mathematics.md (35).
+
+The probability of a lag λ is that of the best fit with it,
+
+    p(λ) ∝ exp(−½ S(λ) − √2 |λ|/s)
+
+S being the least sum of squares of rows and priors, and s the usual size, the standard deviation of that prior: most
+thermometers are on the chip, and some are minutes away. How much the coefficients are known by with a lag does not
+enter: else, where nothing depends on the temperature, the likeliest lag would be a large one, with which sensors hardly
+get warmer, and the parameters would be those at a temperature far from any that the sensors had.
 """
 
 from __future__ import annotations
@@ -11,78 +21,153 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import scipy
 
 from tumble.inference.hyperparameters import components_of
+from tumble.inference.integral import coverage_factors
 from tumble.inference.likelihood import Point, Problem
 from tumble.inference.maximum import At, Maximum, likeliest, maximum
 from tumble.inference.noise_components import Components
+from tumble.sensors.parameters import THERMAL, sensor_kind, variable_of
 from tumble.units import Array
 
 LAGS = (-100.0, -25.0, 0.0, 10.0, 25.0, 50.0, 100.0, 200.0, 400.0, 800.0)
 """s: time constants of the sensors behind the thermometer from which the best is sought."""
-LAG_HELD = 1e-3  # s
 _APART = np.concatenate([[0.5], 2.0 ** np.arange(0.0, 10.5)])
 LAGS_ABOUT = np.concatenate([-_APART[::-1], [0.0], _APART])
 """s: from the lag that is held, where its likelihood is taken at first."""
 RESOLVED, HALVINGS = 0.2, 10
 """Largest probability of one lag of a grid that resolves the likelihood, half a standard deviation of a Gaussian from
 the next, and how often steps beside likelier ones are halved at most."""
+VERBOSE = False
 LAG_ROUNDS = 3
-"""Solutions with a lag of which each shows the one before to be wrong, at most."""
+"""Solutions with lags of which each shows the one before to be wrong, at most."""
 
 
-def maximum_with_lag(problem: Problem, at: At, iterations: int) -> tuple[Maximum, Array]:
-    """The maximum with the likeliest lag, which is held, and what is to be added to the covariance (m, m) of the
-    parameters because the lag is not known: with the solutions θ(λ)
+def maximum_with_lags(problem: Problem, at: At, iterations: int) -> tuple[Maximum, Array]:
+    """The maximum with the likeliest lags, which are held, and the covariance (m, m) that they leave.
 
-        C = C(λ) + E[(θ(λ) − E θ)(θ(λ) − E θ)ᵀ]                                                                   (35)
+    Parameters
+    ----------
+    problem
+        The session, with or without lags among its parameters.
+    at
+        The linearisation to begin from.
+    iterations
+        Linearisations at most.
 
-    Where a session hardly shows the lag, its likelihood is no parabola, and mean and spread are not those of the
-    maximum. The lag that is held in the end is its mean."""
-    lag, free = problem.lag, problem
-    if lag is None:
-        return likeliest(problem, at, iterations), np.zeros((len(problem.instrument.names),) * 2)
-    expected, u = (float(values[1 + lag]) for values in problem.measured)
+    Returns
+    -------
+    maximum
+        That with the mean of each lag.
+    covariance
+        What is to be added to the covariance of the parameters because the lags are not known: with the solutions θ(λ)
+        about that with the mean lag, C = C(λ̄) + Σ E[(θ(λ) − θ(λ̄))(θ(λ) − θ(λ̄))ᵀ] over the kinds of sensors. (35)
+    """
+    lags, spread = problem.lags, np.zeros((len(problem.instrument.names),) * 2)
+    if not lags:
+        return likeliest(problem, at, iterations), spread
+    usual = {kind: problem.observations.usual[f"{kind}.lag"] for kind in lags}
 
-    def held(value: float, sizes: Problem, point: Point, near: At) -> tuple[Problem, At]:
-        """The problem with this lag, which is known, and groups of these sizes, linearised at a point with it."""
-        measured, values = (sizes.measured[0].copy(), sizes.measured[1].copy()), point.values.copy()
-        measured[0][1 + lag], measured[1][1 + lag], values[lag] = value, LAG_HELD, value
-        known = replace(free, measured=measured, own_known=sizes.own_known, lag_known=True)
-        return known, At.of(known, replace(point, values=values), near.about, near.noise.kept)
+    def held(values: Array, sizes: Problem, near: At) -> tuple[Problem, At]:
+        """The problem with the lags among values (m,), and the linearisation there."""
+        known = sizes.with_lags(values)
+        return known, At.of(known, replace(near.point, values=values), near.about, near.noise.kept)
 
-    def again(value: float) -> Maximum:
-        return maximum(*held(value, free, fitted.point, fitted.at), fitted.best.phi, iterations)
+    def with_lag(values: Array, kind: str, lag: float) -> Array:
+        out = values.copy()
+        out[lags[kind]] = lag
+        return out
 
-    def solutions(sizes: Problem, components: Components) -> Callable[[Array], tuple[Array, Array]]:
-        def at_lags(lags: Array) -> tuple[Array, Array]:
-            every = [held(value, sizes, fitted.point, fitted.at) for value in lags.tolist()]
-            steps = [near.solved(known, components) for known, near in every]
-            moved_by = np.array([step.parameters for step in steps])
-            moved_by[:, 1 + lag] = lags
-            return np.array([step.deviance for step in steps]) + ((lags - expected) / u) ** 2, moved_by
+    def penalty(kind: str, lag: Array) -> Array:
+        """−2 ln of the prior of a lag."""
+        return np.asarray((lag / usual[kind]) ** 2)
+
+    def again(values: Array) -> Maximum:
+        near = replace(fitted.at, point=fitted.point)
+        return maximum(*held(values, free, near), fitted.best.phi, iterations)
+
+    def solutions(sizes: Problem, components: Components, kind: str) -> Callable[[Array], tuple[Array, Array]]:
+        def at_lags(tried: Array) -> tuple[Array, Array]:
+            near = replace(fitted.at, point=fitted.point)
+            every = [held(with_lag(fitted.point.values, kind, lag), sizes, near) for lag in tried.tolist()]
+            steps = [there.solved(known, components) for known, there in every]
+            found = np.array([np.column_stack([step.covariance, step.parameters]) for step in steps])[:, 1:, 1:]
+            found[:, :, -1] += fitted.point.values
+            found[:, lags[kind], -1] = tried
+            return np.array([step.deviance for step in steps]) + penalty(kind, tried), found
 
         return at_lags
 
-    fitted = likeliest(*held(0.0, free, at.point, at), iterations)
-    free = replace(free, bias_after=fitted.free.bias_after)
-    tried = {0.0}
+    def goodness(fit: Maximum) -> float:
+        """ln of the posterior of φ and the lags."""
+        return float(fit.best.value) - 0.5 * sum(float(penalty(kind, fit.point.values[i])) for kind, i in lags.items())
+
+    fitted = likeliest(*held(at.point.values, problem, at), iterations)
+    free = replace(problem, bias_after=fitted.free.bias_after)
+    tried = {tuple(fitted.point.values[list(lags.values())])}
     for _ in range(LAG_ROUNDS):
-        # by the φ that the lag before has led to, which may hide another one, and by the usual
-        usual = components_of(fitted.entries, fitted.entries.centre)
-        grids = solutions(fitted.problem, fitted.components), solutions(free, usual)
-        every = [resolved(at_lags, np.array(LAGS))[:2] for at_lags in grids]
-        likely = {float(lags[np.argmax(weight / np.gradient(lags))]) for lags, weight in every} - tried
-        maxima = [fitted, *map(again, sorted(likely))]
-        best = max(maxima, key=lambda each: each.best.value - 0.5 * ((each.point.values[lag] - expected) / u) ** 2)
-        tried |= likely
+        # by the φ that the lags before have led to, which may hide others, and by the usual
+        expected = components_of(fitted.entries, fitted.entries.centre)
+        candidates = []
+        for sizes, components in ((fitted.problem, fitted.components), (free, expected)):
+            values = fitted.point.values
+            for kind in lags:
+                grid, weight, _ = resolved(solutions(sizes, components, kind), np.array(LAGS))
+                values = with_lag(values, kind, float(grid[np.argmax(weight / np.gradient(grid))]))
+            key = tuple(values[list(lags.values())])
+            if key not in tried:
+                tried.add(key)
+                candidates.append(values)
+        best = max([fitted, *map(again, candidates)], key=goodness)
         if best is fitted:
             break
         fitted = best
-    at_lags = solutions(fitted.problem, fitted.components)
-    lags, weight, moved_by = resolved(at_lags, fitted.point.values[lag] + LAGS_ABOUT)
-    moved_by -= weight @ moved_by
-    return again(float(weight @ lags)), ((moved_by.T * weight) @ moved_by)[1:, 1:]
+    means, sizes = fitted.point.values.copy(), fitted.problem.measured[1][1:]
+    for kind, i in lags.items():
+        at_lags, own = solutions(fitted.problem, fitted.components, kind), thermal(fitted.problem, kind)
+        grid, weight, found = resolved(at_lags, fitted.point.values[i] + LAGS_ABOUT)
+        prior = np.exp(-0.5 * penalty(kind, grid)) * np.gradient(grid)
+        change = [log_odds_of_change(each[own][:, [*own, -1]], sizes[own]) for each in found]
+        changes = float(scipy.special.expit(scipy.special.logsumexp(change, b=prior / prior.sum())))
+        if VERBOSE: print(kind, "%.0f" % (weight @ grid), "changes %.3f" % changes)
+        means[i] = changes * float(weight @ grid)
+        (held_one,) = at_lags(means[[i]])[1]
+        spread[i, i] = weight @ (grid - means[i]) ** 2
+        others = np.delete(np.arange(len(means)), list(lags.values()))
+        spread[np.ix_(others, others)] += beside(found[:, others][:, :, [*others, -1]], held_one[others][:, [*others, -1]], changes * weight)
+    return again(means), spread
+
+
+def beside(found: Array, held: Array, weight: Array) -> Array:
+    """What a covariance is to be greater by (m, m) where, beside the solution that is held, others have the
+    probabilities `weight` (L,); of each the covariance and the values, (m, m + 1) and (L, m, m + 1). u is half the half
+    width at 95.45 % of the mixture where that is less than its standard deviation, as in the integral."""
+    off, u = (found - held)[:, :, -1], np.sqrt(np.diagonal(found, axis1=1, axis2=2))
+    more = np.tensordot(weight, found[:, :, :-1] - held[:, :-1], axes=1) + (off.T * weight) @ off
+    size = np.sqrt(np.abs(np.diag(more)))
+    value, vectors = np.linalg.eigh(more / np.outer(size, size))
+    more = (vectors * np.maximum(value, 0.0)) @ vectors.T * np.outer(size, size)
+    before, after = np.diag(held), np.diag(held) + np.diag(more)
+    mixed = np.vstack([0.0 * off[0], off]), np.vstack([np.sqrt(before), u])
+    factor = coverage_factors(*mixed, np.append(1.0 - weight.sum(), weight), np.sqrt(after))
+    after = np.minimum(0.5 * factor, 1.0) ** 2 * after
+    share = np.sqrt(np.maximum(after - before, 0.0) / np.maximum(np.diag(more), 1e-300))
+    return np.asarray(more * np.outer(share, share))
+
+
+def thermal(problem: Problem, kind: str) -> list[int]:
+    """Where the coefficients over temperature of a kind of sensor stand among the parameters."""
+    names = problem.instrument.names
+    return [i for i, name in enumerate(names) if sensor_kind(name) == kind and variable_of(name) in THERMAL]
+
+
+def log_odds_of_change(found: Array, sizes: Array) -> float:
+    """ln of the odds that coefficients are as large as is usual rather than zero, where both were as likely beforehand:
+    the density of zero by the prior, of standard deviations `sizes` (k,), over that afterwards, by covariance and
+    values (k, k + 1) (Savage and Dickey)."""
+    covariance, values = found[:, :-1] / np.outer(sizes, sizes), found[:, -1] / sizes
+    return 0.5 * float(values @ np.linalg.solve(covariance, values) + np.linalg.slogdet(covariance)[1])
 
 
 def resolved(at_lags: Callable[[Array], tuple[Array, Array]], lags: Array) -> tuple[Array, Array, Array]:
