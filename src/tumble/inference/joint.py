@@ -13,7 +13,6 @@ limit; so does a combination of them.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 
 import numpy as np
 

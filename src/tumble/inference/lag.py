@@ -3,16 +3,19 @@
 Accelerometers and gyros have a lag each: they may be chips apart from the thermometer and from each other. Everything
 else is linear, or nearly so, once the lags are known, which multiply the coefficients over temperature: the likelihood
 has several minima over a lag, where the temperature hardly bends none that Gauss–Newton finds. So the estimate holds
-the likeliest lags, and in the end the probability of each is summed over a grid: docs/explanation/mathematics.md (35).
+the likeliest lags, and in the end the probability of each lag λ is summed over a grid.
 
-The probability of a lag λ is that of the best fit with it,
+A lag matters as far as anything changes with temperature. Where nothing does, any lag fits, and a large one best: with
+it the sensors have hardly become warmer, and parameters at the temperature of the thermometer would be far from all
+that was observed. So there are two hypotheses, as likely beforehand: the coefficients c over temperature of a kind of
+sensor are of usual size, c ~ N(0, S) and λ ~ N(0, s²), or they are zero. With the solution θ(λ), of covariance C(λ),
+the odds of the first with a lag are those of the density of c = 0 before and after (Savage and Dickey),
 
-    p(λ) ∝ exp(−½ S(λ) − √2 |λ|/s)
+    O(λ) = (|C_c|/|S|)^½ exp(½ cᵀ C_c⁻¹ c),    P = ∫ p(λ) O(λ) dλ / (1 + ∫ p(λ) O(λ) dλ)
 
-S being the least sum of squares of rows and priors, and s the usual size, the standard deviation of that prior: most
-thermometers are on the chip, and some are minutes away. How much the coefficients are known by with a lag does not
-enter: else, where nothing depends on the temperature, the likeliest lag would be a large one, with which sensors hardly
-get warmer, and the parameters would be those at a temperature far from any that the sensors had.
+and with λ̄ = P E λ and the mean over the lags of the first hypothesis (docs/explanation/mathematics.md (35))
+
+    C = (1 − P) C(λ̄) + P E[C(λ) + (θ(λ) − θ(λ̄))(θ(λ) − θ(λ̄))ᵀ]
 """
 
 from __future__ import annotations
@@ -25,7 +28,7 @@ import scipy
 
 from tumble.inference.hyperparameters import components_of
 from tumble.inference.integral import coverage_factors
-from tumble.inference.likelihood import Point, Problem
+from tumble.inference.likelihood import Problem
 from tumble.inference.maximum import At, Maximum, likeliest, maximum
 from tumble.inference.noise_components import Components
 from tumble.sensors.parameters import THERMAL, sensor_kind, variable_of
@@ -39,7 +42,6 @@ LAGS_ABOUT = np.concatenate([-_APART[::-1], [0.0], _APART])
 RESOLVED, HALVINGS = 0.2, 10
 """Largest probability of one lag of a grid that resolves the likelihood, half a standard deviation of a Gaussian from
 the next, and how often steps beside likelier ones are halved at most."""
-VERBOSE = False
 LAG_ROUNDS = 3
 """Solutions with lags of which each shows the one before to be wrong, at most."""
 
@@ -59,10 +61,9 @@ def maximum_with_lags(problem: Problem, at: At, iterations: int) -> tuple[Maximu
     Returns
     -------
     maximum
-        That with the mean of each lag.
-    covariance
-        What is to be added to the covariance of the parameters because the lags are not known: with the solutions θ(λ)
-        about that with the mean lag, C = C(λ̄) + Σ E[(θ(λ) − θ(λ̄))(θ(λ) − θ(λ̄))ᵀ] over the kinds of sensors. (35)
+        That with the lags λ̄.
+    spread
+        By how much the covariance (m, m) of the parameters is greater because the lags are not known.
     """
     lags, spread = problem.lags, np.zeros((len(problem.instrument.names),) * 2)
     if not lags:
@@ -123,19 +124,18 @@ def maximum_with_lags(problem: Problem, at: At, iterations: int) -> tuple[Maximu
         if best is fitted:
             break
         fitted = best
-    means, sizes = fitted.point.values.copy(), fitted.problem.measured[1][1:]
+    means, prior_u = fitted.point.values.copy(), fitted.problem.measured[1][1:]
+    others = np.delete(np.arange(len(means)), list(lags.values()))
     for kind, i in lags.items():
-        at_lags, own = solutions(fitted.problem, fitted.components, kind), thermal(fitted.problem, kind)
+        at_lags, own = solutions(fitted.problem, fitted.components, kind), coefficients(fitted.problem, kind)
         grid, weight, found = resolved(at_lags, fitted.point.values[i] + LAGS_ABOUT)
         prior = np.exp(-0.5 * penalty(kind, grid)) * np.gradient(grid)
-        change = [log_odds_of_change(each[own][:, [*own, -1]], sizes[own]) for each in found]
-        changes = float(scipy.special.expit(scipy.special.logsumexp(change, b=prior / prior.sum())))
-        if VERBOSE: print(kind, "%.0f" % (weight @ grid), "changes %.3f" % changes)
-        means[i] = changes * float(weight @ grid)
-        (held_one,) = at_lags(means[[i]])[1]
+        log_odds = [log_odds_of_change(each[own][:, [*own, -1]], prior_u[own]) for each in found]
+        change = float(scipy.special.expit(scipy.special.logsumexp(log_odds, b=prior / prior.sum())))
+        means[i] = change * float(weight @ grid)
         spread[i, i] = weight @ (grid - means[i]) ** 2
-        others = np.delete(np.arange(len(means)), list(lags.values()))
-        spread[np.ix_(others, others)] += beside(found[:, others][:, :, [*others, -1]], held_one[others][:, [*others, -1]], changes * weight)
+        every, mean = (each[..., others, :][..., [*others, -1]] for each in (found, at_lags(means[[i]])[1][0]))
+        spread[np.ix_(others, others)] += beside(every, mean, change * weight)
     return again(means), spread
 
 
@@ -156,7 +156,7 @@ def beside(found: Array, held: Array, weight: Array) -> Array:
     return np.asarray(more * np.outer(share, share))
 
 
-def thermal(problem: Problem, kind: str) -> list[int]:
+def coefficients(problem: Problem, kind: str) -> list[int]:
     """Where the coefficients over temperature of a kind of sensor stand among the parameters."""
     names = problem.instrument.names
     return [i for i, name in enumerate(names) if sensor_kind(name) == kind and variable_of(name) in THERMAL]
@@ -171,9 +171,9 @@ def log_odds_of_change(found: Array, sizes: Array) -> float:
 
 
 def resolved(at_lags: Callable[[Array], tuple[Array, Array]], lags: Array) -> tuple[Array, Array, Array]:
-    """Lags in ascending order, their probabilities, and what the solutions move gravity and the parameters by
-    (L, 1 + m), of −2 ln likelihood and solutions `at_lags`: those of a first grid, and between them as many as resolve
-    the likelihood, which may be narrow, and steep to one side."""
+    """Lags in ascending order, their probabilities, and the solutions with them
+    (L, …), of −2 ln likelihood and solutions `at_lags`: those of a first grid, and between them as many as resolve the
+    likelihood, which may be narrow, and steep to one side."""
     deviance, moved_by = at_lags(lags)
     for halved in range(HALVINGS + 1):
         weight = np.exp(-0.5 * (deviance - deviance.min())) * np.gradient(lags)

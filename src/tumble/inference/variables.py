@@ -2,10 +2,11 @@
 several sessions, that they are several.
 
 Temperatures are those of the accelerometers and of the gyros, each of which follow their thermometer with a lag of
-their own (docs/explanation/mathematics.md (15), section 12), as means over each rest and each turn: where a ramp turns back within a turn the rests beside it do not say
-how warm it was, and the mean of a square is not the square of a mean. The reference T₀ is the mean of each thermometer
-over the rests, so that T − T₀ is small and a parameter has its value at T₀. Hysteresis is h sgn(Ṫ)(1 − x²), x = −1 … 1
-over the range of the thermometer in the recording: it is nothing where the temperature turns back.
+their own (docs/explanation/mathematics.md (15), section 12), as means over each rest and each turn: where a ramp turns
+back within a turn the rests beside it do not say how warm it was, and the mean of a square is not the square of a mean.
+The reference T₀ is the mean of each thermometer over the rests, so that T − T₀ is small and a parameter has its value
+at T₀. Hysteresis is h sgn(Ṫ)(1 − x²), x = −1 … 1 over the range of the thermometer in the recording: it is nothing
+where the temperature turns back.
 """
 
 from __future__ import annotations
