@@ -13,9 +13,11 @@ the odds of the first with a lag are those of the density of c = 0 before and af
 
     O(λ) = (|C_c|/|S|)^½ exp(½ cᵀ C_c⁻¹ c),    P = ∫ p(λ) O(λ) dλ / (1 + ∫ p(λ) O(λ) dλ)
 
-and with λ̄ = P E λ and the mean over the lags of the first hypothesis (docs/explanation/mathematics.md (35))
+and with λ̄ = P E λ, θ₀ and C₀ of the second hypothesis, and the mean over the lags of the first
 
-    C = (1 − P) C(λ̄) + P E[C(λ) + (θ(λ) − θ(λ̄))(θ(λ) − θ(λ̄))ᵀ]
+    C = (1 − P) [C₀ + (θ₀ − θ(λ̄))(θ₀ − θ(λ̄))ᵀ] + P E[C(λ) + (θ(λ) − θ(λ̄))(θ(λ) − θ(λ̄))ᵀ]
+
+but no less than C(λ̄): docs/explanation/mathematics.md (35).
 """
 
 from __future__ import annotations
@@ -26,11 +28,9 @@ from dataclasses import replace
 import numpy as np
 import scipy
 
-from tumble.inference.hyperparameters import components_of
-from tumble.inference.integral import coverage_factors
+from tumble.inference.integral import conditional, coverage_factors
 from tumble.inference.likelihood import Problem
-from tumble.inference.maximum import At, Maximum, likeliest, maximum
-from tumble.inference.noise_components import Components
+from tumble.inference.maximum import At, Evaluated, Maximum, likeliest, maximum
 from tumble.sensors.parameters import THERMAL, sensor_kind, variable_of
 from tumble.units import Array
 
@@ -70,9 +70,9 @@ def maximum_with_lags(problem: Problem, at: At, iterations: int) -> tuple[Maximu
         return likeliest(problem, at, iterations), spread
     usual = {kind: problem.observations.usual[f"{kind}.lag"] for kind in lags}
 
-    def held(values: Array, sizes: Problem, near: At) -> tuple[Problem, At]:
+    def held(values: Array, near: At) -> tuple[Problem, At]:
         """The problem with the lags among values (m,), and the linearisation there."""
-        known = sizes.with_lags(values)
+        known = free.with_lags(values)
         return known, At.of(known, replace(near.point, values=values), near.about, near.noise.kept)
 
     def with_lag(values: Array, kind: str, lag: float) -> Array:
@@ -85,18 +85,32 @@ def maximum_with_lags(problem: Problem, at: At, iterations: int) -> tuple[Maximu
         return np.asarray((lag / usual[kind]) ** 2)
 
     def again(values: Array) -> Maximum:
-        near = replace(fitted.at, point=fitted.point)
-        return maximum(*held(values, free, near), fitted.best.phi, iterations)
+        return maximum(*held(values, replace(fitted.at, point=fitted.point)), fitted.best.phi, iterations)
 
-    def solutions(sizes: Problem, components: Components, kind: str) -> Callable[[Array], tuple[Array, Array]]:
+    def with_lags(phi: Array, kind: str, tried: Array) -> list[Evaluated]:
+        """The solutions at φ with lags of a kind."""
+        near = replace(fitted.at, point=fitted.point)
+        every = (held(with_lag(fitted.point.values, kind, lag), near) for lag in tried.tolist())
+        return [Evaluated.of(known, fitted.entries, there, phi) for known, there in every]
+
+    def likelihood(phi: Array, kind: str) -> Callable[[Array], tuple[Array, Array]]:
+        """−2 ln of the posterior of lags."""
+
         def at_lags(tried: Array) -> tuple[Array, Array]:
-            near = replace(fitted.at, point=fitted.point)
-            every = [held(with_lag(fitted.point.values, kind, lag), sizes, near) for lag in tried.tolist()]
-            steps = [there.solved(known, components) for known, there in every]
-            found = np.array([np.column_stack([step.covariance, step.parameters]) for step in steps])[:, 1:, 1:]
-            found[:, :, -1] += fitted.point.values
-            found[:, lags[kind], -1] = tried
-            return np.array([step.deviance for step in steps]) + penalty(kind, tried), found
+            value = np.array([each.value for each in with_lags(phi, kind, tried)])
+            return penalty(kind, tried) - 2.0 * value, tried
+
+        return at_lags
+
+    def solutions(kind: str) -> Callable[[Array], tuple[Array, Array]]:
+        """The same at the φ of the maximum, with covariances and values (L, m, m + 1) of the parameters."""
+
+        def at_lags(tried: Array) -> tuple[Array, Array]:
+            every = with_lags(fitted.best.phi, kind, tried)
+            found = [(each.covariance, fitted.point.values + each.step[1:]) for each in map(conditional, every)]
+            value = np.array([each.value for each in every])
+            both = np.array([np.column_stack([C[1:, 1:], values]) for C, values in found])
+            return penalty(kind, tried) - 2.0 * value, both
 
         return at_lags
 
@@ -104,17 +118,16 @@ def maximum_with_lags(problem: Problem, at: At, iterations: int) -> tuple[Maximu
         """ln of the posterior of φ and the lags."""
         return float(fit.best.value) - 0.5 * sum(float(penalty(kind, fit.point.values[i])) for kind, i in lags.items())
 
-    fitted = likeliest(*held(at.point.values, problem, at), iterations)
+    free = problem
+    fitted = likeliest(*held(at.point.values, at), iterations)
     free = replace(problem, bias_after=fitted.free.bias_after)
     tried = {tuple(fitted.point.values[list(lags.values())])}
     for _ in range(LAG_ROUNDS):
-        # by the φ that the lags before have led to, which may hide others, and by the usual
-        expected = components_of(fitted.entries, fitted.entries.centre)
         candidates = []
-        for sizes, components in ((fitted.problem, fitted.components), (free, expected)):
+        for phi in (fitted.best.phi, fitted.entries.centre):  # the first may hide another maximum
             values = fitted.point.values
             for kind in lags:
-                grid, weight, _ = resolved(solutions(sizes, components, kind), np.array(LAGS))
+                grid, weight, _ = resolved(likelihood(phi, kind), np.array(LAGS))
                 values = with_lag(values, kind, float(grid[np.argmax(weight / np.gradient(grid))]))
             key = tuple(values[list(lags.values())])
             if key not in tried:
@@ -127,31 +140,39 @@ def maximum_with_lags(problem: Problem, at: At, iterations: int) -> tuple[Maximu
     means, prior_u = fitted.point.values.copy(), fitted.problem.measured[1][1:]
     others = np.delete(np.arange(len(means)), list(lags.values()))
     for kind, i in lags.items():
-        at_lags, own = solutions(fitted.problem, fitted.components, kind), coefficients(fitted.problem, kind)
+        at_lags, own = solutions(kind), coefficients(fitted.problem, kind)
         grid, weight, found = resolved(at_lags, fitted.point.values[i] + LAGS_ABOUT)
         prior = np.exp(-0.5 * penalty(kind, grid)) * np.gradient(grid)
         log_odds = [log_odds_of_change(each[own][:, [*own, -1]], prior_u[own]) for each in found]
         change = float(scipy.special.expit(scipy.special.logsumexp(log_odds, b=prior / prior.sum())))
         means[i] = change * float(weight @ grid)
         spread[i, i] = weight @ (grid - means[i]) ** 2
-        every, mean = (each[..., others, :][..., [*others, -1]] for each in (found, at_lags(means[[i]])[1][0]))
-        spread[np.ix_(others, others)] += beside(every, mean, change * weight)
+        (held_one,) = at_lags(means[[i]])[1]
+        every = np.vstack([without(held_one, own)[None], found])[:, others][:, :, [*others, -1]]
+        more = greater_by(every, held_one[others][:, [*others, -1]], np.append(1.0 - change, change * weight))
+        spread[np.ix_(others, others)] += more
     return again(means), spread
 
 
-def beside(found: Array, held: Array, weight: Array) -> Array:
-    """What a covariance is to be greater by (m, m) where, beside the solution that is held, others have the
-    probabilities `weight` (L,); of each the covariance and the values, (m, m + 1) and (L, m, m + 1). u is half the half
-    width at 95.45 % of the mixture where that is less than its standard deviation, as in the integral."""
-    off, u = (found - held)[:, :, -1], np.sqrt(np.diagonal(found, axis1=1, axis2=2))
-    more = np.tensordot(weight, found[:, :, :-1] - held[:, :-1], axes=1) + (off.T * weight) @ off
+def without(solution: Array, own: list[int]) -> Array:
+    """A solution, its covariance and its values (m, m + 1), where the parameters at `own` are zero."""
+    return solution - solution[:, own] @ np.linalg.solve(solution[np.ix_(own, own)], solution[own])
+
+
+def greater_by(every: Array, held: Array, weight: Array) -> Array:
+    """By how much the covariance (m, m) of a mixture of solutions is greater than that of the one which is held: of
+    each the covariance and the values, (L, m, m + 1) and (m, m + 1), and the probability (L,). u is half the half width
+    of the mixture at 95.45 % where that is less than its standard deviation, as in the integral, and not less than that
+    of the one that is held."""
+    off, before = (every - held)[:, :, -1], np.diag(held)
+    more = np.tensordot(weight, every[:, :, :-1] - held[:, :-1], axes=1) + (off.T * weight) @ off
     size = np.sqrt(np.abs(np.diag(more)))
+    size[size == 0.0] = 1.0
     value, vectors = np.linalg.eigh(more / np.outer(size, size))
     more = (vectors * np.maximum(value, 0.0)) @ vectors.T * np.outer(size, size)
-    before, after = np.diag(held), np.diag(held) + np.diag(more)
-    mixed = np.vstack([0.0 * off[0], off]), np.vstack([np.sqrt(before), u])
-    factor = coverage_factors(*mixed, np.append(1.0 - weight.sum(), weight), np.sqrt(after))
-    after = np.minimum(0.5 * factor, 1.0) ** 2 * after
+    after = before + np.diag(more)
+    u = np.sqrt(np.maximum(np.diagonal(every, axis1=1, axis2=2), 1e-6 * before))
+    after *= np.minimum(0.5 * coverage_factors(off, u, weight, np.sqrt(after)), 1.0) ** 2
     share = np.sqrt(np.maximum(after - before, 0.0) / np.maximum(np.diag(more), 1e-300))
     return np.asarray(more * np.outer(share, share))
 
