@@ -64,7 +64,7 @@ Regressors = Callable[[Block], Array]
 MICRO_G = 1e-6 * G_STANDARD
 DATA_SHEETS = "data sheets of the class"
 TYPICAL_OF_BOUND = 0.1
-"""Standard deviation at 1 g over the bound that a data sheet states for the whole range: those of 16 chips with
+"""Standard deviation at 1 g over the bound that a data sheet states for the whole range: those of chips with
 bounds of 600 µg/g² and more have some 50."""
 
 
@@ -293,7 +293,7 @@ FURTHER: list[ParameterGroup] = [
         "accel.cubic", "s^4/m^2", "cubic nonlinearity of the accelerometers, K₃", _every_sensor,
         1e-2 / G_STANDARD**2, ((MICRO_G / G_STANDARD**3, "µg/g³"), (1e3 * MICRO_G / G_STANDARD**3, "mg/g³")),
         _grades(10.0, 30.0, 100.0, 100.0, 1e-6 / G_STANDARD**2), _own(OWN_CUBE),
-        source="3011 ± 365 µg/g³ (ADXL355, one axis, both halves of the recording), else unseen in 16 chips",
+        source="3011 ± 365 µg/g³ (ADXL355, one axis, both halves of the recording), else unseen",
     ),
     _group(
         "accel.asymmetry", "1", "difference of the + and − scale factors of the accelerometers, half", _every_sensor,
