@@ -334,9 +334,9 @@ def test_a_ramp_that_turns_back_within_a_turn_is_followed() -> None:
     ends = within[0][turns.first[k]], within[0][turns.last[k]]
     assert within[1][k] > max(ends) + 1.0
     times = observations.rests.stop[turns.first], observations.rests.start[turns.last]
-    one, rests = np.zeros(1, dtype=np.int64), observations.rests
-    offset = np.mean(steep.means(rests.start, rests.stop, one)["temperature"]) - within[0].mean()
-    np.testing.assert_allclose(within[1] + offset, steep.means(*times, one)["temperature"], atol=0.02)
+    block, rests = observations.accel_block, observations.rests
+    offset = np.mean(steep.means(rests.start, rests.stop, block)["temperature"]) - within[0].mean()
+    np.testing.assert_allclose(within[1] + offset, steep.means(*times, block)["temperature"][:, 0], atol=0.02)
 
 
 # -------------------- from logs --------------------
