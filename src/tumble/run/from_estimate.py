@@ -400,8 +400,6 @@ def _of_lags(estimate: Estimate, observations: Observations) -> Iterator[str]:
         kind = sensor_kind(name)
         slopes = [i for i, n in enumerate(estimate.names) if group_name(n) in (f"{kind}.bias.t1", f"{kind}.scale.t1")]
         bias = [i for i, n in enumerate(estimate.names) if group_name(n) == f"{kind}.bias"]
-        if np.all(np.abs(estimate.values[slopes]) < SEEN * estimate.u[slopes]):
-            yield f"the {sensors} are not seen to change with temperature, over {np.ptp(kelvin):.1f} K"
         if np.any(of_lag[bias] > 0.5 * estimate.u[bias] ** 2):
             u = float(estimate.u[estimate.names.index(name)])
             yield (
@@ -409,3 +407,5 @@ def _of_lags(estimate: Estimate, observations: Observations) -> Iterator[str]:
                 f"u of {kind}.bias; let the device warm up before, ramp up and down in one recording, or state "
                 f"{kind}_lag in [device.prior]"
             )
+        elif np.all(np.abs(estimate.values[slopes]) < SEEN * estimate.u[slopes]):
+            yield f"the {sensors} are not seen to change with temperature, over {np.ptp(kelvin):.1f} K"
