@@ -36,7 +36,7 @@ KEYS = (
     *("format", "device", "method", "frame", "parameters", "covariance", "site", "rests", "turns", "fits"),
     *("accel", "gyro", "mag", "outcome", "groups", "hyperparameters", "integral", "process_bias", "budget"),
     *("prediction", "axes", "temperature", "iterations", "sample_rate", "clock_u", "circumstances", "programme"),
-    *("readings", "notes", "absent", "launches", "together", "provenance"),
+    *("readings", "notes", "assumptions", "absent", "launches", "together", "provenance"),
 )
 """Keys of the file in their order; `circumstances` is written as "session"."""
 ORIGIN = ("log_sha256", "software", "created", "prior", "calibrated_log_sha256")
@@ -213,7 +213,7 @@ def parsed(record: type, text: str, name: str, build: Callable[[Any], Calibratio
                 raise ValueError(f"{dotted(key)[:80]}: {size}")
         result = build(adapter_of(record).validate_json(text))
         for key, value in _values(content):
-            plain_wanted = key[:1] not in (("notes",), ("absent",))  # but for notes, of characters that do nothing
+            plain_wanted = key[:1] not in (("notes",), ("assumptions",), ("absent",))  # but for notes, of characters that do nothing
             if isinstance(value, str) and (len(value) > LONGEST_TEXT or (plain_wanted and not is_plain(value))):
                 limits = f"at most {LONGEST_TEXT} characters and no control characters"
                 raise ValueError(f"{dotted(key)[:80]}: expected {limits}, found {shown(value)}")

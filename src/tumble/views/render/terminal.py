@@ -25,10 +25,10 @@ _IN_A_PIPE = 160
 """Width of tables where there is no terminal, characters."""
 
 
-def print_blocks(*blocks: Block) -> None:
-    """Print blocks to standard output, as wide as the terminal; where there is none sentences are not broken. What the
-    output cannot show becomes question marks."""
-    shown = text_of(blocks, shutil.get_terminal_size().columns if sys.stdout.isatty() else None)
+def print_blocks(*blocks: Block, width: int | None = None) -> None:
+    """Print blocks to standard output, as wide as the terminal; where there is none as wide as `width`, without which
+    sentences are not broken. What the output cannot show becomes question marks."""
+    shown = text_of(blocks, shutil.get_terminal_size().columns if sys.stdout.isatty() else width)
     encoding = sys.stdout.encoding or "utf-8"
     click.echo(shown.encode(encoding, "replace").decode(encoding), nl=False)
 

@@ -102,7 +102,8 @@ def _sections(source: ReportedFile, inserted: Sequence[Section], key: str) -> It
     calibration, recordings = source.calibration, recording.recordings(source.calibration)
     yield result.result(calibration)
     yield from inserted
-    yield notes(*further.remarks(calibration), *calibration.provenance.notes)
+    known = calibration.provenance
+    yield notes(*further.remarks(calibration), *known.assumptions, *known.notes)
     yield from annexes(calibration, key)
     yield result.unknown(calibration)
     yield from (recording.noise(each) for each in recordings)

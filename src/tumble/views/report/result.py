@@ -23,7 +23,7 @@ from tumble.result.further import (
     verdicts,
 )
 from tumble.result.parts import Parameter
-from tumble.result.unaided import unaided_lines
+from tumble.result.unaided import improvement
 from tumble.views.blocks import Block, Facts, Items, Section, Table, Text, Tone, section, table
 from tumble.views.calibration import group_table, launch_table, unknown_blocks
 from tumble.views.numbers import (
@@ -55,7 +55,7 @@ _MOST_LARGE, _MOST_WITH_WORDS = 9, 12
 def result(calibration: Calibration) -> Section:
     """Verdict and remarks, what the calibration gains in a minute without aid, parameters with U, and what corrected
     readings are known to."""
-    sentences = (*calibration.outcome.remarks, *unaided_lines(calibration))
+    sentences = (*improvement(calibration), *calibration.outcome.remarks)
     listed = [Items(items=tuple(f"{each[0].upper()}{each[1:]}" for each in sentences))] if sentences else []
     return section("Result", *verdict_blocks(calibration), *listed, *value_blocks(calibration))
 
