@@ -159,9 +159,7 @@ def _known_in(registry: str, session: Session, frame: Frame, *, several: bool) -
 
 
 @contextmanager
-def _session_of(
-    logs: Sequence[Path], given: Given, *, every: bool
-) -> Iterator[tuple[Sequence[Path], tuple[str, ...]]]:
+def _session_of(logs: Sequence[Path], given: Given, *, every: bool) -> Iterator[tuple[Sequence[Path], tuple[str, ...]]]:
     """The folder of a session made of a log, and what is in doubt of how it was read; it is there no more where the
     block fails. `every` sentence on the log is said where that is wanted."""
     from tumble.drafting.new_session import written_session

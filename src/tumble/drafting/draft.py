@@ -17,9 +17,8 @@ from tumble.recording.session import Session
 from tumble.recording.session_file import session_of
 from tumble.recording.text.dialect import DIALECT_KEYS
 
-
 _DOUBT = re.compile(
-    r"a guess|too near to be sure|no data sheet|would fit too|is the unit right|alone will be calibrated|cannot be calib"
+    r"a guess|too near to be sure|no data sheet|would fit too|unit right|alone will be calibrated|cannot be calibrated"
 )
 """Words of sentences that are no more than likely, or have consequences for the result."""
 

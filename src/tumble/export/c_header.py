@@ -59,8 +59,7 @@ def c_header(calibration: Calibration) -> Exported:
     warm = bool(changing(calibration)) and calibration.reference_temperature is not None
     lag = compensator.lag if warm else 0.0
     held = HELD | (HELD_AT if warm else frozenset()) | ({"temperature.lag"} if lag else frozenset())
-    digits = "the functions in float have 7 digits; use those in double where that matters"
-    losses = notes_of(calibration, held=held, see_to=[digits])
+    losses = notes_of(calibration, held=held)
     comments = [*origin(calibration), *_worked(compensator, known)]
     if warm:
         measured = measured_range(calibration)

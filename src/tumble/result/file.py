@@ -39,6 +39,8 @@ KEYS = (
     *("readings", "notes", "assumptions", "absent", "launches", "together", "provenance"),
 )
 """Keys of the file in their order; `circumstances` is written as "session"."""
+_SENTENCES = (("notes",), ("assumptions",), ("absent",))
+"""Keys of sentences, which may have any characters; all other texts have those that do nothing."""
 ORIGIN = ("log_sha256", "software", "created", "prior", "calibrated_log_sha256")
 """Fields of `Provenance` that the file has in its table "provenance"."""
 
@@ -213,7 +215,7 @@ def parsed(record: type, text: str, name: str, build: Callable[[Any], Calibratio
                 raise ValueError(f"{dotted(key)[:80]}: {size}")
         result = build(adapter_of(record).validate_json(text))
         for key, value in _values(content):
-            plain_wanted = key[:1] not in (("notes",), ("assumptions",), ("absent",))  # but for notes, of characters that do nothing
+            plain_wanted = key[:1] not in _SENTENCES
             if isinstance(value, str) and (len(value) > LONGEST_TEXT or (plain_wanted and not is_plain(value))):
                 limits = f"at most {LONGEST_TEXT} characters and no control characters"
                 raise ValueError(f"{dotted(key)[:80]}: expected {limits}, found {shown(value)}")

@@ -27,7 +27,7 @@ from tumble.units import DEGREE, G_STANDARD, Array
 
 USUAL_RATE = 100.0 * DEGREE
 """rad/s, where a calibration does not say how fast its turns were."""
-_UP = np.concatenate([np.eye(3), directions()])
+_UP = np.concatenate([np.eye(3), directions(1000)])
 UP = np.concatenate([_UP, -_UP])
 """Unit vectors (N, 3) over the sphere, each with its opposite."""
 
@@ -69,13 +69,15 @@ def linear_model(calibration: Calibration, kind: SensorKind, held: Container[str
         return model
     if kind == "accel":  # Eq. (1)
         design = np.column_stack([G_STANDARD * UP, np.ones(len(UP))])
-        solution = np.linalg.lstsq(design, readings_at(whole, kind, G_STANDARD * UP, np.zeros_like(UP)))[0]
+        readings = readings_at(whole, kind, G_STANDARD * UP, np.zeros_like(UP))
+        solution = np.asarray(np.linalg.lstsq(design, readings)[0], dtype=float)
         return SensorModel(matrix=solution[:3].T, bias=solution[3])
     at_rest = whole.compensator.gyro_coefficients[:, CONSTANT]  # Eq. (2)
     rates = session_rate(calibration) * np.concatenate([UP / 3.0, UP / 1.5, UP])[:, [1, 2, 0]]
     force = G_STANDARD * np.tile(UP, (3, 1))
     both = 0.5 * (readings_at(whole, kind, force, rates) + readings_at(whole, kind, -force, rates))
-    return SensorModel(matrix=np.linalg.lstsq(rates, both - at_rest)[0].T, bias=at_rest)
+    matrix = np.asarray(np.linalg.lstsq(rates, both - at_rest)[0], dtype=float).T
+    return SensorModel(matrix=matrix, bias=at_rest)
 
 
 def errors_left(

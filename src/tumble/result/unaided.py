@@ -113,7 +113,8 @@ def improvement(calibration: Calibration) -> tuple[str, ...]:
     lines = ["; ".join(parts)] if parts else []
     if (both := unaided(calibration)) is not None and len(accepted) == len(both):
         changes = (("tilt", _ANGLES), ("heading", _ANGLES), ("position", _LENGTHS))
-        said = (f"{name} {_change(*(getattr(each, name) for each in both), units)}" for name, units in changes)
+        first, last = both
+        said = (f"{name} {_change(getattr(first, name), getattr(last, name), units)}" for name, units in changes)
         lines.append(f"after {SECONDS:.0f} s without aid: {', '.join(said)}")
     return tuple(lines)
 

@@ -86,8 +86,8 @@ def calibration_blocks(
         Calibrations of the same sessions by other methods.
     every
         Show all parameters, tables of groups, rests, turns and fits, and all remarks and notes. Without it there are
-        the accepted parameters of the linear model, a row a group where nothing is compared, and as many of MOST_REMARKS
-        remarks as leave room for the whole on MOST_LINES lines.
+        the accepted parameters of the linear model, where nothing is compared a row a group, and as many remarks, of
+        MOST_REMARKS, as leave room for the whole on MOST_LINES lines.
     budget
         Show what every u is made of.
     file
