@@ -133,7 +133,7 @@ def calibration_blocks(
     lines += without_expanded(parameters)
     following = next_commands(calibration, file)
     taken = len(text_of([*blocks, Items(items=(*lines, "")), *following], WIDTH).splitlines())
-    return [*blocks, Items(items=(*lines, *_fitting(remarks_of(calibration), MOST_LINES - taken + 1))), *following]
+    return [*blocks, Items(items=(*lines, *_fitting(calibration, MOST_LINES - taken))), *following]
 
 
 MOST_LINES, WIDTH, MOST_REMARKS = 24, 100, 3
@@ -152,24 +152,23 @@ def next_commands(calibration: Calibration, file: FilePath) -> list[str]:
     """The commands that a calibration is for, or that show why it is none."""
     name = shlex.quote(str(file))
     if accepted_kinds(calibration):
-        return [f"next: tumble export {name} --to json -o imu.json (tumble export --help: other programs)"]
+        return [f"next: tumble export {name} --to json -o imu.json (other programs: --help)"]
     if not calibration.evidence.rests:
         return ["next: tumble inspect SESSION (what moved, and what would be a rest)"]
     return ["next: tumble inspect SESSION (the rests and turns that were found), or --all (what they give)"]
 
 
-def _fitting(remarks: Sequence[str], room: int) -> list[str]:
-    """The first remarks, at most MOST_REMARKS and at least one, that fit on so many lines, and how many more there
-    are."""
-    shown = list[str]()
+def _fitting(calibration: Calibration, room: int) -> list[str]:
+    """The first remarks, at most MOST_REMARKS and at least one, that fit on so many lines, and in a further line what
+    else --all shows."""
+    remarks, notes, shown = remarks_of(calibration), calibration.provenance.notes, list[str]()
     for remark in remarks[:MOST_REMARKS]:
-        more = len(remarks) > len(shown) + 1
-        lines = text_of([Items(items=(*shown, f"remark: {remark}", *[""] * more))], WIDTH).splitlines()
-        if shown and len(lines) > room:
+        if shown and len(text_of([Items(items=(*shown, f"remark: {remark}"))], WIDTH).splitlines()) > room:
             break
         shown.append(f"remark: {remark}")
-    hidden = len(remarks) - len(shown)
-    return [*shown, *([f"{hidden} more remark{'s' * (hidden > 1)}, and all tables: --all"] if hidden else [])]
+    hidden = {"remark": len(remarks) - len(shown), "note": len(notes)}
+    counted = [f"{count} {what}{'s' * (count > 1)}" for what, count in hidden.items() if count]
+    return [*shown, f"more with --all: {', '.join([*counted, 'all tables'])}"]
 
 
 def _usable(calibration: Calibration, parameters: Iterable[Parameter]) -> tuple[Parameter, ...]:
