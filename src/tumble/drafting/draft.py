@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,11 +15,6 @@ from tumble.recording.readers import KeptLog
 from tumble.recording.session import Session
 from tumble.recording.session_file import session_of
 from tumble.recording.text.dialect import DIALECT_KEYS
-
-_DOUBT = re.compile(
-    r"a guess|too near to be sure|no data sheet|would fit too|unit right|alone will be calibrated|cannot be calibrated"
-)
-"""Words of sentences that are no more than likely, or have consequences for the result."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -63,11 +57,6 @@ class Draft:
     def guessed(self) -> bool:
         """Whether anything is: a unit or a time."""
         return bool(self.times.rivals) or any(sensors.unit is None for sensors in self.triads.values())
-
-    @property
-    def doubts(self) -> tuple[str, ...]:
-        """Those of `said` that a user should look at before the result is used."""
-        return tuple(sentence for sentence in self.said if _DOUBT.search(sentence))
 
     def unit(self, kind: str) -> str | None:
         """The unit of sensors that their names say."""
