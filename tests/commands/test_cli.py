@@ -624,7 +624,7 @@ def test_quiet_leaves_results_reasons_and_errors(sessions: Path) -> None:
 
 
 def test_a_log_is_calibrated_without_a_session(sessions: Path) -> None:
-    """As through `tumble new`; how it was read is kept, and said with --all. A log that cannot be used leaves nothing."""
+    """As through `tumble new`; how it was read is said with --all. A log that cannot be used leaves nothing."""
     log = shutil.copy(sessions / "one/log.parquet", sessions / "mine.parquet")
     done = run("calibrate", log, "--latitude", "56.84", "--serial", "A-7", "--terms", "linear", "--json", "--all")
     assert done.exit_code == 0, done.stderr

@@ -339,9 +339,9 @@ def test_every_parameter_is_printed_with_its_u(full: Calibration) -> None:
 def test_what_was_assumed_of_the_log_is_said_once_where_the_result_is_read(full: Calibration) -> None:
     doubt = "gyros in 83 counts per deg/s, as on no data sheet"
     for every in (False, True):
-        lines = lines_of(calibration_blocks(full.with_assumptions([doubt]), every=every))
+        lines = lines_of(calibration_blocks(with_fields(full, assumptions=(doubt,)), every=every))
         assert lines.count(f"remark: {doubt}") == 1
-    assert doubt in full.with_assumptions([doubt]).table()
+    assert doubt in with_fields(full, assumptions=(doubt,)).table()
 
 
 def test_of_a_refused_session_no_numbers_are_printed_and_the_next_command_looks_at_it(full: Calibration) -> None:

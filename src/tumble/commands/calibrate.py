@@ -107,7 +107,7 @@ def calibrate(
         len(sessions) == 1 and sessions[0].is_file() and sessions[0].suffix != ".toml"
     )
     made = _session_of(sessions, ask.given_of(options), every=shown["every"])
-    with made if is_log else nullcontext((sessions, ())) as (folders, doubts), tell.estimating() as progress:
+    with made if is_log else nullcontext(sessions) as folders, tell.estimating() as progress:
         described = [read_session(folder).without(without or ()) for folder in folders]
         if together:
             from tumble.run.together import calibrate_together
@@ -122,7 +122,6 @@ def calibrate(
 
                 calibrated = partial(calibrate_launches, described)
             results = [calibrated(method=each, progress=progress, **estimation) for each in methods]
-        results = [each.with_assumptions(doubts) for each in results]
         result, *others = results
         target = out or Path(described[0].name) / "calibration.json"
         result.write(target, force=force)
@@ -159,9 +158,9 @@ def _known_in(registry: str, session: Session, frame: Frame, *, several: bool) -
 
 
 @contextmanager
-def _session_of(logs: Sequence[Path], given: Given, *, every: bool) -> Iterator[tuple[Sequence[Path], tuple[str, ...]]]:
-    """The folder of a session made of a log, and what is in doubt of how it was read; it is there no more where the
-    block fails. `every` sentence on the log is said where that is wanted."""
+def _session_of(logs: Sequence[Path], given: Given, *, every: bool) -> Iterator[Sequence[Path]]:
+    """The folder of a session made of a log, of which `every` sentence is said where that is wanted; it is there no
+    more where the block fails."""
     from tumble.drafting.new_session import written_session
     from tumble.files import nothing_left
 
@@ -183,9 +182,10 @@ def _session_of(logs: Sequence[Path], given: Given, *, every: bool) -> Iterator[
         )
         for sentence in draft.said if every else ():
             tell.say(sentence)
-        file = folder / "session.toml"
-        tell.say(f"kept in {file}")
-        yield [folder], (*faults, *(f"{doubt}; if that is wrong, correct {file}" for doubt in draft.doubts))
+        for fault in faults:
+            tell.warn(f"look at this: {fault}")
+        tell.say(f"kept in {folder / 'session.toml'}")
+        yield [folder]
 
 
 @click.command(

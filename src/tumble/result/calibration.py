@@ -167,11 +167,6 @@ class Calibration(Mapping[str, Parameter]):
         low, high = max(map(min, by_sensor)), min(map(max, by_sensor))
         return (low, high) if low <= high else None
 
-    def with_assumptions(self, assumptions: Sequence[str]) -> Calibration:
-        """The calibration with further sentences on what was taken for granted, before those that it has."""
-        every = (*assumptions, *self.provenance.assumptions)
-        return replace(self, provenance=replace(self.provenance, assumptions=every))
-
     def as_launch(self, session: str) -> Launch:
         """This calibration of one session as one of the launches behind a mean, with the name of the session."""
         return Launch(
