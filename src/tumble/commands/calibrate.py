@@ -132,7 +132,7 @@ def calibrate(
         known = truth_at(true, result.reference_temperature, partial(reference_of_parameter, result))
     tell.show(
         result.content() | ({"others": [other.content() for other in others]} if others else {}),
-        lambda: calibration_blocks(result, known, others, file=target, **shown),
+        lambda: calibration_blocks(result, known, others, file=target, session=described[0].name, **shown),
         width=None if shown["every"] else WIDTH,
     )
     tell.say(f"written to {target}")

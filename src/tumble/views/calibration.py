@@ -72,6 +72,7 @@ def calibration_blocks(
     every: bool = False,
     budget: bool = False,
     file: FilePath = "calibration.json",
+    session: FilePath = "SESSION",
 ) -> list[Block]:
     """What `tumble calibrate` prints: the verdict, what the calibration improves, the parameters, remarks, and the next
     command.
@@ -90,8 +91,8 @@ def calibration_blocks(
         MOST_REMARKS, as leave room for the whole on MOST_LINES lines.
     budget
         Show what every u is made of.
-    file
-        Where the calibration is written, for the next command.
+    file, session
+        Where the calibration is written and what it is of, for the next command.
     """
     parameters, whole = calibration.parameters, calibration.evidence
     parameters = parameters if every else _usable(calibration, linear_parameters(parameters))
@@ -131,7 +132,7 @@ def calibration_blocks(
         lines += [gravity_said(site)] if site is not None and not site.gravity_is_unit else []
         return [*blocks, Items(items=(*lines, *without_expanded(parameters), *calibration.provenance.notes))]
     lines += without_expanded(parameters)
-    following = next_commands(calibration, file)
+    following = next_commands(calibration, file, session)
     taken = len(text_of([*blocks, Items(items=(*lines, "")), *following], WIDTH).splitlines())
     return [*blocks, Items(items=(*lines, *_fitting(calibration, MOST_LINES - taken))), *following]
 
@@ -143,19 +144,18 @@ MOST_LINES, WIDTH, MOST_REMARKS = 24, 100, 3
 def remarks_of(calibration: Calibration) -> tuple[str, ...]:
     """What a user should do something about, the most harmful first: residuals that the model does not explain, what
     was assumed of the log and the place, and what priors decide."""
-    decided = decided_by_priors(calibration)
-    assumed = calibration.provenance.assumptions
+    decided, assumed = decided_by_priors(calibration), calibration.provenance.assumptions
+    if not accepted_kinds(calibration):  # only how the log was read may be why
+        assumed = tuple(sentence for sentence in assumed if sentence.startswith("doubt"))
     return (*calibration.outcome.remarks, *assumed, *([decided] if decided is not None else []))
 
 
-def next_commands(calibration: Calibration, file: FilePath) -> list[str]:
+def next_commands(calibration: Calibration, file: FilePath, session: FilePath) -> list[str]:
     """The commands that a calibration is for, or that show why it is none."""
-    name = shlex.quote(str(file))
+    name, recording = shlex.quote(str(file)), shlex.quote(str(session))
     if accepted_kinds(calibration):
         return [f"next: tumble export {name} --to json -o imu.json (other programs: --help)"]
-    if not calibration.evidence.rests:
-        return ["next: tumble inspect SESSION (what moved, and what would be a rest)"]
-    return ["next: tumble inspect SESSION (the rests and turns that were found), or --all (what they give)"]
+    return [f"next: tumble inspect {recording} (the rests and turns that were found)"]
 
 
 def _fitting(calibration: Calibration, room: int) -> list[str]:
