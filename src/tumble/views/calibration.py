@@ -154,7 +154,7 @@ def next_commands(calibration: Calibration, file: FilePath, session: FilePath) -
     """The commands that a calibration is for, or that show why it is none."""
     name, recording = shlex.quote(str(file)), shlex.quote(str(session))
     if accepted_kinds(calibration):
-        return [f"next: tumble export {name} --to json -o imu.json (other programs: --help)"]
+        return [f"next: tumble export {name} --to json -o imu.json (others: --help)"]
     return [f"next: tumble inspect {recording} (the rests and turns that were found)"]
 
 

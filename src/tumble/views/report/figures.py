@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tumble.inference.estimate import FIT_SIGMAS
-from tumble.result.accepted import accepted_kinds
+from tumble.result.accepted import WORDS, accepted_kinds
 from tumble.result.calibration import Calibration
-from tumble.result.further import KINDS, linear_parameters
+from tumble.result.further import linear_parameters
 from tumble.result.linear_fit import session_rate
 from tumble.result.parts import RestResult, TurnResult
 from tumble.sensors.parameters import group_name, sensor_kind, within_kind
@@ -117,12 +117,9 @@ def farthest_from(found: Array) -> float:
 def before_and_after(name: str, calibration: Calibration) -> str:
     """The error of a reading at 1 g, and at the rate of the session, that each parameter makes before the calibration,
     and its standard uncertainty afterwards."""
-    rate = session_rate(calibration)
-    kinds = [kind for kind in ("accel", "gyro") if kind in accepted_kinds(calibration)]
-    shown = {
-        kind: [p for p in linear_parameters(calibration.parameters) if sensor_kind(p.name) == kind] for kind in kinds
-    }
-    height = 0.5 + 0.15 * max(map(len, shown.values()))
+    rate, known = session_rate(calibration), [p for p in linear_parameters(calibration.parameters) if p.u]
+    shown = {kind: [p for p in known if sensor_kind(p.name) == kind] for kind in accepted_kinds(calibration)}
+    kinds = [kind for kind, parameters in shown.items() if parameters]
 
     def draw(figure: Figure) -> None:
         for axes, kind in zip(figure.subplots(1, len(kinds), squeeze=False)[0], kinds, strict=True):
@@ -130,20 +127,19 @@ def before_and_after(name: str, calibration: Calibration) -> str:
             worth = [1.0 if within_kind(group_name(p.name)) == "bias" else full for p in shown[kind]]
             before = np.array([abs(p.value) * w for p, w in zip(shown[kind], worth, strict=True)])
             after = np.array([(p.u or 0.0) * w for p, w in zip(shown[kind], worth, strict=True)])
-            size, per = engineering(unit, float(np.median(before)))
-            rows = -np.arange(len(before))
+            (size, per), rows = engineering(unit, float(np.median(before))), -np.arange(len(before))
             axes.hlines(rows, after / size, before / size, color=FAINT, linewidth=2.0)
             axes.plot(before / size, rows, "o", color=GREY, markersize=4, label="before: the error")
-            axes.plot(after / size, rows, "o", color=COLOURS[kind == "gyro"], markersize=4, label="after: u")
-            axes.set_xscale("log")
+            axes.plot(after / size, rows, "o", color=COLOURS[kind == "gyro"], markersize=4, label=f"after: u, {kind}")
+            where = "in 1 g" if kind == "accel" else f"at {rate / DEGREE:.2g} °/s"
+            axes.set(xscale="log", xlabel=per, title=f"{WORDS[kind]}, {where}")
+            axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
             axes.set_yticks(rows, [within_kind(p.name) for p in shown[kind]])
-            axes.set(
-                xlabel=per, title=f"{KINDS[kind]}, {'in 1 g' if kind == 'accel' else f'at {rate / DEGREE:.2g} °/s'}"
-            )
             axes.grid(axis="x", color=FAINT, linewidth=0.5)
-            axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.06), ncols=2)
+        handles = {label: h for axes in figure.axes for h, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+        figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=3)
 
-    return drawn(name, PAGE, height, draw)
+    return drawn(name, PAGE, 0.8 + 0.15 * max(map(len, shown.values())), draw)
 
 
 def residuals(name: str, rests: Sequence[RestResult], turns: Sequence[TurnResult]) -> str:

@@ -24,6 +24,7 @@ from tumble.result.further import (
 )
 from tumble.result.parts import Parameter
 from tumble.result.unaided import improvement
+from tumble.sensors.parameters import sensor_kind
 from tumble.views.blocks import Block, Facts, Figure, Items, Section, Table, Text, Tone, section, table
 from tumble.views.calibration import group_table, launch_table, unknown_blocks
 from tumble.views.numbers import (
@@ -58,7 +59,8 @@ def result(calibration: Calibration, name: str) -> Section:
     what corrected readings are known to."""
     sentences = (*improvement(calibration), *calibration.outcome.remarks)
     blocks: list[Block] = [Items(items=tuple(f"{each[0].upper()}{each[1:]}" for each in sentences))]
-    if accepted_kinds(calibration) and any(p.u for p in linear_parameters(calibration.parameters)):
+    usable = accepted_kinds(calibration)
+    if any(p.u and sensor_kind(p.name) in usable for p in linear_parameters(calibration.parameters)):
         caption = (
             "What each parameter makes a reading wrong by: before the calibration, as it is (grey), and afterwards, "
             "by its standard uncertainty (colour)."
