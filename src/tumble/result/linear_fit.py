@@ -27,9 +27,8 @@ from tumble.units import DEGREE, G_STANDARD, Array
 
 USUAL_RATE = 100.0 * DEGREE
 """rad/s, where a calibration does not say how fast its turns were."""
-_UP = np.concatenate([np.eye(3), directions(1000)])
-UP = np.concatenate([_UP, -_UP])
-"""Unit vectors (N, 3) over the sphere, each with its opposite."""
+UP, DENSE = (np.concatenate([half, -half]) for half in (directions(), np.concatenate([np.eye(3), directions(1000)])))
+"""Unit vectors (N, 3) over the sphere, each with its opposite: for a fit, and for the largest error."""
 
 
 def session_rate(calibration: Calibration) -> float:
@@ -42,7 +41,7 @@ def readings_at(calibration: Calibration, kind: SensorKind, force: Array, rate: 
     """Readings (N, n), SI, by the whole model at specific forces (N, 3), m/s², and rates (N, 3), rad/s."""
     block, K = calibration.compensator.sensors(kind)
     assert block is not None
-    return np.asarray(np.einsum("npb,pb->np", functions(block, force, rate), K))
+    return np.asarray(np.einsum("npb,pb->np", functions(block, force, rate), K, optimize=True))
 
 
 def linear_model(calibration: Calibration, kind: SensorKind, held: Container[str] = ()) -> SensorModel:
@@ -93,9 +92,9 @@ def errors_left(
     correct
         What is made of readings (N, n): vectors (N, 3).
     """
-    rate = np.zeros_like(UP) if kind == "accel" else session_rate(calibration) * UP[:, [1, 2, 0]]
-    true = G_STANDARD * UP if kind == "accel" else rate
-    readings = readings_at(_without(calibration, held), kind, G_STANDARD * UP, rate)
+    rate = np.zeros_like(DENSE) if kind == "accel" else session_rate(calibration) * DENSE[:, [1, 2, 0]]
+    true = G_STANDARD * DENSE if kind == "accel" else rate
+    readings = readings_at(_without(calibration, held), kind, G_STANDARD * DENSE, rate)
     return np.asarray(np.linalg.norm(correct(readings) - true, axis=1))
 
 
