@@ -52,14 +52,14 @@ _MOST_ROWS = 25
 
 
 def json_file(calibration: Calibration) -> Exported:
-    """The .json file of a calibration: the device, what a reading is, and the correction with its formula."""
+    """The .json file of a calibration: what a reading is, and the correction with its formula."""
+    models(calibration)  # that there are some
     content, held = content_of(calibration), {group.name for group in groups() if group.variable in THERMAL}
     losses = notes_of(calibration, held=held)
     about = ["y: readings in SI, (raw - offset) / scale of the columns in readings", *origin(calibration), *losses]
-    kept = {key: content[key] for key in ("device", "frame", "readings", "temperature", "correction", "provenance")}
-    return Exported(
-        content=(json.dumps({"about": about} | kept, indent=1, ensure_ascii=False) + "\n").encode(), losses=losses
-    )
+    kept = {key: content[key] for key in ("frame", "readings", "temperature", "correction", "provenance")}
+    text = json.dumps({"about": about} | kept, indent=1, ensure_ascii=False)
+    return Exported(content=f"{text}\n".encode(), losses=losses)
 
 
 def csv_table(calibration: Calibration) -> Exported:
