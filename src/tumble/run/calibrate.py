@@ -51,8 +51,6 @@ METHODS: Mapping[str, Estimator] = {
     "joint": joint,
     "ellipsoid": _imported("ellipsoid", "ellipsoid"),
 }
-WITH_ALL_TERMS = ("joint", "ellipsoid")
-"""Those whose result has groups of parameters beyond bias, scale factor and axis angles; others have them in u."""
 ITERATED_METHODS: Mapping[str, Callable[..., Estimate]] = {
     name: _imported("paper.four_stages", name) for name in ("sequential", "scalar")
 }
@@ -85,7 +83,8 @@ def calibrate(
     frame
         Frame of the result: `accelerometer`, `paper`, `symmetric` or `case`.
     terms
-        `full`, or `linear` for bias, scale factor and axis angles alone, by the methods `joint` and `ellipsoid`.
+        Of the method `joint`: `full`, or `linear` for bias, scale factor and axis angles alone, as all others have
+        them, with what else is usual in u.
     without
         Numbers from 1 of rests to leave out, beside those that the session excludes.
     prior
@@ -137,7 +136,6 @@ def calibrate(
         raise InputError("prior: expected the method joint with all terms, which takes one, found another")
     if frame != "accelerometer":
         Convention(frame=frame, block=given.accel_block)
-    terms = terms if method in WITH_ALL_TERMS else "linear"
     made = _calibrated(given, method, estimator, frame, terms, progress, prior)
     if not given.excluded:
         return made
@@ -295,15 +293,11 @@ def estimated(
             of_clock, budget = np.outer(change, change), estimate.budget
             budget = None if budget is None else budget.beside(source("clock", relative, "1"), of_clock)
             estimate = replace(estimate, covariance=estimate.covariance + of_clock, budget=budget)
-        if terms == "linear" or estimate.method != "joint":
+        if linear_joint or estimate.method != "joint":
             from tumble.diagnosis import linear_model
-        if linear_joint:
-            estimate = linear_model.with_lost_samples(estimate, observations)
-            estimate = linear_model.with_left_out_by_joint(estimate, observations)
-        if terms == "linear":
-            estimate, said = linear_model.linear_part(estimate)
-            notes += said
-        elif estimate.method != "joint":
+
+            if linear_joint:
+                estimate = linear_model.with_left_out_by_joint(estimate, observations)
             notes += linear_model.taken_as_nothing(estimate)
         elif prior is not None:
             estimate, said = with_prior(estimate, observations, prior, reference_of(observations))
