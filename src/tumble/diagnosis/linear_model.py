@@ -212,6 +212,29 @@ def with_left_out(estimate: Estimate, found: LeftOut, gravity: float) -> Estimat
     )
 
 
+def linear_part(estimate: Estimate) -> Estimate:
+    """The bias, scale factor and axis angles of an estimate that takes other groups as nothing, whose part stays in
+    their covariance."""
+    instrument = estimate.instrument
+    if instrument is None:
+        return estimate
+    m = instrument.linear_count
+    return replace(
+        estimate,
+        names=estimate.names[:m],
+        units=estimate.units[:m],
+        values=estimate.values[:m],
+        covariance=estimate.covariance[:m, :m],
+        observable=estimate.observable[:m],
+        null=estimate.null[:, :m],
+        increments=tuple(step[:m] for step in estimate.increments),
+        instrument=replace(instrument, further=()),
+        groups=(),
+        degrees=None if estimate.degrees is None else estimate.degrees[:m],
+        budget=None if estimate.budget is None else estimate.budget.carried(np.eye(m, len(estimate.names))),
+    )
+
+
 def taken_as_nothing(estimate: Estimate) -> tuple[str, ...]:
     """That groups are nothing in an estimate of the linear model and in its u by their size, as a note."""
     if not estimate.groups:

@@ -83,8 +83,7 @@ def calibrate(
     frame
         Frame of the result: `accelerometer`, `paper`, `symmetric` or `case`.
     terms
-        Of the method `joint`: `full`, or `linear` for bias, scale factor and axis angles alone, as all others have
-        them, with what else is usual in u.
+        `full`, or `linear` for bias, scale factor and axis angles alone, with what else is usual in their u.
     without
         Numbers from 1 of rests to leave out, beside those that the session excludes.
     prior
@@ -299,6 +298,7 @@ def estimated(
             if linear_joint:
                 estimate = linear_model.with_left_out_by_joint(estimate, observations)
             notes += linear_model.taken_as_nothing(estimate)
+            estimate = linear_model.linear_part(estimate) if terms == "linear" else estimate
         elif prior is not None:
             estimate, said = with_prior(estimate, observations, prior, reference_of(observations))
             notes += said
