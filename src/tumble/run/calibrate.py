@@ -37,7 +37,7 @@ from tumble.sensors.grades import guessed_grade
 from tumble.sensors.parameters import Terms, poorer, prior_sizes
 
 _LOG = logging.getLogger(__name__)
-Method = Literal["joint", "sequential", "scalar", "ellipsoid"]
+Method = Literal["joint", "sequential", "scalar", "scalar-nominal", "ellipsoid"]
 DEFAULT_METHOD: Method = "joint"
 Estimator = Callable[[Observations], Estimate]
 
@@ -52,7 +52,7 @@ METHODS: Mapping[str, Estimator] = {
     "ellipsoid": _imported("ellipsoid", "ellipsoid"),
 }
 ITERATED_METHODS: Mapping[str, Callable[..., Estimate]] = {
-    name: _imported("paper.four_stages", name) for name in ("sequential", "scalar")
+    name: _imported("paper.four_stages", name.replace("-", "_")) for name in ("sequential", "scalar", "scalar-nominal")
 }
 """The pipelines of the paper, which take a number of iterations."""
 
@@ -76,10 +76,10 @@ def calibrate(
     session
         A session or the path of its folder. Without it, give the readings as `accel=…, gyro=…, rate=…`.
     method
-        `joint`, maximum likelihood of all readings; `sequential` and `scalar`, the methods of the paper; `ellipsoid`,
-        accelerometers alone, without attitudes.
+        `joint`, maximum likelihood of all readings; `sequential`, `scalar` and `scalar-nominal`, the methods of the
+        paper, the last in the attitudes of the programme; `ellipsoid`, accelerometers alone, without attitudes.
     iterations
-        Number of passes of `sequential` and `scalar`; default 2.
+        Number of passes of the methods of the paper; default 2.
     frame
         Frame of the result: `accelerometer`, `paper`, `symmetric` or `case`.
     terms
@@ -128,7 +128,7 @@ def calibrate(
     if iterations is not None and method not in ITERATED_METHODS:
         raise InputError(
             f"iterations: expected none with the method {method!r}, which iterates until nothing changes, found "
-            f"{iterations}; only {' and '.join(ITERATED_METHODS)} take a number"
+            f"{iterations}; only {', '.join(ITERATED_METHODS)} take a number"
         )
     estimator: Estimator = known[method] if iterations is None else partial(known[method], iterations=iterations)
     if prior is not None and (method != "joint" or terms != "full"):
