@@ -52,7 +52,9 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 def by_method(folders: list[Path]) -> dict[str, Calibration]:
     sessions = [read_session(folder) for folder in folders]
     return {
-        method: mean_of_launches([Run(session=s, calibration=calibrate(s, method=method, terms="linear")) for s in sessions])
+        method: mean_of_launches(
+            [Run(session=s, calibration=calibrate(s, method=method, terms="linear")) for s in sessions]
+        )
         for method in ("scalar", "sequential")
     }
 
@@ -130,7 +132,9 @@ def test_deviations_from_the_systematic_values_stand_beside_the_totals(
     by_method["scalar"].write(passport)
     sessions = [read_session(folder) for folder in folders]
     sessions = [replace(s, device=replace(s.device, systematic=passport)) for s in sessions]
-    mean = mean_of_launches([Run(session=s, calibration=calibrate(s, method="scalar", terms="linear")) for s in sessions])
+    mean = mean_of_launches(
+        [Run(session=s, calibration=calibrate(s, method="scalar", terms="linear")) for s in sessions]
+    )
     rows = numbers(launch_table(mean, mean.parameters, deviations=True))
     for p in mean.parameters:
         size = shown_units(mean.parameters)[p.name][0]

@@ -18,7 +18,7 @@ from tumble.diagnosis.undetermined import one_attitude
 from tumble.errors import CalibrationError, InputError
 from tumble.files import FilePath
 from tumble.inference.estimate import Estimate, Outcome
-from tumble.inference.hyperparameters import GUESSED, SHEET, STATED
+from tumble.inference.hyperparameters import size_factors
 from tumble.inference.joint import joint
 from tumble.inference.prior import Prior, with_prior
 from tumble.inference.sources import by_time_base, clocked, source
@@ -34,7 +34,7 @@ from tumble.run.observed import Progress, inspected, observations_for_calibratio
 from tumble.sensors.frames import Convention, Frame
 from tumble.sensors.grades import grade as grade_named
 from tumble.sensors.grades import guessed_grade
-from tumble.sensors.parameters import Terms, poorer, prior_sizes
+from tumble.sensors.parameters import Terms, prior_sizes
 
 _LOG = logging.getLogger(__name__)
 Method = Literal["joint", "sequential", "scalar", "scalar-nominal", "ellipsoid"]
@@ -232,24 +232,16 @@ def systematic_of(session: Session) -> Mapping[str, float]:
 
 def with_grade(session: Session, observations: Observations) -> Observations:
     """The observations with what is usual for instruments of the grade of a session's device, sizes of the groups
-    beyond the linear model and of in-run biases, with a note of the grade.
-
-    The factor by which a size may be too small goes by where it is from: a data sheet, a stated grade, or a guessed one
-    whose size is larger in the next poorer grade. A guess between grades of equal sizes cannot be wrong by it."""
+    beyond the linear model and of in-run biases, with a note of the grade."""
     grade, guessed_from = grade_of(session, observations)
     sheet, noise = session.device.prior, grade_named(grade).noise
     usual = prior_sizes(grade, sheet)
-    worse = poorer(grade) if guessed_from else None
-    in_worse = {} if worse is None else prior_sizes(worse)
     said = f"what is not bias, scale or axis angle is taken to be of the size usual for the grade {grade}"
     origin = f", guessed from {guessed_from}; state another as [device] grade" if guessed_from else ""
     return replace(
         observations,
         usual=usual,
-        too_small={
-            name: SHEET if name in sheet else GUESSED if in_worse.get(name, 0.0) > size else STATED
-            for name, size in usual.items()
-        },
+        too_small=size_factors(grade, usual, sheet, guessed=bool(guessed_from)),
         in_run={"accel": noise.accel_instability, "gyro": noise.gyro_instability},
         notes=(*observations.notes, said + origin),
     )
