@@ -166,8 +166,8 @@ def test_increments_add_up_to_the_values_and_measure_the_error_of_the_pass_befor
 
 
 def test_the_orientation_of_the_programme_costs_the_scalar_method_its_first_pass() -> None:
-    """At ±1.5° the first pass errs by some percent with the attitudes of the programme, as the sequential method does to
-    first order, and by a hundred times less with the estimated ones; further passes lead to the same values."""
+    """At ±1.5° the first pass errs by some percent with the attitudes of the programme, as the sequential method does
+    to first order, and by a hundred times less with the estimated ones; further passes lead to the same values."""
     errors = dict[Pipeline, list[Array]]()
     for seed in range(4):
         rng = np.random.default_rng([8, seed])

@@ -141,8 +141,8 @@ class Hyperparameters(tuple[Hyperparameter, ...]):
 def size_factors(
     grade: str, sizes: Mapping[str, float], sheet: Container[str] = (), *, guessed: bool
 ) -> dict[str, float]:
-    """The factor by which each of the sizes of groups in instruments of a grade may be too small: by where it is from,
-    a data `sheet`, or a grade that is stated or guessed. A guess between grades of equal sizes cannot be wrong by it."""
+    """Factors by which the sizes of groups in instruments of a grade may be too small, by where each is from: a data
+    `sheet`, or a grade that is stated or guessed. A guess between grades of equal sizes cannot be wrong by it."""
     worse = poorer(grade) if guessed else None
     in_worse = {} if worse is None else prior_sizes(worse)
     return {

@@ -9,9 +9,9 @@ size. The posterior of each hyperparameter by itself is
 
 with χ² of ν degrees of freedom and y of the variance s² + v, as chance has them in sessions. The size that counts is
 the root mean square of σ, and the size of the prior with which a parameter has the mean over sessions of its variance,
-the mean of 1/(1/λ²s² + 1/v) and what its value differs by with λ. A group about which the
-session says nothing (`SHOWN`) keeps its usual size, as in the integral; each is beside what is expected of all others. An in-run bias is a
-group of as many members as it has states, of which its prior is log-normal about the size of the set-up.
+the mean of 1/(1/λ²s² + 1/v) and what its value differs by with λ. A group about which the session says nothing
+(`SHOWN`) keeps its usual size, as in the integral; each is beside what is expected of all others. An in-run bias is a
+group of as many members as it has states, whose prior is log-normal about the size of the set-up.
 """
 
 from __future__ import annotations

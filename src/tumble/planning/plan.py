@@ -73,9 +73,9 @@ class Requirement:
     """What a wanted accuracy, u rms by group, SI, needs, where u is that with the set-up as it is.
 
     `table_error` and `mounting_error` are the largest tolerances, rad, in the ratio of the set-up, None where they do
-    not matter within `largest_errors`. `rest` is the shortest rest, s, with the programme as it is, infinite where no rest of an hour
-    is enough; `positions` the number of positions with the rests as they are, None where MOST_ADDED more are too few.
-    `reason` says why no set-up gives this accuracy; it is empty where one does."""
+    not matter within `largest_errors`. `rest` is the shortest rest, s, with the programme as it is, infinite where no
+    rest of an hour is enough; `positions` the number of positions with the rests as they are, None where MOST_ADDED
+    more are too few. `reason` says why no set-up gives this accuracy; it is empty where one does."""
 
     group: str
     unit: str

@@ -244,8 +244,8 @@ def launch_table(
 
 
 def iteration_table(calibration: Calibration, parameters: Sequence[Parameter]) -> Table:
-    """What every iteration added to every parameter, of several launches the mean, beside the uncertainty, and the later
-    ones in % of the first, as in the paper's Tables 1 to 3."""
+    """What every iteration added to every parameter, of several launches the mean, the later ones also in % of the
+    first, as in the paper's Tables 1 to 3, beside the uncertainty."""
 
     def row(p: Parameter, size: float, unit: str) -> dict[str, str]:
         steps, first = dict[str, str](), calibration.evidence.iterations[0][p.name]
