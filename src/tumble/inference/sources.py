@@ -48,6 +48,7 @@ WORDS: Mapping[str, tuple[str, Evaluation]] = {
     "aliased_apart.scatter": ("jumps of rate between samples of spare gyros", "A"),
     "accel.in_run": ("in-run bias of the accelerometers", "A"),
     "gyro.in_run": ("in-run bias of the gyros", "A"),
+    "passes": ("what further passes of the method would change", "B"),
     "fit": ("noise and scatter, by the residuals of the fit", "A"),
     "mag.fit": ("noise and scatter of the magnetometer, by the residuals of its fit", "A"),
     "within launches": ("what each launch knows of itself", "A"),
