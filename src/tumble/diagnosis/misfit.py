@@ -31,7 +31,8 @@ from tumble.inference.estimate import Estimate, HyperparameterEstimate
 from tumble.inference.likelihood import Linearised, SessionSpan
 from tumble.inference.noise_components import REST_MODES, SCATTER, Components
 from tumble.reduction.observations import Observations
-from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD
+from tumble.sensors.parameters import group_name, group_of, shown_in
+from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, two_digits
 
 NAMED_PROBABILITY, LOST_PROBABILITY = 0.02, 0.05
 """A cause is named for scatter that is there where chance alone would show as much less often, and samples are taken
@@ -47,6 +48,8 @@ NOTHING = {"accel": 5e-6 * G_STANDARD, "gyro": 0.02 * DEGREE_PER_HOUR, "turn": 2
 BEYOND_USUAL = 3.0
 """Times what is usual of the grade: an in-run bias or a drift that is larger for certain, by the lower limit of its
 middle 68 %, is said; and so is the in-run bias of a sensor, beside those of its kind."""
+WIDENED = 10.0
+"""Times its usual size: a group whose prior is widened by more at the maximum is said too."""
 TURNS_MORE = 10.0
 """Times: turns that scatter by more than gyros at rest, in parts of their noise, do so for a cause of their own."""
 DAMAGE, SPARED = 3.0, 0.5
@@ -140,6 +143,7 @@ def misfit(estimate: Estimate) -> Misfit | None:
     causes = _causes(session, alone, whole)
     limit = standing_out([p for by in chances for p in by.values()] + [c.probability for by in causes for c in by])
     wandering = list(_wandering(estimate, linearised))
+    unusual = list(_groups_beyond_usual(estimate))
     usual = {h.name.removesuffix("_in_run"): h.usual for h in estimate.hyperparameters}
     known = {group.partition(".")[0] for (group,), cause, _ in wandering if cause != "scale-factor drift"}
     every = [
@@ -149,12 +153,13 @@ def misfit(estimate: Estimate) -> Misfit | None:
     if together is not None:
         named = zip(together.names, every, strict=True)
         every = [found.each(f"{name}: ") for name, found in named if found.reasons or found.remarks]
-    remarks: list[Said] = [(concerns, remark) for concerns, _, remark in wandering]
+    remarks: list[Said] = [(concerns, remark) for concerns, _, remark in (*unusual, *wandering)]
     remarks += (said for found in every[:MOST_SESSIONS] for said in found.remarks)
     if len(every) > MOST_SESSIONS:
         more = len(every) - MOST_SESSIONS
         remarks.append(((), f"{more} more sessions scatter: calibrate them one by one to see by what"))
-    behind = [*(cause for found in every for cause in found.causes), *(cause for _, cause, _ in wandering)]
+    behind = [*(name for _, names, _ in unusual for name in names), *(cause for found in every for cause in found.causes)]
+    behind += (cause for _, cause, _ in wandering)
     joined = Misfit(
         reasons=tuple(said for found in every for said in found.reasons),
         remarks=tuple(remarks),
@@ -264,6 +269,30 @@ def _larger(group: Group, ratio: float, linearised: Linearised) -> str:
     return f"{said}{AT_RANDOM}"
 
 
+def _groups_beyond_usual(estimate: Estimate) -> Iterator[tuple[tuple[str], tuple[str, ...], str]]:
+    """Groups of parameters beyond the linear model that are far larger than usual, but for drifts: the kind of sensors
+    that has them, their names, and a remark."""
+    sizes = {h.name: h for h in estimate.hyperparameters}
+    by_kind = dict[str, dict[str, str]]()
+    for finding in estimate.groups:
+        group, size = group_of(finding.name), sizes.get(finding.name)
+        if size is None or group.variable == "time":
+            continue
+        if _beyond(size) or finding.prior_widened > WIDENED:
+            members = [i for i, name in enumerate(estimate.names) if group_name(name) == group.name]
+            largest, usual = float(np.abs(estimate.values[members]).max()), finding.prior
+            unit, name = shown_in(group.name, group.unit, largest)
+            by_kind.setdefault(group.kind, {})[group.name] = (
+                f"{group.words} (up to {two_digits(largest / unit)} {name}, usual are {two_digits(usual / unit)} {name})"
+            ).replace(" °", "°")
+    for kind, said in by_kind.items():
+        remark = (
+            f"larger than usual: {', '.join(said.values())}{CONTAINED}; state sizes in [device.prior], or "
+            "another grade, where the device is so, and look for disturbances of the log where it is not"
+        )
+        yield (kind,), tuple(said), remark
+
+
 def _wandering(estimate: Estimate, linearised: Linearised) -> Iterator[tuple[tuple[str], str, str]]:
     """What changes within the session far beyond what is usual, by the sizes that were estimated: drifts of biases and
     of scale factors, in-run biases of kinds of sensors, and of single ones. The group that each concerns, the name of
@@ -279,7 +308,7 @@ def _wandering(estimate: Estimate, linearised: Linearised) -> Iterator[tuple[tup
             name = f"{kind}.{what}.drift"
             drifts[what] = name in by_name and _beyond(by_name[name])
             if drifts[what]:
-                changed = sized(longest * _slope(name, linearised), unit)
+                changed = sized(longest * _slope(name, estimate, linearised), unit)
                 yield (
                     (f"{kind}.{what}",),
                     cause,
@@ -312,11 +341,10 @@ def _beyond(size: HyperparameterEstimate) -> bool:
     return size.low > BEYOND_USUAL * size.usual
 
 
-def _slope(name: str, linearised: Linearised) -> float:
+def _slope(name: str, estimate: Estimate, linearised: Linearised) -> float:
     """The largest change a second of a group of drifts, of the instrument or of the sessions."""
-    problem, point = linearised.problem, linearised.point
+    problem = linearised.problem
     if name in problem.instrument.members:
-        return float(np.abs(point.values[problem.instrument.members[name]]).max())
-    assert problem.own is not None
-    members, first = problem.own.members[name], problem.own.linear_count
-    return float(np.abs(point.own[:, members.start - first : members.stop - first]).max())
+        return float(np.abs(estimate.values[problem.instrument.members[name]]).max())
+    assert estimate.own is not None
+    return float(np.abs(estimate.own.values[:, problem.own_members[name]]).max())

@@ -103,9 +103,7 @@ class Projection:
 def projections(linearised: Linearised, components: Components, rest: Array, turn: Array) -> Iterator[Projection]:
     """Of every session what its unknowns leave of columns of the rests (N, r, c) and turns (K, t, c), SI, with
     components of variance."""
-    problem = _as_large_as_they_are(linearised)
-    rows = with_priors(linearised.rows, problem, linearised.point, linearised.about)
-    rows, noise = _with_norths(linearised, rows)
+    problem, rows, noise = _judged_rows(linearised)
     q, c, p, m = len(problem.own_known), rest.shape[2], len(rows.prior) - 1, len(problem.instrument.names)
     rows = rows.beside(rest, turn)
     told = tell(problem, rows, noise.weights(components))
@@ -148,10 +146,17 @@ class Remaining:
 
     @staticmethod
     def of(linearised: Linearised, components: Components) -> Remaining:
-        """What is left of all rows."""
-        problem, (rows, noise) = linearised.problem, _with_norths(linearised, linearised.rows)
+        """What is left of all rows, beside priors of groups as wide as these are large."""
+        problem, rows, noise = _judged_rows(linearised)
         step = solve(problem, rows, noise.weights(components))
         return Remaining(step=step, left=left(problem, step))
+
+
+def _judged_rows(linearised: Linearised) -> tuple[Problem, Rows, Noise]:
+    """The problem, the rows with its priors, and their noise, by which residuals and causes are judged."""
+    problem = _as_large_as_they_are(linearised)
+    rows, noise = _with_norths(linearised, with_priors(linearised.rows, problem, linearised.point, linearised.about))
+    return problem, rows, noise
 
 
 def _as_large_as_they_are(linearised: Linearised) -> Problem:
