@@ -31,7 +31,7 @@ from tumble.inference.estimate import Estimate, HyperparameterEstimate
 from tumble.inference.likelihood import Linearised, SessionSpan
 from tumble.inference.noise_components import REST_MODES, SCATTER, Components
 from tumble.reduction.observations import Observations
-from tumble.sensors.parameters import group_name, group_of, shown_in
+from tumble.sensors.parameters import group_of, shown_in
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, two_digits
 
 NAMED_PROBABILITY, LOST_PROBABILITY = 0.02, 0.05
@@ -279,12 +279,10 @@ def _groups_beyond_usual(estimate: Estimate) -> Iterator[tuple[tuple[str], tuple
         if size is None or group.variable == "time":
             continue
         if _beyond(size) or finding.prior_widened > WIDENED:
-            members = [i for i, name in enumerate(estimate.names) if group_name(name) == group.name]
-            largest, usual = float(np.abs(estimate.values[members]).max()), finding.prior
-            unit, name = shown_in(group.name, group.unit, largest)
-            by_kind.setdefault(group.kind, {})[group.name] = (
-                f"{group.words} (up to {two_digits(largest / unit)} {name}, usual are {two_digits(usual / unit)} {name})"
-            ).replace(" °", "°")
+            unit, name = shown_in(group.name, group.unit, finding.prior)
+            times, usual = max(size.value, finding.prior_widened), two_digits(finding.prior / unit)
+            said = f"{group.words} (about {times:.2g} times the usual {usual} {name})".replace(" °", "°")
+            by_kind.setdefault(group.kind, {})[group.name] = said
     for kind, said in by_kind.items():
         remark = (
             f"larger than usual: {', '.join(said.values())}{CONTAINED}; state sizes in [device.prior], or "
