@@ -144,21 +144,22 @@ def samples_held(observations: Observations) -> Cause | None:
     )
 
 
-def turns_to_blame(linearised: Linearised, alone: Remaining) -> Remaining:
-    """What is left of residuals where turns alone scatter, by as much as residuals do: lost samples make rotations err,
-    and an estimate may have taken that for rests that scatter. What jerky turns err by, which goes with the axis too,
-    is told by their samples."""
+def turns_to_blame(linearised: Linearised) -> Remaining:
+    """What is left of residuals where turns alone scatter, by as much as residuals do, and groups of parameters are of
+    their usual sizes: lost samples make rotations err, and an estimate may have taken that for rests that scatter, or
+    for groups. What jerky turns err by, which goes with the axis too, is told by their samples."""
     Z, of = linearised.noise.turn_directions
     along, variance = Z[:, :, of == SCATTER.index("turn")], 0.0
     aliased = linearised.components.aliased
-    remaining = Remaining.of(linearised, Components(aliased=aliased)) if aliased > 0.0 else alone
+    remaining = Remaining.of(linearised, Components(aliased=aliased), usual=True)
     for step in range(ROUNDS):
         square = SumOfSquares.along(remaining.step.told.weights.turn @ along, *remaining.left.turn)
         if step == 0:
             variance = square.excess
         elif square.mean > 0.0:
             variance *= square.square / square.mean
-        remaining = Remaining.of(linearised, Components(turn=float(np.sqrt(variance)), aliased=aliased))
+        by_turns = Components(turn=float(np.sqrt(variance)), aliased=aliased)
+        remaining = Remaining.of(linearised, by_turns, usual=True)
     return remaining
 
 

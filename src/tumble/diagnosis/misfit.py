@@ -140,7 +140,7 @@ def misfit(estimate: Estimate) -> Misfit | None:
     alone, whole = Remaining.of(linearised, Components()), Remaining.of(linearised, linearised.components)
     session, together = LinearisedSession(linearised), linearised.problem.observations.together
     chances = [{group: group.chance(linearised, alone, part) for group in GROUPS} for part in linearised.problem.parts]
-    causes = _causes(session, alone, whole)
+    causes = _causes(session, whole)
     limit = standing_out([p for by in chances for p in by.values()] + [c.probability for by in causes for c in by])
     wandering = list(_wandering(estimate, linearised))
     unusual = list(_groups_beyond_usual(estimate))
@@ -168,12 +168,12 @@ def misfit(estimate: Estimate) -> Misfit | None:
     return joined if estimate.method == "joint" else joined.each("by the method joint, ", (AT_RANDOM, CONTAINED))
 
 
-def _causes(session: LinearisedSession, alone: Remaining, whole: Remaining) -> list[list[Cause]]:
+def _causes(session: LinearisedSession, whole: Remaining) -> list[list[Cause]]:
     """Of each session all causes, the most significant first, one of a name and kind of sensor, by what is left of the
     residuals with the noise alone and with the components of variance of the estimate."""
     by_probability = attrgetter("probability")
     by_session = tested(session.linearised, [*candidates_of(session), *of_turns(session, whole)])
-    blamed = turns_to_blame(session.linearised, alone) if any(session.turned) else whole
+    blamed = turns_to_blame(session.linearised) if any(session.turned) else whole
     for s, causes in enumerate(by_session):
         causes += quantisation(session, s)
         lost = [cause for cause in causes if cause.name == "lost samples"]

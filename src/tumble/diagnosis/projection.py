@@ -145,16 +145,20 @@ class Remaining:
     left: Left
 
     @staticmethod
-    def of(linearised: Linearised, components: Components) -> Remaining:
-        """What is left of all rows, beside priors of groups as wide as these are large."""
-        problem, rows, noise = _judged_rows(linearised)
+    def of(linearised: Linearised, components: Components, *, usual: bool = False) -> Remaining:
+        """What is left of all rows, beside priors of groups as wide as these are large, or of `usual` size."""
+        problem, rows, noise = _judged_rows(linearised, usual)
         step = solve(problem, rows, noise.weights(components))
         return Remaining(step=step, left=left(problem, step))
 
 
-def _judged_rows(linearised: Linearised) -> tuple[Problem, Rows, Noise]:
+def _judged_rows(linearised: Linearised, usual: bool = False) -> tuple[Problem, Rows, Noise]:
     """The problem, the rows with its priors, and their noise, by which residuals and causes are judged."""
-    problem = _as_large_as_they_are(linearised)
+    problem = linearised.problem
+    if usual:
+        problem = replace(problem, measured=problem.usual, own_known=problem.own_usual)
+    else:
+        problem = _as_large_as_they_are(linearised)
     rows, noise = _with_norths(linearised, with_priors(linearised.rows, problem, linearised.point, linearised.about))
     return problem, rows, noise
 
