@@ -48,8 +48,9 @@ NOTHING = {"accel": 5e-6 * G_STANDARD, "gyro": 0.02 * DEGREE_PER_HOUR, "turn": 2
 BEYOND_USUAL = 3.0
 """Times what is usual of the grade: an in-run bias or a drift that is larger for certain, by the lower limit of its
 middle 68 %, is said; and so is the in-run bias of a sensor, beside those of its kind."""
-WIDENED = 10.0
-"""Times its usual size: a group whose prior is widened by more at the maximum is said too."""
+LARGER, WIDENED = 5.0, 10.0
+"""Times its usual size: a group of parameters that is larger for certain, by the lower limit of its middle 68 %, is
+said, and one whose prior is widened by more at the maximum."""
 TURNS_MORE = 10.0
 """Times: turns that scatter by more than gyros at rest, in parts of their noise, do so for a cause of their own."""
 DAMAGE, SPARED = 3.0, 0.5
@@ -158,8 +159,8 @@ def misfit(estimate: Estimate) -> Misfit | None:
     if len(every) > MOST_SESSIONS:
         more = len(every) - MOST_SESSIONS
         remarks.append(((), f"{more} more sessions scatter: calibrate them one by one to see by what"))
-    behind = [*(name for _, names, _ in unusual for name in names), *(cause for found in every for cause in found.causes)]
-    behind += (cause for _, cause, _ in wandering)
+    behind = [cause for found in every for cause in found.causes]
+    behind += [*(name for _, names, _ in unusual for name in names), *(cause for _, cause, _ in wandering)]
     joined = Misfit(
         reasons=tuple(said for found in every for said in found.reasons),
         remarks=tuple(remarks),
@@ -278,7 +279,7 @@ def _groups_beyond_usual(estimate: Estimate) -> Iterator[tuple[tuple[str], tuple
         group, size = group_of(finding.name), sizes.get(finding.name)
         if size is None or group.variable == "time":
             continue
-        if _beyond(size) or finding.prior_widened > WIDENED:
+        if size.low > LARGER or finding.prior_widened > WIDENED:
             unit, name = shown_in(group.name, group.unit, finding.prior)
             times, usual = max(size.value, finding.prior_widened), two_digits(finding.prior / unit)
             said = f"{group.words} (about {times:.2g} times the usual {usual} {name})".replace(" °", "°")
