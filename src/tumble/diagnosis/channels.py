@@ -199,7 +199,7 @@ def accelerometer_faults(reduction: Reduction, session: Session) -> list[str]:
         meant = meant @ onto_body(channels.axes[:n]).T
         of_gyros = float(np.median(np.linalg.norm(meant, axis=1)))
         like = _like_gravity(meant)
-        in_a_unit = magnitude < 0.5 * g and fitting_units(of_gyros / of_g, rates)
+        in_a_unit = magnitude < 0.5 * g and bool(fitting_units(of_gyros / of_g, rates))
         if fitting_units(magnitude / of_g, rates):  # as a bias of gyros may: what has many directions is gravity
             in_a_unit = in_a_unit and like and not _like_gravity(force)
         if (is_near_one(of_gyros / g) and like) or in_a_unit:

@@ -284,12 +284,12 @@ def _groups_beyond_usual(estimate: Estimate) -> Iterator[tuple[tuple[str], tuple
             times, usual = max(size.value, finding.prior_widened), two_digits(finding.prior / unit)
             said = f"{group.words} (about {times:.2g} times the usual {usual} {name})".replace(" °", "°")
             by_kind.setdefault(group.kind, {})[group.name] = said
-    for kind, said in by_kind.items():
+    for kind, groups in by_kind.items():
         remark = (
-            f"larger than usual: {', '.join(said.values())}{CONTAINED}; state sizes in [device.prior], or "
+            f"larger than usual: {', '.join(groups.values())}{CONTAINED}; state sizes in [device.prior], or "
             "another grade, where the device is so, and look for disturbances of the log where it is not"
         )
-        yield (kind,), tuple(said), remark
+        yield (kind,), tuple(groups), remark
 
 
 def _wandering(estimate: Estimate, linearised: Linearised) -> Iterator[tuple[tuple[str], str, str]]:

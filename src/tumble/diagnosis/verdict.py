@@ -245,7 +245,7 @@ def time_base_doubted(estimate: Estimate, usual: float) -> tuple[str, ...]:
     if 2.0 * scipy.special.stdtr(degrees * (variance / by_spread) ** 2, -abs(t)) > FALSE_ALARMS:
         return ()
     return (
-        f"the scale factors of the gyros err alike, by {100.0 * mean:+.2g} %, and differ by {100.0 * spread:.2g} %: the "
-        "sample rate or the time stamps are wrong by as much, or the nominal scale of the gyros is, which the session "
-        "does not tell apart; measure the rate by a clock",
+        f"the scale factors of the gyros err alike, by {100.0 * mean:+.2g} %, and differ by {100.0 * spread:.2g} %: "
+        "the sample rate or the time stamps are wrong by as much, or the nominal scale of the gyros is, which the "
+        "session does not tell apart; measure the rate by a clock",
     )

@@ -63,7 +63,7 @@ def unit_doubted(unit: str) -> tuple[str, ...]:
     """What to doubt of the noise of gyros whose unit is a guess, of which "count" and "V" stand for no rate at all."""
     state = "state it by --gyro-unit"
     if unit not in GYRO_UNITS or GYRO_UNITS[unit].kind == "raw":
-        return (f"gyros: the values are those of the numbers of the log taken as deg/s, whose scale is unknown; {state}",)
+        return (f"gyros: their scale is unknown, the values are those of the numbers of the log as deg/s; {state}",)
     sizes = {name: GYRO_UNITS[name].factor / GYRO_UNITS[unit].factor for name in ("rad/s", "deg/s", "mdeg/s")}
     others = " and ".join(f"{size:.3g} times as large in {name}" for name, size in sizes.items() if name != unit)
     return (f"gyros: their unit, {unit}, is a guess; the values would be {others}; {state}",)
