@@ -31,6 +31,7 @@ from tumble.inference.linearisation import linearise
 from tumble.inference.noise_components import Components
 from tumble.inference.step import Step
 from tumble.inference.turns_about import TurnsAbout
+from tumble.rotation import skew
 from tumble.sensors.instrument import functions
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import PAIRS, PRODUCTS, RATE, positions_by_group
@@ -47,6 +48,9 @@ FEWEST_BESIDE = 2
 """Rests on either side of a jump: one alone with another bias is a rest that does not fit."""
 FREE = 0.01
 """Of the variance of a step of a process: the data say nothing of one of which they leave more than 1 − FREE."""
+SHIFTS = 7
+"""Places of a session at which gyros are tried that turn against the accelerometers: one that shifts between two of
+them is seen by either."""
 COARSE = 0.5
 """What rounding does to the mean of a rest, in parts of its noise, from which on it is a cause."""
 
@@ -167,6 +171,8 @@ def candidates_of(session: LinearisedSession) -> Iterator[Candidate]:
                 ),
             )
     yield from products(session)
+    if any(session.turned) and about is not None and gyro is not None:
+        yield from shifts(session, about, gyro)
     modelled = "gyro.cubic" in session.problem.instrument.members
     if any(session.turned) and about is not None and gyro is not None and not modelled:
         yield gyro_nonlinearity(session, about, gyro)
@@ -218,6 +224,38 @@ def jumps(session: LinearisedSession) -> Iterator[Candidate]:
             unit=UNITS[kind],
             sentences=tuple(sentences),
             tried=max(1, most - 2 * FEWEST_BESIDE + 1),
+        )
+
+
+def shifts(session: LinearisedSession, about: TurnsAbout, gyro: Block) -> Iterator[Candidate]:
+    """Gyros that turn against the accelerometers by a small angle δ between two rests, as on a board that is loose, at
+    SHIFTS places of each session: ∂K/∂δ of a gyro of the axis a is a × δ, in the rates of what comes after."""
+    rests, before_turn, n = session.observations.rests, session.problem.before_turn, session.accel.size
+    change = skew(gyro.axes)  # (n, 3, 3): a × e_j, by the components of the rate
+    whole_rest, whole_turn = session.nothing(3)
+    whole_rest[:, n : n + gyro.size] = np.einsum("nb,pbj->npj", session.rate, change)
+    by_phi, by_velocity = (
+        np.einsum("kipb,pbj->kij", by[..., RATE], change) for by in (about.by_phi, about.by_velocity)
+    )
+    whole_turn[:, :3] = by_phi
+    session.put_velocity(whole_turn, by_velocity)
+    for place in range(1, SHIFTS + 1):
+        at_rest, in_turn, sentences = np.zeros(len(rests)), np.zeros(len(before_turn)), list[str]()
+        for part in session.problem.parts:
+            last = part.rests.start + (part.rests.stop - part.rests.start) * place // (SHIFTS + 1)
+            at_rest[last + 1 : part.rests.stop] = 1.0
+            turns = np.arange(part.turns.start, part.turns.stop)
+            in_turn[turns] = 0.5 * (1.0 + np.sign(before_turn[turns] - last))
+            sentences.append(
+                f"the gyros turn against the accelerometers by {{size}} about {rests.stop[last]:z.0f} s, as on a board "
+                "that is loose: fasten it, and calibrate what is before and what is after as launches"
+            )
+        yield Candidate(
+            name="shift",
+            concerns="gyro",
+            columns=(whole_rest * at_rest[:, None, None], whole_turn * in_turn[:, None, None]),
+            unit=(DEGREE, "°"),
+            sentences=tuple(sentences),
         )
 
 
