@@ -233,7 +233,7 @@ def _of_session(
     return Misfit(
         reasons=tuple(reasons),
         remarks=tuple(remarks),
-        causes=tuple(cause.name for cause in named),
+        causes=tuple(name for cause in named for name in (cause.name, *cause.rivals)),
     )
 
 
