@@ -16,6 +16,7 @@ linear model.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -159,7 +160,7 @@ def turns_to_blame(linearised: Linearised) -> Remaining:
     components = Components(aliased=linearised.components.aliased)
     remaining = Remaining.of(linearised, components, usual=True)
     for step in range(ROUNDS):
-        W, scatter = remaining.step.told.weights.turn, dict[str, float]()
+        W, scatter = remaining.step.told.weights.turn, dict[str, Any]()
         for name in names:
             square, before = SumOfSquares.along(W @ along[name], *remaining.left.turn), getattr(components, name)
             variance = square.excess if step == 0 else before**2 * square.square / max(square.mean, LEAST)
