@@ -212,7 +212,8 @@ def _of_session(
     if larger:  # others that may be behind a scatter that is there
         concerned = {"both", *(group.concerns for group in larger)}
         likely = [cause for cause in causes if cause not in named and cause.concerns in concerned]
-        if ratios.get("turn", 0.0) > TURNS_MORE * ratios.get("gyro", 0.0):
+        explained = any(cause.concerns != "accel" for cause in named)
+        if ratios.get("turn", 0.0) > TURNS_MORE * ratios.get("gyro", 0.0) and not explained:
             # what makes turns scatter, and gyros at rest much less, is random itself: nothing systematic need fit it
             sentence = "a device that moved after it was put down, or before it was taken up: wait until it lies still"
             named.append(Cause(name="movement", concerns="gyro", probability=1.0, sentence=sentence))
