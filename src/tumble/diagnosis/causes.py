@@ -48,8 +48,9 @@ FEWEST_BESIDE = 2
 """Rests on either side of a jump: one alone with another bias is a rest that does not fit."""
 FREE = 0.01
 """Of the variance of a step of a process: the data say nothing of one of which they leave more than 1 − FREE."""
-ALIKE = 100.0
-"""Times the probability of the likeliest cause: one up to which may as well be it."""
+ALIKE = 0.8
+"""Of the logarithm of the probability of the likeliest cause: one of as much may as well be it, for the noise by which
+they are compared is not known better."""
 SHIFTS = 7
 """Places of a session at which gyros are tried that turn against the accelerometers: one that shifts between two of
 them is seen by either."""
@@ -160,7 +161,7 @@ def _told_apart(causes: list[Cause], columns: list[IntArray], whole: Projection)
             continue
         more = both.q - alone.q
         chance = whole.chance(both.fall - alone.fall, more, (alone.fall, alone.q)) if more > 0 else 1.0
-        if cause.probability <= ALIKE * best.probability and chance > FALSE_ALARMS:
+        if cause.probability <= best.probability**ALIKE and chance > FALSE_ALARMS:
             damages = {name: max(size, cause.by_group[name]) for name, size in best.by_group.items()}
             sentence = f"{best.sentence}; or, which the session does not tell apart: {cause.sentence}"
             best = replace(best, sentence=sentence, by_group=damages, rivals=(*best.rivals, cause.name))
