@@ -179,7 +179,7 @@ def _causes(session: LinearisedSession, whole: Remaining) -> list[list[Cause]]:
         causes += quantisation(session, s)
         lost = [cause for cause in causes if cause.name == "lost samples"]
         held = samples_held(session.observed[s])
-        if held is None and session.turned[s]:
+        if held is None and session.turned[s] and blamed.step.told.weights.components.turn > NOTHING["turn"]:
             lost.append(lost_in_all_turns(session, s, blamed))
         likely = held or min(lost, key=by_probability, default=None)
         causes[:] = [cause for cause in causes if cause not in lost] + ([likely] if likely is not None else [])
