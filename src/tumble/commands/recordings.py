@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -92,7 +93,7 @@ def noise(
     from tempfile import TemporaryDirectory
 
     from tumble.drafting.new_session import new_session
-    from tumble.run.quiet_samples import is_session, noise_of
+    from tumble.run.quiet_samples import is_session, noise_of, unit_doubted
     from tumble.views.noise import noise_blocks, plot
 
     if all(map(is_session, recordings)):
@@ -110,6 +111,8 @@ def noise(
                 if unit is not None:
                     layout[kind] = {"columns": layout.get(kind, {"columns": []})["columns"], "unit": unit}
             found = noise_of(*recordings, layout=layout)
+            if draft.unit_untold and gyro_unit is None:
+                found = replace(found, doubts=unit_doubted(draft.log["gyro"]["unit"]))
         for sentence in draft.said:
             tell.say(sentence)
     if picture is not None:

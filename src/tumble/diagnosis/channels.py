@@ -198,8 +198,11 @@ def accelerometer_faults(reduction: Reduction, session: Session) -> list[str]:
         meant = (logged - channels.offset[:n]) / channels.scale[:n] * channels.unit.factor
         meant = meant @ onto_body(channels.axes[:n]).T
         of_gyros = float(np.median(np.linalg.norm(meant, axis=1)))
-        in_a_unit = magnitude < 0.5 * g and fitting_units(of_gyros / of_g, rates)
-        if (is_near_one(of_gyros / g) and _like_gravity(meant)) or in_a_unit:
+        like = _like_gravity(meant)
+        in_a_unit = magnitude < 0.5 * g and bool(fitting_units(of_gyros / of_g, rates))
+        if fitting_units(magnitude / of_g, rates):  # as a bias of gyros may: what has many directions is gravity
+            in_a_unit = in_a_unit and like and not _like_gravity(force)
+        if (is_near_one(of_gyros / g) and like) or in_a_unit:
             return [
                 f"accelerometer and gyro columns are exchanged: the accelerometers read {magnitude:.3g} m/s^2 and the "
                 f"gyro columns have the magnitude of gravity; exchange [log.accel] columns and [log.gyro] columns"

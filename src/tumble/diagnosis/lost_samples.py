@@ -15,6 +15,9 @@ linear model.
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 
 from tumble.diagnosis.causes import Candidate, Cause
@@ -32,6 +35,8 @@ from tumble.units import DEGREE, Array
 OF_TURNS = ("gyro.scale", "gyro.axis")
 """Groups of parameters that turns tell."""
 FEWEST_HELD = 3
+LEAST = 1e-12
+"""Of a mean square of residuals in units of their noise: less is none."""
 ROUNDS = 4
 """Of the scatter of turns that are to blame for all."""
 JITTERING = 3e-3
@@ -142,21 +147,24 @@ def samples_held(observations: Observations) -> Cause | None:
     )
 
 
-def turns_to_blame(linearised: Linearised, alone: Remaining) -> Remaining:
-    """What is left of residuals where turns alone scatter, by as much as residuals do: lost samples make rotations err,
-    and an estimate may have taken that for rests that scatter. What jerky turns err by, which goes with the axis too,
-    is told by their samples."""
+def turns_to_blame(linearised: Linearised) -> Remaining:
+    """What is left of residuals where rotations and velocities of turns alone scatter, each by as much as its residuals
+    do, and groups of parameters are of their usual sizes: lost samples make rotations err, and an estimate may have
+    taken that for rests that scatter, or for groups; accelerometers that are late err in velocities, and the rotations
+    must not be blamed for it. What jerky turns err by, which goes with the axis too, is told by their samples."""
     Z, of = linearised.noise.turn_directions
-    along, variance = Z[:, :, of == SCATTER.index("turn")], 0.0
-    aliased = linearised.components.aliased
-    remaining = Remaining.of(linearised, Components(aliased=aliased)) if aliased > 0.0 else alone
+    names = ("turn", "velocity") if linearised.problem.instrument.in_velocities else ("turn",)
+    along = {name: Z[:, :, of == SCATTER.index(name)] for name in names}
+    components = Components(aliased=linearised.components.aliased)
+    remaining = Remaining.of(linearised, components, usual=True)
     for step in range(ROUNDS):
-        square = SumOfSquares.along(remaining.step.told.weights.turn @ along, *remaining.left.turn)
-        if step == 0:
-            variance = square.excess
-        elif square.mean > 0.0:
-            variance *= square.square / square.mean
-        remaining = Remaining.of(linearised, Components(turn=float(np.sqrt(variance)), aliased=aliased))
+        W, scatter = remaining.step.told.weights.turn, dict[str, Any]()
+        for name in names:
+            square, before = SumOfSquares.along(W @ along[name], *remaining.left.turn), getattr(components, name)
+            variance = square.excess if step == 0 else before**2 * square.square / max(square.mean, LEAST)
+            scatter[name] = float(np.sqrt(variance))
+        components = replace(components, **scatter)
+        remaining = Remaining.of(linearised, components, usual=True)
     return remaining
 
 

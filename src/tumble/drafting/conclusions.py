@@ -53,7 +53,9 @@ def completed(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> tupl
         said += of_gyro
     if draft.guessed:
         said.append(_next(best, every, widths))
-    out = replace(draft, content={**draft.content, "log": log}, said=(*draft.said, *said), rate=best.times.rate)
+    untold = best.gyro is not None and best.profile is None and draft.unit(GYRO) != best.gyro.unit
+    content = {**draft.content, "log": log}
+    out = replace(draft, content=content, said=(*draft.said, *said), rate=best.times.rate, unit_untold=untold)
     try:
         faults = list(inspect_session(out.session(), progress=progress).faults)
     except (TumbleError, np.linalg.LinAlgError) as error:

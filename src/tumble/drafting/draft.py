@@ -39,6 +39,8 @@ class Draft:
     """What the gyros read at most in the first rows, some single readings aside."""
     step: float | None = None
     """Of data sheets, °/s, of which the gyros' readings are multiples."""
+    unit_untold: bool = False
+    """Whether the unit of the gyros is a guess that neither their names nor turns confirm."""
     kept: Mapping[Path, KeptLog] = field(default_factory=dict)
     """The files of the log as far as they were read, by their paths."""
 

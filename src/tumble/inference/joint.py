@@ -83,9 +83,11 @@ def _estimate(fitted: Maximum, shown: Posterior, increments: tuple[Array, ...], 
     budget = _budget(fitted, shown, common)
     in_common = np.sum(list(common.values()), axis=0)
     covariance = shown.covariance[1:, 1:] + in_common
+    # what the time base or rounding leave open no further rest or turn would show
+    shown_by_data = (shown.covariance[1:, 1:] + by_lag)[:linear, :linear]
     spread = problem.spread[:linear]
     observable = np.ones(len(values), dtype=bool)
-    observable[:linear] = np.sqrt(np.diag(covariance)[:linear]) < spread / DETERMINED
+    observable[:linear] = np.sqrt(np.diag(shown_by_data)) < spread / DETERMINED
     findings = tuple(_findings(fitted, np.diag(by_lag)))
     for finding in findings:
         observable[instrument.members[finding.name]] = finding.kept
@@ -97,7 +99,7 @@ def _estimate(fitted: Maximum, shown: Posterior, increments: tuple[Array, ...], 
         values=values,
         covariance=covariance,
         observable=observable,
-        null=_undetermined(covariance[:linear, :linear] / np.outer(spread, spread)),
+        null=_undetermined(shown_by_data / np.outer(spread, spread)),
         accel=accel,
         gyro=None if observations.gyro_block is None else problem.gyro_model(values),
         rest_residual=np.linalg.norm(_force(fitted, values), axis=1) - observations.site.gravity,

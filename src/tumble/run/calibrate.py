@@ -15,6 +15,7 @@ import numpy as np
 
 from tumble import __version__
 from tumble.diagnosis.undetermined import one_attitude
+from tumble.diagnosis.verdict import little_used, time_base_doubted
 from tumble.errors import CalibrationError, InputError
 from tumble.files import FilePath
 from tumble.inference.estimate import Estimate, Outcome
@@ -32,14 +33,16 @@ from tumble.result.evidence import Provenance
 from tumble.run.from_estimate import bridged_in, reference_of, result_of, without_result
 from tumble.run.observed import Progress, inspected, observations_for_calibration
 from tumble.sensors.frames import Convention, Frame
+from tumble.sensors.grades import GRADES, guessed_grade
 from tumble.sensors.grades import grade as grade_named
-from tumble.sensors.grades import guessed_grade
 from tumble.sensors.parameters import Terms, prior_sizes
 
 _LOG = logging.getLogger(__name__)
 Method = Literal["joint", "sequential", "scalar", "scalar-nominal", "ellipsoid"]
 DEFAULT_METHOD: Method = "joint"
 Estimator = Callable[[Observations], Estimate]
+NOISIER = 10.0
+"""Times the white noise usual of a grade: no unit of it is as noisy. Of the units of a class it differs by 3."""
 
 
 def _imported(module: str, name: str) -> Callable[..., Estimate]:
@@ -189,6 +192,11 @@ def _calibrated(
                 if made_alone.outcome.accel.accepted and not lost:
                     because = (f"{why}; the accelerometers are estimated alone" for why in made.outcome.gyro.reasons)
                     estimate, made, faults = alone, made_alone, (*because, *faults)
+        made = _with_remarks(made, little_used(observed.segmentation), ())
+        if estimate[0].gyro is not None and not session.log.increments["gyro"]:
+            grade, _ = _ruled_out(session, estimate[1]) or grade_of(session, estimate[1])
+            doubts = time_base_doubted(estimate[0], grade_named(grade).gyro.scale)
+            made = _with_remarks(made, doubts, ("gyro.scale",))
         if session.log.magnetometer is not None:
             from tumble.run.magnetometer import with_magnetometer
 
@@ -212,6 +220,13 @@ def _calibrated(
     return _with_provenance(made, circumstances=observed.circumstances, assumptions=assumptions(session))
 
 
+def _with_remarks(calibration: Calibration, remarks: tuple[str, ...], concerned: tuple[str, ...]) -> Calibration:
+    """The calibration with further remarks, which concern groups of parameters, or all where none is given."""
+    outcome = calibration.outcome
+    concerns = {**outcome.concerns, **(dict.fromkeys(remarks, concerned) if concerned else {})}
+    return replace(calibration, outcome=replace(outcome, remarks=(*outcome.remarks, *remarks), concerns=concerns))
+
+
 def _with_provenance(calibration: Calibration, **changed: Any) -> Calibration:
     """The calibration with changed fields of its provenance."""
     return replace(calibration, provenance=replace(calibration.provenance, **changed))
@@ -232,8 +247,9 @@ def systematic_of(session: Session) -> Mapping[str, float]:
 
 def with_grade(session: Session, observations: Observations) -> Observations:
     """The observations with what is usual for instruments of the grade of a session's device, sizes of the groups
-    beyond the linear model and of in-run biases, with a note of the grade."""
-    grade, guessed_from = grade_of(session, observations)
+    beyond the linear model and of in-run biases, with a note of the grade. A stated grade that the recording rules out
+    gives way to a guessed one."""
+    grade, guessed_from = _ruled_out(session, observations) or grade_of(session, observations)
     sheet, noise = session.device.prior, grade_named(grade).noise
     usual = prior_sizes(grade, sheet)
     said = f"what is not bias, scale or axis angle is taken to be of the size usual for the grade {grade}"
@@ -249,14 +265,34 @@ def with_grade(session: Session, observations: Observations) -> Observations:
 
 def grade_of(session: Session, observations: Observations) -> tuple[str, str]:
     """The grade of a session's device, and what it had to be guessed from in words, nothing where it is stated."""
-    rests = observations.rests
-    if session.device.grade is not None:
-        return session.device.grade, ""
-    accel_white = float(np.median(rests.accel_noise))
-    if not rests.gyro_noise.size:
-        return guessed_grade(accel_white, None)
-    bias = float(np.abs(np.median(rests.gyro, axis=0)).max())
-    return guessed_grade(accel_white, float(np.median(rests.gyro_noise)), bias)
+    return _guessed(observations) if session.device.grade is None else (session.device.grade, "")
+
+
+def _guessed(observations: Observations) -> tuple[str, str]:
+    """The grade by the rests alone, and what it is guessed from in words."""
+    white = _white_noise(observations)
+    if len(white) == 1:
+        return guessed_grade(white["accel"], None)
+    return guessed_grade(white["accel"], white["gyro"], float(np.abs(np.median(observations.rests.gyro, axis=0)).max()))
+
+
+def _white_noise(observations: Observations) -> dict[str, float]:
+    """Typical densities of the noise at rest, SI/√Hz, by kind of sensors."""
+    noises = {"accel": observations.rests.accel_noise, "gyro": observations.rests.gyro_noise}
+    return {kind: float(np.median(noise)) for kind, noise in noises.items() if noise.size}
+
+
+def _ruled_out(session: Session, observations: Observations) -> tuple[str, str] | None:
+    """The guess in place of a stated grade that the recording rules out: a poorer one, where gyros, or accelerometers
+    without any, are NOISIER than those of the stated grade or gyros have biases that none of it has. None where the
+    grade may be right."""
+    stated, (guess, because) = session.device.grade, _guessed(observations)
+    order, white = list(GRADES), _white_noise(observations)
+    if stated is None or order.index(guess) <= order.index(stated):
+        return None
+    kind = "gyro" if "gyro" in white else "accel"
+    noisier = white[kind] > NOISIER * getattr(grade_named(stated).noise, f"{kind}_white")
+    return (guess, because) if noisier or because != "the noise" else None
 
 
 def estimated(
@@ -294,6 +330,12 @@ def estimated(
         elif prior is not None:
             estimate, said = with_prior(estimate, observations, prior, reference_of(observations))
             notes += said
+        if found := _ruled_out(session, observations):
+            remark = (
+                f"[device] grade is {session.device.grade!r}, but by {found[1]} the device is of the grade {found[0]}, "
+                "whose usual sizes are taken: state its grade, or look for what disturbed the recording"
+            )
+            estimate = replace(estimate, remarks=(*estimate.remarks, remark))
     except np.linalg.LinAlgError as error:
         broken = f"the estimate broke down ({error}): the data contradict the model; look at them with `tumble inspect`"
         return Outcome(reasons=(one_attitude(observations) or broken,))

@@ -23,7 +23,7 @@ from tumble.reduction.noise.allan_deviation import allan_deviation, pooled
 from tumble.reduction.noise.filter_values import FilterValue, filter_values
 from tumble.reduction.noise.wavelet_moments import Panel, identify
 from tumble.run.observed import Progress, inspect_session
-from tumble.units import Array
+from tumble.units import GYRO_UNITS, Array
 
 _IN_MEMORY_BYTES = 1 << 26
 _MARGIN = 1e-9  # s, of the ends of a rest
@@ -43,19 +43,30 @@ class QuietRecord:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
 class RecordedNoise(Brief):
-    """Allan deviations and noise coefficients of the accelerometers and of the gyros, the sample rate, Hz, and where
-    they are from in words."""
+    """Allan deviations and noise coefficients of the accelerometers and of the gyros, the sample rate, Hz, where they
+    are from in words, and sentences on what is not sure of them."""
 
-    json_fields: ClassVar = ("source", "rate", "panels", "filters")
+    json_fields: ClassVar = ("source", "rate", "panels", "filters", "doubts")
 
     panels: tuple[Panel, ...]
     rate: float
     source: str
+    doubts: tuple[str, ...] = ()
 
     @property
     def filters(self) -> list[FilterValue]:
         """The values that filters ask for."""
         return filter_values(self.panels, self.rate)
+
+
+def unit_doubted(unit: str) -> tuple[str, ...]:
+    """What to doubt of the noise of gyros whose unit is a guess, of which "count" and "V" stand for no rate at all."""
+    state = "state it by --gyro-unit"
+    if unit not in GYRO_UNITS or GYRO_UNITS[unit].kind == "raw":
+        return (f"gyros: their scale is unknown, the values are those of the numbers of the log as deg/s; {state}",)
+    sizes = {name: GYRO_UNITS[name].factor / GYRO_UNITS[unit].factor for name in ("rad/s", "deg/s", "mdeg/s")}
+    others = " and ".join(f"{size:.3g} times as large in {name}" for name, size in sizes.items() if name != unit)
+    return (f"gyros: their unit, {unit}, is a guess; the values would be {others}; {state}",)
 
 
 def noise_of(*recordings: Session | FilePath, layout: Mapping[str, Any] | None = None) -> RecordedNoise:

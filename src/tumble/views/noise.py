@@ -90,7 +90,7 @@ def noise_blocks(noise: RecordedNoise, *, filters: bool = False) -> list[Block]:
             reasons.setdefault(v.why, []).append(v.filter)
         blocks.append(table(values, words=("filter", "parameter", "unit")))
         blocks += (f"{', '.join(dict.fromkeys(who))}: {why}." for why, who in reasons.items())
-    return blocks
+    return [*blocks, *noise.doubts]
 
 
 def plot(panels: Sequence[Panel], path: Path) -> None:
