@@ -41,9 +41,10 @@ def mixed_rows(reduction: Reduction, log: LogSpec) -> list[str]:
     ]
 
 
-RADIAL = 0.25
-"""Of the noise across gravity: accelerometers whose magnitude is steadier in all attitudes and on the way have it from
-a driver. That of sensors has the same noise along gravity as across, and their errors beside."""
+RADIAL, CONSTANT, LENGTHENS = 0.25, 1e-3, 1e-5
+"""Accelerometers whose magnitude is constant to RADIAL of their noise across gravity and to CONSTANT of itself, in all
+attitudes and on the way, have it from a driver: sensors have the same noise along gravity as across, and their errors
+beside. A vibration v across gravity of raw ones lengthens them by v²/2g, which is told from LENGTHENS of g on."""
 LEAST_FORCE = 1e-9
 """m/s²: of a shorter vector no direction is known."""
 
@@ -56,14 +57,20 @@ def normalised(reduction: Reduction, rests: Sequence[RestSpan], to_body: Array) 
     length = np.linalg.norm(np.concatenate([each.accel.ends for each in reduction.files]) @ to_body.T, axis=1)
     magnitude, files = float(np.median(length)), {each.file: each for each in reduction.files}
     spread = float(np.sqrt(np.mean((length - magnitude) ** 2)))
-    squares = list[float]()
+    squares, lengthened = list[float](), list[float]()
     for rest in rests:
         samples = files[rest.file].accel.ends[rest.first : rest.last] @ to_body.T
         up = samples.mean(axis=0) / max(float(np.linalg.norm(samples.mean(axis=0))), LEAST_FORCE)
-        across = samples - np.outer(samples @ up, up)
-        squares.append(0.5 * float(across.var(axis=0).sum()))
-    noise = float(np.sqrt(np.median(squares)))
-    if spread >= RADIAL * noise:
+        off = samples - samples.mean(axis=0)
+        square = ((off - np.outer(off @ up, up)) ** 2).sum(axis=1)
+        squares.append(0.5 * float(square.mean()))
+        lengthened.append(0.5 * float(square.std()) / max(magnitude, LEAST_FORCE))
+    noise, longer = float(np.sqrt(np.median(squares))), float(np.median(lengthened))
+    limit = CONSTANT * magnitude
+    if longer > LENGTHENS * magnitude:
+        steps = [channel.step for channel in reduction.accel_channels if np.isfinite(channel.step)]
+        limit = min(limit, max([longer, *steps]))
+    if spread >= min(RADIAL * noise, limit):
         return []
     return [
         f"the magnitude of the accelerometers is {magnitude:.6g} m/s^2 at rest and on the way, constant to "
@@ -75,8 +82,8 @@ def normalised(reduction: Reduction, rests: Sequence[RestSpan], to_body: Array) 
 FEWEST_ZEROS, MORE_ZEROS = 5, 3.0
 """Zeros at rest, beyond this number and so many times the values at the most frequent other place, are no chance."""
 PLACES = 200.0
-"""Places between zero and the median of what is read otherwise: counts and pulses, whose intervals jitter, stay in
-one, and a smooth noise has a quarter of a percent in each."""
+"""Places in the middle half of what is read otherwise, or up to the least of it where that is wider: counts and pulses,
+whose intervals jitter, stay in one, and a smooth noise has a quarter of a percent in each."""
 FINE = 3.0
 """Steps of a channel: where what is read otherwise is mostly nearer to zero, coarse resolution makes the zeros."""
 
@@ -98,8 +105,9 @@ def dead_zones(reduction: Reduction, rests: Sequence[RestSpan], channels: Channe
         least = float(anywhere[anywhere > 0.0].min())
         usual, busiest = least, 0
         if len(others):
-            usual = float(np.median(others))
-            busiest = int(np.unique(np.floor(PLACES * others / usual), return_counts=True)[1].max())
+            lower, usual, upper = np.quantile(others, [0.25, 0.5, 0.75]).tolist()
+            place = min(usual, max(upper - lower, float(others.min()))) / PLACES
+            busiest = int(np.unique(np.floor(others / place), return_counts=True)[1].max())
         if usual >= FINE * step and zeros > FEWEST_ZEROS + MORE_ZEROS * busiest:
             found.append(
                 f"column {column!r} reads exactly 0 in {100.0 * zeros / len(sizes):.0f} % of the samples at rest, and "

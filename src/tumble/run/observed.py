@@ -65,6 +65,8 @@ class Observed(Judged):
     gyro_bias_faults: tuple[str, ...] = ()
     recorded: str | None = None
     """When, ISO 8601, by the log's own times."""
+    notes: tuple[str, ...] = ()
+    """What is remarkable in the times of the log, in words."""
 
     @property
     def sha256(self) -> str:
@@ -167,6 +169,7 @@ def inspected(session: Session, progress: Progress, beside: Executor, tuning: Tu
         gyro_faults=tuple(of_gyros),
         gyro_bias_faults=() if faults else segmentation.jumped(),
         recorded=log.recorded,
+        notes=log.notes,
     )
 
 
@@ -190,7 +193,7 @@ def observations_for_calibration(observed: Observed, *, biases_jump: bool = Fals
     if biases_jump and observed.gyro_bias_faults:
         reduction = without_jump(reduction, match, observed.segmentation.jump, observed.session.gyro_block)
     every = _observed_again(observed, reduction, match)
-    every = with_mended_samples(replace(every, notes=(*every.notes, *torn)))
+    every = with_mended_samples(replace(every, notes=(*observed.notes, *every.notes, *torn)))
     spoiled = observed.gyro_faults or (observed.gyro_bias_faults and not biases_jump)
     return every.of_accelerometers() if spoiled else every
 
@@ -203,7 +206,7 @@ def observations_in_parts(observed: Observed) -> tuple[Observations, IntArray] |
     reduction, whole, torn = matched
     match, numbers = in_parts(reduction, whole)
     parts = _observed_again(observed, reduction, match)
-    return held(with_mended_samples(replace(parts, notes=(*parts.notes, *torn)))), numbers
+    return held(with_mended_samples(replace(parts, notes=(*observed.notes, *parts.notes, *torn)))), numbers
 
 
 def _observed_again(observed: Observed, reduction: Reduction, match: Match) -> Observations:

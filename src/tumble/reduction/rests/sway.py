@@ -81,6 +81,8 @@ def sway_of(reduction: Reduction, spans: Sequence[RestSpan]) -> Sway | None:
         variances.append((differences**2).sum(axis=0) / (FOURTH_DIFFERENCES * dt[4:].sum()))
     p, δ = np.concatenate(columns), np.concatenate(forces)
     s, size = np.einsum("ikcj,ikc->ij", p, δ), np.sqrt((p**2).sum(axis=(0, 1, 2)))
+    if not (len(s) and size.all() and np.isfinite(s).all() and np.isfinite(size).all()):
+        return None  # too short, or damaged
     s, p = s / size, p / size
     t, normal = s.sum(axis=0), np.einsum("ikcj,ikcl->jl", p, p)
     if t @ np.linalg.lstsq(s.T @ s, t, rcond=LEAST)[0] <= AGREE:
