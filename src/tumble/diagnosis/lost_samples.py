@@ -15,6 +15,8 @@ linear model.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from tumble.diagnosis.causes import Candidate, Cause, tested
@@ -153,18 +155,20 @@ def samples_held(observations: Observations) -> Cause | None:
 def turns_to_blame(linearised: Linearised, alone: Remaining) -> Remaining:
     """What is left of residuals where turns alone scatter, by as much as residuals do: lost samples make rotations err,
     and an estimate may have taken that for rests that scatter. What jerky turns err by, which goes with the axis too,
-    is told by their samples."""
+    is told by their samples; and velocities scatter as they were found to, for accelerometers that are late by another
+    time in each turn would otherwise bend the parameters, and with them the rotations."""
     Z, of = linearised.noise.turn_directions
     along, variance = Z[:, :, of == SCATTER.index("turn")], 0.0
-    aliased = linearised.components.aliased
-    remaining = Remaining.of(linearised, Components(aliased=aliased)) if aliased > 0.0 else alone
+    estimated = linearised.components
+    beside = Components(velocity=estimated.velocity, jumps=estimated.jumps, aliased=estimated.aliased)
+    remaining = Remaining.of(linearised, beside) if beside.of_turns > 0.0 else alone
     for step in range(ROUNDS):
         square = SumOfSquares.along(remaining.step.told.weights.turn @ along, *remaining.left.turn)
         if step == 0:
             variance = square.excess
         elif square.mean > 0.0:
             variance *= square.square / square.mean
-        remaining = Remaining.of(linearised, Components(turn=float(np.sqrt(variance)), aliased=aliased))
+        remaining = Remaining.of(linearised, replace(beside, turn=float(np.sqrt(variance))))
     return remaining
 
 
