@@ -5,6 +5,7 @@ which unit, scale, offset or columns would make them.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -81,9 +82,9 @@ def normalised(reduction: Reduction, rests: Sequence[RestSpan], to_body: Array) 
 
 FEWEST_ZEROS, MORE_ZEROS = 5, 3.0
 """Zeros at rest, beyond this number and so many times the values at the most frequent other place, are no chance."""
-PLACES = 200.0
-"""Places in the middle half of what is read otherwise, or up to the least of it where that is wider: counts and pulses,
-whose intervals jitter, stay in one, and a smooth noise has a quarter of a percent in each."""
+PLACES, TIGHT, PULSES = 200.0, 20.0, 0.35
+"""Pulses whose intervals jitter stay in one of PLACES between zero and the median of what is read otherwise. They are
+such where so large a part of all is in one of TIGHT of these; of a smooth noise hardly two values are equal."""
 FINE = 3.0
 """Steps of a channel: where what is read otherwise is mostly nearer to zero, coarse resolution makes the zeros."""
 
@@ -105,16 +106,49 @@ def dead_zones(reduction: Reduction, rests: Sequence[RestSpan], channels: Channe
         least = float(anywhere[anywhere > 0.0].min())
         usual, busiest = least, 0
         if len(others):
-            lower, usual, upper = np.quantile(others, [0.25, 0.5, 0.75]).tolist()
-            place = min(usual, max(upper - lower, float(others.min()))) / PLACES
-            busiest = int(np.unique(np.floor(others / place), return_counts=True)[1].max())
+            usual = float(np.median(others))
+            pulses = _most_alike(np.round(TIGHT * others / usual)) > PULSES * len(others)
+            busiest = _most_alike(np.floor(PLACES * others / usual) if pulses else others)
         if usual >= FINE * step and zeros > FEWEST_ZEROS + MORE_ZEROS * busiest:
             found.append(
-                f"column {column!r} reads exactly 0 in {100.0 * zeros / len(sizes):.0f} % of the samples at rest, and "
+                f"column {column!r} reads exactly 0 in {100.0 * zeros / len(sizes):.2g} % of the samples at rest, and "
                 f"never less than {least / DEGREE:.2g} °/s otherwise: a dead zone of the driver, in which biases and "
                 "slow rates are lost; switch it off"
             )
     return found
+
+
+def _most_alike(values: Array) -> int:
+    """How often the most frequent of values is there."""
+    return int(np.unique(values, return_counts=True)[1].max())
+
+
+FADES = 0.5
+"""Part of the squares of what gyros read at rest that goes with the turns before, from which on a filter is named."""
+
+
+def lost_levels(reduction: Reduction, rests: Sequence[RestSpan], lost: int) -> list[str]:
+    """Gyros that read another rate in so many of the rests of the accelerometers. A high-pass filter of time constant τ
+    makes them read −θ/τ after a turn by θ, which fades: what they read at the start of a rest beyond what they read at
+    its end goes against the turn before."""
+    files, starts, turns = {each.file: each for each in reduction.files}, list[Array](), list[Array]()
+    for before, rest in pairwise(rests):
+        f = files[rest.file]
+        if before.file == rest.file:
+            half = max((rest.last - rest.first) // 2, 1)
+            later = f.gyro.means[rest.last - half : rest.last].mean(axis=0)
+            between = slice(before.last, rest.first)
+            starts.append(f.gyro.means[rest.first : rest.first + half].mean(axis=0) - later)
+            turns.append(np.diff(f.edges)[between] @ f.gyro.means[between] - later * (rest.start - before.stop))
+    r, θ = np.array(starts), np.array(turns)
+    said = f"the gyros read another rate in {lost} of {len(rests)} rests of the accelerometers"
+    along = float((r * θ).sum())
+    if along < 0.0 and along**2 > FADES * float((r**2).sum() * (θ**2).sum()):
+        return [
+            f"{said}, against the turn before it, and it fades: a high-pass filter on the chip or in the driver, with "
+            "which slow rates and biases are lost; switch it off"
+        ]
+    return [f"{said}, and why cannot be told: look at the rests with `tumble inspect`"]
 
 
 def channel_faults(reduction: Reduction, log: LogSpec) -> list[str]:

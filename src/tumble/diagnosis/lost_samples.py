@@ -65,7 +65,8 @@ def jittering(observations: Observations) -> str:
         sums = [each[: len(each) // count * count].reshape(-1, count).sum(axis=1) for each in off]
         products = np.concatenate([[0.0], *(each[1:] * each[:-1] for each in sums)])
         if -products.sum() > CLEARLY * np.sqrt((products**2).sum()):
-            jitter = max(jitter, float(np.sqrt(-products.sum() / (len(products) - 1))))
+            jitter = float(np.sqrt(-products.sum() / (len(products) - 1)))
+            break
     return (
         f"; or the time stamps jitter by {1e3 * jitter:.2g} ms: {REGULAR_HINT}" if jitter > JITTERING * interval else ""
     )

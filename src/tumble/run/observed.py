@@ -17,7 +17,14 @@ import numpy as np
 
 from tumble.brief import Judged
 from tumble.diagnosis.carried_vertical import sense_faults
-from tumble.diagnosis.channels import accelerometer_faults, channel_faults, dead_zones, mixed_rows, normalised
+from tumble.diagnosis.channels import (
+    accelerometer_faults,
+    channel_faults,
+    dead_zones,
+    lost_levels,
+    mixed_rows,
+    normalised,
+)
 from tumble.diagnosis.verdict import no_rests
 from tumble.files import FilePath
 from tumble.inference.estimate import Judgement, Outcome
@@ -95,6 +102,8 @@ class Observed(Judged):
         return self.reduction.rate
 
 
+MANY_LOST = 2
+"""Times the rests: so many of the accelerometers that are none by the gyros say that these are at fault."""
 LARGEST_SQUARED = 1e100
 """SI: of larger numbers sums of products are none."""
 
@@ -143,6 +152,12 @@ def inspected(session: Session, progress: Progress, beside: Executor, tuning: Tu
     with np.errstate(over="ignore", invalid="ignore"):  # in a wrong unit, or of damaged samples
         reduction = without_blemishes(reduction)
         segmentation = find_rests(reduction, session.accel_block, session.gyro_block)
+        of_gyros = list[str]()
+        if session.log.gyro is not None and 0 < len(segmentation.rests) < reduction.tuning.level_attitudes:
+            by_accel = find_rests(reduction, session.accel_block, None)
+            lost = len(by_accel.rests) - len(segmentation.rests)
+            if lost > max(MANY_LOST * len(segmentation.rests), reduction.tuning.level_attitudes):
+                segmentation, of_gyros = by_accel, lost_levels(reduction, by_accel.rests, lost)
         faults = faults or normalised(reduction, segmentation.rests, onto_body(session.accel_block.axes))
         segmentation = without_times(reduction, segmentation, session.excluded)
         segmentation = replace(segmentation, stated_rate=session.log.rate)
@@ -153,9 +168,8 @@ def inspected(session: Session, progress: Progress, beside: Executor, tuning: Tu
         if trial is None and not faults:
             trial = _observed(session, reduction, find_rests(reduction, session.accel_block, None).rests)
     if trial is not None and not faults:
-        faults = sense_faults(trial, session, reduction.rate)
-    of_gyros = list[str]()
-    if session.log.gyro is not None and not faults:
+        faults = sense_faults(trial.of_accelerometers() if of_gyros else trial, session, reduction.rate)
+    if session.log.gyro is not None and not faults and not of_gyros:
         of_gyros = dead_zones(reduction, segmentation.rests, session.log.gyro)
     return Observed(
         session=session,

@@ -205,7 +205,9 @@ def reduced_turns(
     bad = bad_samples_of_turns(stored, start, stop, (file_start, file_stop), reduction.rate, least, reduction.tuning)
     samples = TurnSamples(samples=stored, start=start, stop=stop, bad=bad)
     if sway is not None:
-        beside = np.array([[f.size * (span.last - span.first) for span in each] for f, each in zip(files, ends, strict=True)])
+        beside = np.array(
+            [[f.size * (span.last - span.first) for span in each] for f, each in zip(files, ends, strict=True)]
+        )
         ramps = beside.reshape(-1, 2) * (duration > 0.0)[:, None]  # not between the parts of a rest
         duration = duration + 0.5 * (ramps / reduction.rate).sum(axis=1)
         samples = replace(samples, start=start - ramps[:, 0], stop=stop + ramps[:, 1], ramps=ramps)
@@ -219,9 +221,9 @@ def reduced_turns(
         """Covariance (3, 3), in the body, of a mean."""
         return _in_body(block, noise.covariance_of_mean(seconds / block_seconds))
 
-    density = np.array(
-        [T * of_mean(gyro, of_gyro, T) if sway is None else sway.density for T in long]
-    ).reshape(-1, 3, 3)
+    density = np.array([T * of_mean(gyro, of_gyro, T) if sway is None else sway.density for T in long]).reshape(
+        -1, 3, 3
+    )
     density += of_rates / long[:, None, None]
     velocity = np.array([T**2 * np.trace(of_mean(accel, of_accel, T)) / 3.0 for T in long])
     velocity += np.trace(of_forces, axis1=1, axis2=2) / 3.0
