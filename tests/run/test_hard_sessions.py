@@ -170,17 +170,16 @@ def test_normalised_accelerometers_are_a_fault_with_and_without_gyros(hand: Reco
     assert tumble.inspect_session(hand.session()).faults == ()
 
 
-@pytest.mark.parametrize("digits", [2, 3, 6])
+@pytest.mark.parametrize("digits", [3, 6])
 def test_normalised_accelerometers_may_be_rounded(hand: Recorded, digits: int) -> None:
     unit = (9.80665 * hand.accel / np.linalg.norm(hand.accel, axis=1, keepdims=True)).round(digits)
-    shaken = hand.accel + 2.0 * np.random.default_rng(1).standard_normal(hand.accel.shape)
-    (fault,) = tumble.inspect_session(hand.session(accel=unit)).faults if digits > 2 else ("normalised",)
+    (fault,) = tumble.inspect_session(hand.session(accel=unit)).faults
     assert "normalised" in fault
 
 
 @pytest.mark.parametrize("size", [0.05, 0.1, 0.2])
 def test_vibration_across_gravity_is_no_normalisation(hand: Recorded, size: float) -> None:
-    """By a fan, in a direction that is horizontal in every attitude, of m/s² on a table without other errors."""
+    """By a fan, of so many g in a direction that is horizontal in every attitude."""
     across = np.cross(hand.accel, [0.36, 0.48, 0.8])
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     shaken = hand.accel + 9.8 * size * np.sin(2.0 * np.pi * 23.3 * hand.time)[:, None] * across
@@ -188,7 +187,7 @@ def test_vibration_across_gravity_is_no_normalisation(hand: Recorded, size: floa
 
 
 def test_stamps_of_bursts_are_those_of_even_rows(hand: Recorded) -> None:
-    """Ten samples are read at once, up to 20 ms late, and spread over the time since the last ten were; where rows are
+    """Ten samples are read at once, late by about 5 ms, and spread over the time since the last ten; where rows are
     missing the stamps stay as they are."""
     n = len(hand.time) // 10 * 10
     read = hand.time[9:n:10] + 0.005 * np.abs(np.random.default_rng(5).standard_normal(n // 10))

@@ -102,14 +102,10 @@ class Log(Brief):
     def notes(self) -> tuple[str, ...]:
         """What is remarkable in its times, in words."""
         jitter = max(grid.jitter for grid in self._grids)
-        return (
-            ()
-            if jitter == 0.0
-            else (
-                f"time stamps are those of bursts, which were read up to {1e3 * jitter:.2g} ms off: the rows are taken as "
-                "equally spaced",
-            )
+        said = (
+            f"time stamps are those of bursts, read up to {1e3 * jitter:.2g} ms late or early: rows are taken as even"
         )
+        return (said,) if jitter > 0.0 else ()
 
     def chunks(self, rows: int = 65536) -> Iterator[Chunk]:
         """The samples in order, file by file, at most `rows` at a time; together the same to the bit for any

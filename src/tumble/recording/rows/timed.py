@@ -56,6 +56,8 @@ _UNEVEN = 3e-3
 """Of an interval: intervals of bursts that differ by less do no harm."""
 _WITHIN = 0.05
 """Of the scatter of intervals: what neighbours in a burst differ by, at the median."""
+_DIGITS, _OF_ROUNDING = 6, 4
+"""Different intervals, in parts of one to so many decimals, that even rows have whose stamps are rounded."""
 _ABOUT_LINE = 40
 """Bursts, over which the mean distance of stamps from a straight line is taken."""
 _STAYS, _LATE = 0.3, 0.5
@@ -298,9 +300,11 @@ def burst_grid(source: LogSource, spec: LogSpec, head: Array) -> Grid | None:
     where stamps do not stay about one straight line."""
     steps = np.diff(head)
     interval, scatter, changes = float(np.median(steps)), float(np.std(steps)), np.abs(np.diff(steps))
-    if scatter <= _UNEVEN * interval or np.median(changes) > _WITHIN * scatter:
+    different = len(np.unique(np.round(steps / interval, _DIGITS)))
+    if scatter <= _UNEVEN * interval or np.median(changes) > _WITHIN * scatter or different <= _OF_ROUNDING:
         return None
-    window = _ABOUT_LINE * math.ceil(len(head) / max(1, np.count_nonzero(changes > _WITHIN * scatter)))
+    bursts = 1 + int(np.count_nonzero(changes > _WITHIN * scatter))
+    window = _ABOUT_LINE * math.ceil(len(head) / bursts)
     grid, time = regular_grid(source, spec), np.concatenate(list(_stamps(source, spec)))
     off = time - grid.start - grid.interval * np.arange(len(time))
     windows = len(off) // window

@@ -110,7 +110,7 @@ def sway_notes(sway: Sway | None) -> tuple[str, ...]:
     if sway is None:
         return ()
     return (
-        f"the device sways by {sway.angle / DEGREE:.2g}° in its rests, as in the hand; the gyros follow it, so that turns "
-        "are taken from mean attitude to mean attitude; put it down on something firm in each position: everything is "
-        "known better, the biases of the gyros most of all",
+        f"the device sways by {sway.angle / DEGREE:.2g}° in its rests, as in the hand; the gyros follow it, so that "
+        "turns are taken from mean attitude to mean attitude; put it down on something firm in each position: "
+        "everything is known better, the biases of the gyros most of all",
     )

@@ -320,8 +320,8 @@ def turn_readings(
 
 def _carried(samples: TurnSamples, density: Array) -> Array:
     """∫ C N Cᵀ w dt (K, 3, 3), rad², of the turns and the density N (K, 3, 3), rad²/s, of their gyro noise, by the
-    trapezoidal rule over PATH_STEPS steps a piece. With the weights w of a device that sways in place of w² neighbouring
-    turns may be taken as independent, which have the noise of the rest between them in common."""
+    trapezoidal rule over PATH_STEPS steps a piece. Of a device that sways w in place of w² lets neighbouring turns be
+    independent, which have the noise of the rest between them in common."""
     C = np.broadcast_to(np.eye(3), density.shape).copy()
     out = np.zeros_like(density)
     nominal = linear_compensation(_BODY, _BODY.nominal(), _BODY, _BODY.nominal())
