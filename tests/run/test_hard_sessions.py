@@ -206,13 +206,13 @@ def test_stamps_of_bursts_are_those_of_even_rows(hand: Recorded) -> None:
     assert not tumble.inspect_session(torn).notes
 
 
-@pytest.mark.parametrize("constant", [1.0, 5.0])
+@pytest.mark.parametrize("constant", [0.2, 1.0, 5.0])
 def test_gyros_behind_a_high_pass_filter_leave_the_accelerometers(hand: Recorded, constant: float) -> None:
     a = float(np.exp(-np.diff(hand.time).mean() / constant))
     filtered = scipy.signal.lfilter([a, -a], [1.0, -a], hand.gyro - hand.gyro[0], axis=0)
     made = tumble.calibrate(hand.session(gyro=filtered))
     assert (made.outcome.accel.accepted, made.outcome.gyro.accepted) == (True, False)
-    assert "a high-pass filter on the chip or in the driver" in made.outcome.gyro.reasons[0]
+    assert any("a high-pass filter on the chip or in the driver" in reason for reason in made.outcome.gyro.reasons)
     assert np.abs(hand.errors(made)).max() < 4.0
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from tumble.recording.session import Channels, LogSpec, Session
 from tumble.reduction.blocks.reducer import ChannelState, Reduction
 from tumble.reduction.rests.segmentation import RestSpan
-from tumble.rotation import onto_body
+from tumble.rotation import onto_body, unit_vector
 from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, UNIT_TOLERANCE, Array, fitting_units, is_near_one
 
 REST_SHARE = 0.2
@@ -123,32 +123,53 @@ def _most_alike(values: Array) -> int:
     return int(np.unique(values, return_counts=True)[1].max())
 
 
-FADES = 0.5
-"""Part of the squares of what gyros read at rest that goes with the turns before, from which on a filter is named."""
+FADES, RETURNS, TILTED = 0.5, 0.3, 0.5
+"""Part of the squares of what gyros read at rest that goes with the turns before; part of the angle that gyros read in
+a turn that is left in the end, where its vertical was turned by more than TILTED, rad."""
+FEWEST_TURNED = 5
+"""Turns, in which chance shows neither."""
 
 
 def lost_levels(reduction: Reduction, rests: Sequence[RestSpan], lost: int) -> list[str]:
-    """Gyros that read another rate in so many of the rests of the accelerometers. A high-pass filter of time constant τ
-    makes them read −θ/τ after a turn by θ, which fades: what they read at the start of a rest beyond what they read at
-    its end goes against the turn before."""
-    files, starts, turns = {each.file: each for each in reduction.files}, list[Array](), list[Array]()
+    """Gyros that read another rate in so many of the rests of the accelerometers, and a filter that is behind it."""
+    said = f"the gyros read another rate in {lost} of {len(rests)} rests of the accelerometers"
+    return high_passed(reduction, rests) or [f"{said}, and why cannot be told: look at the rests with `tumble inspect`"]
+
+
+def high_passed(reduction: Reduction, rests: Sequence[RestSpan]) -> list[str]:
+    """Gyros behind a high-pass filter of time constant τ. After a turn by θ they read −θ/τ, which fades: what they read
+    at the start of a rest beyond what they read at its end goes against the turn before. Of a turn that lasts longer
+    than τ hardly anything is left in their integral, whatever the vertical was turned by."""
+    files, starts, turns, left = (
+        {each.file: each for each in reduction.files},
+        list[Array](),
+        list[Array](),
+        list[float](),
+    )
     for before, rest in pairwise(rests):
         f = files[rest.file]
-        if before.file == rest.file:
-            half = max((rest.last - rest.first) // 2, 1)
-            later = f.gyro.means[rest.last - half : rest.last].mean(axis=0)
-            between = slice(before.last, rest.first)
-            starts.append(f.gyro.means[rest.first : rest.first + half].mean(axis=0) - later)
-            turns.append(np.diff(f.edges)[between] @ f.gyro.means[between] - later * (rest.start - before.stop))
+        if before.file != rest.file:
+            continue
+        half, between = max((rest.last - rest.first) // 2, 1), slice(before.last, rest.first)
+        later = f.gyro.means[rest.last - half : rest.last].mean(axis=0)
+        angles = np.diff(f.edges)[between, None] * (f.gyro.means[between] - later)
+        starts.append(f.gyro.means[rest.first : rest.first + half].mean(axis=0) - later)
+        turns.append(angles.sum(axis=0))
+        ends = (f.accel.means[span.first : span.last].mean(axis=0) for span in (before, rest))
+        if np.linalg.norm(np.subtract(*map(unit_vector, ends))) > TILTED and len(angles):
+            path = float(np.linalg.norm(angles, axis=1).sum())
+            left.append(float(np.linalg.norm(turns[-1])) / max(path, LEAST_FORCE))
     r, θ = np.array(starts), np.array(turns)
-    said = f"the gyros read another rate in {lost} of {len(rests)} rests of the accelerometers"
     along = float((r * θ).sum())
-    if along < 0.0 and along**2 > FADES * float((r**2).sum() * (θ**2).sum()):
-        return [
-            f"{said}, against the turn before it, and it fades: a high-pass filter on the chip or in the driver, with "
-            "which slow rates and biases are lost; switch it off"
-        ]
-    return [f"{said}, and why cannot be told: look at the rests with `tumble inspect`"]
+    if len(r) >= FEWEST_TURNED and along < 0.0 and along**2 > FADES * float((r**2).sum() * (θ**2).sum()):
+        seen = "at rest the gyros read a rate against the turn before, which fades"
+    elif len(left) >= FEWEST_TURNED and np.median(left) < RETURNS:
+        seen = "in the integral of the gyros next to nothing is left of a turn once it is over"
+    else:
+        return []
+    return [
+        f"{seen}: a high-pass filter on the chip or in the driver, with which slow rates and biases are lost; switch it off"
+    ]
 
 
 def channel_faults(reduction: Reduction, log: LogSpec) -> list[str]:

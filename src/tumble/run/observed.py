@@ -21,6 +21,7 @@ from tumble.diagnosis.channels import (
     accelerometer_faults,
     channel_faults,
     dead_zones,
+    high_passed,
     lost_levels,
     mixed_rows,
     normalised,
@@ -168,7 +169,11 @@ def inspected(session: Session, progress: Progress, beside: Executor, tuning: Tu
         if trial is None and not faults:
             trial = _observed(session, reduction, find_rests(reduction, session.accel_block, None).rests)
     if trial is not None and not faults:
-        faults = sense_faults(trial.of_accelerometers() if of_gyros else trial, session, reduction.rate)
+        faults = [] if of_gyros else sense_faults(trial, session, reduction.rate)
+        if faults:
+            of_gyros = high_passed(reduction, segmentation.rests)
+        if of_gyros:
+            faults = sense_faults(trial.of_accelerometers(), session, reduction.rate)
     if session.log.gyro is not None and not faults and not of_gyros:
         of_gyros = dead_zones(reduction, segmentation.rests, session.log.gyro)
     return Observed(

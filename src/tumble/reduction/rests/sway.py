@@ -7,9 +7,9 @@ A body that sways by small angles α(t) about its mean attitude reads the specif
 at a distance r from the point it sways about, û along f̄. Its gyros read α too, as the integral of the rate, so that the
 two agree where the body moves, and are independent where sensors are noisy, whatever the colour of the noise. In
 stretches of a second, with what is across û as block means less its mean and slope, let δ be the forces and p_j the
-four columns û × α and ω̇ × e_j. Without sway the sums s_j = Σ p_j·δ of the stretches have the mean 0, and with
-t = Σ s over all stretches tᵀ (Σ s sᵀ)⁻¹ t is about a chi-square of four degrees of freedom. Both see the part of
-|û × α|² that a fit of δ by these columns explains of |δ|².
+m = 4 columns û × α and ω̇ × e_j. Without sway the sums s_j = Σ p_j·δ of the n stretches have the mean 0 (Hotelling's
+test): with t = Σ s and W = tᵀ (Σ s sᵀ)⁻¹ t, (n − m) W / m (n − W) has Fisher's distribution of m and n − m degrees of
+freedom. Both see the part of |û × α|² that a fit of δ by these columns explains of |δ|².
 
 The noise of the gyros beside the sway is that of their samples, by differences of fourth order, in which there is next
 to nothing of a hand.
@@ -21,6 +21,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from tumble.reduction.blocks.reducer import Reduction
 from tumble.reduction.rests.segmentation import RestSpan
@@ -31,8 +32,10 @@ FOURTH_DIFFERENCES = 70.0
 """Variance of the fourth differences, 1 −4 6 −4 1, of independent samples, in parts of theirs."""
 STRETCH = 10
 """Blocks, 1 s, of a stretch."""
-AGREE = 25.0
-"""A chi-square of four degrees of freedom: 5e-5 by chance."""
+LONGEST = 1000
+"""Blocks, 100 s, of a rest that are looked at."""
+CHANCE = 1e-5
+"""Probability of sums that are as large without sway, below which there is sway."""
 LEAST = 1e-12
 """Of a normal matrix, below which a direction in it is none."""
 
@@ -68,7 +71,8 @@ def sway_of(reduction: Reduction, spans: Sequence[RestSpan]) -> Sway | None:
     columns, forces, tilts, angles, variances = [], list[Array](), list[float](), list[float](), list[Array]()
     for span in spans:
         f = reduction.by_file[span.file]
-        rate, force, dt = reduction.samples.read(f.sample_at(span.first), f.sample_at(span.last))
+        last = min(span.last, span.first + LONGEST)
+        rate, force, dt = reduction.samples.read(f.sample_at(span.first), f.sample_at(last))
         path, up = np.cumsum((rate - rate.mean(axis=0)) * dt[:, None], axis=0), unit_vector(force.mean(axis=0))
         path -= path.mean(axis=0)
         tilt, change = np.cross(up, path), np.gradient(rate, axis=0) / dt.mean()
@@ -84,8 +88,9 @@ def sway_of(reduction: Reduction, spans: Sequence[RestSpan]) -> Sway | None:
     if not (len(s) and size.all() and np.isfinite(s).all() and np.isfinite(size).all()):
         return None  # too short, or damaged
     s, p = s / size, p / size
-    t, normal = s.sum(axis=0), np.einsum("ikcj,ikcl->jl", p, p)
-    if t @ np.linalg.lstsq(s.T @ s, t, rcond=LEAST)[0] <= AGREE:
+    t, normal, (n, m) = s.sum(axis=0), np.einsum("ikcj,ikcl->jl", p, p), s.shape
+    W = float(t @ np.linalg.lstsq(s.T @ s, t, rcond=LEAST)[0])
+    if n <= m or scipy.special.fdtrc(m, n - m, (n - m) / m * W / max(n - W, LEAST)) > CHANCE:
         return None
     explained = float(t @ np.linalg.lstsq(normal, t, rcond=LEAST)[0] / (δ**2).sum())
     density, longest = np.median(variances, axis=0), float(np.median([span.stop - span.start for span in spans]))
