@@ -111,7 +111,7 @@ def dead_zones(reduction: Reduction, rests: Sequence[RestSpan], channels: Channe
             busiest = _most_alike(np.floor(PLACES * others / usual) if pulses else others)
         if usual >= FINE * step and zeros > FEWEST_ZEROS + MORE_ZEROS * busiest:
             found.append(
-                f"column {column!r} reads exactly 0 in {100.0 * zeros / len(sizes):.2g} % of the samples at rest, and "
+                f"column {column!r} reads exactly 0 in {100.0 * zeros / len(sizes):.3g} % of the samples at rest, and "
                 f"never less than {least / DEGREE:.2g} °/s otherwise: a dead zone of the driver, in which biases and "
                 "slow rates are lost; switch it off"
             )
@@ -128,12 +128,6 @@ FADES, RETURNS, TILTED = 0.5, 0.3, 0.5
 a turn that is left in the end, where its vertical was turned by more than TILTED, rad."""
 FEWEST_TURNED = 5
 """Turns, in which chance shows neither."""
-
-
-def lost_levels(reduction: Reduction, rests: Sequence[RestSpan], lost: int) -> list[str]:
-    """Gyros that read another rate in so many of the rests of the accelerometers, and a filter that is behind it."""
-    said = f"the gyros read another rate in {lost} of {len(rests)} rests of the accelerometers"
-    return high_passed(reduction, rests) or [f"{said}, and why cannot be told: look at the rests with `tumble inspect`"]
 
 
 def high_passed(reduction: Reduction, rests: Sequence[RestSpan]) -> list[str]:
@@ -168,7 +162,8 @@ def high_passed(reduction: Reduction, rests: Sequence[RestSpan]) -> list[str]:
     else:
         return []
     return [
-        f"{seen}: a high-pass filter on the chip or in the driver, with which slow rates and biases are lost; switch it off"
+        f"{seen}: a high-pass filter on the chip or in the driver, with which slow rates and biases are lost; "
+        "switch it off"
     ]
 
 

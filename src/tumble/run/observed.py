@@ -22,7 +22,6 @@ from tumble.diagnosis.channels import (
     channel_faults,
     dead_zones,
     high_passed,
-    lost_levels,
     mixed_rows,
     normalised,
 )
@@ -153,12 +152,16 @@ def inspected(session: Session, progress: Progress, beside: Executor, tuning: Tu
     with np.errstate(over="ignore", invalid="ignore"):  # in a wrong unit, or of damaged samples
         reduction = without_blemishes(reduction)
         segmentation = find_rests(reduction, session.accel_block, session.gyro_block)
-        of_gyros = list[str]()
+        lost = ""
         if session.log.gyro is not None and 0 < len(segmentation.rests) < reduction.tuning.level_attitudes:
             by_accel = find_rests(reduction, session.accel_block, None)
-            lost = len(by_accel.rests) - len(segmentation.rests)
-            if lost > max(MANY_LOST * len(segmentation.rests), reduction.tuning.level_attitudes):
-                segmentation, of_gyros = by_accel, lost_levels(reduction, by_accel.rests, lost)
+            more = len(by_accel.rests) - len(segmentation.rests)
+            if more > max(MANY_LOST * len(segmentation.rests), reduction.tuning.level_attitudes):
+                segmentation = by_accel
+                lost = (
+                    f"the gyros read another rate in {more} of {len(by_accel.rests)} rests of the accelerometers, and "
+                    "why cannot be told: look at the rests with `tumble inspect`"
+                )
         faults = faults or normalised(reduction, segmentation.rests, onto_body(session.accel_block.axes))
         segmentation = without_times(reduction, segmentation, session.excluded)
         segmentation = replace(segmentation, stated_rate=session.log.rate)
@@ -168,10 +171,11 @@ def inspected(session: Session, progress: Progress, beside: Executor, tuning: Tu
         trial = observations
         if trial is None and not faults:
             trial = _observed(session, reduction, find_rests(reduction, session.accel_block, None).rests)
+    of_gyros = list[str]()
     if trial is not None and not faults:
-        faults = [] if of_gyros else sense_faults(trial, session, reduction.rate)
-        if faults:
-            of_gyros = high_passed(reduction, segmentation.rests)
+        faults = sense_faults(trial, session, reduction.rate)
+        if faults or lost:
+            of_gyros = high_passed(reduction, segmentation.rests) or ([lost] if lost and not faults else [])
         if of_gyros:
             faults = sense_faults(trial.of_accelerometers(), session, reduction.rate)
     if session.log.gyro is not None and not faults and not of_gyros:
