@@ -39,6 +39,8 @@ LEAST = 1e-12
 """Of a mean square of residuals in units of their noise: less is none."""
 ROUNDS = 4
 """Of the scatter of turns that are to blame for all."""
+CLEARLY = 3.0
+"""Standard deviations of a covariance that is there."""
 JITTERING = 3e-3
 """Of an interval: time stamps that jitter by less are right, as far as any turn shows."""
 
@@ -51,16 +53,21 @@ def stamps_remedy(jitter: str) -> str:
 def jittering(observations: Observations) -> str:
     """What to try where time stamps jitter about even rows, for the turns err then as much as if the rows did.
 
-    Intervals that such stamps make have the covariance −σ² from one to the next; lost samples or a rate that changes
-    have not."""
+    Times between such stamps have the covariance −σ² from one to the next, over one interval or over several where the
+    stamps are of bursts; lost samples or a rate that changes have not."""
     samples = observations.turn_samples
     if samples is None or not len(samples.start):
         return ""
     every = [samples.samples.read(a, b)[2] for a, b in zip(samples.start.tolist(), samples.stop.tolist(), strict=True)]
     interval = float(np.median(np.concatenate(every)))
     off = [np.where(np.abs(dt - interval) < 0.5 * interval, dt - interval, 0.0) for dt in every]
-    covariance = sum(float(e[1:] @ e[:-1]) for e in off) / max(1, sum(len(e) - 1 for e in off))
-    jitter = float(np.sqrt(max(0.0, -covariance)))
+    jitter = 0.0
+    for count in 2 ** np.arange(7):
+        sums = [each[: len(each) // count * count].reshape(-1, count).sum(axis=1) for each in off]
+        products = np.concatenate([[0.0], *(each[1:] * each[:-1] for each in sums)])
+        if -products.sum() > CLEARLY * np.sqrt((products**2).sum()):
+            jitter = float(np.sqrt(-products.sum() / (len(products) - 1)))
+            break
     return (
         f"; or the time stamps jitter by {1e3 * jitter:.2g} ms: {REGULAR_HINT}" if jitter > JITTERING * interval else ""
     )

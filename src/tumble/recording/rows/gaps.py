@@ -127,11 +127,13 @@ class LogRows:
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Grid:
     """Times of rows that are equally spaced: the first, s, and the interval, s. Rows are counted, or, where their
-    stamps are times of the grid that were `rounded`, have the time that is nearest to their stamp."""
+    stamps are times of the grid that were `rounded`, have the time that is nearest to their stamp. `jitter`, s, is what
+    stamps were off that were spread over bursts."""
 
     start: float
     interval: float
     rounded: bool = False
+    jitter: float = 0.0
 
     def nearest(self, time: Array) -> Array:
         """The times of the grid that are nearest to times, s."""

@@ -9,6 +9,10 @@ Stamps may be too coarse or too late to be times of rows at all: rows that are s
 on the straight line through all stamps. Or stamps are rounded, to thousandths of a second or to 32 bits, and otherwise
 right: then they say which time of the line each row has, lost rows included. For increments that matters: their sum
 over 35 s, divided by a duration that is 0.5 ms off, is wrong by 14 ppm of gravity, where a mean of rates is not.
+
+A driver that reads a buffer of samples at once knows when it has read it, and spreads the samples over the time since
+it did so before. Their intervals are equal within a burst and change from one to the next, by as much as the reading is
+late; the sensor's own clock does not. Where the stamps of a file stay about a straight line, rows lie on it.
 """
 
 from __future__ import annotations
@@ -48,6 +52,18 @@ _COARSEST = 0.25
 _OFF = 0.6
 """Of the step they are rounded to: stamps further from the straight line are not rounded times of it."""
 _ROUNDING = 4.0 * np.finfo(float).eps
+_UNEVEN = 3e-3
+"""Of an interval: intervals of bursts that differ by less do no harm."""
+_WITHIN = 0.05
+"""Of the scatter of intervals: what neighbours in a burst differ by, at the median."""
+_DIGITS, _OF_ROUNDING = 6, 4
+"""Different intervals, in parts of one to so many decimals, that even rows have whose stamps are rounded."""
+_ABOUT_LINE = 40
+"""Bursts, over which the mean distance of stamps from a straight line is taken."""
+_STAYS, _LATE = 0.3, 0.5
+"""Of an interval, and of the scatter about that mean: how far it may be from the line, less than a lost sample."""
+_FAST = 2.0
+"""Times that mean: the scatter about it, where intervals jitter and the clock does not wander."""
 
 
 def check_head(source: LogSource, spec: LogSpec, time: Array) -> Array:
@@ -277,6 +293,27 @@ def rounded_grid(source: LogSource, spec: LogSpec, interval: float) -> Grid | No
         return None
     off = (np.abs(time - grid.nearest(time)).max(initial=0.0) for time in _stamps(source, spec))
     return grid if max(off) <= _OFF * step else None
+
+
+def burst_grid(source: LogSource, spec: LogSpec, head: Array) -> Grid | None:
+    """The grid of rows whose stamps are spread evenly over bursts; None where those of the head (m,), s, are not, or
+    where stamps do not stay about one straight line."""
+    steps = np.diff(head)
+    interval, scatter, changes = float(np.median(steps)), float(np.std(steps)), np.abs(np.diff(steps))
+    different = len(np.unique(np.round(steps / interval, _DIGITS)))
+    if scatter <= _UNEVEN * interval or np.median(changes) > _WITHIN * scatter or different <= _OF_ROUNDING:
+        return None
+    bursts = 1 + int(np.count_nonzero(changes > _WITHIN * scatter))
+    window = _ABOUT_LINE * math.ceil(len(head) / bursts)
+    grid, time = regular_grid(source, spec), np.concatenate(list(_stamps(source, spec)))
+    off = time - grid.start - grid.interval * np.arange(len(time))
+    windows = len(off) // window
+    if windows < 2 or not is_reading(time).all():
+        return None
+    parts = off[: windows * window].reshape(windows, -1)
+    means, jitter = parts.mean(axis=1), float(parts.std(axis=1).mean())
+    stays = np.abs(means).max() <= _STAYS * grid.interval + _LATE * jitter
+    return replace(grid, jitter=jitter) if stays and jitter > _FAST * means.std() else None
 
 
 class _StampLine:
