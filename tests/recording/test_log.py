@@ -644,6 +644,16 @@ def test_short_gaps_are_bridged_however_many_there_are(every: int, tmp_path: Pat
     assert all(gap.integrable for gap in log.gaps)
 
 
+def test_rows_of_a_coarse_clock_are_left_out_where_they_repeat_its_stamp(tmp_path: Path) -> None:
+    """Every third row has the stamp of the row before, and the rows between have gaps."""
+    table = [line for k, line in enumerate(lines(900)) if k % 5]
+    stamps = [f"{math.floor(k * 0.012 * 50.0) / 50.0:.2f}" for k in range(1, len(table))]
+    log = csv_log(tmp_path, [NAMES, *([t, *line[1:]] for t, line in zip(stamps, table[1:], strict=True))])
+    samples = whole(log)
+    assert len(samples["time"]) == len(set(stamps))
+    assert {gap.what for gap in log.gaps} == {"the time stamp of the row before: left out"}
+
+
 @pytest.mark.parametrize(("value", "what"), [("END", "'END' in 'T'"), ("", "an empty value in 'T'")])
 def test_what_cannot_be_read_in_the_last_row_is_left_out(value: str, what: str, tmp_path: Path) -> None:
     log = csv_log(tmp_path, with_value(ROWS, "T", value)(lines()))
