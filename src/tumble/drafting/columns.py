@@ -6,10 +6,11 @@ What a name or a unit says is believed. Numbers decide only which columns withou
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -35,8 +36,14 @@ _GROWING = 0.9  # of the steps of stamps that are those of rows
 _DELIMITER_WORDS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "blanks"}
 
 
-def identified_log(files: Sequence[Path], folder: OutputFolder, stated: Stated = MappingProxyType({})) -> ForeignLog:
-    """One log of text and Parquet files, with its columns identified, as far as they are not `stated`.
+_NONE: Mapping[str, Any] = MappingProxyType({})
+
+
+def identified_log(
+    files: Sequence[Path], folder: OutputFolder, stated: Stated = _NONE, units: Mapping[str, str] = _NONE
+) -> ForeignLog:
+    """One log of text and Parquet files, with its columns identified, as far as they are not `stated`, and the `units`
+    of sensors that are.
 
     Files that are written alike and whose columns have no telling names are identified together: a file of one position
     does not show what they are, all of them do. Raises InputError for files that are no logs, or not alike."""
@@ -45,7 +52,7 @@ def identified_log(files: Sequence[Path], folder: OutputFolder, stated: Stated =
     omitted: tuple[str, ...] = ()
     for file in files:  # text without rows beside logs that have some, as the metadata that a phone writes, is left out
         try:
-            logs += [log.with_stated(stated) for log in _found(file, folder)]
+            logs += [log.with_stated(stated, units) for log in _found(file, folder)]
         except _NoRowsError as error:
             without.append(error)
             omitted += (f"{file.name} has no rows of readings and is left out",)
@@ -73,7 +80,7 @@ def identified_log(files: Sequence[Path], folder: OutputFolder, stated: Stated =
                 f"{log.files[0]}: expected a log written as {first.files[0].name} is, found another; give them to "
                 "sessions of their own"
             )
-    first.check_has_accelerometers()
+    first.check_has_sensors(gyros_suffice=True)
     taken = tuple(file for log in logs for file in log.files)
     kept = {path: source for log in logs for path, source in log.kept.items()}
     said = first.said + ((f"{len(taken)} files, each a recording of its own",) if len(taken) > 1 else ()) + omitted

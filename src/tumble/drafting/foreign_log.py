@@ -148,14 +148,14 @@ class ForeignLog:
             return assumed
         return replace(assumed, said=(f"time: column {stamps.column!r} does not grow and is not used", *assumed.said))
 
-    def with_stated(self, stated: Stated) -> ForeignLog:
-        """The log with sensors and time as the user states them, by name or by number from 1.
+    def with_stated(self, stated: Stated, units: Mapping[str, str]) -> ForeignLog:
+        """The log with sensors and time as the user states them, by name or by number from 1, and in stated units.
 
         What these columns were taken for otherwise is dropped. Raises InputError for columns that it does not have."""
         columns = {kind: tuple(self._named(kind, c.strip()) for c in listed) for kind, listed in stated.items()}
         taken = [c for listed in columns.values() for c in listed]
         if not taken:
-            return self
+            return self._in_units(units)
         for kind, listed in columns.items():
             if len(listed) != (1 if kind == TIME_KIND else 3) or any(taken.count(c) > 1 for c in listed):
                 three = "three columns that are nothing else, with commas between"
@@ -174,7 +174,13 @@ class ForeignLog:
             time_unit=None if time is None else time_unit(time),
             times=known.times if time == known.time else (),
             temperatures=tuple(c for c in known.temperatures if c not in taken),
-        )
+        )._in_units(units)
+
+    def _in_units(self, units: Mapping[str, str]) -> ForeignLog:
+        """The log with its sensors in stated units."""
+        triads = self.columns.triads
+        stated = {kind: replace(s, unit=units[kind]) for kind, s in triads.items() if kind in units}
+        return self.with_columns(triads={**triads, **stated})
 
     def _named(self, kind: str, column: str) -> str:
         """The name of a column that is given by that, or by its number from 1."""
@@ -188,15 +194,16 @@ class ForeignLog:
             f"{column!r}; there are {', '.join(names[:SHOWN])[:200]}{did_you_mean(column, names)}"
         )
 
-    def check_has_accelerometers(self) -> None:
-        """Raise InputError where no columns are those of accelerometers."""
-        if ACCEL in self.columns.triads:
+    def check_has_sensors(self, *, gyros_suffice: bool) -> None:
+        """Raise InputError where no columns are those of accelerometers, nor of gyros where these suffice."""
+        if ACCEL in self.columns.triads or (gyros_suffice and GYRO in self.columns.triads):
             return
         names, found = self.names, ", ".join(self.names[:SHOWN])[:200]
         expected = "columns named as accelerometers are, such as ax, ay, az or acc_x, acc_y, acc_z"
         remedy = "log the readings of the accelerometers too"
         if GYRO in self.columns.triads:
             found = f"gyros alone ({', '.join(self.columns.triads[GYRO].columns)[:120]})"
+            remedy += f"; the noise of gyros alone is told by tumble noise {self.files[0].name}"
         elif len(names) == len("xyz") and all(map(str.isdecimal, names)):
             expected, found = "a recording", "three columns without names that are no sensor by their numbers"
             remedy = "of a table with a row a position write `x,y,z` above the rows and give it to `tumble ellipsoid`"

@@ -253,7 +253,7 @@ def _positions_apart(log: ForeignLog, *, unsigned: bool) -> tuple[Edges | None, 
     """The positions that follow each other in a file without a turn: by a column that names them, or where gravity
     jumps from one row to the next while nothing moves before and after; None where there are none. With `unsigned`, 16
     bits of the accelerometers were read without their sign. Raises InputError for positions of too few rows."""
-    if len(log.files) > 1:
+    if len(log.files) > 1 or ACCEL not in log.columns.triads:
         return None, ""
     accel = log.read(log.columns.triads[ACCEL].columns)
     accel = _unwrapped(accel) if unsigned else accel

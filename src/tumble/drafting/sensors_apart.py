@@ -145,17 +145,18 @@ def _reads_gravity(log: ForeignLog) -> bool:
 def of_sensors_apart(logs: Sequence[ForeignLog], folder: OutputFolder) -> ForeignLog:
     """Accelerometers and gyros that come in a file each, as of phones, as one log at the times of the gyros."""
     by_kind = _by_kind(logs)
-    if ACCEL not in by_kind:
-        logs[0].check_has_accelerometers()
+    if not by_kind:
+        logs[0].check_has_sensors(gyros_suffice=True)
     read = {kind: _message(by_kind[kind], kind) for kind in (ACCEL, GYRO) if kind in by_kind}
     joined = folder.new_file("log.parquet")
-    as_log(joined, read[ACCEL], read.get(GYRO))
+    first = next(iter(read.values()))
+    as_log(joined, first, read.get(GYRO))
     named = " and ".join(log.files[0].name for log in by_kind.values())
     columns = Columns(time=TIME, time_unit="s", triads={kind: m.triads[kind] for kind, m in read.items()})
     unused = [log.files[0].name for log in logs if log not in by_kind.values()]
     also = (f"also there, and not used: {', '.join(unused)}",) if unused else ()
     said = f"{named}: one log at the times of the gyros, written to {joined}"
-    fastest = read.get(GYRO, read[ACCEL])
+    fastest = read.get(GYRO, first)
     return ForeignLog(files=(joined,), keys={}, columns=columns, said=(said, *also, fastest.remark))
 
 

@@ -323,6 +323,7 @@ def estimated(
 def assumptions(session: Session, by_clock: Mapping[str, float]) -> tuple[str, ...]:
     """What a session does not state and the estimate assumes, a sentence each, with what would replace it."""
     site, log, out = session.site, session.log, list[str]()
+    out += [f"doubt: {log.doubt}"] if log.doubt else []
     mm = f"{1e3 * site.gravity_u:.2g} mm/s²"
     if site.assumed == "height":
         out.append(

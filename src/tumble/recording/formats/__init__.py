@@ -201,7 +201,7 @@ def _by_this_program(error: Exception) -> bool:
     return any(name.startswith("tumble.recording.formats.") for name in modules[-2:])
 
 
-def as_log(path: Path, accel: Message, gyro: Message | None, thermometers: Sequence[Message] = ()) -> None:
+def as_log(path: Path, accel: Message, gyro: Message | None = None, thermometers: Sequence[Message] = ()) -> None:
     """Write the rows of a message with accelerometers, and where its gyros are in another one those of both, into a
     Parquet file, whole or not at all.
 

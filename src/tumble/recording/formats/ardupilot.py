@@ -1,6 +1,6 @@
 """ArduPilot flight logs (.bin, or as text, .log): the messages IMU (accelerometers and gyros of an instance), and ACC
-and GYR (raw, at the sensors' own rate), an entry for each instance. Before ArduPilot 4.1 the instance is in the name: IMU, IMU2
-and IMU3, ACC1 and GYR1 to ACC3 and GYR3.
+and GYR (raw, at the sensors' own rate), an entry for each instance. Before ArduPilot 4.1 the instance is in the name:
+IMU, IMU2 and IMU3, ACC1 and GYR1 to ACC3 and GYR3.
 
 ArduPilot subtracts its own offsets and divides by its own scales before it logs: they are to be reset before recording.
 """
@@ -71,7 +71,10 @@ def messages(path: Path) -> list[Message]:
         finally:
             log.close()
     origin = min((rows[0][0] for rows in kept.values()), default=0.0)
-    return [_message(kind, instance, np.array(rows, dtype=float), origin, ids) for (kind, instance), rows in sorted(kept.items())]
+    return [
+        _message(kind, instance, np.array(rows, dtype=float), origin, ids)
+        for (kind, instance), rows in sorted(kept.items())
+    ]
 
 
 def _message(kind: str, instance: int, rows: Any, origin: float, ids: Mapping[str, int]) -> Message:

@@ -198,7 +198,8 @@ class Bridge:
         if int(rows.numbers[0]) in rows.unread:
             raise unread_error(self.source, rows.unread[int(rows.numbers[0])])
         if first:
-            self._leave_out(rows.part(slice(0, first)), first, float(rows.time[first]) if first < len(lost) else math.nan)
+            stop = float(rows.time[first]) if first < len(lost) else math.nan
+            self._leave_out(rows.part(slice(0, first)), first, stop)
         return rows.part(slice(first, None)), lost[first:]
 
     def _leave_out(self, lost: LogRows, samples: int, stop: float) -> None:
