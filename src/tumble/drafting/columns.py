@@ -24,7 +24,7 @@ from tumble.drafting.several_sensors import split_by_header, split_by_sensor
 from tumble.drafting.times import times_of_column
 from tumble.errors import InputError
 from tumble.files import OutputFolder
-from tumble.recording.columns.names import ACCEL, columns_by_name, is_no_sensor, time_unit, unit_of_name
+from tumble.recording.columns.names import ACCEL, GYRO, columns_by_name, is_no_sensor, time_unit, unit_of_name
 from tumble.recording.columns.numbers import columns_by_data, time_by_data
 from tumble.recording.log_source import readable
 from tumble.recording.readers import ENDINGS, source_of
@@ -72,7 +72,7 @@ def identified_log(
         numeric = _numeric(first)
         time = first.columns.time or time_by_data(numeric, first.read(numeric, rows=LONGEST // 10))
         logs = [replace(first.with_columns(time=time), files=tuple(file for log in logs for file in log.files))]
-    logs = [_with_time(log) if log in whole else _by_data(log) for log in logs]
+    logs = [_with_nameless_gyros(_with_time(log)) if log in whole else _by_data(log) for log in logs]
     first = logs[0]
     for log in logs[1:]:
         if (log.keys, log.columns.triads, log.columns.time) != (first.keys, first.columns.triads, first.columns.time):
@@ -164,6 +164,21 @@ def _by_data(log: ForeignLog) -> ForeignLog:
     triads = {kind: replace(s, unit=unit_of_name(kind, s.columns[0])) for kind, s in told.columns.triads.items()}
     time = known.time or told.columns.time
     return log.with_columns(told.said(known.triads), triads={**triads, **known.triads}, time=time, others=(), times=())
+
+
+def _with_nameless_gyros(log: ForeignLog) -> ForeignLog:
+    """A log of accelerometers with the gyros among its columns without names, if numbers show them."""
+    nameless = [name for name in _numeric(log) if name.isdecimal() and name != log.columns.time]
+    accel = log.columns.triads[ACCEL]
+    if GYRO in log.columns.triads or len(nameless) < len("xyz"):
+        return log
+    read = log.read([*accel.columns, *nameless])
+    told = columns_by_data([*accel.columns, *nameless], read[: samples_in(read)]).columns.triads
+    if GYRO not in told or set(told[ACCEL].columns) != set(accel.columns):
+        said = f"columns without names, {', '.join(nameless)}, are not used: state --gyro if some are gyros"
+        return log.with_columns([said])
+    said = f"gyro: columns {', '.join(told[GYRO].columns)}, by their numbers (a guess)"
+    return log.with_columns([said], triads={**log.columns.triads, GYRO: told[GYRO]})
 
 
 def _with_finest_time(log: ForeignLog) -> ForeignLog:

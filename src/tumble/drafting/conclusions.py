@@ -15,6 +15,7 @@ from tumble.drafting.draft import Draft
 from tumble.drafting.hypotheses import Evidence, Hypothesis, evidence_of, ranked, readings
 from tumble.errors import InputError, TumbleError
 from tumble.recording.columns.names import ACCEL, GYRO
+from tumble.recording.columns.patterns import WITHOUT_GRAVITY
 from tumble.recording.columns.scales import ONE, PER, KnownScale
 from tumble.run.observed import Progress, inspect_session
 from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS
@@ -78,21 +79,27 @@ def completed(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> tupl
 
 
 def _no_gravity(draft: Draft, best: Hypothesis, shown: Evidence) -> Iterator[str]:
-    """What is said of accelerometers that do not read gravity: in the unit of their names, or in any."""
+    """What is said of accelerometers that do not read gravity: in the unit of their names, or in any. Raises InputError
+    where their names say that a filter has taken it off."""
     if ACCEL not in draft.triads:
         return
-    unit, name = draft.unit(ACCEL), draft.triads[ACCEL].columns[0].lower()
+    unit, columns, sentence = draft.unit(ACCEL), draft.triads[ACCEL].columns, ""
     if unit is not None and ACCEL_UNITS[unit].kind != "raw":
         length = shown.length * ACCEL_UNITS[unit].per_second(best.times.rate) / ONE[ACCEL]
         if abs(length - 1.0) > _TOLERANCE:
-            linear = "linear acceleration, which a filter has taken gravity off, cannot be calibrated"
-            remedy = linear if "lin" in name else "is the unit right? Else state --accel-unit"
-            yield f"the accelerometers read {length:.3g} g at rest in {unit}, as their names say: {remedy}"
+            read = f"the accelerometers read {length:.3g} g at rest in {unit}, as their names say"
+            sentence = f"{read}: if another unit is right, state --accel-unit"
     elif not (best.accel.known or draft.whole[ACCEL] or unit == "V"):
-        yield (
+        sentence = (
             "the accelerometers read no whole numbers as counts are, and gravity in no unit: if they are volts, state "
             "--accel-unit V; what a filter has left without gravity cannot be calibrated"
         )
+    if sentence and WITHOUT_GRAVITY.search(columns[0]):
+        raise InputError(
+            f"{draft.files[0]}: expected readings of accelerometers, found linear acceleration, which a filter has "
+            f"taken gravity off ({', '.join(columns)[:120]}); log the raw accelerometers"
+        )
+    yield from filter(None, [sentence])
 
 
 def _doubts(draft: Draft, log: Mapping[str, Any], best: Hypothesis, near: Sequence[Hypothesis]) -> Iterator[str]:
@@ -231,11 +238,6 @@ def _accel(
     about = f", zero at {zero}" if zero or scale.unit is None else ""
     near_to = f"V: {found:.4g} V per g found" if unit == "V" else _comes_near(ACCEL, scale, shown, best, near)
     said = [f"{named} in {near_to}{about} ({seen})"]
-    if not (scale.known or draft.whole[ACCEL] or unit == "V") and "lin" in columns[0].lower():
-        raise InputError(
-            f"{draft.log['file']}: expected readings of accelerometers, found linear acceleration, which a filter "
-            f"has taken gravity off ({', '.join(columns)[:120]}); log the raw accelerometers"
-        )
     if scale.unit is not None and not zero:
         return {"columns": columns, "unit": scale.unit}, said
     raw = "V" if unit == "V" else "count"

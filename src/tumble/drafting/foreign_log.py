@@ -34,7 +34,7 @@ LONGEST = 2_000_000
 
 HEAD_ROWS = 20_000
 SAMPLE_ROWS = 200
-_FUSED = re.compile(r"grav|user_?acc|linear_?acc(?!.*cov)|\blacc", re.IGNORECASE)
+_FUSED = re.compile(r"grav|(user|free|linear)_?acc(?!.*cov)|\blacc", re.IGNORECASE)
 SHOWN = 12
 _SHORTEST_SESSION = 4 * USUAL.rest
 """s: what four rests alone take, and fewer tell nothing."""
