@@ -72,7 +72,7 @@ def identified_log(
         numeric = _numeric(first)
         time = first.columns.time or time_by_data(numeric, first.read(numeric, rows=LONGEST // 10))
         logs = [replace(first.with_columns(time=time), files=tuple(file for log in logs for file in log.files))]
-    logs = [_with_nameless_gyros(_with_time(log)) if log in whole else _by_data(log) for log in logs]
+    logs = [_with_nameless_gyros(_with_time(_with_gravity(log))) if log in whole else _by_data(log) for log in logs]
     first = logs[0]
     for log in logs[1:]:
         if (log.keys, log.columns.triads, log.columns.time) != (first.keys, first.columns.triads, first.columns.time):
@@ -163,7 +163,21 @@ def _by_data(log: ForeignLog) -> ForeignLog:
         return log
     triads = {kind: replace(s, unit=unit_of_name(kind, s.columns[0])) for kind, s in told.columns.triads.items()}
     time = known.time or told.columns.time
+    near = "columns are told by their numbers, and others would fit too: all values hang on it; state --accel, --gyro"
+    log = replace(log, doubts=(near,)) if told.near else log
     return log.with_columns(told.said(known.triads), triads={**triads, **known.triads}, time=time, others=(), times=())
+
+
+def _with_gravity(log: ForeignLog) -> ForeignLog:
+    """A log of accelerometers with those of several triads that read gravity, if the first do not: a phone writes what
+    a filter has left too."""
+    first = log.columns.triads[ACCEL].columns
+    further = columns_by_name([name for name in log.cells if name not in first]).triads.get(ACCEL)
+    if further is None or log.reads_gravity(first) or not log.reads_gravity(further.columns):
+        return log
+    said = f"accel: {', '.join(further.columns)}, since {', '.join(first)} do not read gravity"
+    others = (*(name for name in log.columns.others if name not in further.columns), *first)
+    return log.with_columns([said], triads={**log.columns.triads, ACCEL: further}, others=others)
 
 
 def _with_nameless_gyros(log: ForeignLog) -> ForeignLog:
@@ -175,8 +189,9 @@ def _with_nameless_gyros(log: ForeignLog) -> ForeignLog:
     read = log.read([*accel.columns, *nameless])
     told = columns_by_data([*accel.columns, *nameless], read[: samples_in(read)]).columns.triads
     if GYRO not in told or set(told[ACCEL].columns) != set(accel.columns):
-        said = f"columns without names, {', '.join(nameless)}, are not used: state --gyro if some are gyros"
-        return log.with_columns([said])
+        unused = f"columns without names, {', '.join(nameless)}, are not used"
+        doubt = f"{unused}: the accelerometers alone are calibrated; state --gyro if some are gyros"
+        return replace(log, doubts=(doubt,))
     said = f"gyro: columns {', '.join(told[GYRO].columns)}, by their numbers (a guess)"
     return log.with_columns([said], triads={**log.columns.triads, GYRO: told[GYRO]})
 

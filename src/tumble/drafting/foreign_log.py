@@ -23,6 +23,7 @@ from tumble.recording.columns.names import (
     time_unit,
     unit_of_name,
 )
+from tumble.recording.columns.scales import CANDIDATES
 from tumble.recording.readers import KeptLog, source_of
 from tumble.recording.rows.gaps import is_reading
 from tumble.recording.text.dialect import Dialect, is_clock
@@ -36,6 +37,7 @@ HEAD_ROWS = 20_000
 SAMPLE_ROWS = 200
 _FUSED = re.compile(r"grav|(user|free|linear)_?acc(?!.*cov)|\blacc", re.IGNORECASE)
 SHOWN = 12
+_NEAR = 0.1
 _SHORTEST_SESSION = 4 * USUAL.rest
 """s: what four rests alone take, and fewer tell nothing."""
 _FILLED = 50
@@ -56,6 +58,8 @@ class ForeignLog:
     remarks: tuple[str, ...] = ()
     cells: Mapping[str, Sequence[str]] = field(default_factory=dict)
     said: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
+    """What is not sure, each with what hangs on it and how it is settled."""
     dialect: Dialect | None = None
     kept: dict[Path, KeptLog] = field(default_factory=dict)
     """The files that were read, by their paths: every look at them is at what was read once."""
@@ -114,6 +118,12 @@ class ForeignLog:
                 if np.isfinite(numbers).any():
                     return numbers[np.isfinite(numbers)]
         return np.empty(0)
+
+    def reads_gravity(self, columns: Sequence[str]) -> bool:
+        """Whether three columns, if they are some, have the length of gravity in a unit, at the median."""
+        length = np.linalg.norm(self.read(columns, rows=HEAD_ROWS), axis=1) if columns else np.empty(0)
+        median = float(np.nanmedian(length)) if np.isfinite(length).any() else 0.0
+        return any(c.unit is not None and abs(median / c.value - 1.0) < _NEAR for c in CANDIDATES[ACCEL])
 
     def is_clock(self, column: str) -> bool:
         """Whether a column has times of day."""

@@ -107,7 +107,9 @@ def repaired(log: ForeignLog, folder: OutputFolder, rate: float | None) -> Forei
     columns = replace(columns, time=TIME, time_unit="s") if in_seconds else columns
     copied = f"so mended, the log is copied to {files[0].name}{' …' * (len(files) > 1)}"
     every_remark = (*log.said, *(said for said, _ in mends), *filter(None, [why]), copied)
-    return ForeignLog(files=tuple(files), keys={}, columns=columns, remarks=log.remarks, said=every_remark)
+    return ForeignLog(
+        files=tuple(files), keys={}, columns=columns, remarks=log.remarks, said=every_remark, doubts=log.doubts
+    )
 
 
 def _recordings(log: ForeignLog) -> tuple[Edges | None, str]:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from tumble.drafting.foreign_log import HEAD_ROWS, SHOWN, ForeignLog
+from tumble.drafting.foreign_log import SHOWN, ForeignLog
 from tumble.drafting.times import grows_mostly, recordings_of, times_of_column
 from tumble.errors import InputError
 from tumble.files import OutputFolder
@@ -29,12 +29,10 @@ from tumble.recording.columns.names import (
 )
 from tumble.recording.columns.numbers import time_by_data
 from tumble.recording.columns.patterns import WITHOUT_GRAVITY
-from tumble.recording.columns.scales import CANDIDATES
 from tumble.recording.formats import TIME, Message, as_log, messages
 from tumble.recording.session import AutopilotSensor
 from tumble.units import TIME_UNITS
 
-_NEAR = 0.1
 _UNCALIBRATED = re.compile(r"uncal", re.IGNORECASE)
 _GRAVITY = re.compile(r"grav|schwerkraft", re.IGNORECASE)
 
@@ -110,12 +108,18 @@ def are_sensors_apart(logs: Sequence[ForeignLog]) -> bool:
     all have room for two kinds are recordings of one device."""
     if len(logs) < 2 or any({ACCEL, GYRO} <= set(log.columns.triads) for log in logs):
         return False
-    if all(sum(not is_no_sensor(name) for name in log.cells) >= len("xyz") + len("xyz") for log in logs):
+    if all(_has_room_for_two(log) for log in logs):
         return False
     by_kind = _by_kind(logs)
     if set(by_kind) == {ACCEL, GYRO}:
         return all(len(log.cells) <= 1 + len("xyz") for log in by_kind.values() if log.unnamed)
     return not any(log.columns.triads or log.unnamed for log in logs)
+
+
+def _has_room_for_two(log: ForeignLog) -> bool:
+    """Whether a log may be of accelerometers and gyros: it has columns for both, and none that are x, y and z alone."""
+    axes_alone = set("xyz") <= {(name.split() or [""])[0].lower() for name in log.cells}
+    return not axes_alone and sum(not is_no_sensor(name) for name in log.cells) >= len("xyz") + len("xyz")
 
 
 def _by_kind(logs: Sequence[ForeignLog]) -> dict[str, ForeignLog]:
@@ -136,11 +140,7 @@ def _by_kind(logs: Sequence[ForeignLog]) -> dict[str, ForeignLog]:
 
 def _reads_gravity(log: ForeignLog) -> bool:
     """Whether the three sensors of a log of accelerometers read gravity in a unit."""
-    columns = _three(log, ACCEL)[1]
-    if not columns:
-        return False
-    length = float(np.nanmedian(np.linalg.norm(log.read(columns, rows=HEAD_ROWS), axis=1)))
-    return any(c.unit is not None and abs(length / c.value - 1.0) < _NEAR for c in CANDIDATES[ACCEL])
+    return log.reads_gravity(_three(log, ACCEL)[1])
 
 
 def of_sensors_apart(logs: Sequence[ForeignLog], folder: OutputFolder) -> ForeignLog:

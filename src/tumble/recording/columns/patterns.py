@@ -224,6 +224,7 @@ _PER_SECOND = (
     (re.compile(r"(?<=[a-z][XYZ])RadPerSec$"), " radps"),
     (re.compile(r"(?<=[a-z][XYZ])MicroT$"), " ut"),
     (re.compile(r"[ _]times[ _]g$"), " [g]"),
+    (re.compile(r"^(.*gyro?s?(?:_?[xyzXYZ])?_)(rad|deg)(?=[_\[]|$)"), r"\1\2ps"),  # a rate, as PX4 writes it
     (re.compile(r"^scaledAccel([XYZ])$"), r"accel \1 [g]"),  # of MicroStrain
     (re.compile(r"^scaledGyro([XYZ])$"), r"gyro \1 [rad/s]"),
     (re.compile(r"(?<![a-z])rad(ian)?s?[_ ]per[_ ]s(ec(ond)?)?(?=$|[\])])", re.IGNORECASE), "radps"),
