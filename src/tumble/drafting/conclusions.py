@@ -23,8 +23,6 @@ from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS
 _TOLERANCE = 0.3
 """Part of gravity by which the magnitude of accelerometers in a stated unit may be off."""
 _LARGEST_BIAS = 20.0  # °/s: what reads more at rest has an offset
-_SHOWN = 40.0
-"""What costs so much more is not shown."""
 _MOST_RATES = 8
 _TIME_KEYS = ("time", "time_unit", "regular", "rate_hz")
 
@@ -53,8 +51,6 @@ def completed(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> tupl
     if best.gyro is not None:
         log[GYRO], of_gyro = _gyro(draft, best, best.gyro, shown, every, near)
         said += of_gyro
-    if draft.guessed:
-        said.append(_next(best, every, widths))
     doubts = (*_no_gravity(draft, best, shown), *_doubts(draft, log, best, near), *draft.doubts)
     log |= {"doubt": "; ".join(doubts)} if doubts else {}
     content = {**draft.content, "log": log}
@@ -80,26 +76,25 @@ def completed(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> tupl
 
 def _no_gravity(draft: Draft, best: Hypothesis, shown: Evidence) -> Iterator[str]:
     """What is said of accelerometers that do not read gravity: in the unit of their names, or in any. Raises InputError
-    where their names say that a filter has taken it off."""
+    where they have none and their names say that a filter has taken it off."""
     if ACCEL not in draft.triads:
         return
-    unit, columns, sentence = draft.unit(ACCEL), draft.triads[ACCEL].columns, ""
+    unit, columns = draft.unit(ACCEL), draft.triads[ACCEL].columns
     if unit is not None and ACCEL_UNITS[unit].kind != "raw":
         length = shown.length * ACCEL_UNITS[unit].per_second(best.times.rate) / ONE[ACCEL]
         if abs(length - 1.0) > _TOLERANCE:
             read = f"the accelerometers read {length:.3g} g at rest in {unit}, as their names say"
-            sentence = f"{read}: if another unit is right, state --accel-unit"
+            yield f"{read}: if another unit is right, state --accel-unit; without gravity none is calibrated"
     elif not (best.accel.known or draft.whole[ACCEL] or unit == "V"):
-        sentence = (
+        if WITHOUT_GRAVITY.search(columns[0]):
+            raise InputError(
+                f"{draft.files[0]}: expected readings of accelerometers, found linear acceleration, which a filter has "
+                f"taken gravity off ({', '.join(columns)[:120]}); log the raw accelerometers"
+            )
+        yield (
             "the accelerometers read no whole numbers as counts are, and gravity in no unit: if they are volts, state "
             "--accel-unit V; what a filter has left without gravity cannot be calibrated"
         )
-    if sentence and WITHOUT_GRAVITY.search(columns[0]):
-        raise InputError(
-            f"{draft.files[0]}: expected readings of accelerometers, found linear acceleration, which a filter has "
-            f"taken gravity off ({', '.join(columns)[:120]}); log the raw accelerometers"
-        )
-    yield from filter(None, [sentence])
 
 
 def _doubts(draft: Draft, log: Mapping[str, Any], best: Hypothesis, near: Sequence[Hypothesis]) -> Iterator[str]:
@@ -125,40 +120,6 @@ def _doubts(draft: Draft, log: Mapping[str, Any], best: Hypothesis, near: Sequen
         also = f", {others} would fit too" if rates else ""
         hang = "the gyros' scale factors hang" if best.gyro is not None else "how long rests are hangs"
         yield f"{best.times.rate:g} samples per second {told}{also}: {hang} on it; state --sample-rate"
-
-
-def _next(best: Hypothesis, every: Sequence[Hypothesis], widths: Widths) -> str:
-    """The cheapest hypotheses that differ from the best in the accelerometers, the gyros, the times or the axes, and
-    what they cost more."""
-    further: dict[str, float] = {}
-    every = [h for h in every if h.cost < best.cost + widths.near or (h.accel.known and (not h.gyro or h.gyro.known))]
-    for part in (ACCEL, GYRO, "time", "axes"):
-        rivals = [h for h in every if part in h.differs(best)]
-        if rivals:
-            rival = min(rivals, key=lambda h: h.cost + len(h.differs(best)))
-            further.setdefault(_differing(rival, best), rival.cost - best.cost)
-    listed = sorted((cost, words) for words, cost in further.items() if words)
-    if not listed:
-        return "guessed: there is nothing else that it may be"
-    said = "; ".join(f"{words} (cost +{cost:.1f})" for cost, words in listed if cost < max(_SHOWN, listed[0][0] + 1e-9))
-    doubt = "; too near to be sure: state what you know" if listed[0][0] < widths.near else ""
-    return f"guessed: next would be {said}; +{widths.near:g} is 20 times less likely{doubt}"
-
-
-def _differing(rival: Hypothesis, best: Hypothesis) -> str:
-    """What a hypothesis says otherwise than the best one."""
-    words, parts = list[str](), rival.differs(best)
-    for kind, sensors, scale in ((ACCEL, "accelerometers", rival.accel), (GYRO, "gyros", rival.gyro)):
-        if kind in parts and scale is not None:
-            counts = f"{scale.value:.6g} counts per {PER[kind]}" if scale.known else "counts of no data sheet"
-            words.append(f"{sensors} in {scale.unit or counts}")
-    if "time" in parts:
-        stamps = f"a time in {rival.times.keys.get('time_unit', 's')}"
-        words.append(stamps if rival.times.stamped else f"{rival.times.rate:g} samples per second")
-    if "axes" in parts and rival.profile is not None:
-        exchanged = columns_said(rival.profile.exchange) if rival.profile.exchanged else "no columns are exchanged"
-        words.append(exchanged)
-    return ", ".join(words)
 
 
 def _of_times(draft: Draft, best: Hypothesis, shown: Evidence, near: Sequence[Hypothesis]) -> list[str]:

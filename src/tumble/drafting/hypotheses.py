@@ -76,6 +76,8 @@ _ZERO = 0.1
 """Standard deviation of the zero of accelerometers in a unit, part of gravity."""
 _RAW_IN_A_UNIT = 0.1
 """Share of sensors that are in a unit though their name says that they are raw: `gyroADC` of Betaflight."""
+_FEWEST_COUNTS = 16.0
+"""Per g: half of the least that a data sheet has."""
 _HOPELESS = 40.0
 """An accelerometer's unit that costs so much more than the best is not combined with others."""
 _LARGEST_BIAS, _LARGEST_NOISE = 20.0 * DEGREE, 0.17 * DEGREE
@@ -284,8 +286,10 @@ def ranked(shown: Evidence, draft: Draft, widths: Widths = WIDTHS) -> list[Hypot
     gyros = list(_assumed(GYRO, draft, cost_of_any(widths.scale))) if GYRO in draft.triads else []
     if not shown.profiles:  # what counts are worth nothing tells
         counted = sum(math.exp(-0.5 * cost) for gyro, cost in gyros if gyro.unit is None and gyro.known)
-        gyros = [(gyro, cost) for gyro, cost in gyros if gyro.unit is not None]
-        gyros += [(COUNTS, -2.0 * math.log(counted))] if counted else []
+        units = [(gyro, cost) for gyro, cost in gyros if gyro.unit is not None]
+        gyros = [*([(COUNTS, -2.0 * math.log(counted))] if counted else []), *units]
+    if with_accel and draft.whole[ACCEL] and shown.length < _FEWEST_COUNTS:
+        accels = [(accel, assumed) for accel, assumed in accels if accel.unit is not None] or accels
     stated = with_accel and draft.unit(ACCEL) is not None
     samples = float(np.median(shown.samples)) if shown.rests else np.inf
     out = []
