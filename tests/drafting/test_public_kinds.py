@@ -46,9 +46,9 @@ def scaled(rows: Array, accel: float, gyro: float) -> Array:
     return np.column_stack([rows[:, :1], rows[:, 1:4] * accel, rows[:, 4:7] * gyro])
 
 
-def check_read(folder: Path, logs: Path | Sequence[Path], rows: Array, given: Given = Given()) -> str:
+def check_read(folder: Path, logs: Path | Sequence[Path], rows: Array) -> str:
     """The log has gravity and turns that carry it, at its rate. Gives the doubt of its session."""
-    new_session(folder, logs, given)
+    new_session(folder, logs)
     observed = inspect_session(folder)
     assert observed.faults == ()
     assert observed.rate == pytest.approx(1.0 / np.diff(rows[:, 0]).mean(), rel=0.01)
@@ -182,7 +182,7 @@ def still() -> Array:
     """Times, accelerometers, g, and gyros, °/s, of a minute on a table."""
     rng = np.random.default_rng(8)
     read = np.column_stack([rng.normal(scale=2e-3, size=(6000, 3)), rng.normal(scale=0.05, size=(6000, 3))])
-    return np.column_stack([0.01 * np.arange(6000), read + [0.01, -0.02, 1.0, 0.4, -0.3, 0.2]])
+    return np.column_stack([0.01 * np.arange(6000), read + np.array([0.01, -0.02, 1.0, 0.4, -0.3, 0.2])])
 
 
 def noise(*words: object) -> str:
@@ -218,6 +218,11 @@ def test_noise_of_a_folder_with_a_file_a_sensor_and_of_text_that_is_copied(still
     shown = noise(folder, "--gyro-unit", "rad/s")
     assert density(shown, "gyro_x") == pytest.approx(0.05 * math.sqrt(0.01) * 60.0, rel=0.06)
     assert density(shown, "accel_x") == pytest.approx(2e-3 * math.sqrt(0.01) * 1e6, rel=0.06)
+    parts = [
+        text(tmp_path / f"{k}.csv", f"t,{k}x,{k}y,{k}z", still[:, c])
+        for k, c in (("a", [0, 1, 2, 3]), ("g", [0, 4, 5, 6]))
+    ]
+    assert density(noise(*parts, "--gyro-unit", "deg/s"), "gyro_z") == pytest.approx(0.3, rel=0.06)
     lines = [f"ax={a:.5f} ay={b:.5f} az={c:.5f}" for a, b, c in still[:, 1:4].tolist()]
     (tmp_path / "putty.txt").write_text("\n".join(lines), encoding="utf-8")
     copied = noise(tmp_path / "putty.txt", "--sample-rate", 100)
@@ -237,8 +242,8 @@ def test_noise_of_a_log_with_lost_samples(still: Array, tmp_path: Path) -> None:
 def test_six_faces_in_counts_are_calibrated_without_the_gyros_whose_scale_nothing_tells(tmp_path: Path) -> None:
     rng, faces = np.random.default_rng(2), np.vstack([np.eye(3), -np.eye(3)])
     for k, up in enumerate(faces, 1):
-        accel = np.rint(16384.0 * (up + [0.03, -0.01, 0.02]) + rng.normal(scale=60.0, size=(800, 3)))
-        gyro = np.rint(rng.normal(scale=6.0, size=(800, 3)) + [-550.0 + 3 * k, 110.0, -70.0 + 2 * k])
+        accel = np.rint(16384.0 * (up + np.array([0.03, -0.01, 0.02])) + rng.normal(scale=60.0, size=(800, 3)))
+        gyro = np.rint(rng.normal(scale=6.0, size=(800, 3)) + np.array([-550.0 + 3 * k, 110.0, -70.0 + 2 * k]))
         table = np.column_stack([10_000.0 * np.arange(800), accel, gyro])
         text(tmp_path / f"face-{k}.csv", "timestamp_us,ax,ay,az,gx,gy,gz", table)
     made = CliRunner().invoke(main, ["new", str(tmp_path / "s"), *map(str, sorted(tmp_path.glob("face-*.csv")))])

@@ -119,17 +119,20 @@ def _used(layout: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _drafts(recordings: Sequence[Path], folder: Path, given: Given) -> list[Draft]:
-    """What logs are, of gyros alone too, with copies where need be in a folder."""
+    """What logs are, of gyros alone too, with copies where need be in a folder: each a record of its own, or one where
+    some are of accelerometers and others of gyros."""
     from tumble.drafting.new_session import drafted_log
     from tumble.files import OutputFolder
 
-    drafts = []
-    for number, recording in enumerate(recordings):
-        output = OutputFolder(folder / str(number))
-        draft, _ = drafted_log(output, recording, given, tell.with_progress, gyros_suffice=True)
+    def drafted(name: str, logs: Sequence[Path]) -> Draft:
+        draft, _ = drafted_log(OutputFolder(folder / name), logs, given, tell.with_progress, gyros_suffice=True)
         if draft.rate_guessed:
-            raise InputError(f"{recording}: expected a time column (--time) or the rate (--sample-rate), found neither")
-        drafts.append(draft)
+            raise InputError(f"{logs[0]}: expected a time column (--time) or the rate (--sample-rate), found neither")
+        return draft
+
+    drafts = [drafted(str(number), [recording]) for number, recording in enumerate(recordings)]
+    if len({frozenset(draft.triads) for draft in drafts}) > 1:
+        drafts = [drafted("together", recordings)]
     for sentence in drafts[0].said:
         tell.say(sentence)
     return drafts

@@ -103,11 +103,14 @@ def _doubts(draft: Draft, log: Mapping[str, Any], best: Hypothesis, near: Sequen
         if scale is None or kind not in draft.triads:
             continue
         with_accel = ACCEL in draft.triads
-        alone = "the accelerometers alone are calibrated" if with_accel else "their noise is as if one were 1 °/s"
+        alone = "the accelerometers alone are calibrated, " if with_accel else ""
         rivals = [h.accel if kind == ACCEL else h.gyro for h in near if kind in h.differs(best)]
         others = " or ".join(dict.fromkeys(rival.said for rival in rivals if rival is not None and rival.known))
         if log[kind].get("used") is False or (kind == GYRO and not with_accel and scale.unit is None):
-            yield f"no turn tells what the gyros' counts are worth: {alone}; put the data sheet's scale into [log.gyro]"
+            yield (
+                f"no turn tells what the gyros' counts are worth: {alone}noise is as if one were 1 deg/s; put the data "
+                "sheet's scale into [log.gyro]"
+            )
         elif others and draft.unit(kind) is None:
             yield (
                 f"{sensors} in {scale.said} by a guess, {others} would fit too: all their values hang on it; state "

@@ -38,6 +38,7 @@ SAMPLE_ROWS = 200
 _FUSED = re.compile(r"grav|(user|free|linear)_?acc(?!.*cov)|\blacc", re.IGNORECASE)
 SHOWN = 12
 _NEAR = 0.1
+_FEWEST_ROWS = 50
 _SHORTEST_SESSION = 4 * USUAL.rest
 """s: what four rests alone take, and fewer tell nothing."""
 _FILLED = 50
@@ -205,7 +206,14 @@ class ForeignLog:
         )
 
     def check_has_sensors(self, *, gyros_suffice: bool) -> None:
-        """Raise InputError where no columns are those of accelerometers, nor of gyros where these suffice."""
+        """Raise InputError where no columns are those of accelerometers, nor of gyros where these suffice, and for a
+        table of readings."""
+        rows = max(map(len, self.cells.values()), default=_FEWEST_ROWS)
+        if rows < _FEWEST_ROWS and len(self.files) == 1:
+            raise InputError(
+                f"{self.files[0]}: expected a recording, found a table of {rows} rows; a table of mean readings, a row "
+                "a position, is for `tumble ellipsoid`"
+            )
         if ACCEL in self.columns.triads or (gyros_suffice and GYRO in self.columns.triads):
             return
         names, found = self.names, ", ".join(self.names[:SHOWN])[:200]
