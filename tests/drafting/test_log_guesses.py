@@ -483,4 +483,4 @@ def test_counts_without_a_time_are_said_with_the_rates_that_would_fit_too(
     found = draft.log[GYRO]["scale"] * draft.log["rate_hz"]
     assert found == pytest.approx(131.0 * 50.0, rel=0.06)
     assert "would fit too" in said
-    assert any("too near to be sure" in said for said in draft.said)
+    assert any("would fit too: the gyros' scale factors hang on it" in doubt for doubt in draft.doubts)

@@ -207,9 +207,10 @@ class ForeignLog:
 
     def check_has_sensors(self, *, gyros_suffice: bool) -> None:
         """Raise InputError where no columns are those of accelerometers, nor of gyros where these suffice, and for a
-        table of readings."""
+        short table of accelerometers without times, which are positions."""
         rows = max(map(len, self.cells.values()), default=_FEWEST_ROWS)
-        if rows < _FEWEST_ROWS and len(self.files) == 1:
+        alone = len(self.files) == 1 and self.columns.time is None and GYRO not in self.columns.triads
+        if rows < _FEWEST_ROWS and alone:
             raise InputError(
                 f"{self.files[0]}: expected a recording, found a table of {rows} rows; a table of mean readings, a row "
                 "a position, is for `tumble ellipsoid`"

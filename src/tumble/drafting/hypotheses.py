@@ -76,8 +76,8 @@ _ZERO = 0.1
 """Standard deviation of the zero of accelerometers in a unit, part of gravity."""
 _RAW_IN_A_UNIT = 0.1
 """Share of sensors that are in a unit though their name says that they are raw: `gyroADC` of Betaflight."""
-_FEWEST_COUNTS = 16.0
-"""Per g: half of the least that a data sheet has."""
+_FEWEST_COUNTS = 2.0
+"""Per g, with which accelerometers tell anything."""
 _HOPELESS = 40.0
 """An accelerometer's unit that costs so much more than the best is not combined with others."""
 _LARGEST_BIAS, _LARGEST_NOISE = 20.0 * DEGREE, 0.17 * DEGREE

@@ -323,7 +323,6 @@ def estimated(
 def assumptions(session: Session, by_clock: Mapping[str, float]) -> tuple[str, ...]:
     """What a session does not state and the estimate assumes, a sentence each, with what would replace it."""
     site, log, out = session.site, session.log, list[str]()
-    out += [f"doubt: {log.doubt}"] if log.doubt else []
     mm = f"{1e3 * site.gravity_u:.2g} mm/s²"
     if site.assumed == "height":
         out.append(
@@ -346,6 +345,7 @@ def assumptions(session: Session, by_clock: Mapping[str, float]) -> tuple[str, .
             f"no uncertainty of the time base is stated: {size}, as of {of}, is in the u of "
             f"{' and '.join(by_clock)}; state clock_ppm_u in [log], 0 where it is exact"
         )
+    out += [f"doubt: {log.doubt}"] if log.doubt else []
     return tuple(out)
 
 
