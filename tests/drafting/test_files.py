@@ -55,6 +55,16 @@ def test_what_is_no_log_is_refused_by_its_name(name: str, content: bytes, said: 
         new_session(tmp_path / "session", tmp_path / name)
 
 
+def test_what_is_no_log_is_left_out_where_others_are(rows: Array, tmp_path: Path) -> None:
+    (tmp_path / "logs").mkdir()
+    pl.DataFrame(rows, schema=["t", "ax", "ay", "az", "gx", "gy", "gz"]).write_csv(tmp_path / "logs" / "imu.csv")
+    (tmp_path / "logs" / "photo.jpeg").write_bytes(b"\xff\xd8\xff\xe0" + bytes(range(256)))
+    (tmp_path / "logs" / "notes.txt").write_text("Turned by hand.", encoding="utf-8")
+    draft, _ = new_session(tmp_path / "session", tmp_path / "logs")
+    assert [file.name for file in draft.files] == ["imu.csv"]
+    assert any("photo.jpeg" in said and "left out" in said for said in draft.said)
+
+
 @pytest.mark.parametrize("columns", [[0, 1, 2, 3, 4, 5, 6], [1, 2, 3]])
 def test_files_of_one_position_each_without_names_are_told_together(
     columns: list[int], rows: Array, tmp_path: Path

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from tumble.drafting.containers import check_is_text
+from tumble.drafting.containers import NAMED, NoLogError, check_format, check_is_text
 from tumble.drafting.dialects import as_table
 from tumble.drafting.foreign_log import LONGEST, SAMPLE_ROWS, ForeignLog, Stated, samples_in
 from tumble.drafting.repairs import nanoseconds_of
@@ -48,12 +48,12 @@ def identified_log(
     Files that are written alike and whose columns have no telling names are identified together: a file of one position
     does not show what they are, all of them do. Raises InputError for files that are no logs, or not alike."""
     logs: list[ForeignLog] = []
-    without: list[_NoRowsError] = []
+    without: list[NoLogError] = []
     omitted: tuple[str, ...] = ()
     for file in files:  # text without rows beside logs that have some, as the metadata that a phone writes, is left out
         try:
             logs += [log.with_stated(stated, units) for log in _found(file, folder)]
-        except _NoRowsError as error:
+        except NoLogError as error:
             without.append(error)
             omitted += (f"{file.name} has no rows of readings and is left out",)
     if not logs:
@@ -87,18 +87,15 @@ def identified_log(
     return replace(first, files=taken, said=said, kept=kept)
 
 
-class _NoRowsError(InputError):
-    """A text file without rows of readings."""
-
-
 def _found(file: Path, folder: OutputFolder) -> list[ForeignLog]:
     """The log in a file; one of each sensor where its rows are of single sensors."""
+    check_format(file, recording=file.suffix.lower() in NAMED)
     if file.suffix.lower() == ".parquet":
         return [ForeignLog(files=(file,), keys={}, columns=columns_by_name(source_of(file).names))]
     with readable(file), opened(file) as stream:
         seen = stream.read(_SEEN_BYTES)
     if not seen:
-        raise _NoRowsError(f"{file}: expected a log, found an empty file")
+        raise NoLogError(f"{file}: expected a log, found an empty file")
     check_is_text(file, seen)
     if parts := split_by_header(file, seen, folder):
         return [log for part in parts for log in _found(part, folder)]
@@ -115,7 +112,7 @@ def _found(file: Path, folder: OutputFolder) -> list[ForeignLog]:
         lines = seen.decode(dialect.encoding, errors="replace").split("\n")[top.lines : top.lines + SAMPLE_ROWS]
         rows = [row for line in lines if len(row := dialect.cells(line)) == len(top.names)]
     if dialect_and_top is None or len(rows) < 2:
-        raise _NoRowsError(f"{file}: expected rows of readings below the names of the columns, found none")
+        raise NoLogError(f"{file}: expected rows of readings below the names of the columns, found none")
     cells = {name: [row[j] for row in rows] for j, name in enumerate(top.names) if name}
     filled = {name: [cell for cell in column if cell.strip()] for name, column in cells.items()}
     numbers = {name for name, column in filled.items() if any(dialect.is_number(c) or is_clock(c) for c in column)}

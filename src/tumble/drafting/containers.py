@@ -134,17 +134,21 @@ def unzipped(archive: Path, folder: OutputFolder) -> list[Path]:
     return files
 
 
+class NoLogError(InputError):
+    """A file that is no log, which is left out where others are."""
+
+
 def check_format(file: Path, *, recording: bool) -> None:
-    """Raise InputError that names the format of a file that cannot be read, by its first bytes, and what to do;
+    """Raise NoLogError that names the format of a file that cannot be read, by its first bytes, and what to do;
     `recording`: its ending is that of one, or in NAMED."""
     with readable(file), file.open("rb") as stream:
         start = stream.read(_SEEN_BYTES)
     for at, mark, name, advice in _OTHER_FORMATS if recording else (*_OTHER_FORMATS, *_MISNAMED):
         if start[at : at + len(mark)].lower() == mark.lower():
-            raise InputError(f"{file}: expected a log, found {name}; {advice}")
+            raise NoLogError(f"{file}: expected a log, found {name}; {advice}")
     wide = encoding_of(start).startswith("utf-16")
     if not recording and not wide and len(_NO_TEXT.findall(start)) > _NO_TEXT_SHARE * len(start):
-        raise InputError(f"{file}: expected a log, found bytes that are no text, of a format unknown here; {_AS_CSV}")
+        raise NoLogError(f"{file}: expected a log, found bytes that are no text, of a format unknown here; {_AS_CSV}")
 
 
 def check_is_text(file: Path, start: bytes) -> None:

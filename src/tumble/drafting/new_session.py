@@ -22,7 +22,7 @@ import numpy as np
 from tumble.diagnosis.turn_likelihood import WIDTHS, Widths
 from tumble.drafting.columns import identified_log
 from tumble.drafting.conclusions import completed
-from tumble.drafting.containers import NAMED, check_format, files_of, unzipped
+from tumble.drafting.containers import check_format, files_of, unzipped
 from tumble.drafting.draft import Draft, session_text
 from tumble.drafting.foreign_log import HEAD_ROWS, SAMPLE_ROWS, ForeignLog
 from tumble.drafting.repairs import repaired
@@ -172,10 +172,11 @@ def drafted_log(
     if given.sample_rate is not None and not 0.0 < given.sample_rate < 1e9:
         raise InputError(f"--sample-rate: expected a positive number, found {given.sample_rate:g}")
     files = [inner for file in files for inner in unzipped(file, folder)]
-    for file in filter(Path.is_file, files):
-        check_format(file, recording=is_recording(file) or file.suffix.lower() in NAMED)
     imu: Mapping[str, AutopilotSensor] = {}
-    if not (recordings := [file for file in files if is_recording(file) or file.is_dir()]):
+    recordings = [file for file in files if is_recording(file) or file.is_dir()]
+    for file in filter(Path.is_file, recordings):
+        check_format(file, recording=True)
+    if not recordings:
         log = identified_log(files, folder, given.columns, given.units)
         log.check_has_sensors(gyros_suffice=gyros_suffice)
     elif given.columns or given.units:
