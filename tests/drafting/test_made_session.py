@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -29,9 +28,9 @@ def logs(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def made(log: Path, given: Given = GIVEN) -> tuple[Path, Sequence[str]]:
-    with session_of_log(log, given, Log.chunks) as (folder, said, _):
-        return folder, said
+def made(log: Path, given: Given = GIVEN) -> tuple[Path, str]:
+    with session_of_log(log, given, Log.chunks) as (folder, state, _, _):
+        return folder, state
 
 
 def test_each_log_has_a_session_of_its_own_and_finds_it_again(logs: Path) -> None:
@@ -42,7 +41,7 @@ def test_each_log_has_a_session_of_its_own_and_finds_it_again(logs: Path) -> Non
     (logs / "flight-1.2.csv").write_bytes((logs / "renamed.csv").read_bytes())
     folder, said = made(logs / "renamed.csv", replace(GIVEN, serial="flight-1.2"))
     assert folder == first
-    assert said == [f"{first / 'session.toml'}: the session made of this log before"]
+    assert said == f"{first / 'session.toml'}: the session made of this log before"
     assert (first / "session.toml").read_bytes() == before
 
 
@@ -61,7 +60,7 @@ def test_other_statements_make_it_anew_and_keep_what_was_put_there(logs: Path) -
     (folder / "calibration.json").write_text("{}", encoding="utf-8")
     again, said = made(logs / "flight-1.2.csv", Given(latitude=40.0))
     assert again == folder
-    assert said[0].endswith("with other options or by another version: anew")
+    assert "with other options or by another version: anew; kept in" in said
     assert "latitude_deg = 40.0" in (folder / "session.toml").read_text(encoding="utf-8")
     assert {f.name for f in folder.iterdir()} == {"session.toml", "made.json", "notes.txt"}
     assert [f.name for f in logs.iterdir() if f.name.startswith(".")] == []
@@ -80,7 +79,7 @@ def test_what_was_corrected_by_hand_is_used_and_never_replaced(logs: Path) -> No
     folder, _ = made(logs / "flight-1.2.csv")
     text = (folder / "session.toml").read_text(encoding="utf-8").replace("latitude_deg = 50.0", "latitude_deg = 51.0")
     (folder / "session.toml").write_text(text, encoding="utf-8")
-    assert made(logs / "flight-1.2.csv")[1][0].endswith("before, corrected by hand")
+    assert made(logs / "flight-1.2.csv")[1].endswith("before, corrected by hand")
     with pytest.raises(InputError, match="corrected by hand; calibrate it as it is"):
         made(logs / "flight-1.2.csv", Given(latitude=40.0))
     assert (folder / "session.toml").read_text(encoding="utf-8") == text

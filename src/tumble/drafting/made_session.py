@@ -32,8 +32,11 @@ _RESULT = "calibration.json"
 
 
 @contextmanager
-def session_of_log(log: Path, given: Given, progress: Progress) -> Iterator[tuple[Path, Sequence[str], Sequence[str]]]:
-    """The folder of the session of a log, sentences on how it came about, and faults that a look at it found.
+def session_of_log(
+    log: Path, given: Given, progress: Progress
+) -> Iterator[tuple[Path, str, Sequence[str], Sequence[str]]]:
+    """The folder of the session of a log, whether it was there before, how each part of it came about, and faults that
+    a look at it found, in sentences.
 
     It is made where there is none, and is there no more, or as it was before, where the block fails. Raises InputError
     for a log that cannot be read, and where a session that was corrected by hand would be made anew."""
@@ -46,20 +49,20 @@ def session_of_log(log: Path, given: Given, progress: Progress) -> Iterator[tupl
     digest, stated = _digest(log), {key: value for key, value in asdict(given).items() if value}
     content = {"log_sha256": digest, "given": json.loads(json.dumps(stated)), "version": __version__}
     folder = next((f for f in sorted(log.parent.glob("*-session")) if _made(f).get("log_sha256") == digest), None)
-    said: list[str] = []
+    state = ""
     if folder is not None:
         made = _made(folder)
         edited = made.get("session_sha256") != _sha256(folder / SESSION_FILE)
         if made.get("given") == content["given"] and (edited or made.get("version") == __version__):
             by_hand = ", corrected by hand" if edited else ""
-            yield folder, [f"{folder / SESSION_FILE}: the session made of this log before{by_hand}"], []
+            yield folder, f"{folder / SESSION_FILE}: the session made of this log before{by_hand}", [], []
             return
         if edited:
             raise InputError(
                 f"{folder}: expected the options with which the session of this log was made, found others, and the "
                 f"session corrected by hand; calibrate it as it is (tumble calibrate {folder}), or remove it"
             )
-        said.append(f"{folder}: the session made of this log before, with other options or by another version: anew")
+        state = f"{folder}: the session made of this log before, with other options or by another version: anew; "
     else:
         folder = log.with_name(f"{stem}-session")
         folder = folder if not folder.exists() else log.with_name(f"{stem}-{digest[:8]}-session")
@@ -69,7 +72,7 @@ def session_of_log(log: Path, given: Given, progress: Progress) -> Iterator[tupl
         content["files"] = [file.name for file in output.written]
         with whole_file(output.new_file(MADE)) as temporary:
             temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-        yield folder, (*said, *draft.said, f"kept in {folder / SESSION_FILE}"), faults
+        yield folder, f"{state}kept in {folder / SESSION_FILE}", draft.said, faults
 
 
 @contextmanager
