@@ -82,6 +82,14 @@ def session_of(description: Mapping[str, Any], data: Data | None = None) -> Sess
     return _complete(replace(session, log=replace(session.log, files=samples or session.log.files)), where)
 
 
+def session_of_gyros(description: Mapping[str, Any]) -> Session:
+    """The session of a description without [log.accel]: it has accelerometers all the same, for which the gyros stand,
+    so that their readings are those of the session."""
+    some = {"columns": [f"no accelerometer {axis}" for axis in "xyz"], "unit": "m/s^2"}
+    session = session_of({**description, "log": {**description["log"], "accel": some}})
+    return replace(session, log=replace(session.log, accel=session.log.gyro or session.log.accel, gyro=None))
+
+
 def _complete(session: Session, where: str) -> Session:
     """A session whose files are there, and whose log's clock was compared with the second one that it may have."""
     log, passport = session.log, session.device.systematic

@@ -368,6 +368,7 @@ def assumptions(session: Session) -> tuple[str, ...]:
             f"no uncertainty of the time base is stated: {size}, as of {of}, is in the u of "
             f"{' and '.join(by_clock)}; state clock_ppm_u in [log], 0 where it is exact"
         )
+    out += [f"doubt: {log.doubt}"] if log.doubt else []
     return tuple(out)
 
 

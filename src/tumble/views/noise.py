@@ -90,7 +90,9 @@ def noise_blocks(noise: RecordedNoise, *, filters: bool = False) -> list[Block]:
             reasons.setdefault(v.why, []).append(v.filter)
         blocks.append(table(values, words=("filter", "parameter", "unit")))
         blocks += (f"{', '.join(dict.fromkeys(who))}: {why}." for why, who in reasons.items())
-    return [*blocks, *noise.doubts]
+    if noise.doubt:
+        blocks.append(f"doubt: {noise.doubt}")
+    return blocks
 
 
 def plot(panels: Sequence[Panel], path: Path) -> None:

@@ -70,8 +70,11 @@ def check_head(source: LogSource, spec: LogSpec, time: Array) -> Array:
     """The first times of a file without those that cannot be read, are repeated, leap or fall back, if they are few."""
     read = np.flatnonzero(is_reading(time))
     number = read[~leaping(time[read], -math.inf, 0.0)]
-    kept = number[~_no_later(time[number], -math.inf)]
-    if len(read) - len(kept) > FREE + SHARE * len(time) or len(kept) < 2:
+    late = _no_later(time[number], -math.inf)
+    kept = number[~late]
+    again = np.count_nonzero(late[1:] & (np.diff(time[number]) == 0.0))
+    few = len(read) - len(kept) - again <= FREE + SHARE * len(time) and 2 * again < len(read)
+    if not few or len(kept) < 2:
         check_time(source, spec, np.arange(1, len(time) + 1), time)
     return np.asarray(time[kept])
 
@@ -108,7 +111,7 @@ def rows_of(
         first += table.height
     if sieve.held is not None:
         yield sieve.judged(sieve.held, last=True)
-    if sieve.left_out > FREE + SHARE * (first - 1):
+    if sieve.left_out - sieve.repeated > FREE + SHARE * (first - 1) or 2 * sieve.repeated >= first - 1:
         raise sieve.too_many(first - 1)
 
 
@@ -131,6 +134,7 @@ class _Sieve:
     held: LogRows | None = None
     falls: list[tuple[int, int, float, float]] = field(default_factory=list)
     left_out: int = 0
+    repeated: int = 0
     first: Gap | None = None
 
     def kept(self, rows: LogRows) -> LogRows:
@@ -208,6 +212,7 @@ class _Sieve:
             self.falls.append((len(rows), rows[0], before, float(time[0])))
         if not falls or abs(passed - len(rows) - 1.0) < _PASSED:
             what = "a time stamp before that of the row before" if falls else "the time stamp of the row before"
+            self.repeated += 0 if falls else len(rows)
             for row in rows:
                 self._leave_out(row, what, before)
             return

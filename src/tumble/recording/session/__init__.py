@@ -193,6 +193,8 @@ class LogSpec:
     """In its unit, which is that of the site's field too."""
     clock: bool = False
     regular: bool = False
+    doubt: str = ""
+    """What is not sure about the log, and what hangs on it."""
     dialect: Dialect | None = None
     clock_u: float | None = None
     reference_clock: ReferenceClock | None = None

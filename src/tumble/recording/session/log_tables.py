@@ -155,6 +155,8 @@ class GyroTable(SensorsTable):
     UNITS = GYRO_UNITS
     SCALE_PER = ("rad/s", "deg/s", "rad", "deg", "arcsec")
 
+    used: bool | None = key("true or false")
+
 
 class MagnetometerTable(SessionTable):
     """[log.magnetometer]"""
@@ -240,6 +242,7 @@ class LogTable(SessionTable):
     time_unit: Annotated[str, one_of([*TIME_UNITS, CLOCK])] | None = key(f"one of {', '.join([*TIME_UNITS, CLOCK])}")
     rate_hz: float | None = key("a positive number", gt=0)
     regular: bool | None = key("true or false")
+    doubt: str | None = key("a sentence")
     clock_ppm_u: float | None = key("a number that is not negative", ge=0)
     delimiter: Annotated[str, one_of(DELIMITERS)] | None = key("a character, or a blank for one or more blanks")
     decimal: Annotated[str, one_of(".,")] | None = key('"." or ","')
@@ -255,7 +258,12 @@ class LogTable(SessionTable):
     @property
     def sensors(self) -> tuple[int, int]:
         """How many accelerometers and gyros there are."""
-        return len(self.accel.columns), 0 if self.gyro is None else len(self.gyro.columns)
+        return len(self.accel.columns), 0 if self.used_gyro is None else len(self.used_gyro.columns)
+
+    @property
+    def used_gyro(self) -> GyroTable | None:
+        """The gyros, but for those that are described and not used, because their scale is not known."""
+        return None if self.gyro is None or self.gyro.used is False else self.gyro
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -302,11 +310,12 @@ class LogTable(SessionTable):
             time_factor=TIME_UNITS.get(self.time_unit or "s", 1.0),
             rate=self.rate_hz,
             accel=self.accel.si(self.rate_hz),
-            gyro=None if self.gyro is None else self.gyro.si(self.rate_hz),
+            gyro=None if self.used_gyro is None else self.used_gyro.si(self.rate_hz),
             temperature=None if self.temperature is None else self.temperature.si(*self.sensors),
             magnetometer=None if self.magnetometer is None else self.magnetometer.channels(),
             clock=self.time_unit == CLOCK,
             regular=bool(self.regular),
+            doubt=self.doubt or "",
             dialect=Dialect(**dialect) if dialect else None,
             clock_u=None if self.clock_ppm_u is None else 1e-6 * self.clock_ppm_u,
             reference_clock=self.reference_clock,
