@@ -191,10 +191,11 @@ def _accel(
                 f"{draft.log['file']}: expected readings of accelerometers, found linear acceleration, which a filter "
                 f"has taken gravity off ({', '.join(columns)[:120]}); log the raw accelerometers"
             )
-        said.append(
-            f"{named} are no whole numbers as counts are, and read gravity in no unit: are they volts, or what a "
-            "filter has left without gravity? That cannot be calibrated"
-        )
+        why = f"{named} are no whole numbers as counts are, and read gravity in no unit"
+        if shown.rests >= 4 and shown.length_u < _TOLERANCE:
+            said.append(f"{why}: rests in several attitudes read {found:.4g} per g, which is taken for their scale")
+        else:
+            said.append(f"{why}: are they volts, or what a filter has left without gravity? That cannot be calibrated")
     if scale.unit is not None and not zero:
         return {"columns": columns, "unit": scale.unit}, said
     raw = "V" if unit == "V" else "count"
@@ -229,7 +230,8 @@ def _gyro(
         fitting = " or ".join(f"{value:.6g}" for value in sorted(rivals | {gyro.value}))
         shows = f"{fitting} per deg/s fit the only turn" if open_scale else "no turns show it"
         unknown = f"the offset is their reading at rest, the scale is unknown, for {shows}"
-        return _counts(columns, 1.0, "deg/s", centred), [f"{named} counts; {unknown}: put that of the data sheet there"]
+        table |= {"unit": "count", "scale_per": "deg/s", "offset": centred}
+        return table, [f"{named} counts; {unknown}: put that of the data sheet there"]
     why = [words for cost, words in readings(shown, gyro, rate, draft) if cost < 0.0]
     rival = next((h for h in every if GYRO in h.differs(best)), best)
     if rival.gyro is not None and rival is not best:

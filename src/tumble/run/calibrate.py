@@ -14,6 +14,7 @@ from typing import Any, Literal, Unpack, get_args
 import numpy as np
 
 from tumble import __version__
+from tumble.diagnosis.level_faces import with_common_tilt
 from tumble.diagnosis.undetermined import one_attitude
 from tumble.errors import CalibrationError, InputError
 from tumble.files import FilePath
@@ -51,6 +52,10 @@ METHODS: Mapping[str, Estimator] = {
     "joint": joint,
     "ellipsoid": _imported("ellipsoid", "ellipsoid"),
 }
+UNSCALED = (
+    "[log.gyro] states no scale for its counts: the accelerometers are calibrated alone; state scale as the data sheet "
+    "has it, and the gyros are too"
+)
 WITH_ALL_TERMS = ("joint", "ellipsoid")
 """Those whose result has groups of parameters beyond bias, scale factor and axis angles; others have them in u."""
 ITERATED_METHODS: Mapping[str, Callable[..., Estimate]] = {
@@ -123,7 +128,9 @@ def calibrate(
         raise InputError(f"calibrate: expected a session or readings accel=…, found {found}{beside}")
     else:
         given = session_from(session)
-    given = given.without(without)
+    given, unscaled = given.without(without), ()
+    if given.log.gyro is not None and not given.log.gyro.scale_stated:
+        given, unscaled = given.of_accelerometers(), (UNSCALED,)
     known: dict[str, Callable[..., Estimate]] = {**METHODS, **ITERATED_METHODS}
     if method not in known:
         raise InputError(f"method: expected one of {', '.join(known)}, found {method!r}")
@@ -139,6 +146,7 @@ def calibrate(
         Convention(frame=frame, block=given.accel_block)
     terms = terms if method in WITH_ALL_TERMS else "linear"
     made = _calibrated(given, method, estimator, frame, terms, progress, prior)
+    made = _with_provenance(made, notes=(*made.provenance.notes, *unscaled))
     if not given.excluded:
         return made
 
@@ -308,6 +316,7 @@ def estimated(
         elif prior is not None:
             estimate, said = with_prior(estimate, observations, prior, reference_of(observations))
             notes += said
+        estimate = with_common_tilt(estimate, observations)
     except np.linalg.LinAlgError as error:
         broken = f"the estimate broke down ({error}): the data contradict the model; look at them with `tumble inspect`"
         return Outcome(reasons=(one_attitude(observations) or broken,))

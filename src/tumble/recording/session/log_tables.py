@@ -58,6 +58,7 @@ class SensorsTable(SessionTable):
 
     UNITS: ClassVar[Mapping[str, Unit]]
     SCALE_PER: ClassVar[tuple[str, ...]]  # the first is the default
+    SCALE_NEEDED: ClassVar[bool] = True
 
     columns: list[str] = Field(min_length=3, description="a list of at least three column names")
     unit: str = Field(description="the name of a unit, a string")
@@ -89,12 +90,12 @@ class SensorsTable(SessionTable):
             for key in ("scale", "scale_per", "offset"):
                 if getattr(self, key) is not None:
                     raise ValueError(f'{key}: expected only with unit "count" or "V", found unit "{self.unit}"')
-        elif self.scale is None:
+        elif self.scale is None and self.SCALE_NEEDED:
             raise ValueError(f'scale: expected the nominal output per unit for unit "{self.unit}", found none')
         else:
             check_known(self.scale_per or self.SCALE_PER[0], self.SCALE_PER, "scale_per")
             check_one_per_column(len(self.columns), scale=self.scale, offset=self.offset)
-            if not np.all(self.scale):
+            if self.scale is not None and not np.all(self.scale):
                 raise ValueError(f"scale: expected numbers other than zero, found {as_written(self.scale)}")
         self._check_axes()
         return self
@@ -130,6 +131,7 @@ class SensorsTable(SessionTable):
             offset=self.per_sensor(self.offset, 0.0),
             axes=self.directions(),
             range=full_scale,
+            scale_stated=self.UNITS[self.unit].kind != "raw" or self.scale is not None,
         )
 
 
@@ -150,9 +152,10 @@ class AccelTable(SensorsTable):
 
 
 class GyroTable(SensorsTable):
-    """[log.gyro]"""
+    """[log.gyro], whose counts may be of an unknown scale: rests alone do not show it."""
 
     UNITS = GYRO_UNITS
+    SCALE_NEEDED = False
     SCALE_PER = ("rad/s", "deg/s", "rad", "deg", "arcsec")
 
 
