@@ -29,8 +29,8 @@ UPRIGHT = 0.9
 
 
 def with_common_tilt(estimate: Estimate, observations: Observations) -> Estimate:
-    """An estimate in whose u is what level faces have in common, with a remark where that is more than u; the same where
-    oblique rests check it."""
+    """An estimate with the tilt that level faces have in common in its u, and a remark, where that is more than u; the
+    same where oblique rests check it."""
     block, g = observations.accel_block, observations.site.gravity
     if not block.triad or not any(name.startswith("accel.axis") for name in estimate.unobservable):
         return estimate
@@ -56,9 +56,9 @@ def with_common_tilt(estimate: Estimate, observations: Observations) -> Estimate
         observable[linear] &= np.sqrt(np.diag(covariance)[linear]) < limits / DETERMINED
         size, unit = shown_in("accel.bias", "m/s^2", g * abs(mean))
         remark = (
-            f"accelerometer {sensor} reads {g * abs(mean) / size:.3g} {unit} beside its bias on all faces on which it is "
-            f"level: the device leans by {abs(mean) / DEGREE:.2g}° on each of them alike, or {sensor} is not linear, which "
-            "faces do not tell apart; u has both, and oblique positions, such as edges, would tell"
+            f"accelerometer {sensor} reads {g * abs(mean) / size:.3g} {unit} beside its bias on all faces on which it "
+            f"is level: the device leans by {abs(mean) / DEGREE:.2g}° on each of them alike, or {sensor} is not "
+            "linear, which faces do not tell apart; u has both, and oblique positions, such as edges, would tell"
         )
         estimate = replace(
             estimate,

@@ -230,8 +230,8 @@ def _gyro(
         fitting = " or ".join(f"{value:.6g}" for value in sorted(rivals | {gyro.value}))
         shows = f"{fitting} per deg/s fit the only turn" if open_scale else "no turns show it"
         unknown = f"the offset is their reading at rest, the scale is unknown, for {shows}"
-        table |= {"unit": "count", "scale_per": "deg/s", "offset": centred}
-        return table, [f"{named} counts; {unknown}: put that of the data sheet there"]
+        counts = {"columns": columns, "unit": "count", "scale_per": "deg/s", "offset": centred}
+        return counts, [f"{named} counts; {unknown}: put that of the data sheet there"]
     why = [words for cost, words in readings(shown, gyro, rate, draft) if cost < 0.0]
     rival = next((h for h in every if GYRO in h.differs(best)), best)
     if rival.gyro is not None and rival is not best:

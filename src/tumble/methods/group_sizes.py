@@ -39,7 +39,6 @@ from tumble.inference.sources import UncertaintyBudget, source
 from tumble.methods.ellipsoid import deviations
 from tumble.methods.ellipsoid_fit import EllipsoidFit
 from tumble.reduction.observations import Observations
-from tumble.units import Array
 
 POINTS = 128
 """Points of the sizes of the groups."""

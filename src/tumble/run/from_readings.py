@@ -24,11 +24,14 @@ import numpy as np
 import scipy
 
 from tumble.brief import Brief
+from tumble.diagnosis.level_faces import UPRIGHT, with_common_tilt
 from tumble.diagnosis.linear_model import left_out_by_rests
-from tumble.diagnosis.observability import Refusal, undetermined
+from tumble.diagnosis.observability import Refusal, rough_directions, undetermined
+from tumble.diagnosis.verdict import verdict
 from tumble.errors import InputError
 from tumble.files import FilePath
 from tumble.inference.estimate import Estimate, Outcome
+from tumble.inference.joint import joint
 from tumble.methods.ellipsoid import estimate_of
 from tumble.methods.ellipsoid_fit import TRIAD, EllipsoidFit, fit_ellipsoid
 from tumble.methods.group_sizes import with_groups
@@ -67,6 +70,11 @@ that of readings with few digits. Near steel the field of the Earth is not the s
 SCATTER_LIMIT = 2e-2
 """The same above which a triad does not follow the model. Of an accelerometer that is waved about scatter is its own
 motion, which makes the vector longer by its square, 4e-4."""
+
+FACES = 6
+"""Positions at least that bias and scale factors of a triad need."""
+LEAST_NOISE = 1e-6
+"""Noise, in parts of the modulus, at least of a reading that nothing checks."""
 
 NAMED = 4
 """Of more positions than these, the one to look at is not told."""
@@ -116,6 +124,8 @@ def calibrate_readings(
     **described: Unpack[ReadingsDescription],
 ) -> ReadingsCalibration:
     """Calibrate a triad from a table of its readings in nine or more positions, by the ellipsoid method.
+
+    Six faces give bias and scale factor of each accelerometer, as the method `joint` has them.
 
     Parameters
     ----------
@@ -174,17 +184,23 @@ def calibrate_readings(
         refusal = (
             undetermined(nominal.to_si(whole.values), block=TRIAD) or fitted
         )  # counts the rows as they are written
-        misstated = None if len(refusal.null) else _misstated(nominal, sizes_seen(table.values, nominal.modulus))
-        names = tuple(f"{sensor}.{name.partition('.')[2]}" for name in TRIAD.names)
-        outcome = Outcome(reasons=(misstated or refusal.reason,), unobservable=names)
+        faces = None
+        if sensor == "accel" and len(refusal.null) and not recorded and len(table.values) >= FACES:
+            faces = _by_faces(table, nominal, noise, grade, terms)
+        if faces is not None:
+            estimate, outcome, notes = faces
+        else:
+            misstated = None if len(refusal.null) else _misstated(nominal, sizes_seen(table.values, nominal.modulus))
+            names = tuple(f"{sensor}.{name.partition('.')[2]}" for name in TRIAD.names)
+            outcome = Outcome(reasons=(misstated or refusal.reason,), unobservable=names)
     else:
         fit, estimate, notes = _estimated(fitted, noise, table, nominal, grade, terms)
         reasons, remarks = tuple(_reasons(table, nominal, fit)), tuple(_remarks(table, nominal, fit))
         outcome = Outcome(reasons=reasons, remarks=remarks)
     parameters: tuple[Parameter, ...] = ()
-    has_u = fit is not None and fit.covariance is not None
+    has_u = fit is None or fit.covariance is not None
     if estimate is not None:
-        learned = learned_in(estimate)
+        learned, frame = learned_in(estimate), frame if fit is not None else "accelerometer"
         if frame != "accelerometer":
             estimate, _ = estimate_in(frame, estimate, _rests(table, nominal, np.zeros((3, 3))))
         named = replace(
@@ -192,7 +208,8 @@ def calibrate_readings(
             names=tuple(f"{sensor}.{name.partition('.')[2]}" for name in estimate.names),
             units=(nominal.result_unit,) * 3 + estimate.units[3:],
         )
-        parameters = parameters_of(named, np.arange(len(named.names)), {}, learned)
+        seen = np.flatnonzero(estimate.observable)
+        parameters = parameters_of(named, seen, {}, learned)
         parameters = parameters if has_u else tuple(replace(p, u=None, dof=None) for p in parameters)
     models: dict[str, Any] = dict.fromkeys(("accel", "gyro", "mag")) | {sensor: estimate and estimate.accel}
     site = replace(_site(nominal), gravity_is_unit=nominal.modulus_u is None)
@@ -208,10 +225,10 @@ def calibrate_readings(
     )
     calibration = Calibration(
         device=CalibratedDevice(serial=table.path.stem if serial is None else serial),
-        method="ellipsoid",
+        method="ellipsoid" if estimate is None else estimate.method,
         frame="accelerometer" if estimate is None else frame,
         parameters=parameters,
-        covariance=estimate.covariance if estimate is not None and has_u else None,
+        covariance=estimate.covariance[np.ix_(seen, seen)] if estimate is not None and has_u else None,
         **models,
         outcome=outcome,
         groups=() if estimate is None else estimate.groups,
@@ -287,6 +304,34 @@ def _estimated(
     return fit, estimate, (note,)
 
 
+def _by_faces(
+    table: ReadingsTable, nominal: Nominal, noise: Array, grade: str | None, terms: Terms
+) -> tuple[Estimate, Outcome, tuple[str, ...]] | None:
+    """What positions give that determine bias and scale factor of each accelerometer and no angles, as six faces do, as
+    the method `joint` has them from six logs; None where they do not."""
+    chosen = grade or [*GRADES][-1]
+    rests, readings = _rests(table, nominal, noise), nominal.to_si(table.values)
+    if np.abs(rough_directions(readings)).max(axis=1).min() < UPRIGHT:
+        return None
+    middle = 0.5 * (readings.min(axis=0) + readings.max(axis=0))
+    usual = {} if terms == "linear" else prior_sizes(chosen)
+    covariance = rests.rests.accel_covariance + (LEAST_NOISE * nominal.modulus) ** 2 * np.eye(3)
+    known = replace(
+        rests,
+        rests=replace(rests.rests, accel_covariance=covariance),
+        usual=usual,
+        in_run={"accel": GRADES[chosen].noise.accel_instability},
+        start=dict(zip(TRIAD.names, middle.tolist(), strict=False)),
+    )
+    try:
+        estimate = with_common_tilt(joint(known), known)
+    except np.linalg.LinAlgError:
+        return None
+    of_rows = "" if table.covariance is None else " and the scatter within positions"
+    note = f"nothing checks the readings: u has their last digit{of_rows}, and what is usual for the grade {chosen}"
+    return estimate, verdict(estimate, known), (note,)
+
+
 def _usual(grade: str, table: ReadingsTable) -> dict[str, float]:
     """What a table may have beyond the linear model, and its usual size; a recording has its drift in its residuals."""
     names = [name for name in AT_REST if table.stretch is None or variable_of(name) is None]
@@ -317,8 +362,8 @@ def _reasons(table: ReadingsTable, nominal: Nominal, fit: EllipsoidFit) -> Itera
     size, unit = engineering(nominal.result_unit, float(np.abs(fit.residual).max()))
     for i in np.flatnonzero(~fit.used).tolist():
         yield (
-            f"position {_named(table, [i])} does not fit: {fit.sigmas[i]:.1f} sigma, residual {fit.residual[i] / size:+.3g} "
-            f"{unit}; it was left out"
+            f"position {_named(table, [i])} does not fit: {fit.sigmas[i]:.1f} sigma, "
+            f"residual {fit.residual[i] / size:+.3g} {unit}; it was left out"
         )
     if fit.doubtful and fit.worst is not None:
         several = "; these positions do not tell which, so that none was left out" if len(fit.doubtful) > 1 else ""
