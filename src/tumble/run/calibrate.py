@@ -128,9 +128,7 @@ def calibrate(
         raise InputError(f"calibrate: expected a session or readings accel=…, found {found}{beside}")
     else:
         given = session_from(session)
-    given = given.without(without)
-    unscaled = given.log.gyro is not None and not given.log.gyro.scale_stated
-    given = given.of_accelerometers() if unscaled else given
+    given, stated = given.without(without).of_known_scales(), given
     known: dict[str, Callable[..., Estimate]] = {**METHODS, **ITERATED_METHODS}
     if method not in known:
         raise InputError(f"method: expected one of {', '.join(known)}, found {method!r}")
@@ -146,7 +144,7 @@ def calibrate(
         Convention(frame=frame, block=given.accel_block)
     terms = terms if method in WITH_ALL_TERMS else "linear"
     made = _calibrated(given, method, estimator, frame, terms, progress, prior)
-    if unscaled:
+    if given.log.gyro is not stated.log.gyro:
         made = _with_provenance(made, notes=(*made.provenance.notes, UNSCALED))
     if not given.excluded:
         return made

@@ -391,9 +391,11 @@ class Session(Brief):
             return None
         return Block(kind="gyro", axes=self.log.gyro.axes, thermometers=() if known is None else known.gyro)
 
-    def of_accelerometers(self) -> Session:
-        """The session without its gyros."""
+    def of_known_scales(self) -> Session:
+        """The session without its gyros where nobody states what their counts are worth."""
         known = self.log.temperature
+        if self.log.gyro is None or self.log.gyro.scale_stated:
+            return self
         log = replace(self.log, gyro=None, temperature=None if known is None else replace(known, gyro=()))
         return replace(self, log=log)
 
