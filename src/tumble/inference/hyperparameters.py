@@ -12,7 +12,8 @@ A component of scatter may be small, and is never excluded: no test decides whet
 turns falls by a power: with an exponential one turns that are spoilt a hundred times their noise are so unlikely that
 sound accelerometers take the blame. With λ = exp(max(p, 0))
 half of the prior says that the sheet holds, the other half that it is too small by a factor of the order k: 2 for a
-data sheet, 3 for a grade that is stated, 10 for one that is guessed where the next poorer grade has a larger size. A prior is never narrowed.
+data sheet, 3 for a grade that is stated, 10 for one that is guessed where the next poorer grade has a larger
+size. A prior is never narrowed.
 
 `Hyperparameters` has all that the maximum (`tumble.inference.maximum`) and the integral (`tumble.inference.integral`)
 need of φ; `table` makes those of a problem, in their order. Adding one is adding an entry there.
@@ -189,7 +190,7 @@ def table(problem: Problem, noise: Noise, seen: BoolArray) -> Hyperparameters:
             entries.append(Hyperparameter.of_size(f"{kind}.in_run.{sensor}", said, "unlike", UNLIKE, member))
         first += block.size
 
-    # groups of parameters beyond the linear model. The lag multiplies others: a wide prior would let both grow.
+    # groups of parameters beyond the linear model. A lag multiplies others: a wide prior would let both grow.
     # Curvatures are not wider than usual where there are but two temperatures, nor is a hysteresis where they came one
     # way: what a bias has beyond its usual size would be taken for one.
     two, both_sides = at_two_temperatures(observations), both_ways(observations)
@@ -213,9 +214,7 @@ def components_of(entries: Hyperparameters, phi: Array) -> Components:
 
 def sized(problem: Problem, entries: Hyperparameters, phi: Array) -> Problem:
     """The problem with the priors of its groups as large as φ says, or a stack of them."""
-    expected, usual = problem.measured[0], problem.usual[1].copy()
-    if problem.lag_known and problem.lag is not None:
-        usual[1 + problem.lag] = problem.measured[1][1 + problem.lag]
+    expected, usual = problem.measured[0], problem.usual[1]
     known = np.broadcast_to(usual, (*phi.shape[:-1], len(usual))).copy()
     known[..., 1:] *= entries.sizes(phi, entries.by_group)
     own = problem.own_usual * entries.sizes(phi, entries.by_own_group)

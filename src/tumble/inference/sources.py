@@ -61,7 +61,7 @@ WORDS: Mapping[str, tuple[str, Evaluation]] = {
     "hyperparameters": ("what the model does not know of itself: scatter, in-run biases, sizes of groups", "A"),
     "rounding": ("rounding of readings to steps", "B"),
     "clock": ("time base of the log", "B"),
-    "lag": ("lag of the thermometer", "A"),
+    "lag": ("lags behind the thermometer", "A"),
     "type": ("what other units of the type are like", "B"),
     "tilt": ("tilt that level faces have in common, or what is not linear", "B"),
     "case": ("placements on the faces of the case", "A"),

@@ -170,7 +170,7 @@ def calibrate_readings(
         raise InputError(f"--frame: expected accelerometer for --sensor {sensor}, found {frame!r}")
     if serial is not None and not serial.strip():
         raise InputError(f"--serial: expected a serial number, found {serial!r}")
-    whole = readings if isinstance(readings, ReadingsTable) else read_table(Path(readings))
+    whole = readings if isinstance(readings, ReadingsTable) else read_table(Path(readings), sensor)
     table = positions_of(whole, rows_per_position)
     nominal = nominal_of(table, **described)
     if grade is not None:

@@ -190,7 +190,7 @@ def _length_and_derivative(
     block, reference = observations.accel_block, calibration.reference_temperature
     rests, celsius = observations.rests, None
     if rests.temperatures is not None:  # the sensors follow their thermometers with the lag of the calibration
-        kelvin = sensors_at(observations, rests.temperatures, calibration.compensator.lag)
+        kelvin = sensors_at(observations, rests.temperatures, calibration.compensator.lags.get(block.kind, 0.0))
         celsius = kelvin[:, block.thermometer] - ZERO_CELSIUS
     convention = Convention(frame=frame_of(calibration.frame), block=block)
     if calibration.outcome.unobservable:
