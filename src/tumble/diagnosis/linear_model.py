@@ -16,8 +16,8 @@ G is of the methods of the paper the derivative of their passes; of `ellipsoid` 
 weights that the fit has and B what no turn of the vertical reaches; and of `joint` with linear terms N⁻¹ Aᵀ of its
 normal equations, which gives N_AA⁻¹ N_AB with those of the whole instrument.
 
-Residuals of the methods beside `joint` are judged about the estimate that `joint` makes with all groups (`by_joint`):
-what these explain is in u, and the turns show most of what rests alone can be fitted to.
+Residuals are judged about the estimate that `joint` makes with all groups (`by_joint`): what these explain is in u, and
+the turns show most of what rests alone can be fitted to.
 
 This is docs/explanation/mathematics.md (36) with usual sizes; the columns are those of Eq. (12) of the turntable paper,
 for any number of sensors.
@@ -30,8 +30,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from tumble.diagnosis.lost_samples import lost_by_velocities
-from tumble.diagnosis.misfit import DAMAGE, damaging
 from tumble.diagnosis.undetermined import linear_names
 from tumble.inference.elimination import fold
 from tumble.inference.estimate import Estimate, GroupFinding
@@ -52,19 +50,6 @@ from tumble.units import Array
 
 _NOTHING = 1e-9
 """Of the largest singular value: what rests do not determine is moved by nothing that they show."""
-
-
-def with_lost_samples(estimate: Estimate, observations: Observations) -> Estimate:
-    """An estimate by `joint` of the linear model with what the velocities of turns, which it does not have, say of lost
-    samples."""
-    if estimate.linearised is None or not observations.unstamped or estimate.gyro is None:
-        return estimate
-    lost = lost_by_velocities(estimate.linearised, observations)
-    if lost is None:
-        return estimate
-    if lost.damage > DAMAGE:
-        return replace(estimate, reasons=(*estimate.reasons, damaging(lost)[1]))
-    return replace(estimate, remarks=(*estimate.remarks, f"probable cause: {lost.sentence}"))
 
 
 def by_joint(observations: Observations) -> Estimate | None:
@@ -154,7 +139,8 @@ def left_out_by_passes(observations: Observations, derivative: Array, beside: Es
 
 
 def with_left_out_by_joint(estimate: Estimate, observations: Observations) -> Estimate:
-    """An estimate by `joint` of the linear model with what it leaves out, by its likelihood."""
+    """An estimate by `joint` of the linear model with what it leaves out, by its likelihood, judged by that of all
+    groups where there is one."""
     linear, problem = estimate.linearised, whole_problem(observations)
     if linear is None:
         return estimate
@@ -173,8 +159,10 @@ def with_left_out_by_joint(estimate: Estimate, observations: Observations) -> Es
     if told.process is not None:  # biases are means over the session
         both = np.vstack([moves, -np.eye(moves.shape[1])])
         moves[1 + problem.biases] += mean_along(told)[0][:, :-1] @ both
-    found = LeftOut.of(problem, moves[1:], by_joint(observations))
-    return with_left_out(estimate, found, observations.site.gravity)
+    beside = by_joint(observations)
+    if beside is not None and estimate.converged:
+        estimate = replace(estimate, linearised=beside.linearised, hyperparameters=beside.hyperparameters)
+    return with_left_out(estimate, LeftOut.of(problem, moves[1:], beside), observations.site.gravity)
 
 
 def with_left_out(estimate: Estimate, found: LeftOut, gravity: float) -> Estimate:
@@ -225,14 +213,14 @@ def with_left_out(estimate: Estimate, found: LeftOut, gravity: float) -> Estimat
     )
 
 
-def linear_part(estimate: Estimate) -> tuple[Estimate, tuple[str, ...]]:
-    """The bias, scale factor and axis angles of an estimate that takes other groups as nothing, whose part stays in the
-    covariance, and a note of it."""
+def linear_part(estimate: Estimate) -> Estimate:
+    """The bias, scale factor and axis angles of an estimate that takes other groups as nothing, whose part stays in
+    their covariance."""
     instrument = estimate.instrument
-    if instrument is None or not estimate.groups:
-        return estimate, ()
+    if instrument is None:
+        return estimate
     m = instrument.linear_count
-    linear = replace(
+    return replace(
         estimate,
         names=estimate.names[:m],
         units=estimate.units[:m],
@@ -246,11 +234,10 @@ def linear_part(estimate: Estimate) -> tuple[Estimate, tuple[str, ...]]:
         degrees=None if estimate.degrees is None else estimate.degrees[:m],
         budget=None if estimate.budget is None else estimate.budget.carried(np.eye(m, len(estimate.names))),
     )
-    return linear, taken_as_nothing(estimate)
 
 
 def taken_as_nothing(estimate: Estimate) -> tuple[str, ...]:
-    """That groups are nothing in an estimate and in its u by their size, as a note, where it has such."""
+    """That groups are nothing in an estimate of the linear model and in its u by their size, as a note."""
     if not estimate.groups:
         return ()
     method = f"method {estimate.method}" + (" with linear terms" if estimate.method == "joint" else "")

@@ -21,7 +21,7 @@ need of φ; `table` makes those of a problem, in their order. Adding one is addi
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Container, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal, get_args
@@ -31,7 +31,7 @@ import numpy as np
 from tumble.inference.likelihood import Problem
 from tumble.inference.noise_components import CORRELATION_TIME, OF_TURNS, SCATTER, SCATTER_WORDS, Components, Noise
 from tumble.inference.variables import at_two_temperatures, both_ways
-from tumble.sensors.parameters import variable_of
+from tumble.sensors.parameters import poorer, prior_sizes, variable_of
 from tumble.units import Array, BoolArray
 
 IN_RUN_WITHIN = float(np.log(30.0) / 1.645)
@@ -137,6 +137,19 @@ class Hyperparameters(tuple[Hyperparameter, ...]):
     def sizes(self, phi: Array, by: Array) -> Array:
         """λ = exp(max(p, 0)) at φ of what a matrix of bounded elements says where they enter."""
         return np.asarray(np.exp(np.maximum(phi, 0.0) @ by))
+
+
+def size_factors(
+    grade: str, sizes: Mapping[str, float], sheet: Container[str] = (), *, guessed: bool
+) -> dict[str, float]:
+    """Factors by which the sizes of groups in instruments of a grade may be too small, by where each is from: a data
+    `sheet`, or a grade that is stated or guessed. A guess between grades of equal sizes cannot be wrong by it."""
+    worse = poorer(grade) if guessed else None
+    in_worse = {} if worse is None else prior_sizes(worse)
+    return {
+        name: SHEET if name in sheet else GUESSED if in_worse.get(name, 0.0) > size else STATED
+        for name, size in sizes.items()
+    }
 
 
 def table(problem: Problem, noise: Noise, seen: BoolArray) -> Hyperparameters:

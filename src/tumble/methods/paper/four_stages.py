@@ -35,7 +35,13 @@ from tumble.errors import InputError, ProgrammeError, SessionError
 from tumble.inference.estimate import Estimate, Fit
 from tumble.inference.sources import UncertaintyBudget, source
 from tumble.methods.least_squares import Residuals, scatter_of, solved, unexplained
-from tumble.methods.paper.accelerometers import by_modulus, by_vector, check_for_modulus, check_for_vector
+from tumble.methods.paper.accelerometers import (
+    by_modulus,
+    by_modulus_nominal,
+    by_vector,
+    check_for_modulus,
+    check_for_vector,
+)
 from tumble.methods.paper.gyros import (
     STANDING,
     RecordedTurn,
@@ -74,6 +80,7 @@ class PaperMethod:
 
 SEQUENTIAL = PaperMethod(name="sequential", accelerometers=by_vector, check=check_for_vector)
 SCALAR = PaperMethod(name="scalar", accelerometers=by_modulus, check=check_for_modulus)
+SCALAR_NOMINAL = PaperMethod(name="scalar-nominal", accelerometers=by_modulus_nominal, check=check_for_modulus)
 
 
 def sequential(observations: Observations, iterations: int = 2) -> Estimate:
@@ -85,6 +92,11 @@ def scalar(observations: Observations, iterations: int = 2) -> Estimate:
     """Estimate of the paper's method with the scalar method on all rests, in the estimated orientation. Raises as
     `iterated`."""
     return iterated(observations, SCALAR, iterations)
+
+
+def scalar_nominal(observations: Observations, iterations: int = 2) -> Estimate:
+    """The same in the orientation of the programme, which the paper compares it with. Raises as `iterated`."""
+    return iterated(observations, SCALAR_NOMINAL, iterations)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
