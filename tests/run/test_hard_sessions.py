@@ -329,6 +329,51 @@ def test_six_faces_give_bias_and_scale_of_each_axis_and_say_what_is_absent(tmp_p
     assert abs(np.linalg.norm(force.mean(axis=0)) - SITE["gravity"]) < 1e-3
 
 
+def described(samples: dict[str, Array], gyro: dict[str, object] | None = None) -> Session:
+    """A session in memory of accelerometers in m/s², with or without gyros in counts."""
+    log: dict[str, object] = {"time": "t", "accel": {"columns": ["ax", "ay", "az"], "unit": "m/s^2"}}
+    if gyro is not None:
+        log["gyro"] = {"columns": ["gx", "gy", "gz"], "unit": "count", "scale_per": "deg/s"} | gyro
+    site = {"gravity": SITE["gravity"], "gravity_u": SITE["gravity_u"]}
+    return tumble.session_of({"format": 1, "device": {"serial": "A"}, "site": site, "log": log}, samples)
+
+
+def test_gyros_in_counts_of_an_unknown_scale_do_not_throw_out_rests() -> None:
+    """Fourteen counts of 131 per °/s between attitudes were 14 °/s off their level at rest."""
+    rng = np.random.default_rng(2)
+    time, accel, true = six_faces(rng)
+    up = accel / np.linalg.norm(accel, axis=1, keepdims=True)
+    counts = np.round([-550.0, 110.0, -70.0] + 14.0 * up + 4.0 * rng.standard_normal(accel.shape))
+    samples = {"t": time} | dict(zip(("ax", "ay", "az"), accel.T, strict=True))
+    gyros = dict(zip(("gx", "gy", "gz"), counts.T, strict=True))
+    made = tumble.calibrate(described(samples | gyros, {"offset": [-550.0, 110.0, -70.0]}))
+    alone = tumble.calibrate(described(samples))
+    assert len(made.evidence.rests) == 6
+    assert [(p.name, p.value, p.u) for p in made.parameters] == [(p.name, p.value, p.u) for p in alone.parameters]
+    assert [p.name for p in made.parameters] == list(true)
+    assert "states no scale for its counts" in made.provenance.notes[-1]
+
+
+@pytest.mark.parametrize("part", [0.0, 0.1])
+def test_an_axis_that_level_faces_contradict_is_in_u_and_said(part: float) -> None:
+    """z reads +0.9 and −1.1 g, and 0 at level: z was −99.9 ± 1.6 mg, and x and y 5 u off, accepted."""
+    rng = np.random.default_rng(7)
+    force = np.repeat(np.vstack([np.eye(3), -np.eye(3)]), 400, axis=0) + 2e-3 * np.repeat(
+        rng.standard_normal((6, 3)), 400, 0
+    )
+    force *= SITE["gravity"] / np.linalg.norm(force, axis=1, keepdims=True)
+    read = force + 0.02 * rng.standard_normal(force.shape)
+    read[:, 2] -= part / SITE["gravity"] * force[:, 2] ** 2
+    time = np.repeat(10.0 * np.arange(6.0), 400) + 0.01 * np.tile(np.arange(400.0), 6)
+    made = tumble.calibrate(described({"t": time} | dict(zip(("ax", "ay", "az"), read.T, strict=True))))
+    said = [remark for remark in made.outcome.remarks if "beside its bias on all faces" in remark]
+    assert len(said) == (part > 0.0)
+    assert ("accel.bias.z" in made.outcome.unobservable) == (part > 0.0)
+    for name in ("accel.scale.x", "accel.scale.y"):
+        assert abs(made[name].value) < 1.5 * (made[name].u or 0.0)
+        assert (made[name].u or 0.0) < (0.008 if part else 0.003)
+
+
 def between_rests(hand: Recorded, change: Callable[[int], Array]) -> Array:
     """Gyros that are changed in the turn after each rest."""
     out = hand.gyro.copy()

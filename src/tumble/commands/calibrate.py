@@ -197,7 +197,7 @@ def _session_of(logs: Sequence[Path], given: Given, *, every: bool) -> Iterator[
 @ask.option("--modulus", "gyro: rate of the table; mag: the field; in --unit or --scale-per.", type=float)
 @ask.option("--modulus-u", "Its standard uncertainty; default: scale factors are relative to it.", type=float)
 @ask.option("--rows-per-position", "Rows of one position after another.", 1, type=int)
-@ask.grade(None, "; default: guessed from biases and residuals")
+@ask.grade(None, "; default: any, as far as residuals allow")
 @ask.terms("full")
 @ask.frame([frame for frame in ask.FRAMES if frame != "case"])
 @ask.SERIAL

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -106,16 +106,11 @@ def noise(
             drafts = _drafts(recordings, Path(folder), ask.given_of(options))
             layout = {key: value for key, value in drafts[0].log.items() if key != "file"}
             files = [file for draft in drafts for file in draft.files]
-            found = noise_of(*files, layout={**layout, **_used(layout)})
+            found = noise_of(*files, layout=layout)
     if picture is not None:
         plot(found.panels, picture)
         tell.say(f"written to {picture}")
     tell.show(found, lambda: noise_blocks(found, filters=filters))
-
-
-def _used(layout: Mapping[str, Any]) -> dict[str, Any]:
-    """The gyros of a layout without the mark that says that their scale is not known, which their noise bears."""
-    return {"gyro": {k: v for k, v in layout["gyro"].items() if k != "used"}} if "gyro" in layout else {}
 
 
 def _drafts(recordings: Sequence[Path], folder: Path, given: Given) -> list[Draft]:

@@ -102,15 +102,16 @@ def whole_problem(observations: Observations) -> Problem:
 
 
 def left_out_by_rests(
-    observations: Observations, sigma: Array | None = None, beside: Estimate | None = None
+    observations: Observations, linear: Array, sigma: Array | None = None, beside: Estimate | None = None
 ) -> tuple[LeftOut, Array]:
-    """What a fit of the accelerometers to rests with standard deviations `sigma` (N,), equal ones where None, leaves
-    out, and what one of each group leaves in its rows (r, k), in units of their standard deviations."""
+    """What a fit of the accelerometers to rests leaves out that has the parameters `linear` (m,), and what one of each
+    group leaves in its rows (r, k), in units of the standard deviations `sigma` (N,) of the rests, equal ones where
+    None. Powers are of the forces that the fit makes of the readings, which may have a zero of many g."""
     seen = observations.of_accelerometers()
     problem = whole_problem(seen)
     instrument, block, g = problem.instrument, seen.accel_block, seen.site.gravity
-    values = np.zeros(len(instrument.names))
-    force = g * unit_vector(block.nominal().apply(seen.rests.accel))
+    values = np.append(linear, np.zeros(len(instrument.names) - len(linear)))
+    force = g * unit_vector(block.model(linear).apply(seen.rests.accel))
     beta, D = functions(block, force, np.zeros_like(force)), instrument.derivative(block, values)
     changes = np.einsum("ipb,pbm->ipm", beta, D)
     changing, base = problem.changed

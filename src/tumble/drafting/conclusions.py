@@ -91,10 +91,14 @@ def _no_gravity(draft: Draft, best: Hypothesis, shown: Evidence) -> Iterator[str
                 f"{draft.files[0]}: expected readings of accelerometers, found linear acceleration, which a filter has "
                 f"taken gravity off ({', '.join(columns)[:120]}); log the raw accelerometers"
             )
-        yield (
-            "the accelerometers read no whole numbers as counts are, and gravity in no unit: if they are volts, state "
-            "--accel-unit V; what a filter has left without gravity cannot be calibrated"
-        )
+        seen = "the accelerometers read no whole numbers as counts are, and gravity in no unit"
+        if shown.rests >= 4 and shown.length_u < _TOLERANCE:
+            yield f"{seen}: rests in several attitudes read {shown.length:.4g} per g, which is taken for their scale"
+        else:
+            yield (
+                f"{seen}: if they are volts, state --accel-unit V; what a filter has left without gravity cannot be "
+                "calibrated"
+            )
 
 
 def _doubts(draft: Draft, log: Mapping[str, Any], best: Hypothesis, near: Sequence[Hypothesis]) -> Iterator[str]:
@@ -106,7 +110,7 @@ def _doubts(draft: Draft, log: Mapping[str, Any], best: Hypothesis, near: Sequen
         alone = "the accelerometers alone are calibrated, " if with_accel else ""
         rivals = [h.accel if kind == ACCEL else h.gyro for h in near if kind in h.differs(best)]
         others = " or ".join(dict.fromkeys(rival.said for rival in rivals if rival is not None and rival.known))
-        if log[kind].get("used") is False or (kind == GYRO and not with_accel and scale.unit is None):
+        if log[kind]["unit"] == "count" and "scale" not in log[kind]:
             yield (
                 f"no turn tells what the gyros' counts are worth: {alone}noise is as if one were 1 deg/s; put the data "
                 "sheet's scale into [log.gyro]"
@@ -236,8 +240,8 @@ def _gyro(
         fitting = " or ".join(f"{value:.6g}" for value in sorted(rivals | {gyro.value}))
         shows = f"{fitting} per deg/s fit the only turn" if open_scale else "no turns show it"
         unknown = f"the offset is their reading at rest, the scale is unknown, for {shows}"
-        counts = _counts(columns, 1.0, "deg/s", centred) | ({"used": False} if ACCEL in draft.triads else {})
-        return counts, [f"{named} counts; {unknown}: put that of the data sheet there, and take `used` out"]
+        counts = {"columns": columns, "unit": "count", "scale_per": "deg/s", "offset": centred}
+        return counts, [f"{named} counts; {unknown}: put that of the data sheet there"]
     why = [words for cost, words in readings(shown, gyro, rate, draft) if cost < 0.0]
     rival = next((h for h in every if GYRO in h.differs(best)), best)
     if rival.gyro is not None and rival is not best:

@@ -63,6 +63,7 @@ WORDS: Mapping[str, tuple[str, Evaluation]] = {
     "clock": ("time base of the log", "B"),
     "lag": ("lags behind the thermometer", "A"),
     "type": ("what other units of the type are like", "B"),
+    "tilt": ("tilt that level faces have in common, or what is not linear", "B"),
     "case": ("placements on the faces of the case", "A"),
 }
 """Of every source: in words, and how its uncertainty is evaluated. Those of groups of parameters are `prior.GROUP`."""

@@ -14,6 +14,7 @@ from typing import Any, Literal, Unpack, get_args
 import numpy as np
 
 from tumble import __version__
+from tumble.diagnosis.level_faces import with_common_tilt
 from tumble.diagnosis.undetermined import one_attitude
 from tumble.diagnosis.verdict import little_used, time_base_doubted
 from tumble.errors import CalibrationError, InputError
@@ -54,6 +55,10 @@ METHODS: Mapping[str, Estimator] = {
     "joint": joint,
     "ellipsoid": _imported("ellipsoid", "ellipsoid"),
 }
+UNSCALED = (
+    "[log.gyro] states no scale for its counts: the accelerometers are calibrated alone; state scale as the data sheet "
+    "has it, and the gyros are too"
+)
 ITERATED_METHODS: Mapping[str, Callable[..., Estimate]] = {
     name: _imported("paper.four_stages", name.replace("-", "_")) for name in ("sequential", "scalar", "scalar-nominal")
 }
@@ -124,7 +129,7 @@ def calibrate(
         raise InputError(f"calibrate: expected a session or readings accel=…, found {found}{beside}")
     else:
         given = session_from(session)
-    given = given.without(without)
+    given, stated = given.without(without).of_known_scales(), given
     known: dict[str, Callable[..., Estimate]] = {**METHODS, **ITERATED_METHODS}
     if method not in known:
         raise InputError(f"method: expected one of {', '.join(known)}, found {method!r}")
@@ -139,6 +144,8 @@ def calibrate(
     if frame != "accelerometer":
         Convention(frame=frame, block=given.accel_block)
     made = _calibrated(given, method, estimator, frame, terms, progress, prior)
+    if given.log.gyro is not stated.log.gyro:
+        made = _with_provenance(made, notes=(*made.provenance.notes, UNSCALED))
     if not given.excluded:
         return made
 
@@ -336,6 +343,7 @@ def estimated(
                 "whose usual sizes are taken: state its grade, or look for what disturbed the recording"
             )
             estimate = replace(estimate, remarks=(*estimate.remarks, remark))
+        estimate = with_common_tilt(estimate, observations)
     except np.linalg.LinAlgError as error:
         broken = f"the estimate broke down ({error}): the data contradict the model; look at them with `tumble inspect`"
         return Outcome(reasons=(one_attitude(observations) or broken,))

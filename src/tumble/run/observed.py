@@ -136,7 +136,7 @@ def inspect_session(
     (4, ())
     """
     with ThreadPoolExecutor(max_workers=1) as beside:
-        return inspected(session_from(session), progress, beside, tuning)
+        return inspected(session_from(session).of_known_scales(), progress, beside, tuning)
 
 
 def inspected(session: Session, progress: Progress, beside: Executor, tuning: Tuning = USUAL) -> Observed:

@@ -79,7 +79,7 @@ def calibrate_together(
         raise InputError(f"sessions: expected two or more for one estimate, found {len(sessions)}")
     if frame == "case":
         raise InputError("frame: expected accelerometer, paper or symmetric of several sessions, found 'case'")
-    described = [session_from(session) for session in sessions]
+    described = [session_from(session).of_known_scales() for session in sessions]
     _check_alike(described)
     first, systematic = described[0], systematic_of(described[0])
     members: list[Member] = []

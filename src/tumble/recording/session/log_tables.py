@@ -58,6 +58,7 @@ class SensorsTable(SessionTable):
 
     UNITS: ClassVar[Mapping[str, Unit]]
     SCALE_PER: ClassVar[tuple[str, ...]]  # the first is the default
+    SCALE_NEEDED: ClassVar[bool] = True
 
     columns: list[str] = Field(min_length=3, description="a list of at least three column names")
     unit: str = Field(description="the name of a unit, a string")
@@ -89,12 +90,12 @@ class SensorsTable(SessionTable):
             for key in ("scale", "scale_per", "offset"):
                 if getattr(self, key) is not None:
                     raise ValueError(f'{key}: expected only with unit "count" or "V", found unit "{self.unit}"')
-        elif self.scale is None:
+        elif self.scale is None and self.SCALE_NEEDED:
             raise ValueError(f'scale: expected the nominal output per unit for unit "{self.unit}", found none')
         else:
             check_known(self.scale_per or self.SCALE_PER[0], self.SCALE_PER, "scale_per")
             check_one_per_column(len(self.columns), scale=self.scale, offset=self.offset)
-            if not np.all(self.scale):
+            if self.scale is not None and not np.all(self.scale):
                 raise ValueError(f"scale: expected numbers other than zero, found {as_written(self.scale)}")
         self._check_axes()
         return self
@@ -130,6 +131,7 @@ class SensorsTable(SessionTable):
             offset=self.per_sensor(self.offset, 0.0),
             axes=self.directions(),
             range=full_scale,
+            scale_stated=self.UNITS[self.unit].kind != "raw" or self.scale is not None,
         )
 
 
@@ -150,12 +152,11 @@ class AccelTable(SensorsTable):
 
 
 class GyroTable(SensorsTable):
-    """[log.gyro]"""
+    """[log.gyro], whose counts may be of an unknown scale: rests alone do not show it."""
 
     UNITS = GYRO_UNITS
+    SCALE_NEEDED = False
     SCALE_PER = ("rad/s", "deg/s", "rad", "deg", "arcsec")
-
-    used: bool | None = key("true or false")
 
 
 class MagnetometerTable(SessionTable):
@@ -258,12 +259,7 @@ class LogTable(SessionTable):
     @property
     def sensors(self) -> tuple[int, int]:
         """How many accelerometers and gyros there are."""
-        return len(self.accel.columns), 0 if self.used_gyro is None else len(self.used_gyro.columns)
-
-    @property
-    def used_gyro(self) -> GyroTable | None:
-        """The gyros, but for those that are described and not used, because their scale is not known."""
-        return None if self.gyro is None or self.gyro.used is False else self.gyro
+        return len(self.accel.columns), 0 if self.gyro is None else len(self.gyro.columns)
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -310,7 +306,7 @@ class LogTable(SessionTable):
             time_factor=TIME_UNITS.get(self.time_unit or "s", 1.0),
             rate=self.rate_hz,
             accel=self.accel.si(self.rate_hz),
-            gyro=None if self.used_gyro is None else self.used_gyro.si(self.rate_hz),
+            gyro=None if self.gyro is None else self.gyro.si(self.rate_hz),
             temperature=None if self.temperature is None else self.temperature.si(*self.sensors),
             magnetometer=None if self.magnetometer is None else self.magnetometer.channels(),
             clock=self.time_unit == CLOCK,
