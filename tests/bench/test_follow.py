@@ -192,16 +192,21 @@ def test_a_rest_put_down_with_movement_that_no_gyro_sees_begins_anew(opened: Cal
 
 
 def test_a_clock_that_goes_back_is_named(opened: Callable[..., Bench]) -> None:
-    """Three rows that agree on a wrong time, or a unit that was turned off: such a log is not followed any further."""
+    """Three rows that agree on a wrong time cost themselves; a log whose unit was turned off is not followed any
+    further."""
     bench = opened(None)
     bench.until(lambda: bench.screen == "rest")
+    rows = [bench.unit.line().split(",", 1)[1] for _ in range(100)]
+    bench.file.writelines(f"{900.0 + k / 100},{row}" for k, row in enumerate(rows[:3]))
+    before = bench.state["received"]["samples"]
+    bench.run(2.0)
     samples = bench.state["received"]["samples"]
-    rows = [bench.unit.line().split(",", 1)[1] for _ in range(3)]
+    assert samples >= before + 200
     bench.file.writelines(f"{900.0 + k / 100},{row}" for k, row in enumerate(rows))
-    named(bench, "the clock goes back from 900.0 s to")
+    named(bench, "the clock goes back from 90")
     assert answers(bench).keys() == {"anew", "go_on"}
     bench.run(1.0)
-    assert bench.state["received"]["samples"] < samples + 100
+    assert bench.state["received"]["samples"] < samples + 200
 
 
 def test_a_source_that_stutters_leaves_few_faults(opened: Callable[..., Bench]) -> None:
@@ -211,11 +216,11 @@ def test_a_source_that_stutters_leaves_few_faults(opened: Callable[..., Bench]) 
     bench.file.writelines(f"{at:.2f},{rows[k % 100]}" for k, at in enumerate(times))
     bench.file.flush()
     bench.station.step()
-    assert bench.state["received"]["lost"] == 299 * 39
-    assert bench.said.startswith("gap of 0.4 s at 1")
+    assert bench.state["received"]["lost"] == 280 * 39  # the last rows may yet turn out to be ahead of their time
+    assert bench.said.startswith("gap of 0.4 s at ")
     bench.station.command("go_on")
     bench.station.step()
-    assert bench.said.startswith("gap of 0.4 s at 1")
+    assert bench.said.startswith("gap of 0.4 s at ")
     for _ in range(63):
         bench.station.command("go_on")
     bench.station.step()
