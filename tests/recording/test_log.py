@@ -344,7 +344,7 @@ def test_archive_that_unpacks_to_a_thousand_times_its_size_is_refused_in_little_
     tracemalloc.start()
     try:
         message = refusal(lambda: opened(tmp_path, "log.csv.gz"))
-        assert "an archive of 0.194 MB holds at most 19.4 MB, found 200 MB stated; if it is a log, unpack it" in message
+        assert "a packed file of 0.194 MB holds at most 19.4 MB, found 200 MB; if they are readings" in message
         assert tracemalloc.get_traced_memory()[1] < 1e6
     finally:
         tracemalloc.stop()
