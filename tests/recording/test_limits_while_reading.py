@@ -79,7 +79,7 @@ def test_arrays_of_which_a_file_holds_nothing_are_refused(name: str, tmp_path: P
         for kind in ("accel", "gyro"):
             file.create_dataset(kind, shape=(2**36, 3), chunks=(1024, 3), dtype="f8")
     assert (tmp_path / name).stat().st_size < 10_000
-    with pytest.raises(InputError, match="expected readings, of which a packed file of .* found 3.3e"):
+    with pytest.raises(InputError, match=r"expected readings, of which a packed file of .* found 3\.3e"):
         new_session(tmp_path / "session", tmp_path / name)
 
 
