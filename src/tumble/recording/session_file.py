@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import tomli_w
 
+from tumble.arguments import checked
 from tumble.documents import text_of_document, toml_of, validated
 from tumble.errors import InputError, SessionError
 from tumble.files import FilePath, whole_file
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 SESSION_FILE = "session.toml"
 
 
+@checked
 def read_session(folder: FilePath) -> Session:
     """The session of a folder, or of the path of its session.toml.
 
@@ -52,6 +54,7 @@ def read_session(folder: FilePath) -> Session:
     return _complete(validated(SessionDocument, content, str(path), SessionError).si(path.parent), str(path))
 
 
+@checked
 def session_of(description: Mapping[str, Any], data: Data | None = None) -> Session:
     """The session of a description, the content of session.toml as a mapping. With `data` (arrays by column name, a
     polars or a pandas frame, or a sequence of them for a log of several files) the description names no log.file;
@@ -111,6 +114,7 @@ def session_from(given: Session | FilePath) -> Session:
     return read_session(given)
 
 
+@checked
 def write_session(folder: FilePath, content: Mapping[str, Any]) -> None:
     """Write session.toml with this content, keys and values as in the file, into a folder, made if need be.
 

@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from tumble.arguments import checked
 from tumble.documents import json_of, text_of_document
 from tumble.errors import InputError
 from tumble.files import FilePath, nothing_left, whole_file
@@ -34,6 +35,7 @@ LogFormat = Literal["parquet", "csv"]
 TRUTH_FILE = "truth.json"
 
 
+@checked
 def simulate_session(
     folder: FilePath,
     setup: Setup,
