@@ -138,7 +138,7 @@ class Stranger:
     [
         (
             lambda: tumble.calibrate_launches("x"),
-            r"sessions: expected several, each Session or text or a path, found 'x'",
+            r"sessions: expected several, each Session or a path, found 'x'",
         ),  # type: ignore[arg-type]
         (lambda: tumble.noise_of(np.zeros((9, 3))), r"recordings: expected .*, found ndarray"),  # type: ignore[arg-type]
         (lambda: tumble.calibrate("x", without=3), "without: expected several, each a whole"),  # type: ignore[arg-type]

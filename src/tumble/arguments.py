@@ -44,10 +44,10 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
             kind, hint = parameters[name].kind, stated()[name]
             if kind is Parameter.VAR_KEYWORD:
                 hints = get_type_hints(get_args(hint)[0]) if get_args(hint) else {}
-                _check(given, hints)
+                _check(function.__name__, given, hints)
             else:
                 for value in given if kind is Parameter.VAR_POSITIONAL else (given,):
-                    _check({name: value}, {name: hint})
+                    _check(function.__name__, {name: value}, {name: hint})
         return function(*args, **kwargs)
 
     return call
@@ -68,12 +68,14 @@ class _Names(dict[str, Any]):
         return getattr(tumble, name) if name in tumble.__all__ else Any
 
 
-def _check(given: Mapping[str, Any], hints: Mapping[str, Any]) -> None:
+def _check(function: str, given: Mapping[str, Any], hints: Mapping[str, Any]) -> None:
     for name, value in given.items():
         if name in hints and not _fits(value, hints[name]):
             shown = repr(value) if isinstance(value, str | int | float) else f"{type(value).__name__}"
-            expected = " or ".join(dict.fromkeys(_in_words(hints[name])))
-            raise InputError(f"--{name.replace('_', '-')}: expected {expected}, found {shown[:_SHOWN]}")
+            raise InputError(
+                f"--{name.replace('_', '-')}: expected {' or '.join(dict.fromkeys(_in_words(hints[name])))}, found "
+                f"{shown[:_SHOWN]}; see help(tumble.{function})"
+            )
 
 
 def _fits(value: Any, hint: Any) -> bool:
@@ -121,8 +123,9 @@ def _in_words(hint: Any) -> Iterator[str]:
     elif origin is np.ndarray:
         yield "an array of numbers"
     elif origin in (Union, UnionType):
+        paths = any(get_origin(one) is os.PathLike for one in of)
         for one in of:
-            yield from _in_words(one)
+            yield from () if one is str and paths else _in_words(one)
     elif of and issubclass(origin, Iterable) and not issubclass(origin, Mapping):
         yield f"several, each {' or '.join(dict.fromkeys(_in_words(of[0])))}"
     else:

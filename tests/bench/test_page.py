@@ -112,7 +112,7 @@ def test_every_state_of_a_session_by_keyboard_alone(tmp_path: Path, monkeypatch:
             for position in range(5, 10):
                 bench.take(position)
             running(bench, lambda: bench.state.get("missed") is not None)
-            shown.until("h1", "positions taken" if bench.state["missed"] else "All wanted u reached")
+            shown.until("h1", "positions taken" if bench.state["missed"] else "All that is wanted is reached")
             assert browser.js("document.querySelectorAll('[role=meter]').length") == 6
             assert shown.primary().startswith("Stop and calibrate C")
             shown.look("done")

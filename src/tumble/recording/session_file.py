@@ -6,7 +6,6 @@ what they say in SI and radians.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import replace
@@ -17,7 +16,7 @@ import tomli_w
 
 from tumble.arguments import checked
 from tumble.documents import text_of_document, toml_of, validated
-from tumble.errors import InputError, SessionError
+from tumble.errors import SessionError
 from tumble.files import FilePath, whole_file
 from tumble.recording.session import Session
 from tumble.recording.session.document import SessionDocument
@@ -103,14 +102,9 @@ def _complete(session: Session, where: str) -> Session:
 
 
 def session_from(given: Session | FilePath) -> Session:
-    """A session as it is, or that of a folder. Raises InputError for anything else."""
+    """A session as it is, or that of a folder."""
     if isinstance(given, Session):
         return given
-    if not isinstance(given, str | os.PathLike):
-        raise InputError(
-            f"session: expected the path of a session folder or a Session, found {type(given).__name__}; give arrays "
-            "by name: accel=…, gyro=…, time=… or rate=…"
-        )
     return read_session(given)
 
 
