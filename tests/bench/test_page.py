@@ -119,7 +119,7 @@ def test_every_state_of_a_session_by_keyboard_alone(tmp_path: Path, monkeypatch:
             browser.press("c")
             running(bench, lambda: bench.state["result"])
             shown.until("h1", "Calibrated")
-            rows = browser.js("[...document.querySelectorAll('#finish tbody tr')].map(r => r.innerText)")
+            rows = browser.js("[...document.querySelectorAll('#numbers tbody tr')].map(r => r.innerText)")
             assert len(rows) == len(read_calibration(tmp_path / "launch" / "calibration.json").parameters)
             browser.press("i")
             running(bench, lambda: "record 1" in browser.text("#registered"))

@@ -23,6 +23,7 @@ from tumble.recording.live.sources import is_recorded, source_of
 from tumble.recording.session import Exclusion, Session
 from tumble.recording.session_file import SESSION_FILE, read_session, write_session
 from tumble.recording.text.dialect import DIALECT_KEYS
+from tumble.units import ACCEL_UNITS, GYRO_UNITS, Unit
 
 MOTIONCAL_LOG: Mapping[str, Any] = {
     "file": "log.csv",
@@ -105,10 +106,16 @@ def set_unit(folder: Path, unit: str) -> None:
     together."""
     content = _content(folder)
     log = content["log"]
-    log["accel"] = {**log["accel"], "unit": unit}
+    log["accel"] = _in_unit(log["accel"], unit, ACCEL_UNITS)
     if unit.endswith("g") and log.get("gyro", {}).get("unit") == "rad/s":
-        log["gyro"] = {**log["gyro"], "unit": "deg/s"}
+        log["gyro"] = _in_unit(log["gyro"], "deg/s", GYRO_UNITS)
     write_session(folder, content)
+
+
+def _in_unit(table: Mapping[str, Any], unit: str, units: Mapping[str, Unit]) -> dict[str, Any]:
+    """A table of channels that read in another unit; their full scale stays what it is."""
+    full = {key: table[key] * units[table["unit"]].factor / units[unit].factor for key in ("range",) if key in table}
+    return {**table, **full, "unit": unit}
 
 
 def leave_out(folder: Path, one: Exclusion | None, instead_of: Exclusion | None = None) -> None:
