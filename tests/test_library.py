@@ -11,7 +11,7 @@ import subprocess
 import sys
 import types
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
@@ -170,6 +170,22 @@ def test_a_table_of_readings_may_be_an_array(tmp_path: Path) -> None:
     (tmp_path / "readings.csv").write_text("x,y,z\n" + "\n".join(",".join(map(str, row)) for row in rows.tolist()))
     of_array, of_file = (tumble.calibrate_readings(r, unit="g") for r in (rows, tmp_path / "readings.csv"))
     assert of_array.calibration.parameters == of_file.calibration.parameters
+
+
+HELD = [tumble.Comparison, tumble.Corrected, tumble.Exported, tumble.FieldCheck, tumble.Observed, tumble.Plan]
+
+
+@pytest.mark.parametrize("held", [*HELD, tumble.Programme, tumble.Session, tumble.Setup, tumble.types.RecordedNoise])
+def test_what_a_user_holds_shows_itself_in_a_line_and_in_a_table(held: type) -> None:
+    names = [each.name for each in fields(held) if each.repr]
+    shown = object.__new__(held)
+    for name in names:
+        object.__setattr__(shown, name, np.zeros((1000, 3)) if name == names[0] else "<script>" * 10)
+    assert repr(shown).startswith(f"{held.__name__}({names[0]}=array(1000, 3)")
+    assert "\n" not in repr(shown)
+    html = shown._repr_html_()
+    assert f"<tr><th>{names[0]}</th><td>array(1000, 3)</td></tr>" in html
+    assert "<script>" not in html
 
 
 # -------------------- equality --------------------

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tumble.brief import Brief
 from tumble.errors import InputError
 from tumble.inference.prediction import directions
 from tumble.result.accepted import WORDS
@@ -52,8 +53,8 @@ ROUNDING = 1e-6
 """Relative errors of single precision, which are not stated one by one."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Exported:
+@dataclass(frozen=True, kw_only=True, slots=True, repr=False)
+class Exported(Brief):
     """A file in the format of another program.
 
     Attributes
