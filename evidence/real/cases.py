@@ -26,6 +26,7 @@ SIMULATED = ("truth-turntable", "truth-handheld", "truth-full", "psins-systemati
 """Sources that are no recordings."""
 WHERE = {
     "xsens-mti": (45.41, 12.0), "imucal-ferraris": (49.57, 280.0), "mimu4444": (59.35, 30.0),
+    "openaxes-imu9": (52.38, 60.0),
     "ln100-updown": (51.08, 1100.0), "mpu9150": (61.79, 80.0), "suarez": (-32.88, 830.0), "mascia": (41.93, 30.0),
     "rohac": (50.10, 200.0),
 }  # fmt: skip
@@ -111,6 +112,19 @@ def mimu(source: Source) -> Iterator[Case]:
             gyro = packets["read"][:, chip, 3:] / 16.4 * DEGREE
             part, device = f"session {session} chip {chip + 1}", f"chip {chip + 1}"
             yield case(source, part, device, ticks / 64e6, accel, gyro, "icosahedron by hand, chips of an array")
+
+
+def openaxes(source: Source) -> Iterator[Case]:
+    """Accelerometers of two chips, and the gyros of one. The times are those of arrival in bursts, and no sample is
+    lost: the samples stand evenly on the line through the times."""
+    log = pl.read_parquet(data_folder() / source.name / "log.parquet")
+    count = log["INDEX"].to_numpy().astype(float)
+    arrival = 1e-6 * (log["TIME"] - log["TIME"][0]).to_numpy().astype(float)
+    time = np.polyval(np.polyfit(count, arrival, 1), count)
+    gyro = log.select(*(f"GYRO_{axis}" for axis in range(3))).to_numpy()
+    for chip in ("BMI160", "ADXL355"):
+        accel = log.select(*(f"ACCEL_{chip}_{axis}" for axis in range(3))).to_numpy()
+        yield case(source, chip, chip, time, accel, gyro, "icosahedron by hand")
 
 
 def ln100(source: Source) -> Iterator[Case]:
@@ -222,8 +236,8 @@ def psins_truth() -> dict[str, float]:
 
 
 READERS: dict[str, Callable[[Source], Iterator[Case]]] = {
-    "xsens-mti": xsens, "imucal-ferraris": imucal, "mimu4444": mimu, "ln100-updown": ln100, "mpu9150": mpu9150,
-    "kim": kim, "suarez": suarez, "mascia": mascia, "wrona": wrona, "rohac": rohac,
+    "xsens-mti": xsens, "imucal-ferraris": imucal, "mimu4444": mimu, "openaxes-imu9": openaxes, "ln100-updown": ln100,
+    "mpu9150": mpu9150, "kim": kim, "suarez": suarez, "mascia": mascia, "wrona": wrona, "rohac": rohac,
     **dict.fromkeys(SIMULATED, simulated_by_others),
 }  # fmt: skip
 

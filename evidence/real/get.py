@@ -79,6 +79,13 @@ SOURCES = (
         place="Stockholm",
     ),
     Source(
+        name="openaxes-imu9",
+        title="Webering and others: a Bosch BMI160 and an Analog Devices ADXL355 on one OpenAXES board",
+        licence=NO_LICENCE,
+        address="https://github.com/OpenAXES-IMU/OpenAXES, calibration/matlab/OpenAXES",
+        place="Hannover",
+    ),
+    Source(
         name="ln100-updown",
         title="an LN-100 and a MEMS IMU, X up and down",
         licence="MIT",

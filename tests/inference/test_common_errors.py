@@ -136,9 +136,12 @@ def test_a_time_base_that_is_not_stated_is_that_of_a_crystal_and_said(tmp_path: 
 
 def test_readings_in_memory_have_a_time_base() -> None:
     still = np.tile([0.0, 0.0, 9.81], (300, 1))
-    for given, u in ((None, 30e-6), (0.0, 0.0), (5.0, 5e-6)):
+    stamps = 0.01 * np.arange(300.0)
+    for given, of_rate, of_stamps in ((None, 1e-2, 30e-6), (0.0, 0.0, 0.0), (5.0, 5e-6, 5e-6)):
+        session = session_of_arrays(accel=still, gyro=0.0 * still, time=stamps, clock_ppm_u=given)
+        assert session.log.time_base_u == pytest.approx(of_stamps)
         session = session_of_arrays(accel=still, gyro=0.0 * still, rate=100.0, clock_ppm_u=given)
-        assert session.log.time_base_u == pytest.approx(u)
+        assert session.log.time_base_u == pytest.approx(of_rate)
         again = description_of(session)["log"]
         assert again.get("clock_ppm_u") == (None if given is None else pytest.approx(given))
 

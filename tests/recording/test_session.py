@@ -393,18 +393,23 @@ def test_session_is_read_from_its_folder_and_from_its_file(tmp_path: Path) -> No
 # -------------------- what the values become --------------------
 
 
-def test_gravity_of_the_file_is_exact_unless_its_uncertainty_is_given(tmp_path: Path) -> None:
+def test_gravity_of_the_file_is_known_to_its_last_digit_unless_its_uncertainty_is_given(tmp_path: Path) -> None:
     site = read(tmp_path, {"site": {"latitude_deg": 56.84, "gravity": 9.81594}}).site
-    assert (site.gravity, site.gravity_u) == (9.81594, 0.0)
+    assert (site.gravity, site.gravity_u) == (9.81594, pytest.approx(1e-5 / 12**0.5))
+    computed = read(tmp_path, {"site": {"gravity": 9.815943216842}}).site
+    assert computed.gravity_u == 0.0
     site = read(tmp_path, {"site": {"gravity": 9.81594, "gravity_u": 2e-6}}).site
     assert (site.latitude, site.gravity, site.gravity_u) == (None, 9.81594, 2e-6)
 
 
 def test_gravity_comes_from_latitude_and_height_else(tmp_path: Path) -> None:
     # WGS-84: 9.7803253359 on the equator, 9.8321849378 at the poles; 0.3086 mGal less per metre of height
-    site = read(tmp_path, {"site": {"latitude_deg": 0}}).site
+    site = read(tmp_path, {"site": {"latitude_deg": 0, "height_m": 0}}).site
     assert site.gravity == pytest.approx(9.7803253359, abs=1e-10)
     assert (site.latitude, site.height, site.gravity_u) == (0.0, 0.0, 3e-4)
+    anywhere = read(tmp_path, {"site": {"latitude_deg": 0}}).site
+    assert anywhere.gravity == site.gravity
+    assert anywhere.gravity_u == 3e-3  # of 1000 m
     site = read(tmp_path, {"site": {"latitude_deg": -90, "height_m": 100, "gravity_u": 1e-5}}).site
     assert site.gravity == pytest.approx(9.8321849378 - 100 * 3.086e-6, abs=3e-7)
     assert site.latitude == pytest.approx(-math.pi / 2)

@@ -294,8 +294,10 @@ def test_a_cause_is_named_in_the_session_it_is_in() -> None:
 
 
 def test_each_session_with_what_the_others_say_knows_what_all_know_and_a_warm_up_in_one_is_said() -> None:
-    """Parameters are as well known from one session as from all, and a warm-up in one of two is in its process."""
+    """Parameters are as well known from one session as from all; a warm-up by 3 mg in one of two is said of the
+    accelerometers and moves no parameter of the linear model by more than 3 u."""
     observations = together(device("mems", SHORT, seed=5), [ramp(t, t) for t in (0.0, 40.0)])
+    before = joint(observations, intervals=False).values
     rests, warm = observations.rests, observations.session == 1
     settling = np.where(warm, np.exp(-(rests.start - rests.start[warm].min()) / 150.0), 0.0)
     estimate = joint(replace(observations, rests=replace(rests, accel=rests.accel + 0.03 * settling[:, None])))
@@ -309,7 +311,8 @@ def test_each_session_with_what_the_others_say_knows_what_all_know_and_a_warm_up
     np.testing.assert_allclose(known, np.broadcast_to(whole, (2, linear)), rtol=0.05)
     found = misfit(estimate)
     assert found is not None
-    assert any("biases of the accelerometers wander by" in said for _, said in found.remarks), found.remarks
+    assert any("accel" in "".join(of) for of, _ in found.remarks), found.remarks
+    assert np.all(np.abs(estimate.values - before)[:linear] < 3.0 * estimate.u[:linear])
 
 
 def test_a_ramp_that_turns_back_within_a_turn_is_followed() -> None:
@@ -416,7 +419,7 @@ def test_the_sessions_are_in_the_file(made: tuple[Scenario, list[Session], Calib
     assert len({member.log_sha256 for member in found.evidence.together}) == len(sessions)
     assert found.evidence.together[3].rests > 20
     assert found.evidence.together[3].temperatures == pytest.approx((0.0, 40.0), abs=1.5)
-    assert {p.name for p in found.evidence.together[0].parameters} >= {"accel.bias.x.launch", "gyro.bias.z.drift"}
+    assert {p.name for p in found.evidence.together[0].parameters} >= {"accel.bias.x.launch", "gyro.bias.z.launch"}
     assert any("nothing is turned" in note for note in found.provenance.notes)
     assert not any(name.endswith((".launch", ".drift")) for name in (p.name for p in found.parameters))
     found.write(tmp_path / "calibration.json")

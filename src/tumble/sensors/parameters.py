@@ -63,6 +63,9 @@ Regressors = Callable[[Block], Array]
 
 MICRO_G = 1e-6 * G_STANDARD
 DATA_SHEETS = "data sheets of the class"
+TYPICAL_OF_BOUND = 0.1
+"""Standard deviation at 1 g over the bound that a data sheet states for the whole range: those of chips with
+bounds of 600 µg/g² and more have some 50."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -290,7 +293,7 @@ FURTHER: list[ParameterGroup] = [
         "accel.cubic", "s^4/m^2", "cubic nonlinearity of the accelerometers, K₃", _every_sensor,
         1e-2 / G_STANDARD**2, ((MICRO_G / G_STANDARD**3, "µg/g³"), (1e3 * MICRO_G / G_STANDARD**3, "mg/g³")),
         _grades(10.0, 30.0, 100.0, 100.0, 1e-6 / G_STANDARD**2), _own(OWN_CUBE),
-        source="3011 ± 365 µg/g³ (ADXL355, one axis, both halves of the recording), else unseen in 16 chips",
+        source="3011 ± 365 µg/g³ (ADXL355, one axis, both halves of the recording), else unseen",
     ),
     _group(
         "accel.asymmetry", "1", "difference of the + and − scale factors of the accelerometers, half", _every_sensor,
@@ -560,7 +563,8 @@ LEAST, LARGEST = 1e-60, 1e60
 
 def prior_of(key: str, text: str) -> tuple[str, float]:
     """The group of a key of [device.prior], such as "accel_quadratic" or "accel_temperature.bias", and the standard
-    deviation, SI, of a text such as "20 ug/g^2". Raises ValueError, one line, for a group or a unit that is none."""
+    deviation, SI, of a text such as "20 ug/g^2", or of quadratic and cubic terms "0.5 % of 16 g", the nonlinearity of a
+    data sheet. Raises ValueError, one line, for a group or a unit that is none."""
     stem, _, of = key.partition(".")
     kind, _, what = stem.partition("_")
     ending = {"temperature": "t1", "curvature": "t2"}.get(what, what)
@@ -574,13 +578,28 @@ def prior_of(key: str, text: str) -> tuple[str, float]:
             "accel_launch, gyro_launch, temperature_lag"
         )
     try:
-        value = quantity_of(group, text)
+        bound = _nonlinearity(group, text)
+        value = quantity_of(group, text) if bound is None else TYPICAL_OF_BOUND * bound
     except ValueError:
         value = 0.0
     if not LEAST <= value <= LARGEST:
         units = ", ".join(_typed_units(group))
         raise ValueError(f"{key}: expected a positive number and one of {units}, found {text!r}")
     return group.name, value
+
+
+def _nonlinearity(group: ParameterGroup, text: str) -> float | None:
+    """Bound of K, SI, that a data sheet's nonlinearity such as "0.5 % of 16 g" sets; None for another text or group.
+
+    Over −R … R the best line misses K xⁿ by K Rⁿ/2ⁿ⁻¹ (Chebyshev), of which the sheet says that it is at most p R:
+    K ≤ 2ⁿ⁻¹ p/Rⁿ⁻¹."""
+    power = {"quadratic": 2, "cubic": 3}.get(group.name.rpartition(".")[2])
+    share, of, full_scale = text.partition(" of ")
+    if power is None or not of:
+        return None
+    p = quantity(share, READ["1"])
+    R = quantity(full_scale, READ["m/s^2" if group.kind == "accel" else "rad/s"])
+    return float(p * (2.0 / R) ** (power - 1)) if R > 0.0 else 0.0
 
 
 def quantity_of(group: ParameterGroup, text: str) -> float:
