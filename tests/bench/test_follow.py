@@ -230,6 +230,10 @@ def test_another_unit_is_asked_about_in_the_first_rest(
     assert answers(bench)["unit"]["label"] == f"Yes, in {unit}"
     assert primary(bench) == ["unit"]
     assert bench.station.command("unit") == f"the accelerometers are in {unit}; what is recorded is read anew"
+    bench.station.step()
+    shown = bench.station.trace(30)
+    assert shown["anew"]
+    assert max(shown["a"][0]) == pytest.approx(9.8, abs=0.2)
     log = read_session(bench.station.folder).log
     assert log.accel.unit_name == unit
     assert log.gyro is not None

@@ -101,7 +101,7 @@ class Station:
         self._result: dict[str, Any] | None = None
         self._busy = self._message = ""
         self._wrong: Fault | None = None
-        self._taken = 0
+        self._taken = self._outdated = 0
 
     # -------------------- running --------------------
 
@@ -245,8 +245,10 @@ class Station:
         fault, _ = self._present_fault()
         if fault is None or not fault.unit:
             return "no unit is asked about"
+        outdated = self.trace(0)["next"]
         session_folder.set_unit(self.folder, fault.unit)
         self._begin(self.folder)
+        self._outdated = outdated
         return f"the accelerometers are in {fault.unit}; what is recorded is read anew"
 
     def _stop_recording(self) -> str:
@@ -302,9 +304,9 @@ class Station:
         return self._live.at
 
     def trace(self, since: int) -> Trace:
-        """Block means from number `since` on, at most the last minute."""
+        """Block means from number `since` on, at most the last minute; all of it where those before are outdated."""
         now = self._live.now
-        return screens.trace(None if now is None else now.blocks, since)
+        return screens.trace(None if now is None else now.blocks, since if since > self._outdated else 0)
 
     def file(self, name: str) -> Path | None:
         """A result that can be fetched."""
