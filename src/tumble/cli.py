@@ -73,7 +73,7 @@ COMMANDS: Mapping[str, str] = {
     "Most used": (
         "recordings.new recordings.inspect calibrate.calibrate results.check passing_on.export passing_on.report"
     ),
-    "Before anything is recorded": "planning.programme planning.plan planning.simulate",
+    "Before anything is recorded": "planning.example planning.programme planning.plan planning.simulate",
     "With a calibration": "results.apply results.compare",
     "Of other recordings": "calibrate.ellipsoid recordings.noise",
     "Many at once": "many.campaign many.fleet",

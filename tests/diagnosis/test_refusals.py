@@ -725,7 +725,7 @@ def _estimated(folder: Path) -> Estimate:
 
 def _advised(folder: Path, what: str) -> list[str]:
     """What a session that leaves something open is advised to add, for the linear model."""
-    result = calibrate(folder, "--terms", "linear", "--force")
+    result = calibrate(folder, "--terms", "linear", "--force", "--all")
     found = re.search(rf"{what} that would help, the most helpful first: (.*)$", result.output, re.M)
     assert found is not None, result.output
     return found[1].split(", ")
@@ -770,7 +770,7 @@ def test_six_faces_are_advised_to_add_positions_in_all_three_planes(tmp_path: Pa
     advised = _advised(folder, "rests")
     planes = {frozenset(re.findall("[XYZ]", name)) for name in advised}
     assert planes == {frozenset(pair) for pair in ("XY", "XZ", "YZ")}
-    shown = calibrate(folder, "--terms", "linear").output
+    shown = calibrate(folder, "--terms", "linear", "--all").output
     assert "not observable in this session and taken as 0 is accel.axis.yx, accel.axis.zx, accel.axis.zy" in shown
 
 

@@ -14,10 +14,8 @@ from __future__ import annotations
 import contextlib
 import doctest
 import hashlib
-import os
 import re
 import shlex
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -47,8 +45,6 @@ RUN = (
     "docs/reference/conventions.md",
     "docs/reference/api.md",
 )
-RECORDINGS = {"docs/tutorial/first-calibration.md": "xsens-mti"}
-"""Pages that need a recording: the folder of the shared data that is copied into the empty one."""
 MOST_PAGES, MOST_WORDS, MOST_ENTRIES = 40, 45_000, 25
 """What the documentation may have: pages, words in them, and entries of the side list that are not folded."""
 
@@ -142,16 +138,7 @@ def outputs_of(block: str) -> Iterator[tuple[str, str]]:
     yield from zip(parts[1::2], parts[2::2], strict=True)
 
 
-@pytest.fixture(params=RUN)
-def page(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
-    """A page that is run, its recording copied to tmp_path."""
-    name: str = request.param
-    if name in RECORDINGS:
-        recordings: Path = request.getfixturevalue("data")
-        shutil.copytree(recordings / RECORDINGS[name], tmp_path / RECORDINGS[name])
-    return ROOT / name
-
-
+@pytest.mark.parametrize("page", [ROOT / name for name in RUN], ids=RUN)
 def test_every_pasted_output_is_that_of_the_program(page: Path, tmp_path: Path) -> None:
     reader = Reader(folder=tmp_path)
     checked = 0
@@ -251,7 +238,4 @@ def renew(path: Path, folder: Path) -> None:
 if __name__ == "__main__":
     for name in sys.argv[1:] or RUN:
         with tempfile.TemporaryDirectory() as temporary:
-            if name in RECORDINGS:
-                shared = Path(os.environ.get("TUMBLE_DATA") or ROOT.parent / "shared" / "data")
-                shutil.copytree(shared / RECORDINGS[name], Path(temporary) / RECORDINGS[name])
             renew(ROOT / name, Path(temporary))

@@ -421,7 +421,7 @@ def test_what_was_passed_over_is_counted() -> None:
     short = record(made.changed(rest=1.5), np.random.default_rng(1036))
     (said,) = found(short.time, short.accel, short.gyro).passed_over()
     assert said.startswith("8 quiet stretches of 1.")
-    assert said.endswith("s are too short: rests must be 3 s")
+    assert said.endswith("s are too short: rests of 3 s are long enough")
 
 
 # -------------------- several files --------------------

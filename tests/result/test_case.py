@@ -263,7 +263,7 @@ def replace_directions(seen: Observations, model: SensorModel) -> tuple[Array, A
 def test_the_command_gives_the_case_and_says_how_it_was_found(tmp_path: Path) -> None:
     request = Setup.of(programme="cube-14", rest=8.0, rate_deg_s=40.0, sample_rate=50.0, table_error_deg=0.1)
     folder = simulate_session(tmp_path / "cube", request, seed=31)
-    result = CliRunner().invoke(main, ["calibrate", str(folder), "--terms", "linear", "--frame", "case"])
+    result = CliRunner().invoke(main, ["calibrate", str(folder), "--terms", "linear", "--frame", "case", "--all"])
     assert result.exit_code == 0, result.output
     assert "case: from 6 rests on its six faces" in result.output.replace("\n", " ")
     found_case = read_calibration(folder / "calibration.json")
@@ -291,7 +291,7 @@ def test_sessions_that_do_not_give_the_case_are_refused_in_one_line(tmp_path: Pa
         ),
     }
     for said, folder in folders.items():
-        result = CliRunner().invoke(main, ["calibrate", str(folder), "--terms", "linear", "--frame", "case"])
+        result = CliRunner().invoke(main, ["calibrate", str(folder), "--terms", "linear", "--frame", "case", "--all"])
         assert result.exit_code == 2, result.output
         assert result.output.count("\n") == 1
         assert "frame 'case': expected a " in result.output

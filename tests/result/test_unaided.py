@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from tests.support.calibrated import HEXAD, calibration, with_fields
-from tumble.result.unaided import unaided, unaided_lines
+from tumble.inference.estimate import Outcome
+from tumble.inference.prediction import Prediction
+from tumble.result.unaided import improvement, unaided
 from tumble.rotation import rotation_matrix, unit_vector
-from tumble.units import G_STANDARD, Array
+from tumble.units import DEGREE, G_STANDARD, Array
 
 DRAWS, STEPS, SECONDS = 4000, 600, 60.0
 SIZES = {"accel.bias": 0.02, "accel.axis": 2e-3, "gyro.bias": 3e-4}
@@ -80,7 +83,40 @@ def test_biases_of_the_next_launch_count_after_calibration() -> None:
 
 def test_without_gyros_or_with_other_blocks_nothing_is_stated() -> None:
     assert unaided(calibration(with_gyro=False)) is None
-    assert unaided_lines(calibration(accel=HEXAD)) == ()
-    first, second = unaided_lines(calibration())
-    assert first.startswith("uncalibrated, 60 s without aid: tilt ")
-    assert second.startswith("calibrated, 60 s without aid: tilt ")
+    assert improvement(calibration(accel=HEXAD)) == ()
+    (said,) = improvement(calibration())
+    assert said.startswith("after 60 s without aid: tilt ")
+    assert said.count(" → ") == 3
+
+
+@pytest.mark.parametrize("axes", [None, HEXAD / np.linalg.norm(HEXAD, axis=1)[:, None]], ids=["triad", "six sensors"])
+def test_before_is_what_readings_are_off_by_and_after_what_corrected_ones_are(axes: Array | None) -> None:
+    """Readings taken as they are in many attitudes and about many axes; and as many draws of the errors of u."""
+    known = Prediction(force_u=4e-3, rate_u=3e-4, at_rate=50.0 * DEGREE)
+    nominal, rng = np.eye(3) if axes is None else axes, np.random.default_rng(5)
+    made = replace(
+        calibration(accel=axes, gyro=axes),
+        prediction=known,
+        axes=dict.fromkeys(("accel", "gyro"), tuple(map(tuple, nominal.tolist()))),
+    )
+    inverse, up, expected = np.linalg.pinv(nominal), unit_vector(rng.standard_normal((200_000, 3))), []
+    for model, size, u in ((made.accel, G_STANDARD, known.force_u), (made.gyro, 50.0 * DEGREE, known.rate_u)):
+        assert model is not None
+        assert u is not None
+        off = model.predict(size * up) @ inverse.T - size * up
+        noise = u * rng.standard_normal((200_000, len(model.bias))) @ inverse.T
+        expected += [np.sqrt(np.mean(np.sum(each**2, axis=1))) for each in (off, noise)]
+    said = improvement(made)[0]
+    found = re.fullmatch(r"at rest off by (\S+) mg → (\S+) mg; rates off by (\S+) % → (\S+) % of 50 °/s", said)
+    assert found is not None, said
+    sizes = np.array([1e-3 * G_STANDARD, 1e-3 * G_STANDARD, 0.5 * DEGREE, 0.5 * DEGREE])
+    np.testing.assert_allclose(np.array(found.groups(), dtype=float) * sizes, expected, rtol=0.06)
+
+
+def test_of_refused_sensors_no_improvement_is_stated() -> None:
+    made = replace(calibration(), prediction=Prediction(force_u=4e-3, rate_u=3e-4, at_rate=1.0))
+    refused = replace(made, outcome=Outcome(reasons=("gyros jump",), concerns={"gyros jump": ("gyro",)}))
+    (said,) = improvement(refused)
+    assert said.startswith("at rest off by ")
+    assert "rates" not in said
+    assert improvement(replace(made, outcome=Outcome(reasons=("no",)))) == ()

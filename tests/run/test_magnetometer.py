@@ -164,7 +164,7 @@ def test_without_the_field_scale_factors_are_relative_and_that_is_said(tmp_path:
 
 
 def test_hard_and_soft_iron_are_said_in_words(tmp_path: Path) -> None:
-    result = CliRunner().invoke(main, ["calibrate", str(write(tmp_path))], catch_exceptions=False)
+    result = CliRunner().invoke(main, ["calibrate", str(write(tmp_path)), "--all"], catch_exceptions=False)
     assert result.exit_code == 0
     said = " ".join(result.stdout.split())
     assert "hard iron (12" in said

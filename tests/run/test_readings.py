@@ -705,3 +705,23 @@ def test_a_table_of_equal_rows_is_refused(tmp_path: Path) -> None:
 def test_the_messages_of_the_library_are_input_errors(tmp_path: Path) -> None:
     with pytest.raises(InputError):
         read_table(tmp_path)
+
+
+def test_of_a_log_the_columns_are_taken_that_are_named_as_the_sensors_are(tmp_path: Path) -> None:
+    """A log that was waved, with times and gyros: as its three columns alone."""
+    rng = np.random.default_rng(8)
+    up = rng.standard_normal((400, 3))
+    force = 9.81 * up / np.linalg.norm(up, axis=1)[:, None] * [1.01, 0.99, 1.005] + [0.1, -0.2, 0.05]
+    others = np.column_stack([0.01 * np.arange(400), rng.standard_normal((400, 4))])
+    rows = np.column_stack([others[:, :3], force + 1e-3 * rng.standard_normal((400, 3)), others[:, 3:]])
+    header = "time,gx,gy,accX,accY,accZ,gz,note"
+    (tmp_path / "log.csv").write_text("\n".join([header, *(",".join(f"{v:.6f}" for v in row) for row in rows)]))
+    narrow = "\n".join(["accX,accY,accZ", *(",".join(f"{v:.6f}" for v in row[3:6]) for row in rows)])
+    (tmp_path / "three.csv").write_text(narrow)
+    tables = [read_table(tmp_path / name) for name in ("log.csv", "three.csv")]
+    assert tables[0].columns == tables[1].columns == ("accX", "accY", "accZ")
+    np.testing.assert_array_equal(tables[0].values, tables[1].values)
+    found = run(tmp_path / "log.csv", "--unit", "m/s^2")
+    assert found.exit_code == 0, found.stderr
+    (tmp_path / "other.csv").write_text("a,b,c,d\n1,2,3,4\n")
+    assert "is for `tumble calibrate`" in run(tmp_path / "other.csv").stderr

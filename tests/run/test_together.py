@@ -506,7 +506,7 @@ def test_the_command_writes_the_calibration(made: tuple[Scenario, list[Session],
         content = described(CUBE)
         write_session(tmp_path / name, content | {"log": {"file": "log.parquet"} | content["log"]})
     folders, out = [str(tmp_path / "cold"), str(tmp_path / "hot")], tmp_path / "out.json"
-    done = CliRunner().invoke(main, ["calibrate", "--together", *folders, "--out", str(out)])
+    done = CliRunner().invoke(main, ["calibrate", "--together", "--all", *folders, "--out", str(out)])
     assert done.exit_code == 0, done.output
     assert re.search(r"^cold +14 +13 +0\.0 +0\.0$", done.output, re.M), done.output
     assert [member.session for member in read_calibration(out).evidence.together] == ["cold", "hot"]

@@ -15,7 +15,9 @@ from tests.support.calibrated import HEXAD, calibration, session_of
 from tumble.cli import main
 from tumble.errors import InputError, LogError
 from tumble.planning.setup import Setup
+from tumble.recording.log import open_log
 from tumble.recording.session_file import read_session
+from tumble.recording.session_file import session_of as session_of_content
 from tumble.result.calibration import Calibration
 from tumble.run.calibrate import calibrate
 from tumble.simulation.session import simulate_session
@@ -124,6 +126,25 @@ def test_everything_else_is_copied_as_it_is(tmp_path: Path) -> None:
     assert out["flag"].to_list() == flags
     source = pl.read_csv(tmp_path / "log.csv", infer_schema=False)
     assert pl.read_csv(tmp_path / "out.csv", infer_schema=False)["t"].to_list() == source["t"].to_list()
+
+
+@pytest.mark.parametrize("delimiter", [",", ";"])
+def test_a_log_without_names_stays_without(tmp_path: Path, delimiter: str) -> None:
+    """And what describes the corrected log reads it again."""
+    made, (accel, gyro) = calibration(), recording()
+    body = triad_csv(accel, gyro).partition("\n")[2].replace(",", delimiter)
+    tables = {
+        "accel": {"columns": ["2", "3", "4"], "unit": "m/s^2"},
+        "gyro": {"columns": ["5", "6", "7"], "unit": "rad/s"},
+    }
+    session_of(tmp_path, body, {"time": "1", "header": False, "delimiter": delimiter, **tables})
+    described = apply_to_session(made, read_session(tmp_path), tmp_path / "out.csv")
+    rows = pl.read_csv(tmp_path / "out.csv", has_header=False)
+    assert rows.shape == (ROWS, 7)
+    np.testing.assert_allclose(rows[:, 1:4].to_numpy(), made.apply(accel)[0], rtol=1e-15, atol=ROUNDING)
+    chunks = open_log(session_of_content(described)).chunks()
+    again = np.concatenate([chunk.accel for chunk in chunks])
+    np.testing.assert_allclose(again, rows[:, 1:4].to_numpy(), rtol=0.0, atol=0.0)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])

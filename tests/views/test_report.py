@@ -13,6 +13,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,8 @@ from tests.support.shared import copy_of
 from tests.support.shared import session as shared
 from tumble.cli import main
 from tumble.errors import MissingExtraError
+from tumble.inference.estimate import Outcome
+from tumble.inference.prediction import Prediction
 from tumble.planning.setup import Setup
 from tumble.result.calibration import read_calibration
 from tumble.result.further import described
@@ -357,6 +360,17 @@ def hostile_html(content: Any, tmp_path_factory: pytest.TempPathFactory) -> Path
     reasons = write_report([changed(content, folder, hostile)], folder / "report.html")
     assert reasons == [f"changed.json: {SCRIPT}", f"changed.json: {MARKUP}"]
     return folder / "report.html"
+
+
+def test_a_report_opens_with_the_picture_before_and_after(tmp_path: Path) -> None:
+    """In the first section, above the table of parameters; of refused sensors there is none."""
+    made = replace(exact(), prediction=Prediction(force_u=4e-3, rate_u=3e-4, at_rate=1.0))
+    write_report(made, tmp_path / "r.html")
+    page = (tmp_path / "r.html").read_text(encoding="utf-8")
+    opening = [page.index(text) for text in ("At rest off by ", "What each parameter makes", "<td>")]
+    assert opening == sorted(opening)
+    write_report(replace(made, outcome=Outcome(reasons=("no",))), tmp_path / "refused.html")
+    assert "What each parameter makes" not in (tmp_path / "refused.html").read_text(encoding="utf-8")
 
 
 def test_texts_of_a_file_show_as_text_in_html(hostile_html: Path) -> None:

@@ -79,7 +79,7 @@ def calibrate(
     """
     from tumble.recording.session_file import read_session
     from tumble.run.calibrate import calibrate as calibrate_session
-    from tumble.views.calibration import calibration_blocks
+    from tumble.views.calibration import MOST_REMARKS, WIDTH, calibration_blocks
 
     methods, estimation = tuple(dict.fromkeys(method)), _taken(options, "iterations", "frame", "terms")
     shown, frame, linear = _taken(options, "every", "budget"), estimation["frame"], estimation["terms"] == "linear"
@@ -106,12 +106,13 @@ def calibrate(
     is_log = any(value is not None for value in options.values()) or (
         len(sessions) == 1 and sessions[0].is_file() and sessions[0].suffix != ".toml"
     )
-    with _session_of(sessions, ask.given_of(options)) if is_log else nullcontext(sessions) as folders:
+    made = _session_of(sessions, ask.given_of(options), every=shown["every"])
+    with made if is_log else nullcontext(sessions) as folders, tell.estimating() as progress:
         described = [read_session(folder).without(without or ()) for folder in folders]
         if together:
             from tumble.run.together import calibrate_together
 
-            results = [calibrate_together(described, frame=frame, progress=tell.with_progress)]
+            results = [calibrate_together(described, frame=frame, progress=progress)]
         else:
             if registry is not None:
                 estimation |= _known_in(registry, described[0], frame, several=len(described) > 1)
@@ -120,7 +121,7 @@ def calibrate(
                 from tumble.run.launches import calibrate_launches
 
                 calibrated = partial(calibrate_launches, described)
-            results = [calibrated(method=each, progress=tell.with_progress, **estimation) for each in methods]
+            results = [calibrated(method=each, progress=progress, **estimation) for each in methods]
         result, *others = results
         target = out or Path(described[0].name) / "calibration.json"
         result.write(target, force=force)
@@ -131,13 +132,14 @@ def calibrate(
         known = truth_at(true, result.reference_temperature, partial(reference_of_parameter, result))
     tell.show(
         result.content() | ({"others": [other.content() for other in others]} if others else {}),
-        lambda: calibration_blocks(result, known, others, **shown),
+        lambda: calibration_blocks(result, known, others, file=target, session=described[0].name, **shown),
+        width=None if shown["every"] else WIDTH,
     )
     tell.say(f"written to {target}")
     for other in others:
         for reason in other.outcome.reasons:
             tell.warn(f"{other.method}: not accepted: {reason}")
-    tell.end(result.outcome.reasons, "not accepted: ")
+    tell.end(result.outcome.reasons, "not accepted: ", most=None if shown["every"] else MOST_REMARKS)
 
 
 def _taken(options: dict[str, Any], *names: str) -> dict[str, Any]:
@@ -156,8 +158,9 @@ def _known_in(registry: str, session: Session, frame: Frame, *, several: bool) -
 
 
 @contextmanager
-def _session_of(logs: Sequence[Path], given: Given) -> Iterator[list[Path]]:
-    """The folder of a session made of a log, of which this is said; it is there no more where the block fails."""
+def _session_of(logs: Sequence[Path], given: Given, *, every: bool) -> Iterator[Sequence[Path]]:
+    """The folder of a session made of a log, of which `every` sentence is said where that is wanted; it is there no
+    more where the block fails."""
     from tumble.drafting.new_session import written_session
     from tumble.files import nothing_left
 
@@ -177,7 +180,7 @@ def _session_of(logs: Sequence[Path], given: Given) -> Iterator[list[Path]]:
         draft, faults = written_session(
             output, logs[0], replace(given, serial=given.serial or name), tell.with_progress
         )
-        for sentence in draft.said:
+        for sentence in draft.said if every else ():
             tell.say(sentence)
         for fault in faults:
             tell.warn(f"look at this: {fault}")

@@ -1,21 +1,22 @@
-"""Commands before anything is recorded: `programme`, `plan`, `simulate`."""
+"""Commands before anything is recorded: `example`, `programme`, `plan`, `simulate`."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from tumble.commands import ask, tell
 from tumble.errors import InputError
-from tumble.usual_setup import BY_HAND, ON_TABLE, PROGRAMME
+from tumble.usual_setup import BY_HAND, HEIGHT, LATITUDE_DEG, ON_TABLE, PROGRAMME
 from tumble.usual_setup import SAMPLE_RATE as USUAL_SAMPLE_RATE
 
 if TYPE_CHECKING:
     from tumble.planning.plan import PlannedMethod
     from tumble.sensors.parameters import Terms
+    from tumble.simulation.session import LogFormat
 
 
 @click.command(epilog=ask.examples("tumble programme cube-26 -o sheet.html"))
@@ -136,14 +137,14 @@ def plan(
 @ask.NOISELESS
 @ask.option("--vibration", "Vibration throughout, m/s² at Hz, e.g. 0.05@30.", metavar="AMPLITUDE@HZ")
 @ask.option("--temperature", "A thermometer, °C: 25, -10:60, -10:60:-10 or 22+15@600 (s).", metavar="PROFILE")
-@ask.option("--format/log_format", "Of the log.", "parquet", type=click.Choice(["csv", "parquet"]))
+@ask.option("--format/log_format", "Of the log.", "parquet", type=click.Choice(["csv", "parquet", "counts"]))
 @ask.option("--seed", "Number of the device.", 0, type=click.IntRange(min=0))
 @ask.option("--launch", "Launch of that device.", 1, type=click.IntRange(min=0))
 def simulate(
     folder: Path,
     vibration: str | None,
     temperature: str | None,
-    log_format: Literal["csv", "parquet"],
+    log_format: LogFormat,
     seed: int,
     launch: int,
     **options: Any,
@@ -160,3 +161,20 @@ def simulate(
         folder, setup, seed=seed, launch=launch, vibration=shaken, temperature=profile, log_format=log_format
     )
     tell.say(f"written to {written}")
+
+
+@click.command(epilog=ask.examples("tumble example first"))
+@click.argument("folder", type=ask.PATH)
+def example(folder: Path) -> None:
+    """Write an example into FOLDER: a log in counts as a cheap logger writes it, and truth.json with its true values.
+
+    A simulated MEMS device that was put down in 30 positions by hand, always the same.
+    """
+    from tumble.planning.setup import Setup
+    from tumble.simulation.session import simulate_session
+
+    setup = Setup.of(grade="mems", positions=30, sample_rate=100.0, terms="full")
+    simulate_session(folder, setup, seed=7, log_format="counts")
+    log = folder / "log.csv"
+    tell.say(f"written to {log} and {folder / 'truth.json'}")
+    tell.say(f"next: tumble calibrate {log} --latitude {LATITUDE_DEG:g} --height {HEIGHT:g}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -23,7 +24,7 @@ def as_json() -> bool:
     return bool(click.get_current_context().meta.get(AS_JSON))
 
 
-def show(result: Any, blocks: Callable[[], Iterable[Block]]) -> None:
+def show(result: Any, blocks: Callable[[], Iterable[Block]], width: int | None = None) -> None:
     """Print a result on standard output.
 
     Parameters
@@ -32,13 +33,15 @@ def show(result: Any, blocks: Callable[[], Iterable[Block]]) -> None:
         A dataclass or a dictionary, which `--json` prints by `documents.as_json`.
     blocks
         Makes what is shown on the terminal without `--json`.
+    width
+        Of lines where there is no terminal; without it sentences are not broken.
     """
     if as_json():
         print_json(result, indent=1)
     else:
         from tumble.views.render.terminal import print_blocks
 
-        print_blocks(*blocks())
+        print_blocks(*blocks(), width=width)
 
 
 def print_json(result: Any, indent: int | None = None) -> None:
@@ -64,11 +67,14 @@ def warn(line: str) -> None:
     click.echo(plain(line), err=True)
 
 
-def end(reasons: Iterable[str], kind: str = "") -> NoReturn:
-    """End with the reasons for a negative answer on standard error, and the exit status that says whether there are."""
+def end(reasons: Iterable[str], kind: str = "", most: int | None = None) -> NoReturn:
+    """End with the reasons for a negative answer on standard error, so many at `most`, and the exit status that says
+    whether there are."""
     every = list(reasons)
-    for reason in every:
+    for reason in every[:most]:
         warn(f"{kind}{reason}")
+    if most is not None and len(every) > most:
+        warn(f"{kind}{len(every) - most} more reasons: --all")
     sys.exit(1 if every else 0)
 
 
@@ -130,6 +136,33 @@ def with_progress(log: Log) -> Iterator[Chunk]:
             read += len(chunk.time)
             tell(read, 0)
             yield chunk
+
+
+@contextmanager
+def estimating() -> Iterator[Callable[[Log], Iterator[Chunk]]]:
+    """What reads a log for an estimate, as `with_progress`; while it is not read, a terminal shows for how long the
+    estimate has gone on."""
+    ended, reading = threading.Event(), threading.Event()
+
+    def chunks(log: Log) -> Iterator[Chunk]:
+        reading.set()
+        yield from with_progress(log)
+        reading.clear()
+
+    with working("estimating") as tell:
+
+        def show_time() -> None:
+            while not ended.wait(5.0 * _REDRAWN):
+                if not reading.is_set():
+                    tell(0, 0)
+
+        clock = threading.Thread(target=show_time, daemon=True)
+        clock.start()
+        try:
+            yield chunks
+        finally:
+            ended.set()
+            clock.join()
 
 
 @contextmanager

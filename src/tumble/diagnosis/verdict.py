@@ -154,7 +154,12 @@ def no_rests(segmentation: Segmentation) -> Outcome:
     if segmentation.rejected:
         longest = max(segmentation.rejected, key=lambda r: r.stop - r.start)
         reason += f"; the longest quiet stretch, {longest.start:.1f}–{longest.stop:.1f} s, is none: {longest.reason}"
-    return Outcome(reasons=(f"{reason}; `tumble inspect` shows what was rejected",))
+    advice = (
+        "put it down in nine or more positions (`tumble programme` shows them); of accelerometers that were slowly "
+        "waved through all attitudes `tumble ellipsoid LOG` makes what can be made; `tumble inspect` shows what was "
+        "rejected"
+    )
+    return Outcome(reasons=(f"{reason}; {advice}",))
 
 
 # -------------------- gravity of the site against normal gravity of its latitude and height --------------------

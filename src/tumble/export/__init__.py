@@ -64,6 +64,7 @@ BUILT_IN: Mapping[str, Target] = {
     "ardupilot-thermal": Target(write=_from("autopilots", "ardupilot_thermal"), takes=("imu",), ending=".parm"),
     "kalibr": Target(write=_from("kalibr", "kalibr"), takes=("noise",), ending=".yaml"),
     "c": Target(write=_from("c_header", "c_header"), ending=".h"),
+    "json": Target(write=_from("tables", "json_file"), ending=".json"),
     "csv": Target(write=_from("tables", "csv_table"), ending=".csv"),
     "csv-thermal": Target(write=_from("tables", "csv_thermal"), ending=".csv"),
     "mat": Target(write=_from("tables", "mat"), ending=".mat"),

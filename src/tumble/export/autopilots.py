@@ -57,12 +57,10 @@ from scipy.linalg import polar
 from tumble.errors import InputError
 from tumble.export.exported import (
     MAGNETOMETER,
-    SINGLE_PRECISION,
     Exported,
     example,
     example_line,
     in_units,
-    left_of_model,
     notes_of,
     origin,
     shown,
@@ -183,10 +181,9 @@ class Triad:
         ends = np.array([[self.measured.low], [self.measured.high]]) - self.reference
         return float(np.abs(linear + 2.0 * square * ends).max())
 
-    def left(self) -> list[str]:
-        """What the factors leave of the matrix."""
-        diagonal = np.diag(self.model.matrix)[:, None] if self.kind == "accel" else 1.0
-        return left_of_model(self.kind, self.model.matrix / diagonal - np.eye(3))
+    def correct(self, readings: Array) -> Array:
+        """What the autopilot makes of readings (..., 3) at the reference temperature, SI."""
+        return np.asarray((readings - self.offset) * self.factor)
 
     def example(self, calibration: Calibration) -> str:
         """A reading, what the autopilot makes of it and what it is; over temperature at the warmer end."""
@@ -272,10 +269,11 @@ def _written(
     thermal = applied[0].measured is not None
     notes = notes_of(
         calibration,
-        left=[*chain.from_iterable(each.left() for each in applied), *_one_thermometer(pilot, calibration, applied)],
+        corrections={each.kind: each.correct for each in applied},
+        left=_one_thermometer(pilot, calibration, applied),
         held={MAGNETOMETER} | (_OVER_TEMPERATURE if thermal else set()),
-        lacks=["uncertainties and their covariance", *lost],
-        see_to=[*see_to, SINGLE_PRECISION],
+        lacks=["uncertainties", *lost],
+        see_to=see_to,
     )
     examples = (each.example(calibration) for each in applied)
     comments = [*origin(calibration), *remarks, *examples, *about_it, *notes]

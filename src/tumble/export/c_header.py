@@ -31,12 +31,11 @@ import numpy as np
 from tumble.export.exported import UNITS, Exported, example, example_line, models, notes_of, numbers, origin, shown
 from tumble.export.templates import laid_out
 from tumble.reduction.rests.thermometer import followed
+from tumble.result.applied_correction import beyond_linear, over_temperature
 from tumble.result.calibration import Calibration
-from tumble.result.temperature_curves import changing, coefficients, measured_range, own_thermometers, references
+from tumble.result.temperature_curves import changing, measured_range, own_thermometers
 from tumble.sensors.compensation import FIXED_POINT_STEPS, Compensator
-from tumble.sensors.instrument import is_linear
 from tumble.sensors.model import SensorKind, SensorModel
-from tumble.sensors.parameters import FORCE, OWN_CUBE, OWN_SIZE, PRODUCTS
 from tumble.units import Array
 
 LAG_EXAMPLE = ((20.0, 0.0), (21.0, 10.0), (23.0, 10.0), (23.0, 60.0))
@@ -59,8 +58,7 @@ def c_header(calibration: Calibration) -> Exported:
     warm = bool(changing(calibration)) and calibration.reference_temperature is not None
     lag = compensator.lag if warm else 0.0
     held = HELD | (HELD_AT if warm else frozenset()) | ({"temperature.lag"} if lag else frozenset())
-    digits = "the functions in float have 7 digits; use those in double where that matters"
-    losses = notes_of(calibration, held=held, see_to=[digits])
+    losses = notes_of(calibration, held=held)
     comments = [*origin(calibration), *_worked(compensator, known)]
     if warm:
         measured = measured_range(calibration)
@@ -112,18 +110,6 @@ def _worked(compensator: Compensator, known: dict[SensorKind, SensorModel]) -> l
     return out
 
 
-def beyond_linear(compensator: Compensator, kind: SensorKind) -> dict[str, Array]:
-    """The constants of the terms beyond the linear model of the sensors of a kind, by name; none of a linear one, and
-    "by_force" of gyros that feel the specific force."""
-    block, K = compensator.sensors(kind)
-    if block is None or is_linear(block, K):
-        return {}
-    tables = {"axis": block.axes, "asymmetry": K[:, OWN_SIZE], "cubic": K[:, OWN_CUBE]}
-    if kind == "accel":
-        return tables | {"quadratic": K[:, PRODUCTS]}
-    return tables | ({"by_force": K[:, FORCE]} if np.any(K[:, FORCE]) else {})
-
-
 def _constant(number: str, name: str, values: Array) -> str:
     """A constant array of C, double or float, whose numbers read back to the same ones."""
 
@@ -148,13 +134,10 @@ def _function(
     needs = " and the true specific force, m/s^2" if by_force else ""
     argument = f"const {number} force[3], " if by_force else ""
     if at is not None:
-        bias, scale = (coefficients(at, kind, what) for what in ("bias", "scale"))
-        scale = scale / np.linalg.norm(model.matrix, axis=1)[:, None]
-        tables |= {"bias_slope": bias[:, 0], "bias_curve": bias[:, 1]}
-        tables |= {"scale_slope": scale[:, 0], "scale_curve": scale[:, 1]}
         apart = len(set(at.temperature.thermometers.get(kind, ()))) > 1
-        tables |= {"reference": references(at, kind)} if apart else {}
-        reference = "reference[j]" if apart else f"({number}){float(references(at, kind)[0])!r}"
+        warm = over_temperature(at, kind, model)
+        reference = "reference[j]" if apart else f"({number}){float(warm['reference'][0])!r}"
+        tables |= {name: table for name, table in warm.items() if apart or name != "reference"}
         needs += " and their temperatures, degC" if apart else " and a temperature, degC"
         argument += f"const {number} celsius[{n}], " if apart else f"{number} celsius, "
     return {

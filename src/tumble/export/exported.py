@@ -1,23 +1,23 @@
 """What every export is made of: the models of a calibration, worked examples, and notes on what a target cannot hold.
 
-An export has at most three notes: what the target leaves of matrices and biases, what it has no place for, and what the
-user has to see to. Errors are the largest over all attitudes at 1 g, and for effects of motion at the rate of the
-session's turns. Readings are those of the calibration file: SI, after nominal scale and offset.
+A target that has matrix and bias alone gets those that fit the whole model best (`tumble.result.linear_fit`). An export
+has at most three notes: by how much the target is off, what it has no place for, and what the user has to see to.
+Readings are those of the calibration file: SI, after nominal scale and offset.
 """
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
 from tumble.brief import Brief
 from tumble.errors import InputError
-from tumble.inference.prediction import directions
 from tumble.result.accepted import WORDS
 from tumble.result.calibration import Calibration
-from tumble.sensors.instrument import Instrument, functions
+from tumble.result.linear_fit import errors_left, linear_model, session_rate
 from tumble.sensors.model import SensorKind, SensorModel
 from tumble.sensors.parameters import (
     FORCE,
@@ -35,16 +35,8 @@ EXAMPLE: Mapping[SensorKind, Array] = {"accel": np.array([0.5, -1.0, 9.7]), "gyr
 
 MAGNETOMETER = "mag"
 """In the groups that a target holds: matrix and bias of the magnetometer."""
-SINGLE_PRECISION = "the target computes in single precision: 7 digits of each number"
-NO_PLACE = "no place in this file for"
-NOT_IN_MATRIX = "not in matrix and bias:"
-
-USUAL_RATE = 100.0 * DEGREE
-"""rad/s, where a calibration does not say how fast its turns were."""
 NEGLIGIBLE = 0.1
 """Of the standard uncertainty of a reading: it adds less than √(1 + 0.1²) − 1 = 0.5 % to that."""
-MOST_NAMED = 2
-"""Groups of a kind of sensors that are named with their errors; all others have a common bound."""
 WARMER, HOUR = 10.0, 3600.0
 """K and s over which changes are stated."""
 HEATING = 1.0 / 60.0
@@ -103,10 +95,14 @@ def models(calibration: Calibration) -> dict[SensorKind, SensorModel]:
 
 
 def triads(
-    calibration: Calibration, target: str, needed: Sequence[SensorKind] = ("accel", "gyro")
+    calibration: Calibration,
+    target: str,
+    needed: Sequence[SensorKind] = ("accel", "gyro"),
+    held: Container[str] = (),
 ) -> dict[SensorKind, SensorModel]:
-    """The accelerometers and the gyros that there are, three of each, those that are `needed` among them. Raises
-    InputError otherwise."""
+    """The accelerometers and the gyros that there are, three of each, those that are `needed` among them, as the matrix
+    and bias that fit the whole model best but for the groups that the target has `held` itself. Raises InputError
+    otherwise."""
     known = models(calibration)
     for kind in needed:
         if kind not in known:
@@ -118,7 +114,7 @@ def triads(
                 f"export to {target}: expected three {kind} sensors, found {len(model.bias)}; c, csv and mat hold any "
                 "number"
             )
-    return known
+    return {kind: linear_model(calibration, kind, held) for kind in known}
 
 
 def origin(calibration: Calibration) -> list[str]:
@@ -167,13 +163,17 @@ def yaml_list(values: Array) -> str:
 # -------------------- what a target cannot hold --------------------
 
 
+Correct = Callable[[Array], Array]
+"""What a target makes of readings (N, 3): vectors (N, 3), SI."""
+
+
 def notes_of(
     calibration: Calibration,
     *,
+    corrections: Mapping[SensorKind, Correct] = MappingProxyType({}),
     left: Iterable[str] = (),
     held: Container[str] = (),
-    lacks: Iterable[str] = ("uncertainties and their covariance",),
-    place: str = NO_PLACE,
+    lacks: Iterable[str] = ("uncertainties",),
     see_to: Iterable[str] = (),
 ) -> tuple[str, ...]:
     """What a target cannot hold, in at most three notes.
@@ -182,14 +182,14 @@ def notes_of(
     ----------
     calibration
         What is exported.
+    corrections
+        What the target makes of readings.
     left
-        What the target leaves of matrices and biases.
+        What else there is to say of that.
     held
         Names of the groups of parameters beyond matrix and bias that it holds, and MAGNETOMETER where it holds that.
     lacks
         What else it has no place for.
-    place
-        The words before all that.
     see_to
         What the user has to see to.
 
@@ -198,39 +198,53 @@ def notes_of(
     tuple of str
         The notes, with the largest errors in physical units.
     """
-    lost = [*lacks]
-    if calibration.mag is not None and MAGNETOMETER not in held:
-        lost.append("matrix and bias of the magnetometer")
-    lost += groups_not_held(calibration, held)
-    first, last = "; ".join(left), "; ".join(see_to)
-    return tuple(note for note in (first, f"{place} {'; '.join(lost)}" if lost else "", last) if note)
+    off = (left_by(calibration, kind, correct, held) for kind, correct in corrections.items())
+    errors = ", ".join(filter(None, off))
+    first = [*left, *([f"off by what is not in this file: {errors}"] if errors else [])]
+    lost = [*lacks, *groups_not_held(calibration, held)]
+    no_place = f"no place in this file for {'; '.join(lost)}" if lost else ""
+    return tuple(note for note in ("; ".join(first), no_place, "; ".join(see_to)) if note)
 
 
-def not_held(calibration: Calibration, held: Container[str] = ()) -> tuple[str, ...]:
-    """The note on what a table of parameters with matrices and biases does not apply; none where that is nothing."""
-    return notes_of(calibration, held=held, lacks=(), place=NOT_IN_MATRIX)
+def not_held(calibration: Calibration) -> tuple[str, ...]:
+    """The note on what is beside the matrices and biases of a table of all parameters; none where that is nothing."""
+    known = models(calibration).items()
+    off = filter(None, (left_by(calibration, kind, model.apply, ()) for kind, model in known))
+    lost = [*off, *groups_not_held(calibration)]
+    return (f"not in matrices and biases: {'; '.join(lost)}",) if lost else ()
+
+
+def left_by(calibration: Calibration, kind: SensorKind, correct: Correct, held: Container[str]) -> str:
+    """By how much corrected readings are off at rest and at the rate of the session, at the reference temperature;
+    nothing where rounding is all."""
+    errors = errors_left(calibration, kind, correct, held)
+    rate = session_rate(calibration)
+    if errors.max() < ROUNDING * (G_STANDARD if kind == "accel" else rate):
+        return ""
+    at = "in 1 g" if kind == "accel" else f"at {rate / DEGREE:.3g} deg/s in 1 g"
+    most, rms = in_units(kind, float(errors.max())), in_units(kind, float(np.sqrt(np.mean(errors**2))))
+    return f"{WORDS[kind]} by up to {most} (rms {rms}) {at}"
 
 
 def groups_not_held(calibration: Calibration, held: Container[str] = ()) -> list[str]:
-    """The groups of parameters beyond the linear model that a calibration has and a target does not hold: of each kind
-    of sensors the largest with their errors, and how many others there are and how large they are at most. Errors far
-    below the uncertainty of a reading are not named."""
-    known, out = calibration.prediction, []
-    u = {"accel": 0.0 if known is None else known.force_u, "gyro": 0.0 if known is None else known.rate_u or 0.0}
-    present = positions_by_group(p.name for p in calibration.parameters)
-    models_of: dict[SensorKind, SensorModel | None] = {"accel": calibration.accel, "gyro": calibration.gyro}
-    for kind, model in models_of.items():
-        lost = [g for g in groups() if g.kind == kind and not g.linear and g.name in present and g.name not in held]
-        if model is None or not lost:
-            continue
+    """The effects of motion, temperature and time, and the magnetometer, that a calibration has and a target does not
+    hold; effects far below the uncertainty of a reading are not named."""
+    known, present = calibration.prediction, positions_by_group(p.name for p in calibration.parameters)
+    of_kind = {
+        "accel": (calibration.accel, 0.0 if known is None else known.force_u),
+        "gyro": (calibration.gyro, 0.0 if known is None else known.rate_u or 0.0),
+    }
+    out = ["matrix and bias of the magnetometer"] if calibration.mag and MAGNETOMETER not in held else []
+    for kind, (model, u) in of_kind.items():
+        lost = [g for g in groups() if g.kind == kind and g.regressors is None and not g.linear]
+        lost = [g for g in lost if model is not None and g.name in present and g.name not in held]
         errors = sorted(((*_largest(calibration, group), group) for group in lost), key=lambda each: -each[0])
-        named = [each for each in errors[:MOST_NAMED] if each[0] >= NEGLIGIBLE * u[kind]]
-        words = [f"{_plain_words(group)} ({in_units(kind, error)} {where})" for error, where, group in named]
-        if others := errors[len(named) :]:
-            plural = "group" if len(others) == 1 else "groups"
-            words.append(f"{len(others)} {'more ' if named else ''}{plural} of at most {in_units(kind, others[0][0])}")
-        out.append(f"of the {WORDS[kind]} {' and '.join(filter(None, [', '.join(words[:-1]), words[-1]]))}")
-    return out
+        out += [
+            f"{group.words.partition(',')[0]} ({in_units(group.kind, error)} {where})"
+            for error, where, group in errors
+            if error >= NEGLIGIBLE * u
+        ]
+    return [words.replace("−", "-") for words in out]
 
 
 def in_units(kind: SensorKind, error: float) -> str:
@@ -238,84 +252,25 @@ def in_units(kind: SensorKind, error: float) -> str:
     return f"{error / (1e-3 * G_STANDARD):.3g} mg" if kind == "accel" else f"{error / DEGREE:.3g} deg/s"
 
 
-def _plain_words(group: ParameterGroup) -> str:
-    """What reports call a group, in ASCII and without the kind of sensors."""
-    words = group.words.partition(",")[0].replace("−", "-")
-    return words.replace(f" of the {WORDS[group.kind]}", "")
-
-
-def left_of_model(kind: SensorKind, error: Array, bias: Array | None = None) -> list[str]:
-    """What a target leaves of the model of one kind of sensors.
-
-    Parameters
-    ----------
-    kind
-        Accelerometers or gyros.
-    error
-        (3, 3): corrected vector less true vector, by the true vector.
-    bias
-        (3,): corrected vector at zero, m/s² or rad/s; None where it is not stated.
-
-    Returns
-    -------
-    list of str
-        Nothing where single precision is all that is lost.
-    """
-    out = []
-    if (relative := worst(error)) > ROUNDING:
-        felt = (
-            f"in 1 g an error of up to {G_STANDARD * relative:.3g} m/s^2"
-            if kind == "accel"
-            else f"an error of up to {100.0 * relative:.3g} % of the rate"
-        )
-        out.append(f"scale factors and misalignment of the {WORDS[kind]}: {felt}")
-    off = 0.0 if bias is None else float(np.abs(bias).max())
-    if off > ROUNDING * (G_STANDARD if kind == "accel" else 1.0):
-        out.append(f"biases of the {WORDS[kind]}: up to {off:.3g} {UNITS[kind]} off")
-    return out
-
-
-def worst(error: Array) -> float:
-    """The largest relative error |E v| / |v| of any vector."""
-    return float(np.linalg.norm(error, ord=2))
-
-
-def session_rate(calibration: Calibration) -> float:
-    """The rate, rad/s, of the turns of a session, or a usual one."""
-    if calibration.prediction is None or calibration.prediction.at_rate is None:
-        return USUAL_RATE
-    return calibration.prediction.at_rate
-
-
 def _largest(calibration: Calibration, group: ParameterGroup) -> tuple[float, str]:
     """The largest effect of a group on a reading, SI, and where."""
     rate = session_rate(calibration)
     at_rate = f"at {rate / DEGREE:.3g} deg/s"
     felt, where = (G_STANDARD, "in 1 g") if group.kind == "accel" else (rate, at_rate)
-    compensator, values = calibration.compensator, {p.name: p.value for p in calibration.parameters}
-    block = compensator.accel if group.kind == "accel" else compensator.gyro
-    names = () if block is None else group.names(block)
-    own = np.array([values[name] for name in values if name in names])
+    values = {p.name: p.value for p in calibration.parameters}
+    own = np.array([value for name, value in values.items() if group_name(name) == group.name])
     if group.motion == "lever":
         return rate**2 * float(np.linalg.norm(own.reshape(-1, 3), axis=1).max()), at_rate
-    if group.motion in ("delay", "single delay"):
+    if group.motion is not None:  # delays
         return rate * G_STANDARD * float(np.abs(own).max()), f"in 1 g {at_rate}"
-    if group.variable == "lag":  # on a bias of the accelerometers
+    if group.base is None:  # a lag, on a bias of the accelerometers
         slopes = [abs(value) for name, value in values.items() if group_name(name) == "accel.bias.t1"]
         return abs(float(own[0])) * HEATING * max(slopes, default=0.0), "at 1 K/min"
-    if group.base is not None:  # a change of a bias or of a scale factor
-        span, over = (HOUR, "after an hour") if group.variable == "time" else (WARMER, f"in {WARMER:.0f} K")
-        if group.variable == "hysteresis":
-            span, over = 1.0, "on the way up or down"
-        change = float(np.abs(own).max()) * (WARMER**2 if group.variable == "temperature²" else span)
-        return (change, over) if within_kind(group.base) == "bias" else (change * felt, f"{over} {where}")
-    instrument = Instrument.of(compensator.accel, compensator.gyro, {group.name}, variables=())
-    block = instrument.block(group)
-    assert group.regressors is not None
-    K = group.regressors(block) @ np.array([values.get(name, 0.0) for name in group.names(block)])
-    up = np.concatenate([np.eye(3), -np.eye(3), directions()])  # in all attitudes at 1 g and at a rate about all axes
-    effects = np.einsum("npb,pb->np", functions(block, G_STANDARD * up, rate * up), K)
-    return float(np.abs(effects).max()), "in 1 g" if group.name == "gyro.g_sensitivity" else where
+    span, over = (HOUR, "after an hour") if group.variable == "time" else (WARMER, f"in {WARMER:.0f} K")
+    if group.variable == "hysteresis":
+        span, over = 1.0, "on the way up or down"
+    change = float(np.abs(own).max()) * (WARMER**2 if group.variable == "temperature²" else span)
+    return (change, over) if within_kind(group.base) == "bias" else (change * felt, f"{over} {where}")
 
 
 def g_sensitivity(calibration: Calibration) -> Array:

@@ -74,7 +74,7 @@ def noise_of_rests(calibration: Calibration) -> NoiseDensities:
     Raises InputError for a calibration without rests or gyros."""
     found = []
     seconds = np.array([rest.stop - rest.start for rest in calibration.evidence.rests])
-    for kind, words in WORDS.items():
+    for kind in WORDS:
         rests: list[SensorsAtRest | None] = [getattr(rest, kind) for rest in calibration.evidence.rests]
         known = [sensors for sensors in rests if sensors is not None]
         if not known or len(known) < len(rests):
@@ -85,8 +85,8 @@ def noise_of_rests(calibration: Calibration) -> NoiseDensities:
         white = np.median([sensors.noise for sensors in known], axis=0).max()
         walks = np.array([sensors.drift for sensors in known]) ** 2 / (DRIFT_OF_WALK * seconds[:, None])
         bound = (
-            f"random walk of the {words}: the largest that the drifts within the rests allow is written; record an "
-            "hour at rest and give it with --noise"
+            "random walks are the largest that the drifts within the rests allow: record an hour at rest and give it "
+            "with --noise"
         )
         walk = float(np.sqrt(walks.mean(axis=0).max()))
         found.append(Densities(white=float(white), walk=walk, bounds=(bound,)))
@@ -109,7 +109,8 @@ def kalibr(calibration: Calibration, *, noise: NoiseDensities | Session | FilePa
     Exported
         YAML below the line `%YAML:1.0`, as OpenCV reads it.
     """
-    known = triads(calibration, "kalibr")
+    held = {"gyro.g_sensitivity"}
+    known = triads(calibration, "kalibr", held=held)
     if noise is None:
         noise = noise_of_rests(calibration)
     elif not isinstance(noise, NoiseDensities):
@@ -120,13 +121,10 @@ def kalibr(calibration: Calibration, *, noise: NoiseDensities | Session | FilePa
     biases = " and ".join(f"{shown(known[kind].bias.round(9))} {unit}" for kind, unit in UNITS.items())
     losses = notes_of(
         calibration,
-        held={"gyro.g_sensitivity"},
-        lacks=[
-            f"biases, which OpenVINS estimates while it runs: {biases}",
-            "noise of single axes: the largest density of the three is written",
-            "uncertainties and their covariance",
-        ],
-        see_to=[*noise.accel.bounds, *noise.gyro.bounds],
+        corrections={kind: model.apply for kind, model in known.items()},
+        held=held,
+        lacks=[f"biases, which OpenVINS estimates while it runs: {biases}", "noise of single axes", "uncertainties"],
+        see_to=dict.fromkeys([*noise.accel.bounds, *noise.gyro.bounds]),
     )
     same_frame = np.allclose(to_accel, np.eye(3), rtol=0.0, atol=1e-12)
     comments = [

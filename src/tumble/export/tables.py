@@ -1,5 +1,7 @@
 """Tables for spreadsheets and scripts, and a file for MATLAB (version 5) and GNU Octave.
 
+`json` is the correction as it is applied, with its formula (`tumble.result.applied_correction`).
+
 `csv` has one quantity a row: name, value, u, unit, and for a parameter its prior, learned fraction, k, degrees of
 freedom and its covariance with every parameter, in a column of that name. `accel.matrix.2.1` is row 2, column 1 of M,
 `accel.bias_of.2` the bias of channel 2, both counted from 1:
@@ -18,6 +20,7 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 import math
 from collections.abc import Iterable, Sequence
 
@@ -37,14 +40,26 @@ from tumble.export.exported import (
     origin,
 )
 from tumble.result.calibration import Calibration
+from tumble.result.file import content_of
 from tumble.result.temperature_curves import Range, changing, curve, model_at, own_thermometers
-from tumble.sensors.parameters import THERMAL, group_name, variable_of
+from tumble.sensors.parameters import THERMAL, group_name, groups, variable_of
 from tumble.units import Array
 
 NOT_RESULTS = "rests, turns, launches and iterations of the calibration have no place in this file"
 _MORE = ("prior", "learned", "k", "dof")
 _STEPS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 _MOST_ROWS = 25
+
+
+def json_file(calibration: Calibration) -> Exported:
+    """The .json file of a calibration: what a reading is, and the correction with its formula."""
+    models(calibration)  # that there are some
+    content, held = content_of(calibration), {group.name for group in groups() if group.variable in THERMAL}
+    losses = notes_of(calibration, held=held)
+    about = ["y: readings in SI, (raw - offset) / scale of the columns in readings", *origin(calibration), *losses]
+    kept = {key: content[key] for key in ("frame", "readings", "temperature", "correction", "provenance")}
+    text = json.dumps({"about": about} | kept, indent=1, ensure_ascii=False)
+    return Exported(content=f"{text}\n".encode(), losses=losses)
 
 
 def csv_table(calibration: Calibration) -> Exported:

@@ -32,7 +32,6 @@ and the functions of FUNCTIONS.
     counts       [a g, a deg/s]: the target works in counts, usually so many
     needs        ["accel"], ["gyro"] or both: sensors that a calibration must have
     holds        groups of parameters beyond matrix and bias that are in the file, such as "gyro.g_sensitivity"
-    single       true where the target computes in single precision
     notes        what the user has to see to
     [accel], [gyro]
       numbers, corrected
@@ -58,12 +57,11 @@ from pydantic import BaseModel, ConfigDict, Field
 from tumble.documents import text_of_document, toml_of, validated
 from tumble.errors import InputError
 from tumble.export.exported import (
-    SINGLE_PRECISION,
+    Correct,
     Exported,
     example,
     example_line,
     g_sensitivity,
-    left_of_model,
     notes_of,
     one_line,
     origin,
@@ -121,7 +119,6 @@ class Front(_Table):
     counts: _Two | None = None
     needs: list[Literal["accel", "gyro"]] = []
     holds: list[str] = []
-    single: bool = False
     notes: list[str] = []
     accel: Sensors | None = None
     gyro: Sensors | None = None
@@ -141,8 +138,8 @@ class Correction:
     offset: Array
 
     def of(self, reading: Array) -> Array:
-        """The vector (3,) that the target gives for a reading (3,), SI."""
-        return np.asarray(self.matrix @ reading + self.offset)
+        """The vectors (..., 3) that the target gives for readings (..., 3), SI."""
+        return np.asarray(reading @ self.matrix.T + self.offset)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -159,18 +156,19 @@ class Template:
         target cannot hold, and for an expression or a body that cannot be computed."""
         front = self.front
         needs: list[SensorKind] = [*front.needs]
-        known = triads(calibration, self.name, needed=needs)
+        known = triads(calibration, self.name, needed=needs, held=front.holds)
         numbers: dict[SensorKind, dict[str, Any] | None] = {"accel": None, "gyro": None}
         comments, left = [*origin(calibration), front.formula], list[str]()
+        corrections: dict[SensorKind, Correct] = {}
         for kind in numbers:
             model, sensors, words = known.get(kind), front.sensors(kind), WORDS[kind]
             if model is None:
                 left += [f"{words}: not known, left as they are"] * (sensors is not None)
                 continue
             if sensors is None or sensors.zeroed:
-                bias = model.bias if sensors is None else None
                 left.append(f"{words}: not in this file" if sensors is None else sensors.zeroed)
-                left += left_of_model(kind, model.matrix - np.eye(3), bias)
+                bias = np.zeros(3) if sensors is None else model.bias
+                corrections[kind] = Correction(numbers={}, matrix=np.eye(3), offset=-bias).of
                 continue
             per_si = 1.0
             if front.counts is not None:
@@ -180,10 +178,8 @@ class Template:
             numbers[kind] = {name: value.tolist() for name, value in correction.numbers.items()}
             worked = example(kind, model)
             comments.append(example_line(kind, worked.reading, worked.true, correction.of(worked.reading)))
-            error, off = correction.matrix @ model.matrix - np.eye(3), correction.of(model.bias)
-            left += left_of_model(kind, error, off)
-        see_to = [SINGLE_PRECISION] * front.single + front.notes
-        losses = notes_of(calibration, left=left, held=front.holds, see_to=see_to)
+            corrections[kind] = correction.of
+        losses = notes_of(calibration, corrections=corrections, left=left, held=front.holds, see_to=front.notes)
         text = self._rendered(
             comments=[*comments, *losses],
             serial=one_line(calibration.serial),

@@ -12,7 +12,8 @@ A component of scatter may be small, and is never excluded: no test decides whet
 turns falls by a power: with an exponential one turns that are spoilt a hundred times their noise are so unlikely that
 sound accelerometers take the blame. With λ = exp(max(p, 0))
 half of the prior says that the sheet holds, the other half that it is too small by a factor of the order k: 2 for a
-data sheet, 3 for a grade that is stated, 10 for one that is guessed where the next poorer grade has a larger size. A prior is never narrowed.
+data sheet, 3 for a grade that is stated, 10 for one that is guessed where the next poorer grade has a larger
+size. A prior is never narrowed.
 
 `Hyperparameters` has all that the maximum (`tumble.inference.maximum`) and the integral (`tumble.inference.integral`)
 need of φ; `table` makes those of a problem, in their order. Adding one is adding an entry there.

@@ -65,9 +65,9 @@ def _mean_square(kind: SensorKind, axes: bytes) -> Array:
     return np.asarray(np.swapaxes(beta, 1, 2) @ beta / len(up))
 
 
-def directions() -> Array:
-    """Unit vectors spread evenly over the sphere: a Fibonacci lattice."""
-    k = np.arange(DIRECTIONS) + 0.5
-    z, angle = 1.0 - 2.0 * k / DIRECTIONS, np.pi * (1.0 + np.sqrt(5.0)) * k
+def directions(count: int = DIRECTIONS) -> Array:
+    """Unit vectors (count, 3) spread evenly over the sphere: a Fibonacci lattice."""
+    k = np.arange(count) + 0.5
+    z, angle = 1.0 - 2.0 * k / count, np.pi * (1.0 + np.sqrt(5.0)) * k
     across = np.sqrt(1.0 - z**2)
     return np.column_stack([across * np.cos(angle), across * np.sin(angle), z])

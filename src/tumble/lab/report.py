@@ -254,7 +254,7 @@ def _certificate_sections(
         yield limits_section(acceptance, checks)
     kept = [
         "; ".join(clause for clause in note.split("; ") if not any(mark in clause for mark in _FOR_THE_OPERATOR))
-        for note in calibration.provenance.notes
+        for note in (*calibration.provenance.assumptions, *calibration.provenance.notes)
     ]
     yield notes(*remarks(calibration), *filter(None, kept))
     yield from annexes(calibration, "c", short=True)

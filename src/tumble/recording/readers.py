@@ -232,9 +232,9 @@ class KeptLog:
 FORMATS = (".csv", ".parquet")
 
 
-def write_tables(path: Path, tables: Iterator[pl.DataFrame]) -> None:
-    """Write tables of the same columns one below the other. Memory does not grow with their number, and an error on
-    the way, of the tables too, leaves what was there before.
+def write_tables(path: Path, tables: Iterator[pl.DataFrame], *, header: bool = True) -> None:
+    """Write tables of the same columns one below the other, with the names of these as the `header` of a CSV file.
+    Memory does not grow with their number, and an error on the way, of the tables too, leaves what was there before.
 
     Raises InputError for a name that ends otherwise than in .csv or .parquet, and for columns that CSV cannot hold."""
     ending = ending_in(path, *FORMATS)
@@ -257,6 +257,9 @@ def write_tables(path: Path, tables: Iterator[pl.DataFrame]) -> None:
     stream = register_io_source(source, schema=first.schema, validate_schema=True)
     with whole_file(path) as temporary, temporary.open("wb") as file:  # by name a thread may make it anew, too late
         try:
-            (stream.sink_csv if ending == ".csv" else stream.sink_parquet)(file, maintain_order=True)
+            if ending == ".csv":
+                stream.sink_csv(file, include_header=header, maintain_order=True)
+            else:
+                stream.sink_parquet(file, maintain_order=True)
         except Exception as error:
             raise (*failed, error)[0] from None

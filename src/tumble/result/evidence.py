@@ -113,6 +113,8 @@ class Provenance:
         Columns, unit and nominal scale of "accel", "gyro" and "mag".
     notes : tuple of str
         Remarks on the recording and the estimate.
+    assumptions : tuple of str
+        What was taken for granted of the log and the place, and what to state instead.
     absent : tuple of str
         Sensors of the device that the calibration does not have, and why.
     """
@@ -129,4 +131,5 @@ class Provenance:
     programme: str | None = None
     readings: Mapping[str, Annotated[Readings, AfterValidator(_check_scales)]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    assumptions: tuple[str, ...] = ()
     absent: tuple[str, ...] = ()

@@ -34,11 +34,13 @@ FORMAT = 1
 LONGEST_TEXT = 10_000
 KEYS = (
     *("format", "device", "method", "frame", "parameters", "covariance", "site", "rests", "turns", "fits"),
-    *("accel", "gyro", "mag", "outcome", "groups", "hyperparameters", "integral", "process_bias", "budget"),
-    *("prediction", "axes", "temperature", "iterations", "sample_rate", "clock_u", "circumstances", "programme"),
-    *("readings", "notes", "absent", "launches", "together", "provenance"),
+    *("accel", "gyro", "mag", "correction", "outcome", "groups", "hyperparameters", "integral", "process_bias"),
+    *("budget", "prediction", "axes", "temperature", "iterations", "sample_rate", "clock_u", "circumstances"),
+    *("programme", "readings", "notes", "assumptions", "absent", "launches", "together", "provenance"),
 )
 """Keys of the file in their order; `circumstances` is written as "session"."""
+_SENTENCES = (("notes",), ("assumptions",), ("absent",))
+"""Keys of sentences, which may have any characters; all other texts have those that do nothing."""
 ORIGIN = ("log_sha256", "software", "created", "prior", "calibrated_log_sha256")
 """Fields of `Provenance` that the file has in its table "provenance"."""
 
@@ -48,6 +50,7 @@ def file_record(*parts: type) -> type:
     described: dict[str, tuple[Any, Any]] = {
         "format": (Literal[1], field(default=FORMAT)),
         "provenance": (Mapping[str, str], field(default_factory=dict)),
+        "correction": (Mapping[str, Any], field(default_factory=dict)),
     }
     for part in parts:
         hints = get_type_hints(part, include_extras=True)
@@ -72,11 +75,15 @@ def adapter_of(record: type) -> TypeAdapter[Any]:
 
 
 def content_of(calibration: Calibration) -> dict[str, Any]:
-    """What the calibration file holds, as JSON has it: beside the fields the range of temperatures that the rests have,
-    the lag behind the thermometer, and with each sensor model its unit and the values of the groups beyond it."""
+    """What the calibration file holds, as JSON has it: beside the fields the correction, the range of temperatures that
+    the rests have, the lag behind the thermometer, and with each sensor model its unit and the values of the groups
+    beyond it."""
+    from tumble.result.applied_correction import correction_content
+
     values: dict[str, Any] = {"format": FORMAT}
     for part in (calibration, calibration.evidence, calibration.provenance):
         values |= {each.name: getattr(part, each.name) for each in fields(part)}
+    values["correction"] = correction_content(calibration)
     values["provenance"] = {key: values[key] for key in ORIGIN if values[key] is not None}
     content: dict[str, Any] = {
         "session" if key == "circumstances" else key: as_json(values[key], _AS_TABLES) for key in KEYS
@@ -213,7 +220,7 @@ def parsed(record: type, text: str, name: str, build: Callable[[Any], Calibratio
                 raise ValueError(f"{dotted(key)[:80]}: {size}")
         result = build(adapter_of(record).validate_json(text))
         for key, value in _values(content):
-            plain_wanted = key[:1] not in (("notes",), ("absent",))  # but for notes, of characters that do nothing
+            plain_wanted = key[:1] not in _SENTENCES
             if isinstance(value, str) and (len(value) > LONGEST_TEXT or (plain_wanted and not is_plain(value))):
                 limits = f"at most {LONGEST_TEXT} characters and no control characters"
                 raise ValueError(f"{dotted(key)[:80]}: expected {limits}, found {shown(value)}")

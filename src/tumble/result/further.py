@@ -13,13 +13,14 @@ import numpy as np
 import scipy
 
 from tumble.inference.estimate import Fit
-from tumble.inference.prediction import Prediction, directions
+from tumble.inference.prediction import Prediction
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import without_expanded
 from tumble.result.evidence import Evidence
+from tumble.result.linear_fit import errors_left
 from tumble.result.parts import Launch, Parameter
 from tumble.sensors.parameters import beyond_linear, group_name, named_group, sensor_kind, shown_in
-from tumble.units import G_STANDARD, Array, engineering, two_digits
+from tumble.units import Array, engineering, two_digits
 
 WIDENED = 1.05
 """From here on a prior counts as widened."""
@@ -213,18 +214,14 @@ def left_by_matrix(calibration: Calibration) -> str:
     specific force at 1 g, and of the rate that the prediction is at, about all axes in 1 g. Lever arms, delays and
     temperatures are not in it: they need a motion or a warming. Nothing where matrix and bias are the whole model, or
     there are no accelerometers."""
-    if calibration.accel is None or (compensator := calibration.compensator).linear:
+    if calibration.accel is None or calibration.compensator.linear:
         return ""
-    at_rate = None
-    if compensator.gyro is not None and calibration.prediction is not None:
-        at_rate = calibration.prediction.at_rate
-    up = np.concatenate([np.eye(3), -np.eye(3), directions()])
-    true = G_STANDARD * up
-    force = np.linalg.norm(compensator.force(compensator.model("accel").predict(true)) - true, axis=1)
+    known = calibration.prediction
+    at_rate = None if calibration.gyro is None or known is None else known.at_rate
+    force = errors_left(calibration, "accel", calibration.accel.apply)
     rate = np.zeros(1)
-    if at_rate is not None:
-        turning = at_rate * up[:, [1, 2, 0]]
-        rate = np.linalg.norm(compensator.rate(compensator.model("gyro").predict(turning), true) - turning, axis=1)
+    if calibration.gyro is not None and at_rate is not None:
+        rate = errors_left(calibration, "gyro", calibration.gyro.apply)
     if max(force.max(), rate.max()) < NOTHING:
         return "with matrix and bias alone: exact at the reference temperature"
 

@@ -23,12 +23,19 @@ Noise, scale factors (which need a motion) and the Earth's rate times the errors
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import hypot, sqrt
 
+import numpy as np
+
+from tumble.result.accepted import accepted_kinds
 from tumble.result.calibration import Calibration
+from tumble.result.linear_fit import errors_left
+from tumble.rotation import left_inverse
+from tumble.sensors.model import SensorKind
 from tumble.sensors.parameters import beyond_linear, group_name
-from tumble.units import DEGREE, G_STANDARD, two_digits
+from tumble.units import DEGREE, G_STANDARD, coarsest, two_digits
 
 SECONDS = 60.0
 
@@ -89,14 +96,51 @@ def unaided(calibration: Calibration, seconds: float = SECONDS) -> tuple[Unaided
     return results[0], results[1]
 
 
-def unaided_lines(calibration: Calibration) -> tuple[str, ...]:
-    """Two sentences with the errors after SECONDS without aid; none where they are not known."""
-    both = unaided(calibration)
-    lines = []
-    for what, errors in zip(("uncalibrated", "calibrated"), both or (), strict=False):
-        size, unit = (1e3, "km") if errors.position >= 1e3 else (1.0, "m")
-        lines.append(
-            f"{what}, {SECONDS:.0f} s without aid: tilt {two_digits(errors.tilt / DEGREE)}°, heading "
-            f"{two_digits(errors.heading / DEGREE)}°, position {two_digits(errors.position / size)} {unit}"
-        )
+def improvement(calibration: Calibration) -> tuple[str, ...]:
+    """What the calibration improves, in up to two sentences, as far as it is known: by how much readings are off, and
+    a vehicle after SECONDS without aid.
+
+    Before calibration readings are off by the root mean square over all attitudes at rest, and over all axes at the
+    rate of the session's turns; afterwards by their standard uncertainty. Only of sensors that are accepted."""
+    known, accepted, parts = calibration.prediction, accepted_kinds(calibration), list[str]()
+    if known is not None and "accel" in accepted:
+        before, after = _as_read(calibration, "accel"), _of_vector(calibration, "accel", known.force_u)
+        parts.append(f"at rest off by {_change(before, after, _FORCES, 0.01)}")
+    if known is not None and known.rate_u is not None and known.at_rate and "gyro" in accepted:
+        before, after = _as_read(calibration, "gyro"), _of_vector(calibration, "gyro", known.rate_u)
+        at = known.at_rate
+        parts.append(f"rates off by {_change(before / at, after / at, _PARTS, 0.01)} of {two_digits(at / DEGREE)} °/s")
+    lines = ["; ".join(parts)] if parts else []
+    if (both := unaided(calibration)) is not None and len(accepted) == len(both):
+        changes = (("tilt", _ANGLES), ("heading", _ANGLES), ("position", _LENGTHS))
+        first, last = both
+        said = (f"{name} {_change(getattr(first, name), getattr(last, name), units)}" for name, units in changes)
+        lines.append(f"after {SECONDS:.0f} s without aid: {', '.join(said)}")
     return tuple(lines)
+
+
+_FORCES = ((1e-6 * G_STANDARD, " µg"), (1e-3 * G_STANDARD, " mg"))
+_PARTS = ((1e-6, " ppm"), (1e-2, " %"))
+_ANGLES = ((DEGREE / 3600.0, "″"), (DEGREE / 60.0, "′"), (DEGREE, "°"))
+_LENGTHS = ((1e-2, " cm"), (1.0, " m"), (1e3, " km"))
+
+
+def _change(before: float, after: float, units: Sequence[tuple[float, str]], limit: float = 1.0) -> str:
+    """Two sizes with an arrow, each in the largest unit of which it is at least `limit`."""
+    shown = ((value, *coarsest(units, value, limit=limit)) for value in (before, after))
+    return " → ".join(f"{two_digits(value / size)}{name}" for value, size, name in shown)
+
+
+def _as_read(calibration: Calibration, kind: SensorKind) -> float:
+    """Root mean square error, SI, of vectors of readings that are taken as they are."""
+    block, _ = calibration.compensator.sensors(kind)
+    assert block is not None
+    nominal = left_inverse(block.axes)
+    return float(np.sqrt(np.mean(errors_left(calibration, kind, lambda readings: readings @ nominal.T) ** 2)))
+
+
+def _of_vector(calibration: Calibration, kind: SensorKind, u: float) -> float:
+    """Standard uncertainty of the length of a vector's error, where that of each sensor is u."""
+    block, _ = calibration.compensator.sensors(kind)
+    assert block is not None
+    return u * float(np.linalg.norm(left_inverse(block.axes)))

@@ -216,7 +216,7 @@ def _calibrated(
             made = replace(made, outcome=outcome)
     for sentence in (*made.provenance.notes, *made.outcome.remarks, *made.outcome.reasons):
         _LOG.info("%s: %s", session.name, sentence)
-    return _with_provenance(made, circumstances=observed.circumstances)
+    return _with_provenance(made, circumstances=observed.circumstances, assumptions=assumptions(session))
 
 
 def _with_provenance(calibration: Calibration, **changed: Any) -> Calibration:
@@ -287,7 +287,7 @@ def estimated(
     observations = with_grade(session, observations, terms)
     if prior is not None:
         observations = replace(observations, in_run={**observations.in_run, **prior.in_run})
-    notes = (*observations.notes, *assumptions(session, by_clock), *by_reference_clock(session.log))
+    notes = (*observations.notes, *by_reference_clock(session.log))
     unstamped = session.log.unstamped
     observations = replace(observations, start=start, notes=notes, by_clock=by_clock, unstamped=unstamped)
     try:
@@ -322,9 +322,10 @@ def estimated(
     return estimate, replace(observations, notes=notes)
 
 
-def assumptions(session: Session, by_clock: Mapping[str, float]) -> tuple[str, ...]:
+def assumptions(session: Session) -> tuple[str, ...]:
     """What a session does not state and the estimate assumes, a sentence each, with what would replace it."""
     site, log, out = session.site, session.log, list[str]()
+    by_clock = clocked(log.time_base_u, log.increments)
     mm = f"{1e3 * site.gravity_u:.2g} mm/s²"
     if site.assumed == "height":
         out.append(

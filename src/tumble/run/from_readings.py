@@ -172,12 +172,10 @@ def calibrate_readings(
         raise InputError(f"--frame: expected accelerometer for --sensor {sensor}, found {frame!r}")
     if serial is not None and not serial.strip():
         raise InputError(f"--serial: expected a serial number, found {serial!r}")
-    if isinstance(readings, ReadingsTable):
-        whole = readings
+    if isinstance(readings, str | os.PathLike):
+        whole = read_table(Path(readings), sensor)
     else:
-        whole = (
-            read_table(Path(readings)) if isinstance(readings, str | os.PathLike) else table_of(np.asarray(readings))
-        )
+        whole = readings if isinstance(readings, ReadingsTable) else table_of(np.asarray(readings))
     table = positions_of(whole, rows_per_position)
     nominal = nominal_of(table, **described)
     if grade is not None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, zip_longest
+from itertools import chain, combinations, zip_longest
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -182,6 +182,7 @@ def mean_of_launches(runs: Sequence[Run], *, alike: Sequence[LaunchVariances] = 
             programme=_common([each.programme for each in sources]),
             readings=_common_items([each.readings for each in sources]),
             notes=(*_notes(runs, names), *pooled_with),
+            assumptions=tuple(dict.fromkeys(chain(*(each.assumptions for each in sources)))),
         ),
     )
 

@@ -1,9 +1,9 @@
 """Tables of readings: laboratories write down averaged voltages, one row per position.
 
-READINGS.csv has a header with the names of three columns, one per channel, and a row of three numbers per position. The
-readings become SI by the nominal scale, whose sign is the polarity of the channel, and the triad is calibrated by the
-ellipsoid method. Accelerometers at rest, magnetometers, and gyros on a table that turns at a constant rate are the same
-problem with another modulus.
+READINGS.csv has a header with the names of three columns, one per channel, and a row of three numbers per position; of
+a wider one, such as a log, the three are taken that are named as the sensors are. The readings become SI by the nominal
+scale, whose sign is the polarity of the channel, and the triad is calibrated by the ellipsoid method. Accelerometers at
+rest, magnetometers, and gyros on a table that turns at a constant rate are the same problem with another modulus.
 
 The ellipsoid does not show polarity: y and −y of a channel lie equally well on it. It comes from the nominal scale, or
 from positions of which it is roughly known where the vector pointed. Where an odd number of channels is negative, the
@@ -40,6 +40,7 @@ import numpy as np
 from tumble.documents import check_regular
 from tumble.earth import NORMAL_GRAVITY_U
 from tumble.errors import InputError
+from tumble.recording.columns.names import columns_by_name
 from tumble.units import ACCEL_UNITS, G_STANDARD, GYRO_UNITS, MAGNETIC_UNITS, Array, IntArray
 
 Sensor = Literal["accel", "gyro", "mag"]
@@ -145,16 +146,18 @@ def table_of(readings: Array) -> ReadingsTable:
     if readings.ndim != 2 or readings.shape[1] != 3:
         raise InputError(f"--readings: expected an array (N, 3), a row per position, found the shape {readings.shape}")
     rows = [",".join(map(repr, row)) for row in readings.tolist()]
-    return _parsed(Path("readings"), "\n".join(["x,y,z", *rows]))
+    return _parsed(Path("readings"), "\n".join(["x,y,z", *rows]), "accel")
 
 
-def read_table(path: Path) -> ReadingsTable:
-    """The readings of a CSV file. Raises InputError, one line that names the file, the line and the column, for
-    anything but a header of three names and rows of three finite numbers."""
+def read_table(path: Path, sensor: Sensor = "accel") -> ReadingsTable:
+    """The readings of a CSV file; of a wider one the columns that are named as those of a kind of sensors. Raises
+    InputError, one line that names the file, the line and the column, for anything but a header of names and rows of
+    finite numbers in three columns."""
     try:
         check_regular(path)
         content = path.read_bytes()
-        return replace(_parsed(path, content.decode("utf-8-sig")), sha256=hashlib.sha256(content).hexdigest())
+        table = _parsed(path, content.decode("utf-8-sig"), sensor)
+        return replace(table, sha256=hashlib.sha256(content).hexdigest())
     except OSError as error:
         raise InputError(f"{path}: expected a table of readings, found: {error.strerror}") from error
     except UnicodeDecodeError as error:
@@ -163,7 +166,7 @@ def read_table(path: Path) -> ReadingsTable:
         ) from error
 
 
-def _parsed(path: Path, text: str) -> ReadingsTable:
+def _parsed(path: Path, text: str, sensor: Sensor) -> ReadingsTable:
     """The table of a text."""
     reader = csv.reader(text.splitlines(), strict=True)
     try:
@@ -172,7 +175,11 @@ def _parsed(path: Path, text: str) -> ReadingsTable:
         raise InputError(f"{path}: line {reader.line_num}: expected comma-separated numbers, found: {error}") from error
     if not rows:
         raise InputError(f"{path}: expected a header of three columns and a row per position, found an empty file")
-    columns = tuple(cell.strip() for cell in rows[0][1])
+    columns, width = tuple(cell.strip() for cell in rows[0][1]), len(rows[0][1])
+    if width > 3 and (named := columns_by_name(columns).triads.get(sensor)) is not None:
+        places = [columns.index(name) for name in named.columns]
+        rows = [(line, [row[i] for i in places] if len(row) == width else row) for line, row in rows]
+        columns = tuple(named.columns)
     if fault := _fault_of_header(columns):
         raise InputError(f"{path}: line {rows[0][0]}: expected {fault}")
     if len(rows) == 1:
@@ -203,7 +210,10 @@ def _fault_of_header(names: tuple[str, ...]) -> str:
     if len(names) == 1 and any(mark in names[0] for mark in ";\t"):
         return f"commas between the columns, found {names[0][:40]!r}; save as CSV with commas"
     if len(names) != 3:
-        return f"a header of three columns, one per channel, found {len(names)}"
+        return (
+            f"a header of three columns, one per channel, found {len(names)}, none three of them named as the sensors "
+            "are (ax, ay, az); a log with rests and turns is for `tumble calibrate`"
+        )
     if not any(math.isnan(_number(name)) for name in names):
         return "a header with the names of three columns, found numbers; put one above"
     if "" in names:

@@ -26,7 +26,7 @@ from tumble.reduction.observations import Observations
 from tumble.reduction.together import joined
 from tumble.result.calibration import Calibration
 from tumble.result.parts import Member, Parameter
-from tumble.run.calibrate import by_reference_clock, estimated, provenance_of, systematic_of
+from tumble.run.calibrate import assumptions, by_reference_clock, estimated, provenance_of, systematic_of
 from tumble.run.from_estimate import result_of, without_result
 from tumble.run.launches import Means, check_recordings, circumstances_of_all, digest_of_all
 from tumble.run.observed import Progress, inspect_session, observations_in_parts
@@ -136,6 +136,7 @@ def calibrate_together(
         provenance=replace(
             made.provenance,
             circumstances=circumstances_of_all(circumstances),
+            assumptions=assumptions(first),
             notes=(
                 *made.provenance.notes,
                 *(

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -29,9 +30,14 @@ from tumble.simulation.temperature_profile import (
     draw_thermal,
     thermometer_columns,
 )
-from tumble.units import DEGREE, ZERO_CELSIUS, Array
+from tumble.units import DEGREE, G_STANDARD, ZERO_CELSIUS, Array
 
-LogFormat = Literal["parquet", "csv"]
+if TYPE_CHECKING:
+    import polars as pl
+
+LogFormat = Literal["parquet", "csv", "counts"]
+COUNTS: Mapping[str, tuple[str, float]] = {"a": ("acc_", 4096.0 / G_STANDARD), "g": ("gyr_", 32.8 / DEGREE)}
+"""Of a log in counts the names of accelerometers and gyros, and counts per m/s² and rad/s."""
 TRUTH_FILE = "truth.json"
 
 
@@ -90,10 +96,11 @@ def write_simulation(
     """Record a scenario and write it as a session folder, which must not hold a session yet.
 
     session.toml names a built-in programme, lists the positions of another, and names none for random ones.
-    Raises InputError."""
+    "counts" is a log as a cheap logger writes it, whole counts and milliseconds, and no session.toml. Raises
+    InputError."""
     import polars as pl  # heavy, and only needed here
 
-    log = f"log.{log_format}"
+    log = f"log.{log_format}" if log_format != "counts" else "log.csv"
     for name, said in ((SESSION_FILE, "a session"), (log, log), (TRUTH_FILE, TRUTH_FILE)):
         if (folder / name).exists():
             raise InputError(f"{folder}: expected a new folder, found {said} in it; give another one")
@@ -105,14 +112,28 @@ def write_simulation(
     try:
         with nothing_left(folder) as output:
             frame = pl.DataFrame(_columns_of(scenario, recording))  # SI; float64 survives in both formats
+            if log_format == "counts":
+                time = (1e3 * pl.col("t")).round().cast(pl.Int64).alias("ms")
+                frame = frame.select(time, *map(_counted, frame.columns[1:]))
             with whole_file(output.new_file(log)) as temporary:
-                (frame.write_csv if log_format == "csv" else frame.write_parquet)(temporary)
+                (frame.write_parquet if log_format == "parquet" else frame.write_csv)(temporary)
             with whole_file(output.new_file(TRUTH_FILE)) as temporary:
                 temporary.write_text(json.dumps(truth, indent=1) + "\n", encoding="utf-8")
-            write_session(folder, _content(scenario, log_format))
+            if log_format != "counts":
+                write_session(folder, _content(scenario, log_format))
     except OSError as error:
         raise InputError(f"{folder}: expected a folder to write to, found: {error.strerror or error}") from None
     return folder
+
+
+def _counted(column: str) -> pl.Expr:
+    """A column of sensors in whole counts, under another name; any other as it is."""
+    import polars as pl
+
+    if column[0] not in COUNTS:
+        return pl.col(column)
+    name, counts = COUNTS[column[0]]
+    return (counts * pl.col(column)).round().cast(pl.Int64).alias(f"{name}{column[1:]}")
 
 
 def session_in_memory(scenario: Scenario, rng: np.random.Generator) -> Session:

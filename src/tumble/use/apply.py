@@ -104,8 +104,9 @@ def apply_to_session(
 ) -> dict[str, Any]:
     """Correct the log of a session.
 
-    Every column keeps its name and place. Sensors are corrected as by `Calibration.apply`, in SI or in the unit that
-    the names of their columns state. Everything else is copied, from CSV as text. Memory does not grow with the log.
+    Every column keeps its name and place; a log without names stays without. Sensors are corrected as by
+    `Calibration.apply`, in SI or in the unit that the names of their columns state. Everything else is copied, from CSV
+    as text. Memory does not grow with the log.
 
     Parameters
     ----------
@@ -142,14 +143,15 @@ def apply_to_session(
     session.check_new(path, force=force)
     parts = _parts(calibration, session)
     log = open_log(session)
-    write_tables(path, _tables(session, parts, calibration.compensator, 1.0 / log.rate))
+    nameless = path.suffix == ".csv" and session.log.dialect is not None and not session.log.dialect.header
+    write_tables(path, _tables(session, parts, calibration.compensator, 1.0 / log.rate), header=not nameless)
     content = description_of(session)
     table = {key: value for key, value in content["log"].items() if key not in (*DIALECT_KEYS, "file")}
     for part in parts:
         if part.written is not part.channels and part.kind in table:
             stated = {key: table[part.kind][key] for key in ("columns", "axes") if key in table[part.kind]}
             table[part.kind] = {**stated, "unit": part.written.unit_name}
-    return {**content, "log": {"file": str(path.resolve()), **table}}
+    return {**content, "log": {"file": str(path.resolve()), **({"header": False} if nameless else {}), **table}}
 
 
 def applied(calibration: Calibration | FilePath, session: Session | FilePath) -> tuple[str, ...]:

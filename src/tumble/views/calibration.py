@@ -7,19 +7,23 @@ launch to launch, the mean increments of the iterations, and the difference of t
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tumble.diagnosis.verdict import gravity_said
+from tumble.files import FilePath
+from tumble.result.accepted import accepted_kinds
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import without_expanded
 from tumble.result.further import (
     BY_PRIOR,
     accepted_groups,
-    checked,
+    by_group,
     decided_by_priors,
     group_lines,
     linear_parameters,
@@ -29,9 +33,9 @@ from tumble.result.further import (
     verdicts,
 )
 from tumble.result.parts import Parameter
-from tumble.result.unaided import unaided_lines
+from tumble.result.unaided import improvement
 from tumble.run.calibrate import ITERATED_METHODS
-from tumble.sensors.parameters import sensor_kind
+from tumble.sensors.parameters import group_name, sensor_kind, within_group
 from tumble.units import Array, engineering
 from tumble.views.blocks import Block, Items, Table, table
 from tumble.views.numbers import (
@@ -39,7 +43,6 @@ from tumble.views.numbers import (
     device_name,
     factor,
     fixed,
-    in_engineering,
     percent,
     quantity_table,
     shown_units,
@@ -68,8 +71,11 @@ def calibration_blocks(
     *,
     every: bool = False,
     budget: bool = False,
+    file: FilePath = "calibration.json",
+    session: FilePath = "SESSION",
 ) -> list[Block]:
-    """What `tumble calibrate` prints, the verdict first.
+    """What `tumble calibrate` prints: the verdict, what the calibration improves, the parameters, remarks, and the next
+    command.
 
     Parameters
     ----------
@@ -80,23 +86,29 @@ def calibration_blocks(
     others
         Calibrations of the same sessions by other methods.
     every
-        Show all parameters, and tables of groups, rests, turns and fits instead of a line each; without it the tables
-        have the parameters of the linear model.
+        Show all parameters, tables of groups, rests, turns and fits, and all remarks and notes. Without it there are
+        the accepted parameters of the linear model, where nothing is compared a row a group, and as many remarks, of
+        MOST_REMARKS, as leave room for the whole on MOST_LINES lines.
     budget
         Show what every u is made of.
+    file, session
+        Where the calibration is written and what it is of, for the next command.
     """
-    parameters = calibration.parameters if every else linear_parameters(calibration.parameters)
-    several, passport = bool(calibration.evidence.launches), any(p.deviation is not None for p in parameters)
-    device, spared = device_name(calibration.serial, calibration.model), accepted_groups(calibration)
+    parameters, whole = calibration.parameters, calibration.evidence
+    parameters = parameters if every else _usable(calibration, linear_parameters(parameters))
+    several, passport = bool(whole.launches), any(p.deviation is not None for p in parameters)
+    compared = every or several or passport or bool(truth) or bool(others)
+    by_kind = [*verdicts(calibration)]
+    if spared := accepted_groups(calibration):
+        by_kind.insert(-1, f"accepted all the same: {', '.join(spared)}")
     blocks: list[Block] = [
-        f"device {device} · method {calibration.method} · frame {calibration.frame}",
-        *verdicts(calibration),
-        *([f"accepted all the same: {', '.join(spared)}"] if spared else []),
-        *(f"remark: {remark}" for remark in calibration.outcome.remarks),
-        parameter_table(calibration, parameters, truth),
+        f"device {device_name(calibration.serial, calibration.model)} · method {calibration.method} · frame "
+        f"{calibration.frame}",
+        *(by_kind if every else [by_kind[-1] + (f" ({'; '.join(by_kind[:-1])})" if by_kind[:-1] else "")]),
+        *improvement(calibration),
+        parameter_table(calibration, parameters, truth) if compared else compact_table(parameters),
     ]
-    if every:
-        blocks += [group_table(calibration), *unknown_blocks(calibration)]
+    blocks += [group_table(calibration), *unknown_blocks(calibration)] if every else []
     if budget:
         from tumble.views.uncertainty_budget import budget_blocks
 
@@ -104,27 +116,73 @@ def calibration_blocks(
     if several:
         blocks += [launch_table(calibration, parameters, deviations=which) for which in (False, True)[: 1 + passport]]
     blocks.append(_session_table(calibration))
-    if calibration.method in ITERATED_METHODS and calibration.evidence.iterations:
+    if calibration.method in ITERATED_METHODS and whole.iterations:
         blocks += [iteration_table(calibration, parameters), WHAT_AN_INCREMENT_SAYS]
     blocks += [method_table(calibration, other, parameters) for other in others]
-    if every and not several:
-        from tumble.views.report.recording import recordings, tables_of
+    lines = [] if truth is None else [_against_truth(calibration, truth)]
+    if every:
+        if not several:
+            from tumble.views.report.recording import recordings, tables_of
 
-        blocks += [shown for shown in tables_of(recordings(calibration)[0]) if shown]
-    lines = [] if calibration.prediction is None else [predicted(calibration.prediction)]
-    lines += unaided_lines(calibration)
-    lines += [rests_said(calibration.evidence)] if calibration.evidence.rests and not several else []
-    lines += [] if every else _group_and_fit_lines(calibration)
-    if truth is not None:
-        z = [(p.value - truth[p.name]) / p.u for p in calibration.parameters if p.u and p.name in truth]
-        rms = math.sqrt(sum(v * v for v in z) / max(len(z), 1))
-        known = f"{len(z)} parameters, rms of (value − truth)/u {rms:.2f}, expected about 1"
-        lines.append(f"truth: {known if z else 'no parameter was estimated that it has'}")
-    if decided := decided_by_priors(calibration):
-        lines.append(decided)
-    if calibration.provenance.site is not None and not calibration.provenance.site.gravity_is_unit:
-        lines.append(gravity_said(calibration.provenance.site))
-    return [*blocks, Items(items=(*lines, *without_expanded(parameters), *calibration.provenance.notes))]
+            blocks += [shown for shown in tables_of(recordings(calibration)[0]) if shown]
+        lines += [] if calibration.prediction is None else [predicted(calibration.prediction)]
+        lines += [rests_said(whole)] if whole.rests and not several else []
+        lines += [f"remark: {remark}" for remark in remarks_of(calibration)]
+        site = calibration.provenance.site
+        lines += [gravity_said(site)] if site is not None and not site.gravity_is_unit else []
+        return [*blocks, Items(items=(*lines, *without_expanded(parameters), *calibration.provenance.notes))]
+    lines += without_expanded(parameters)
+    following = next_commands(calibration, file, session)
+    taken = len(text_of([*blocks, Items(items=(*lines, "")), *following], WIDTH).splitlines())
+    return [*blocks, Items(items=(*lines, *_fitting(calibration, MOST_LINES - taken))), *following]
+
+
+MOST_LINES, WIDTH, MOST_REMARKS = 24, 100, 3
+"""Lines, characters of a line, and remarks without --all."""
+
+
+def remarks_of(calibration: Calibration) -> tuple[str, ...]:
+    """What a user should do something about, the most harmful first: residuals that the model does not explain, what
+    was assumed of the log and the place, and what priors decide."""
+    decided, assumed = decided_by_priors(calibration), calibration.provenance.assumptions
+    if not accepted_kinds(calibration):  # only how the log was read may be why
+        assumed = tuple(sentence for sentence in assumed if sentence.startswith("doubt"))
+    return (*calibration.outcome.remarks, *assumed, *([decided] if decided is not None else []))
+
+
+def next_commands(calibration: Calibration, file: FilePath, session: FilePath) -> list[str]:
+    """The commands that a calibration is for, or that show why it is none."""
+    name, recording = shlex.quote(str(file)), shlex.quote(str(session))
+    if accepted_kinds(calibration):
+        return [f"next: tumble export {name} --to json -o imu.json (others: --help)"]
+    return [f"next: tumble inspect {recording} (the rests and turns that were found)"]
+
+
+def _fitting(calibration: Calibration, room: int) -> list[str]:
+    """The first remarks, at most MOST_REMARKS and at least one, that fit on so many lines, and in a further line what
+    else --all shows."""
+    remarks, notes, shown = remarks_of(calibration), calibration.provenance.notes, list[str]()
+    for remark in remarks[:MOST_REMARKS]:
+        if shown and len(text_of([Items(items=(*shown, f"remark: {remark}"))], WIDTH).splitlines()) > room:
+            break
+        shown.append(f"remark: {remark}")
+    hidden = {"remark": len(remarks) - len(shown), "note": len(notes)}
+    counted = [f"{count} {what}{'s' * (count > 1)}" for what, count in hidden.items() if count]
+    return [*shown, f"more with --all: {', '.join([*counted, 'all tables'])}"]
+
+
+def _usable(calibration: Calibration, parameters: Iterable[Parameter]) -> tuple[Parameter, ...]:
+    """The parameters of the groups that are accepted, alone or with their sensors."""
+    outcome = calibration.outcome
+    return tuple(p for p in parameters if outcome.of(group_name(p.name)).accepted or "mag" in p.name)
+
+
+def _against_truth(calibration: Calibration, truth: Mapping[str, float]) -> str:
+    """How far the values are from true ones, in a line."""
+    z = [(p.value - truth[p.name]) / p.u for p in calibration.parameters if p.u and p.name in truth]
+    rms = math.sqrt(sum(v * v for v in z) / max(len(z), 1))
+    known = f"{len(z)} parameters, rms of (value − truth)/u {rms:.2f}, expected about 1"
+    return f"truth: {known if z else 'no parameter was estimated that it has'}"
 
 
 # -------------------- tables --------------------
@@ -153,6 +211,25 @@ def parameter_table(
         return row | {"truth": to_digits_of(true, p.u, size), "(value − truth)/u": distance}
 
     return quantity_table(parameters, shown_units(parameters), row)
+
+
+def compact_table(parameters: Sequence[Parameter]) -> Table:
+    """A row for each group of the linear model with three sensors or angles at most, each with its u."""
+    units, rows = shown_units(parameters), []
+    for name, members in by_group(parameters).items():
+        size, unit = units[members[0].name]
+        for first in range(0, len(members), _BESIDE):
+            beside = members[first : first + _BESIDE]
+            shown = [(within_group(p.name), *cells(p.value, p.u, size)) for p in beside]
+            empty = ("", "", "") * (_BESIDE - len(beside))
+            rows.append(("" if first else name, *chain.from_iterable(shown), *empty, unit))
+    columns = ("parameter", *("", "value", "u (k=1)") * _BESIDE, "unit")
+    words = (0, *range(1, 3 * _BESIDE, 3), len(columns) - 1)
+    return Table(columns=columns, rows=tuple(rows), text=words) if rows else Table(columns=(), rows=())
+
+
+_BESIDE = 3
+"""Parameters on a row."""
 
 
 def whole_table(calibration: Calibration) -> Table:
@@ -285,26 +362,6 @@ def difference_percent(value: Array | float, reference: Array | float) -> Array:
     return np.asarray(100.0 * (np.asarray(value) - reference) / reference)
 
 
-# -------------------- lines --------------------
-
-
-def _group_and_fit_lines(calibration: Calibration) -> list[str]:
-    """In a line each: the groups beyond the linear model, with what the session has learned of each; and chi-square of
-    each kind of residuals, with its degrees of freedom and the scatter added."""
-    groups, fits = [], []
-    for line in group_lines(calibration):
-        widened = f" ({line.remark})" if line.largest is not None and line.remark else ""
-        groups.append(f"{line.name} {line.learned_percent or line.remark}{widened if line.learned_percent else ''}")
-    lines = [f"groups beyond bias, scale and axes, learned: {', '.join(groups)}; --all shows them"] if groups else []
-    for name, fit in calibration.evidence.fits.items():
-        if not checked(fit):
-            fits.append(f"{name}: no more data than unknowns, so that nothing checks the fit")
-        else:
-            scatter = f", scatter {in_engineering(fit.unit, fit.scatter)}" if fit.scatter > 0.0 else ""
-            fits.append(f"{name} {fit.chi_square:.1f} for {fit.degrees:.1f}{scatter}")
-    return [*lines, f"chi-square for degrees of freedom: {'; '.join(fits)}"] if fits else lines
-
-
 # -------------------- in a notebook --------------------
 
 
@@ -333,7 +390,8 @@ def as_html(calibration: Calibration) -> str:
 
 def _short(calibration: Calibration) -> list[Block]:
     outcome = calibration.outcome
-    said, notes = (*outcome.reasons, *outcome.remarks), tuple(f"note: {note}" for note in calibration.provenance.notes)
+    said = (*outcome.reasons, *remarks_of(calibration))
+    notes = tuple(f"note: {note}" for note in calibration.provenance.notes)
     blocks: list[Block] = [calibration.headline, *([Items(items=said)] if said else [])]
     return [*blocks, whole_table(calibration), *([Items(items=notes)] if notes else [])]
 

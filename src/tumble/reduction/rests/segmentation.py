@@ -144,7 +144,7 @@ class Segmentation:
         level of the gyros."""
         by = "" if self.stated_rate is None else f", by log.rate_hz = {self.stated_rate:g}, which no time confirms"
         reasons: dict[Fails, str] = {
-            "duration": f"too short: rests must be {self.tuning.still} s{by}",
+            "duration": f"too short: rests of {self.tuning.still} s are long enough{by}",
             "level": "discarded because the gyros read otherwise than at rest",
         }
         sentences = []
@@ -163,7 +163,7 @@ class Segmentation:
             "level": "the accelerometers are quiet, but the gyros read otherwise than at rest",
             "scatter": "the gyros are quiet, but the accelerometers are not",
             "vertical": f"the vertical moves by more than {self.tuning.tilt / DEGREE:g}°",
-            "duration": f"too short: rests must be {self.tuning.still} s",
+            "duration": f"too short: rests of {self.tuning.still} s are long enough",
         }
         sentences = []
         for fails, why in reasons.items():
@@ -364,7 +364,7 @@ class _RestSearch:
                 tilt = float(off / np.linalg.norm(mean))
                 if too_short or span.last - span.first < tuning.fewest_blocks:
                     if duration > 0.5:
-                        reason = f"{duration:.1f} s is too short: rests must be {self.still} s"
+                        reason = f"{duration:.1f} s is too short: rests of {self.still} s are long enough"
                         rejected.append(Rejected.of(f, (first, last), "duration", reason))
                 elif tilt > tuning.tilt:
                     at_most = f"in a rest at most {tuning.tilt / DEGREE:g}°"

@@ -11,7 +11,7 @@ import shutil
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from textwrap import wrap
+from textwrap import TextWrapper, wrap
 from unicodedata import combining, east_asian_width
 
 import click
@@ -25,10 +25,10 @@ _IN_A_PIPE = 160
 """Width of tables where there is no terminal, characters."""
 
 
-def print_blocks(*blocks: Block) -> None:
-    """Print blocks to standard output, as wide as the terminal; where there is none sentences are not broken. What the
-    output cannot show becomes question marks."""
-    shown = text_of(blocks, shutil.get_terminal_size().columns if sys.stdout.isatty() else None)
+def print_blocks(*blocks: Block, width: int | None = None) -> None:
+    """Print blocks to standard output, as wide as the terminal; where there is none as wide as `width`, without which
+    sentences are not broken. What the output cannot show becomes question marks."""
+    shown = text_of(blocks, shutil.get_terminal_size().columns if sys.stdout.isatty() else width)
     encoding = sys.stdout.encoding or "utf-8"
     click.echo(shown.encode(encoding, "replace").decode(encoding), nl=False)
 
@@ -56,10 +56,11 @@ def _lines(block: Block, width: int | None) -> Iterator[str]:
         sentences = [f"{name}: {value}" for name, value in block.rows]
     else:
         return  # a picture
-    hanging = "  " if isinstance(block, Items) else ""
+    # neither a path nor an option is broken: they are to be copied
+    broken = TextWrapper(width or 0, break_on_hyphens=False, break_long_words=False)
+    broken.subsequent_indent = "  " if isinstance(block, Items) else ""
     for sentence in sentences:
-        broken = wrap(sentence, width or len(sentence) + 1, subsequent_indent=hanging, break_on_hyphens=False)
-        yield from [sentence] if width is None else broken or [""]
+        yield from [sentence] if width is None else broken.wrap(sentence) or [""]
 
 
 def cell_len(text: str) -> int:

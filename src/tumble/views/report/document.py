@@ -100,9 +100,10 @@ def reasons_of(sources: Sequence[ReportedFile]) -> list[str]:
 def _sections(source: ReportedFile, inserted: Sequence[Section], key: str) -> Iterator[Section | None]:
     """All sections on a calibration in their order; `key` begins the names of its figures."""
     calibration, recordings = source.calibration, recording.recordings(source.calibration)
-    yield result.result(calibration)
+    yield result.result(calibration, f"{key}-improvement")
     yield from inserted
-    yield notes(*further.remarks(calibration), *calibration.provenance.notes)
+    known = calibration.provenance
+    yield notes(*further.remarks(calibration), *known.assumptions, *known.notes)
     yield from annexes(calibration, key)
     yield result.unknown(calibration)
     yield from (recording.noise(each) for each in recordings)

@@ -12,8 +12,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tumble.inference.estimate import FIT_SIGMAS
+from tumble.result.accepted import WORDS, accepted_kinds
+from tumble.result.calibration import Calibration
+from tumble.result.further import linear_parameters
+from tumble.result.linear_fit import session_rate
 from tumble.result.parts import RestResult, TurnResult
-from tumble.units import DEGREE, Array, engineering
+from tumble.sensors.parameters import group_name, sensor_kind, within_kind
+from tumble.units import DEGREE, G_STANDARD, Array, engineering
 from tumble.views.render.pictures import COLOURS, FAINT, GREY, INK, PAGE, drawn, grid
 
 if TYPE_CHECKING:
@@ -107,6 +112,34 @@ def farthest_from(found: Array) -> float:
     radius = np.sqrt(1.0 - z**2)
     everywhere = np.column_stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z])
     return float(np.arccos(np.clip((everywhere @ found.T).max(axis=1), -1.0, 1.0)).max())
+
+
+def before_and_after(name: str, calibration: Calibration) -> str:
+    """The error of a reading at 1 g, and at the rate of the session, that each parameter makes before the calibration,
+    and its standard uncertainty afterwards."""
+    rate, known = session_rate(calibration), [p for p in linear_parameters(calibration.parameters) if p.u]
+    shown = {kind: [p for p in known if sensor_kind(p.name) == kind] for kind in accepted_kinds(calibration)}
+    kinds = [kind for kind, parameters in shown.items() if parameters]
+
+    def draw(figure: Figure) -> None:
+        for axes, kind in zip(figure.subplots(1, len(kinds), squeeze=False)[0], kinds, strict=True):
+            unit, full = ("m/s^2", G_STANDARD) if kind == "accel" else ("rad/s", rate)
+            worth = [1.0 if within_kind(group_name(p.name)) == "bias" else full for p in shown[kind]]
+            before = np.array([abs(p.value) * w for p, w in zip(shown[kind], worth, strict=True)])
+            after = np.array([(p.u or 0.0) * w for p, w in zip(shown[kind], worth, strict=True)])
+            (size, per), rows = engineering(unit, float(np.median(before))), -np.arange(len(before))
+            axes.hlines(rows, after / size, before / size, color=FAINT, linewidth=2.0)
+            axes.plot(before / size, rows, "o", color=GREY, markersize=4, label="before: the error")
+            axes.plot(after / size, rows, "o", color=COLOURS[kind == "gyro"], markersize=4, label=f"after: u, {kind}")
+            where = "in 1 g" if kind == "accel" else f"at {rate / DEGREE:.2g} °/s"
+            axes.set(xscale="log", xlabel=per, title=f"{WORDS[kind]}, {where}")
+            axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+            axes.set_yticks(rows, [within_kind(p.name) for p in shown[kind]])
+            axes.grid(axis="x", color=FAINT, linewidth=0.5)
+        handles = {label: h for axes in figure.axes for h, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+        figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=3)
+
+    return drawn(name, PAGE, 0.8 + 0.15 * max(map(len, shown.values())), draw)
 
 
 def residuals(name: str, rests: Sequence[RestResult], turns: Sequence[TurnResult]) -> str:

@@ -23,8 +23,9 @@ from tumble.result.further import (
     verdicts,
 )
 from tumble.result.parts import Parameter
-from tumble.result.unaided import unaided_lines
-from tumble.views.blocks import Block, Facts, Items, Section, Table, Text, Tone, section, table
+from tumble.result.unaided import improvement
+from tumble.sensors.parameters import sensor_kind
+from tumble.views.blocks import Block, Facts, Figure, Items, Section, Table, Text, Tone, section, table
 from tumble.views.calibration import group_table, launch_table, unknown_blocks
 from tumble.views.numbers import (
     NONE,
@@ -40,6 +41,7 @@ from tumble.views.numbers import (
     with_expanded,
 )
 from tumble.views.report.application import added_terms
+from tumble.views.report.figures import before_and_after
 
 Cells = Callable[[Parameter, float], dict[str, str]]
 """Further cells of a parameter by their headings; the number is the size in SI of the unit in which it is shown."""
@@ -52,12 +54,19 @@ _MOST_LARGE, _MOST_WITH_WORDS = 9, 12
 """Columns for which a page has room in the larger type, and in the smaller one with the parameters in words."""
 
 
-def result(calibration: Calibration) -> Section:
-    """Verdict and remarks, what the calibration gains in a minute without aid, parameters with U, and what corrected
-    readings are known to."""
-    sentences = (*calibration.outcome.remarks, *unaided_lines(calibration))
-    listed = [Items(items=tuple(f"{each[0].upper()}{each[1:]}" for each in sentences))] if sentences else []
-    return section("Result", *verdict_blocks(calibration), *listed, *value_blocks(calibration))
+def result(calibration: Calibration, name: str) -> Section:
+    """Verdict and remarks, errors before and after in words and as a picture of this `name`, parameters with U, and
+    what corrected readings are known to."""
+    sentences = (*improvement(calibration), *calibration.outcome.remarks)
+    blocks: list[Block] = [Items(items=tuple(f"{each[0].upper()}{each[1:]}" for each in sentences))]
+    usable = accepted_kinds(calibration)
+    if any(p.u and sensor_kind(p.name) in usable for p in linear_parameters(calibration.parameters)):
+        caption = (
+            "What each parameter makes a reading wrong by: before the calibration, as it is (grey), and afterwards, "
+            "by its standard uncertainty (colour)."
+        )
+        blocks.append(Figure(svg=before_and_after(name, calibration), caption=caption))
+    return section("Result", *verdict_blocks(calibration), *blocks[not sentences :], *value_blocks(calibration))
 
 
 def verdict_blocks(calibration: Calibration) -> list[Block]:
