@@ -598,7 +598,7 @@ def test_an_output_that_cannot_be_written_is_said_in_one_line(sessions: Path) ->
 
 def test_results_are_printed_as_data(sessions: Path) -> None:
     """The content of the calibration file, and what the tables of the others say."""
-    done = run("calibrate", sessions / "one", "--terms", "linear", "--json")
+    done = run("calibrate", sessions / "one", "--json", "--force")
     assert json.loads(done.stdout) == json.loads((sessions / "one/calibration.json").read_text(encoding="utf-8"))
     seen = json.loads(run("inspect", sessions / "one", "--json").stdout)
     observed = seen["observations"]

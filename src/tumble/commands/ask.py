@@ -60,7 +60,7 @@ class Numbers(click.ParamType[tuple[Any, ...]]):
 PATH = _NamedPath(path_type=Path)
 FILE = _NamedPath(path_type=Path, dir_okay=False)
 FOLDER = _NamedPath(path_type=Path, file_okay=False)
-METHOD_NAMES = ["joint", "sequential", "scalar", "ellipsoid"]
+METHOD_NAMES = ["joint", "sequential", "scalar", "scalar-nominal", "ellipsoid"]
 NUMBERS = Numbers("numbers with commas between them")
 FRAMES = ["accelerometer", "case", "paper", "symmetric"]
 AS_JSON = "tumble.json"

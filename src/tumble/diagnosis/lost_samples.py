@@ -17,12 +17,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from tumble.diagnosis.causes import Candidate, Cause, tested
+from tumble.diagnosis.causes import Candidate, Cause
 from tumble.diagnosis.linearised_session import SHORTEST_TURN, LinearisedSession
-from tumble.diagnosis.projection import UNSEEN, Remaining, SumOfSquares, standing_out
-from tumble.inference.joint import joint
-from tumble.inference.likelihood import Linearised, Point, Problem, instruments_of
-from tumble.inference.linearisation import linearised
+from tumble.diagnosis.projection import UNSEEN, Remaining, SumOfSquares
+from tumble.inference.likelihood import Linearised
 from tumble.inference.noise_components import SCATTER, Components
 from tumble.inference.turns_about import TurnsAbout
 from tumble.recording.rows.gaps import REGULAR_HINT
@@ -186,31 +184,3 @@ def lost_in_all_turns(session: LinearisedSession, s: int, blamed: Remaining) -> 
         sentence="turns that err about their own axis, with their angle: samples are missing or held in the log; "
         + stamps_remedy(jitter),
     )
-
-
-def lost_by_velocities(linear: Linearised, observations: Observations) -> Cause | None:
-    """The turn that lacks samples, where an estimate of all groups of parameters shows it: the velocities of turns,
-    which the linear model does without, tell more of it than their rotations. That estimate is made where the noise
-    alone does not explain the velocities about the linear one, one step from its solution and without scatter."""
-    instrument, own = instruments_of(observations)
-    problem = Problem.of(observations, instrument=instrument, own=own, usual=observations.usual)
-    values, first = problem.measured[0][1:].copy(), instrument.linear_count
-    values[:first] = linear.point.values[:first]
-    point = Point(
-        values=values,
-        gravity=linear.point.gravity,
-        attitudes=linear.point.attitudes,
-        own=np.zeros((len(problem.parts), len(problem.own_known))),
-    )
-    about = None if linear.about is None else TurnsAbout.of(observations, instrument, values)
-    if _standing_loss(linearised(problem, point, about)) is None:
-        return None
-    whole = joint(observations).linearised
-    return None if whole is None else _standing_loss(whole)
-
-
-def _standing_loss(linearised: Linearised) -> Cause | None:
-    """The turn that lacks samples most likely, where it stands out."""
-    losses = of_turns(LinearisedSession(linearised), Remaining.of(linearised, linearised.components))
-    causes = [cause for of_session in tested(linearised, losses) for cause in of_session] if losses else []
-    return next((cause for cause in causes if cause.probability <= standing_out([cause.probability])), None)

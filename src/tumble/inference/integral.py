@@ -123,7 +123,7 @@ def posterior(fitted: Maximum, points: int = POINTS) -> Posterior:
     sources = averaged(weight, by_source)
     sources["hyperparameters"] = ((steps - mean).T * weight) @ (steps - mean)
     covariance = np.sum(list(sources.values()), axis=0)
-    factor = _coverage_factors(steps - mean, deviations, weight, np.sqrt(np.diag(covariance)))
+    factor = coverage_factors(steps - mean, deviations, weight, np.sqrt(np.diag(covariance)))
     shorter = np.where(factor > 0.0, np.minimum(0.5 * factor, 1.0), 1.0)
     return Posterior(
         step=mean,
@@ -311,7 +311,7 @@ def _pareto(above: Array) -> tuple[float, float]:
     return (n * shape + 5.0) / (n + 10.0), -shape / chosen
 
 
-def _coverage_factors(means: Array, deviations: Array, weight: Array, u: Array) -> Array:
+def coverage_factors(means: Array, deviations: Array, weight: Array, u: Array) -> Array:
     """The half widths at COVERAGE of the mixtures of Gaussians (points, m) over their u (m,); 0 where u is. By Newton's
     method, and by halves where that leaves the bounds."""
     low, high, k = np.zeros(len(u)), np.full(len(u), 20.0), np.full(len(u), 2.0)

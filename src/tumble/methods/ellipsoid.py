@@ -17,7 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tumble.diagnosis.linear_model import by_joint, left_out_of, with_left_out
+from tumble.diagnosis.linear_model import by_joint, left_out_by_rests, with_left_out
 from tumble.diagnosis.observability import Refusal
 from tumble.errors import InputError
 from tumble.inference.estimate import Estimate, Fit
@@ -105,4 +105,4 @@ def estimate_of(found: EllipsoidFit, observations: Observations, beside: Estimat
     variance = np.einsum("ip,ipq,iq->i", up, observations.rests.accel_covariance, up) + found.scatter**2
     sigma = np.where(found.used, np.sqrt(variance), np.inf)
     estimate = replace(estimate, linearised=None if beside is None else beside.linearised)
-    return with_left_out(estimate, left_out_of(observations, sigma, beside=beside), gravity)
+    return with_left_out(estimate, left_out_by_rests(observations, sigma, beside)[0], gravity)

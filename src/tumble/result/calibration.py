@@ -301,8 +301,8 @@ class Calibration(Mapping[str, Parameter]):
             Intervals of the samples, s, if the readings are increments, m/s and rad.
         temperature : array_like, shape (...), or mapping of str to array_like, optional
             Temperature of the sensors, K, by default the reference temperature. In a stream it follows the thermometer
-            with the lag `temperature.lag`. If the sensors have several thermometers, a mapping of "accel" and "gyro" to
-            arrays (...) or (..., n).
+            with the lags `accel.lag` and `gyro.lag`. If the sensors have several thermometers, a mapping of "accel" and
+            "gyro" to arrays (...) or (..., n).
 
         Returns
         -------

@@ -19,28 +19,26 @@ from tumble.diagnosis.undetermined import one_attitude
 from tumble.errors import CalibrationError, InputError
 from tumble.files import FilePath
 from tumble.inference.estimate import Estimate, Outcome
-from tumble.inference.hyperparameters import GUESSED, SHEET, STATED
+from tumble.inference.hyperparameters import size_factors
 from tumble.inference.joint import joint
 from tumble.inference.prior import Prior, with_prior
-from tumble.inference.sources import by_time_base, clocked, of_fit, source
+from tumble.inference.sources import by_time_base, clocked, source
 from tumble.recording.arrays import SensorArrays, session_of_arrays
 from tumble.recording.log import Log
 from tumble.recording.session import LogSpec, Session
 from tumble.recording.session_file import session_from
 from tumble.reduction.observations import Observations
 from tumble.result.calibration import Calibration, read_calibration
-from tumble.result.coverage import by_gravity
 from tumble.result.evidence import Provenance
-from tumble.result.parts import Parameter
 from tumble.run.from_estimate import bridged_in, reference_of, result_of, without_result
 from tumble.run.observed import Progress, inspected, observations_for_calibration
 from tumble.sensors.frames import Convention, Frame
 from tumble.sensors.grades import grade as grade_named
 from tumble.sensors.grades import guessed_grade
-from tumble.sensors.parameters import Terms, poorer, prior_sizes
+from tumble.sensors.parameters import Terms, prior_sizes
 
 _LOG = logging.getLogger(__name__)
-Method = Literal["joint", "sequential", "scalar", "ellipsoid"]
+Method = Literal["joint", "sequential", "scalar", "scalar-nominal", "ellipsoid"]
 DEFAULT_METHOD: Method = "joint"
 Estimator = Callable[[Observations], Estimate]
 
@@ -54,10 +52,8 @@ METHODS: Mapping[str, Estimator] = {
     "joint": joint,
     "ellipsoid": _imported("ellipsoid", "ellipsoid"),
 }
-WITH_ALL_TERMS = ("joint", "ellipsoid")
-"""Those that know of groups of parameters beyond bias, scale factor and axis angles."""
 ITERATED_METHODS: Mapping[str, Callable[..., Estimate]] = {
-    name: _imported("paper.four_stages", name) for name in ("sequential", "scalar")
+    name: _imported("paper.four_stages", name.replace("-", "_")) for name in ("sequential", "scalar", "scalar-nominal")
 }
 """The pipelines of the paper, which take a number of iterations."""
 
@@ -82,14 +78,14 @@ def calibrate(
     session
         A session or the path of its folder. Without it, give the readings as `accel=…, gyro=…, rate=…`.
     method
-        `joint`, maximum likelihood of all readings; `sequential` and `scalar`, the methods of the paper; `ellipsoid`,
-        accelerometers alone, without attitudes.
+        `joint`, maximum likelihood of all readings; `sequential`, `scalar` and `scalar-nominal`, the methods of the
+        paper, the last in the attitudes of the programme; `ellipsoid`, accelerometers alone, without attitudes.
     iterations
-        Number of passes of `sequential` and `scalar`; default 2.
+        Number of passes of the methods of the paper; default 2.
     frame
         Frame of the result: `accelerometer`, `paper`, `symmetric` or `case`.
     terms
-        `full`, or `linear` for bias, scale factor and axis angles alone, by the methods `joint` and `ellipsoid`.
+        `full`, or `linear` for bias, scale factor and axis angles alone, with what else is usual in their u.
     without
         Numbers from 1 of rests to leave out, beside those that the session excludes.
     prior
@@ -134,14 +130,13 @@ def calibrate(
     if iterations is not None and method not in ITERATED_METHODS:
         raise InputError(
             f"iterations: expected none with the method {method!r}, which iterates until nothing changes, found "
-            f"{iterations}; only {' and '.join(ITERATED_METHODS)} take a number"
+            f"{iterations}; only {', '.join(ITERATED_METHODS)} take a number"
         )
     estimator: Estimator = known[method] if iterations is None else partial(known[method], iterations=iterations)
     if prior is not None and (method != "joint" or terms != "full"):
         raise InputError("prior: expected the method joint with all terms, which takes one, found another")
     if frame != "accelerometer":
         Convention(frame=frame, block=given.accel_block)
-    terms = terms if method in WITH_ALL_TERMS else "linear"
     made = _calibrated(given, method, estimator, frame, terms, progress, prior)
     if not given.excluded:
         return made
@@ -237,28 +232,20 @@ def systematic_of(session: Session) -> Mapping[str, float]:
     return {p.name: p.value for p in passport.parameters}
 
 
-def with_grade(session: Session, observations: Observations, terms: Terms) -> Observations:
-    """The observations with what is usual for instruments of the grade of a session's device: sizes of the groups
-    beyond the linear model, none for the linear terms, and of in-run biases, with a note of the grade.
-
-    The factor by which a size may be too small goes by where it is from: a data sheet, a stated grade, or a guessed one
-    whose size is larger in the next poorer grade. A guess between grades of equal sizes cannot be wrong by it."""
+def with_grade(session: Session, observations: Observations) -> Observations:
+    """The observations with what is usual for instruments of the grade of a session's device, sizes of the groups
+    beyond the linear model and of in-run biases, with a note of the grade."""
     grade, guessed_from = grade_of(session, observations)
     sheet, noise = session.device.prior, grade_named(grade).noise
-    usual = {} if terms == "linear" else prior_sizes(grade, sheet)
-    worse = poorer(grade) if guessed_from else None
-    in_worse = {} if worse is None else prior_sizes(worse)
+    usual = prior_sizes(grade, sheet)
     said = f"what is not bias, scale or axis angle is taken to be of the size usual for the grade {grade}"
     origin = f", guessed from {guessed_from}; state another as [device] grade" if guessed_from else ""
     return replace(
         observations,
         usual=usual,
-        too_small={
-            name: SHEET if name in sheet else GUESSED if in_worse.get(name, 0.0) > size else STATED
-            for name, size in usual.items()
-        },
+        too_small=size_factors(grade, usual, sheet, guessed=bool(guessed_from)),
         in_run={"accel": noise.accel_instability, "gyro": noise.gyro_instability},
-        notes=observations.notes + ((said + origin,) if usual else ()),
+        notes=(*observations.notes, said + origin),
     )
 
 
@@ -284,7 +271,8 @@ def estimated(
 ) -> tuple[Estimate, Observations] | Outcome:
     """The estimate and what it was made from, or why there is none."""
     by_clock = clocked(session.log.time_base_u, session.log.increments)
-    observations = with_grade(session, observations, terms)
+    linear_joint = method is joint and terms == "linear"
+    observations = with_grade(session, observations)
     if prior is not None:
         observations = replace(observations, in_run={**observations.in_run, **prior.in_run})
     notes = (*observations.notes, *by_reference_clock(session.log))
@@ -292,27 +280,19 @@ def estimated(
     observations = replace(observations, start=start, notes=notes, by_clock=by_clock, unstamped=unstamped)
     try:
         with np.errstate(over="ignore"):  # damaged samples, of which it breaks down
-            estimate = method(observations)
-        if estimate.method != "joint":  # which counts the time base itself, and has a budget
-            budget, change = estimate.budget, by_time_base(estimate.names, by_clock)
-            if budget is None:
-                every = zip(estimate.names, estimate.values.tolist(), estimate.units, strict=True)
-                parameters = [Parameter(name=name, value=value, u=None, unit=unit) for name, value, unit in every]
-                of_gravity = by_gravity(parameters, estimate.covariance, observations.site)
-                degrees = np.inf if estimate.degrees is None else float(estimate.degrees.min())
-                budget = of_fit(estimate.covariance, of_gravity, observations.site.gravity_u, degrees)
-            of_clock, relative = np.outer(change, change), max(map(abs, by_clock.values()), default=0.0)
-            budget = budget.beside(source("clock", relative, "1"), of_clock)
+            estimate = method(replace(observations, usual={}) if linear_joint else observations)
+        if estimate.method != "joint":  # which counts the time base itself
+            change, relative = by_time_base(estimate.names, by_clock), max(map(abs, by_clock.values()), default=0.0)
+            of_clock, budget = np.outer(change, change), estimate.budget
+            budget = None if budget is None else budget.beside(source("clock", relative, "1"), of_clock)
             estimate = replace(estimate, covariance=estimate.covariance + of_clock, budget=budget)
-        if terms == "linear" or estimate.method != "joint":
-            from tumble.diagnosis.linear_model import judged, left_out, taken_as_nothing
-        if terms == "linear":
-            whole = with_grade(session, observations, "full")
-            estimate = judged(estimate, observations, whole)
-            notes += left_out(estimate, observations, whole)
-        elif estimate.method != "joint":
-            estimate = judged(estimate, observations, observations)
-            notes += taken_as_nothing(estimate)
+        if linear_joint or estimate.method != "joint":
+            from tumble.diagnosis import linear_model
+
+            if linear_joint:
+                estimate = linear_model.with_left_out_by_joint(estimate, observations)
+            notes += linear_model.taken_as_nothing(estimate)
+            estimate = linear_model.linear_part(estimate) if terms == "linear" else estimate
         elif prior is not None:
             estimate, said = with_prior(estimate, observations, prior, reference_of(observations))
             notes += said

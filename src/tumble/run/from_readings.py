@@ -35,7 +35,7 @@ import scipy
 
 from tumble.arguments import checked
 from tumble.brief import Brief
-from tumble.diagnosis.linear_model import left_out_of
+from tumble.diagnosis.linear_model import left_out_by_rests
 from tumble.diagnosis.observability import Refusal, undetermined
 from tumble.errors import InputError
 from tumble.files import FilePath
@@ -295,8 +295,8 @@ def _estimated(
     bad = ~fit.used
     bad[list(fit.doubtful)] = True
     if bad.any():  # by how much a residual may be off by the in-run instability and by what is left out
-        beyond, instability = left_out_of(rests), GRADES[chosen].noise.accel_instability
-        sigma = np.sqrt(instability**2 + ((beyond.leaves * beyond.usual) ** 2).sum(axis=1))
+        (beyond, leaves), instability = left_out_by_rests(rests), GRADES[chosen].noise.accel_instability
+        sigma = np.sqrt(instability**2 + ((leaves * beyond.usual) ** 2).sum(axis=1))
         allowed = float(-scipy.special.ndtri(0.5 * BAD_CHANCE / len(table.values))) * sigma
         whole, noise = _fitted(table, nominal, np.inf)
         if isinstance(whole, EllipsoidFit) and np.all(np.abs(whole.residual) <= np.where(bad, allowed, np.inf)):
@@ -319,8 +319,8 @@ def guessed_grade(fit: EllipsoidFit, rests: Observations) -> tuple[str, str]:
     def chance_of_residuals(grade: str) -> float:
         if fit.degrees == 0:
             return 1.0
-        beyond = left_out_of(replace(rests, usual=_usual(grade)))
-        noise, left = GRADES[grade].noise.accel_instability ** 2, beyond.leaves * beyond.usual
+        beyond, leaves = left_out_by_rests(replace(rests, usual=_usual(grade)))
+        noise, left = GRADES[grade].noise.accel_instability ** 2, leaves * beyond.usual
         of_groups = left.T @ left
         trace = noise * fit.degrees + np.trace(of_groups)
         square = noise**2 * fit.degrees + 2.0 * noise * np.trace(of_groups) + float((of_groups**2).sum())
