@@ -327,7 +327,7 @@ def test_archive_that_unpacks_to_a_thousand_times_its_size_is_refused_in_little_
     tracemalloc.start()
     try:
         message = refusal(lambda: opened(tmp_path, "log.csv.gz"))
-        assert "an archive of 0.194 MB holds at most 19.4 MB, found 200 MB stated; if it is a log, unpack it" in message
+        assert "a packed file of 0.194 MB holds at most 19.4 MB, found 200 MB; if they are readings" in message
         assert tracemalloc.get_traced_memory()[1] < 1e6
     finally:
         tracemalloc.stop()
@@ -731,7 +731,7 @@ BLEMISHES: dict[str, tuple[Change, str]] = {
     "time repeated": (with_value(17, "t", "0.16"), "the time stamp of the row before: left out"),
     "time that falls back": (with_value(17, "t", "0.10"), "a time stamp before that of the row before: left out"),
     "time of nothing": (with_value(17, "t", "0"), "a time stamp before that of the row before: left out"),
-    "time with a digit too many": (with_value(17, "t", "1.7"), "a time stamp beyond that of the next row: left out"),
+    "time with a digit too many": (with_value(17, "t", "1.7"), "a time stamp beyond that of a row behind it: left out"),
     "row too short": (with_row(17, ["0.17", "1"]), "2 values: left out"),
     "row short by one": (lambda table: with_row(17, table[17][:-1])(table), "7 values: left out"),
     "row too long": (lambda table: with_row(17, [*table[17], "1"])(table), "9 values: left out"),
@@ -776,6 +776,20 @@ def test_stamps_that_fall_back_while_time_passes_are_missing_samples(rows: int, 
     assert len(samples["time"]) == (ROWS if rows <= 5 else ROWS - rows)
     assert sorted((gap.row, gap.samples) for gap in log.gaps)[-1] == (100 + rows, rows)
     assert all(gap.integrable for gap in log.gaps) == (rows <= 5)
+
+
+@pytest.mark.parametrize("rows", [1, 3, 20])
+@pytest.mark.parametrize("size", [60, 1 << 24])
+def test_rows_that_agree_on_a_time_ahead_cost_themselves(rows: int, size: int, tmp_path: Path) -> None:
+    table = lines(5000)
+    for row in range(100, 100 + rows):
+        table[row][0] = f"{900.5 + 0.01 * row:.2f}"
+    log = csv_log(tmp_path, table)
+    with mock.patch.multiple(text_pieces, _PIECE_BYTES=size, _FIRST_PIECE_BYTES=size):
+        samples = whole(log)
+    assert len(samples["time"]) == (5000 if rows <= 5 else 5000 - rows)
+    assert samples["time"].max() < 100.0
+    assert sum(gap.samples for gap in log.gaps) == rows
 
 
 SET_BACK: dict[str, Change] = {

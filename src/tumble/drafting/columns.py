@@ -103,7 +103,7 @@ def _found(file: Path, folder: OutputFolder) -> list[ForeignLog]:
         part, remark = copied
         return [replace(log, said=(remark, *log.said)) for log in _found(part, folder)]
     dialect_and_top = dialect_of(seen)
-    if dialect_and_top is None and max(map(len, seen.split(b"\n"))) > LINE_BYTES // 8:
+    if dialect_and_top is None and max(map(len, seen.split(b"\n"))) > LINE_BYTES // 2:
         raise InputError(f"{file}: expected a log of rows of numbers, found something else; is it a recording?")
     if dialect_and_top is not None:
         dialect, top = dialect_and_top

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from tumble.arguments import checked
 from tumble.diagnosis.turn_likelihood import WIDTHS, Widths
 from tumble.drafting.columns import identified_log
 from tumble.drafting.conclusions import completed
@@ -88,6 +89,7 @@ class Given:
 NOTHING_GIVEN = Given()
 
 
+@checked
 def new_session(
     folder: FilePath,
     logs: FilePath | Sequence[FilePath],

@@ -13,6 +13,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from tumble.brief import Brief
 from tumble.errors import InputError
 from tumble.result.accepted import WORDS
 from tumble.result.calibration import Calibration
@@ -44,8 +45,8 @@ ROUNDING = 1e-6
 """Relative errors of single precision, which are not stated one by one."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Exported:
+@dataclass(frozen=True, kw_only=True, slots=True, repr=False)
+class Exported(Brief):
     """A file in the format of another program.
 
     Attributes

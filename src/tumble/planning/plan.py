@@ -18,6 +18,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from tumble.arguments import checked
 from tumble.brief import Brief
 from tumble.diagnosis.observability import in_words
 from tumble.errors import InputError
@@ -122,6 +123,7 @@ class Plan(Brief):
         raise KeyError(name)
 
 
+@checked
 def plan(
     setup: Setup,
     *,

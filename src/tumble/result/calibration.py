@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import AfterValidator, Field
 
+from tumble.arguments import checked
 from tumble.errors import InputError, MissingExtraError
 from tumble.files import FilePath
 from tumble.inference.estimate import GroupFinding
@@ -373,6 +374,7 @@ class Calibration(Mapping[str, Parameter]):
 _COLUMNS = ("name", "value", "u", "unit", "deviation", "run_to_run", "k", "dof", "prior", "learned")
 
 
+@checked
 def read_calibration(path: FilePath) -> Calibration:
     """Read a calibration file, as `Calibration.write` writes it.
 

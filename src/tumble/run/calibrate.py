@@ -14,6 +14,7 @@ from typing import Any, Literal, Unpack, get_args
 import numpy as np
 
 from tumble import __version__
+from tumble.arguments import checked
 from tumble.diagnosis.level_faces import with_common_tilt
 from tumble.diagnosis.undetermined import one_attitude
 from tumble.diagnosis.verdict import little_used, time_base_doubted
@@ -65,6 +66,7 @@ ITERATED_METHODS: Mapping[str, Callable[..., Estimate]] = {
 """The pipelines of the paper, which take a number of iterations."""
 
 
+@checked
 def calibrate(
     session: Session | FilePath | None = None,
     *,

@@ -14,6 +14,7 @@ the pace of an operator's sheet; those of a recording show in themselves what dr
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
@@ -23,6 +24,7 @@ from typing import Any, Unpack
 import numpy as np
 import scipy
 
+from tumble.arguments import checked
 from tumble.brief import Brief
 from tumble.diagnosis.level_faces import UPRIGHT, with_common_tilt
 from tumble.diagnosis.linear_model import left_out_by_rests
@@ -55,6 +57,7 @@ from tumble.run.readings_table import (
     positions_of,
     read_table,
     sizes_seen,
+    table_of,
 )
 from tumble.sensors.frames import Convention, Frame, convert, frame_of
 from tumble.sensors.grades import GRADES
@@ -113,8 +116,9 @@ class ReadingsCalibration(Brief):
     recorded: bool
 
 
+@checked
 def calibrate_readings(
-    readings: ReadingsTable | FilePath,
+    readings: ReadingsTable | Array | FilePath,
     *,
     rows_per_position: int = 1,
     grade: str | None = None,
@@ -130,7 +134,8 @@ def calibrate_readings(
     Parameters
     ----------
     readings
-        A table, or the path of its CSV file: a header with the names of three columns, and a row per position.
+        Array of shape (N, 3), a row per position; or the path of a CSV file with the names of three columns above the
+        rows.
     rows_per_position
         Number of rows of each position; equal positions count once.
     grade
@@ -170,7 +175,10 @@ def calibrate_readings(
         raise InputError(f"--frame: expected accelerometer for --sensor {sensor}, found {frame!r}")
     if serial is not None and not serial.strip():
         raise InputError(f"--serial: expected a serial number, found {serial!r}")
-    whole = readings if isinstance(readings, ReadingsTable) else read_table(Path(readings), sensor)
+    if isinstance(readings, str | os.PathLike):
+        whole = read_table(Path(readings), sensor)
+    else:
+        whole = readings if isinstance(readings, ReadingsTable) else table_of(np.asarray(readings))
     table = positions_of(whole, rows_per_position)
     nominal = nominal_of(table, **described)
     if grade is not None:

@@ -15,6 +15,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from tumble.arguments import checked
 from tumble.brief import Judged
 from tumble.diagnosis.carried_vertical import sense_faults
 from tumble.diagnosis.channels import (
@@ -108,6 +109,7 @@ LARGEST_SQUARED = 1e100
 """SI: of larger numbers sums of products are none."""
 
 
+@checked
 def inspect_session(
     session: Session | FilePath, *, progress: Progress = Log.chunks, tuning: Tuning = USUAL
 ) -> Observed:

@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from tumble.arguments import checked
 from tumble.brief import Brief
 from tumble.errors import InputError, SessionError
 from tumble.files import FilePath
@@ -60,6 +61,7 @@ class RecordedNoise(Brief):
         return filter_values(self.panels, self.rate)
 
 
+@checked
 def noise_of(*recordings: Session | FilePath, layout: Mapping[str, Any] | None = None) -> RecordedNoise:
     """Allan deviation and noise coefficients of every sensor at rest.
 

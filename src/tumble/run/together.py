@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tumble.arguments import checked
 from tumble.errors import InputError
 from tumble.files import FilePath
 from tumble.inference.estimate import Estimate, Outcome, OwnEstimate
@@ -39,6 +40,7 @@ SELDOM = 1e-3
 """Residuals are more than noise where chance alone would make them so large less often."""
 
 
+@checked
 def calibrate_together(
     sessions: Sequence[Session | FilePath],
     *,

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from tumble.arguments import checked
 from tumble.documents import json_of, text_of_document
 from tumble.errors import InputError
 from tumble.files import FilePath, nothing_left, whole_file
@@ -39,6 +40,7 @@ COUNTS: Mapping[str, tuple[str, float]] = {"a": ("acc_", 4096.0 / G_STANDARD), "
 TRUTH_FILE = "truth.json"
 
 
+@checked
 def simulate_session(
     folder: FilePath,
     setup: Setup,

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from tumble.arguments import checked
 from tumble.errors import InputError, LogError
 from tumble.files import FilePath
 from tumble.recording.arrays import SI
@@ -97,6 +98,7 @@ class _Correction:
         return out | dict(zip(self.added, true.T, strict=False))
 
 
+@checked
 def apply_to_session(
     calibration: Calibration | FilePath, session: Session | FilePath, out: FilePath, *, force: bool = False
 ) -> dict[str, Any]:

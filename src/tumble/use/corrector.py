@@ -18,6 +18,7 @@ from math import exp, inf, isnan, nan
 import numpy as np
 import numpy.typing as npt
 
+from tumble.brief import Brief
 from tumble.errors import CalibrationError, InputError
 from tumble.files import FilePath
 from tumble.recording.arrays import check_kelvin
@@ -41,8 +42,8 @@ _ROWS = 1 << 12
 """Rows that are corrected at a time: intermediate results fit the cache of a core."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Corrected:
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
+class Corrected(Brief):
     """Corrected samples in the order in which they came, as views of memory that the next block overwrites.
 
     Attributes

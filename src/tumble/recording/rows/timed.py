@@ -1,9 +1,9 @@
 """The rows of a file that have a time of their own, in the order of time.
 
-A row is left out whose time cannot be read, or is that of the row before; that leaps beyond the next one, where this
-follows the row before; or that falls back, to or before the time of one that was kept. If as many intervals pass as
-rows are left out, the stamps were wrong, and what is missing is bridged. Else the clock was set back, or rows are there
-twice: nobody knows what time passed, and no turn is known there.
+A row is left out whose time cannot be read, or is that of the row before; that leaps, alone or with the rows behind it,
+beyond a row that follows the one before them; or that falls back, to or before the time of one that was kept. If as
+many intervals pass as rows are left out, the stamps were wrong, and what is missing is bridged. Else the clock was set
+back, or rows are there twice: nobody knows what time passed, and no turn is known there.
 
 Stamps may be too coarse or too late to be times of rows at all: rows that are said to be regular are counted, and lie
 on the straight line through all stamps. Or stamps are rounded, to thousandths of a second or to 32 bits, and otherwise
@@ -45,6 +45,8 @@ from tumble.units import Array, BoolArray
 _HALF_DAY = 43200.0  # s: a clock that falls by more has passed midnight
 _PASSED = 0.5
 """Of an interval: so far from the time of the rows between, the time that has passed is another one."""
+_TOGETHER = 20
+"""Rows that leap together at most: of more, those that fall back behind them are the wrong ones."""
 _FINEST = 9
 """Decimals that stamps may be rounded to, in their unit."""
 _COARSEST = 0.25
@@ -80,11 +82,15 @@ def check_head(source: LogSource, spec: LogSpec, time: Array) -> Array:
 
 
 def leaping(time: Array, before: float, step: float) -> BoolArray:
-    """Which of times (m,) leap, by more than a step, beyond the next one, though this follows the row `before`."""
+    """Which of times (m,) leap, by more than a step, beyond one that follows the row `before` them."""
     found = np.zeros(len(time), dtype=bool)
-    former = np.concatenate([[before], time])[: len(time) - 1]
-    here, after = time[:-1], time[1:]
-    found[:-1] = (here > after) & (after > former) & (here - former > step)
+    for stop in (np.flatnonzero(time[1:] < time[:-1]) + 1).tolist():
+        beyond = time[max(0, stop - _TOGETHER - 1) : stop] > time[stop]
+        start = stop - (len(beyond) if beyond.all() else int(np.argmin(beyond[::-1])))
+        former = time[start - 1] if start else before
+        most = _TOGETHER if former > -math.inf else 1  # of the first rows of a file none says which are wrong
+        if stop - start <= most and former < time[stop] and time[start] - former > step:
+            found[start:stop] = True
     return found
 
 
@@ -119,8 +125,8 @@ def rows_of(
 class _Sieve:
     """Leaves out the rows of a file that have no time of their own. `count`: rows that went out; `last`: the time of
     the last of them; `shift`: what midnights have added to a clock, s; `held`: the last rows, of which only the next
-    one tells whether they leap or fall back; `falls`: of rows
-    that do how many there are, the first, the time before it and its own, s."""
+    ones tell whether they leap or fall back; `falls`: of rows that do how many there are, the first, the time before it
+    and its own, s."""
 
     source: LogSource
     spec: LogSpec
@@ -170,24 +176,25 @@ class _Sieve:
             rows = replace(rows, time=time + 2.0 * _HALF_DAY * passed)
         if self.on_grid:
             rows = replace(rows, time=self.grid.nearest(rows.time))
-        free = self.held is None and len(rows.time) > 1 and rows.time[0] > self.last
-        steps = np.diff(rows.time)
-        if free and steps.min() > 0.0 and steps[-1] <= JUMP * self.grid.interval:
+        steps = np.diff(rows.time, prepend=self.last)
+        free = self.held is None and len(steps) > _TOGETHER and steps.min() > 0.0
+        if free and steps[-_TOGETHER:].max() <= JUMP * self.grid.interval:
             return rows
         return self.judged(rows if self.held is None else self.held.followed_by(rows), last=False)
 
     def judged(self, rows: LogRows, *, last: bool) -> LogRows:
-        """Without single rows that leap and without rows that are no later than one before them. Unless they are the
-        `last` of the file, a last row that may leap is held back, and so are rows at the end that are no later."""
+        """Without rows that leap and without rows that are no later than one before them. Unless they are the `last` of
+        the file, rows at the end that may leap are held back, and so are those that are no later."""
         step, unsure = JUMP * self.grid.interval, None
         leaps = leaping(rows.time, self.last, step)
-        former = np.concatenate([[self.last], rows.time])[-2:]
-        if len(rows.time) and not last and former[1] - former[0] > step:
-            unsure, rows, leaps = rows.part(slice(-1, None)), rows.part(slice(0, -1)), leaps[:-1]
         for at in np.flatnonzero(leaps).tolist():
-            before = float(rows.time[at - 1]) if at else self.last
-            self._leave_out(int(rows.numbers[at]), "a time stamp beyond that of the next row", before)
+            before = rows.time[:at][~leaps[:at]][-1:].tolist() or [self.last]
+            self._leave_out(int(rows.numbers[at]), "a time stamp beyond that of a row behind it", before[0])
         rows = rows.part(~leaps) if leaps.any() else rows
+        far = np.diff(rows.time, prepend=self.last)[-_TOGETHER:] > step
+        if far.any() and not last:
+            first = len(rows.time) - len(far) + int(np.argmax(far))
+            unsure, rows = rows.part(slice(first, None)), rows.part(slice(0, first))
         late = _no_later(rows.time, self.last)
         sound = np.flatnonzero(~late)
         end = int(sound[-1]) + 1 if len(sound) else 0

@@ -18,7 +18,8 @@ from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from typing import Any
 
-LINE_BYTES = 1 << 20
+LINE_BYTES = 1 << 18
+"""The longest line of a log: what reads its values takes four hundred times as much memory."""
 FIRST_ROWS = 5
 """By which it is found out whether a name is missing."""
 BLANKS = " "
