@@ -640,7 +640,7 @@ def test_columns_that_are_stated_are_those_of_the_log(log: pl.DataFrame, tmp_pat
 
 def test_a_log_is_calibrated_with_its_columns_stated(log: pl.DataFrame, tmp_path: Path) -> None:
     file = tmp_path / d.without_names(log, tmp_path)
-    words = ["--accel", "2,3,4", "--gyro", "5,6,7", "--time", "1", "--latitude", LATITUDE]
+    words = ["--accel", "2,3,4", "--gyro", "5,6,7", "--time", "1", "--latitude", LATITUDE, "--all"]
     result = CliRunner().invoke(main, ["calibrate", str(file), *words])
     assert result.exit_code == 0, result.stderr
     assert "gyro: 5, 6, 7, as stated" in result.stderr
