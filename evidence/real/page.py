@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -90,13 +91,15 @@ def predicted(results: Mapping[str, Any], score: str, unit: float) -> str:
 
 
 def real_figure(keys: Sequence[str]) -> str:
-    """A figure of the results by its name: recordings, sources, refused, or made | what; repeated | program | group |
-    deviation or over_u; or the score, a program, what is predicted (session, quarter, row) and median or ratio. Raises
-    KeyError where there is none."""
+    """A figure of the results by its name: recordings, sources, refused, or made | what; first screen; repeated |
+    program | group | deviation or over_u; or the score, a program, what is predicted (session, quarter, row) and median
+    or ratio. Raises KeyError where there is none."""
     results = read_results()
     match list(keys):
         case ["recordings"]:
             return f"{sum(one['recordings'] for one in results['recordings'])}"
+        case ["first screen"]:
+            return first_screen(results)
         case ["sources"]:
             return f"{len(results['recordings'])}"
         case ["refused"]:
@@ -165,6 +168,22 @@ def behind_in(results: Mapping[str, Any]) -> dict[str, list[str]]:
                         f"{program} {ratio(logs)}"
                     )
     return said
+
+
+def first_screen(results: Mapping[str, Any]) -> str:
+    """What the first screen of the README says of programs that are ahead of the first one: all of them, or none."""
+    ahead = [f"{head.partition('default, ')[2]}: {', '.join(each)}" for head, each in behind_in(results).items()]
+    if not ahead:
+        words = (
+            "no program of the comparison predicts rests and turns that it has not seen better than the default method "
+            "by more than two standard errors."
+        )
+    else:
+        words = (
+            "these predict what they have not seen better than the default method by more than two standard errors "
+            f"(errors over those of the default, number of pairs): {'; '.join(ahead)}."
+        )
+    return textwrap.fill(words, 110, break_on_hyphens=False)
 
 
 def repeats_better(results: Mapping[str, Any]) -> dict[str, list[str]]:

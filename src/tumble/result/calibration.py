@@ -389,7 +389,7 @@ def read_calibration(path: FilePath) -> Calibration:
     >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
     >>> tumble.calibrate(folder).write("calibration.json")
     >>> tumble.read_calibration("calibration.json")
-    <Calibration of mems-1: joint, 60 parameters, accepted>
+    <Calibration of mems-1: joint, 51 parameters, accepted>
     """
     return calibration_of(text_of(Path(path)), str(path))
 

@@ -119,7 +119,7 @@ def calibrate(
     >>> import tumble
     >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
     >>> tumble.calibrate(folder)
-    <Calibration of mems-1: joint, 60 parameters, accepted>
+    <Calibration of mems-1: joint, 51 parameters, accepted>
     """
     if terms not in get_args(Terms):
         raise InputError(f"terms: expected {' or '.join(get_args(Terms))}, found {terms!r}")

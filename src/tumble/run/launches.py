@@ -103,7 +103,7 @@ def calibrate_launches(
     >>> request = tumble.Setup.of(grade="mems", positions=12)
     >>> folders = [tumble.simulate_session(f"launch-{i}", request, seed=1, launch=i) for i in (1, 2)]
     >>> tumble.calibrate_launches(folders)
-    <Calibration of mems-1: joint of 2 launches, 57 parameters, accepted>
+    <Calibration of mems-1: joint of 2 launches, 51 parameters, accepted>
     """
     if not sessions:
         raise InputError("sessions: expected at least one, found none")
