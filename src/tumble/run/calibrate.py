@@ -248,9 +248,11 @@ def with_grade(session: Session, observations: Observations, terms: Terms) -> Ob
     in_worse = {} if worse is None else prior_sizes(worse)
     said = f"what is not bias, scale or axis angle is taken to be of the size usual for the grade {grade}"
     origin = f", guessed from {guessed_from}; state another as [device] grade" if guessed_from else ""
+    of_grade = f"{'guessed' if guessed_from else 'stated'} grade {grade}"
     return replace(
         observations,
         usual=usual,
+        size_basis={name: "data sheet" if name in sheet else of_grade for name in usual},
         too_small={
             name: SHEET if name in sheet else GUESSED if in_worse.get(name, 0.0) > size else STATED
             for name, size in usual.items()
