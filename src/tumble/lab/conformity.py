@@ -39,10 +39,11 @@ import scipy
 from tumble.lab.limits import OCCASIONS, Limits, Occasion
 from tumble.result.accepted import accepted_kinds, accepted_part
 from tumble.result.calibration import Calibration
-from tumble.result.coverage import expanded, expanded_of, stated_factor
-from tumble.result.parts import Parameter
+from tumble.result.coverage import expanded, expanded_of
+from tumble.result.parts import Parameter, stated_factor
 from tumble.result.temperature_curves import changing, curve, measured_range
 from tumble.sensors.parameters import FURTHER, group_name, group_of, meant_by
+from tumble.units import two_digits
 
 RULE = (
     "decision rule: pass where the value is inside its limits by at least U (95.45 %), conditional pass where it is "
@@ -59,6 +60,8 @@ RESULTS: tuple[Result, ...] = get_args(Result)
 _OF_A_VALUE: tuple[Result, ...] = ("fail", "conditional fail", "conditional pass")
 _INSIDE, _OUTSIDE = ("pass", "conditional pass"), ("fail", "conditional fail")
 
+LEAST_RISK = 1e-4
+"""A smaller risk is not stated: it is one of a model of distributions far from their middle."""
 STEP = 0.25
 """K, between the temperatures at which a parameter is judged."""
 SLACK = 1.0
@@ -126,6 +129,13 @@ class Verdict:
             return min(sum(risks.values()), 1.0)
         outside = [j.risk for j in self.judgements if j.result in _OUTSIDE and j.risk is not None]
         return min(outside, default=None)
+
+    @property
+    def whole_risk(self) -> str:
+        """The risk as a sentence after others; nothing where the result is undecided."""
+        if self.risk is None:
+            return ""
+        return f" Risk of the verdict “{self.result}” as a whole: at most {in_percent(max(self.risk, LEAST_RISK))}."
 
     @property
     def reasons(self) -> list[str]:
@@ -211,6 +221,13 @@ def _risk(judgement: LimitJudgement, dof: float | None) -> float | None:
     of_t = partial(scipy.special.stdtr, math.inf if dof is None else dof)
     outside = float(of_t(below * k / U) + of_t(-above * k / U))
     return outside if judgement.result in _INSIDE else max(1.0 - outside, 0.0)
+
+
+def in_percent(risk: float | None) -> str:
+    """A risk in per cent, to two digits; nothing where there is none."""
+    if risk is None:
+        return ""
+    return f"< {100.0 * LEAST_RISK:g} %" if risk < LEAST_RISK else f"{two_digits(100.0 * risk)} %"
 
 
 # -------------------- over temperature --------------------

@@ -17,10 +17,10 @@ from tumble.documents import check_regular
 from tumble.errors import InputError
 from tumble.files import FilePath, ending_in
 from tumble.lab.certificate import RELATES, Certificate, Party, check_certificate, judged_by, read_certificate
-from tumble.lab.conformity import RESULTS, RISK, RULE, LimitJudgement, Result, Verdict, verdicts
+from tumble.lab.conformity import RESULTS, RISK, RULE, LimitJudgement, Result, Verdict, in_percent, verdicts
 from tumble.lab.limits import Limits, limits_of
 from tumble.lab.scope import statement_of_scope, within_scope
-from tumble.lab.views.registry import TONES, risk_cell, risk_of
+from tumble.lab.views.registry import TONES
 from tumble.result.calibration import Calibration, read_calibration
 from tumble.result.coverage import expanded
 from tumble.result.further import remarks
@@ -130,7 +130,7 @@ def limits_section(acceptance: Limits, checks: Sequence[Verdict]) -> Section:
     for verdict in checks:
         reasons = f" ({'; '.join(verdict.reasons)})" if verdict.reasons else ""
         over = f", {verdict.over}" if verdict.over else ""
-        sentence = f"{_CHECKS[verdict.occasion]}: {verdict.result}{over}{reasons}.{risk_of(verdict)}"
+        sentence = f"{_CHECKS[verdict.occasion]}: {verdict.result}{over}{reasons}.{verdict.whole_risk}"
         blocks.append(Text(text=sentence, tone=TONES[verdict.result]))
         blocks += [OVER_TEMPERATURE] if verdict.temperatures is not None else []
         blocks.append(_judgement_table(verdict))
@@ -143,7 +143,7 @@ def _judgement_table(verdict: Verdict) -> Table:
     def row(j: LimitJudgement, size: float, unit: str) -> dict[str, str]:
         value, U = cells(j.value, j.expanded, size)
         row = {"low": limit_cell(j.low, size), "value": value, "U": U, "high": limit_cell(j.high, size)}
-        row |= {"unit": unit, "verdict": j.result, "risk": risk_cell(j.risk)}
+        row |= {"unit": unit, "verdict": j.result, "risk": in_percent(j.risk)}
         if verdict.temperatures is not None:
             row["at °C"] = "" if j.at is None else f"{j.at:.1f}"
         return row
@@ -278,7 +278,7 @@ def _cells(as_found: Calibration | None, checks: Sequence[Verdict], scope: Mappi
             j = judged.get(p.name)
             low, high = (math.nan, math.nan) if j is None else (j.low, j.high)
             row |= {"lowest": limit_cell(low, size), "highest": limit_cell(high, size)}
-            row |= {"verdict": NONE if j is None else j.result, "risk": risk_cell(None if j is None else j.risk)}
+            row |= {"verdict": NONE if j is None else j.result, "risk": in_percent(None if j is None else j.risk)}
         return row | ({"scope": scope.get(p.name, "")} if scope else {})
 
     return shown
@@ -309,7 +309,7 @@ def _statements(
     """What stands above the signatures: by which rule the `checks` were judged, what priors rest on, traceability, the
     `scope` of the accreditation, remarks, and what it all relates to."""
     agreed = f" Agreed beforehand: {certificate.agreed}." if certificate.agreed else ""
-    rule = "" if checks is None else f"{_RULE}{agreed}{''.join(map(risk_of, checks))}"
+    rule = "" if checks is None else f"{_RULE}{agreed}{''.join(check.whole_risk for check in checks)}"
     traced = f"Traceability: {'; '.join(certificate.traceability)}." if certificate.traceability else ""
     within = f"{statement_of_scope(scope)}." if certificate.laboratory.scope else ""
     priors = statement_of_priors(calibration)

@@ -66,6 +66,13 @@ class BudgetLine(Source):
     contribution: float
     share: float
 
+    @staticmethod
+    def of(each: Source, *, estimate: float, sensitivity: float, contribution: float, share: float) -> BudgetLine:
+        """The line of a source."""
+        return BudgetLine(
+            **_as_source(each), estimate=estimate, sensitivity=sensitivity, contribution=contribution, share=share
+        )
+
 
 def contributions_of(
     budget: UncertaintyBudget | None, names: Sequence[str], basis: Mapping[str, str] | None = None
@@ -102,13 +109,12 @@ def uncertainty_budget(calibration: Calibration, name: str) -> tuple[BudgetLine,
         )
     site, lines = calibration.provenance.site, list[BudgetLine]()
     estimates = {"earth": EARTH_RATE, "gravity": 0.0 if site is None else site.gravity}
-    for each in _with_references(calibration):
+    for each in with_references(calibration):
         contribution = each.contributions.get(name, 0.0)
         if contribution == 0.0 and each.name not in REFERENCES[sensor_kind(name)]:
             continue
-        quantity = {"u": contribution, "unit": parameter.unit} if each.u is None else {}
-        line = BudgetLine(
-            **_as_source(each) | quantity,
+        line = BudgetLine.of(
+            replace(each, u=contribution, unit=parameter.unit) if each.u is None else each,
             estimate=0.0 if each.u is None else estimates.get(each.name, 0.0),
             sensitivity=contribution / each.u if each.u else float(each.u is None),
             contribution=contribution,
@@ -118,15 +124,16 @@ def uncertainty_budget(calibration: Calibration, name: str) -> tuple[BudgetLine,
     return tuple(sorted(lines, key=lambda line: -line.contribution))
 
 
-def _with_references(calibration: Calibration) -> tuple[SourceContributions, ...]:
-    """The budget, with the reference standards that have nothing in the u of any parameter."""
+def with_references(calibration: Calibration) -> tuple[SourceContributions, ...]:
+    """The budget, and after it the reference standards that have nothing in the u of any parameter."""
     site, budget = calibration.provenance.site, calibration.evidence.budget
     standards = (
         source("gravity", 0.0 if site is None else site.gravity_u, "m/s^2"),
         source("earth", 0.0, "rad/s"),
         source("clock", calibration.provenance.clock_u, "1"),
     )
-    missing = (each for each in standards if all(each.name != known.name for known in budget))
+    compared = {name for kind in {sensor_kind(name) for name in calibration} for name in REFERENCES[kind]}
+    missing = (each for each in standards if each.name in compared - {known.name for known in budget})
     return (*budget, *(SourceContributions(**_as_source(each), contributions={}) for each in missing))
 
 

@@ -267,9 +267,9 @@ def _by_source(
         sources.append(replace(source(name, rms, members[0].unit, dof), basis=members[0].basis))
     total = np.sum(variances, axis=0) if variances else np.zeros(len(names))
     budget, own = UncertaintyBudget(sources=(), covariances=np.empty((0, *of_launches.shape))), np.diag(of_launches)
-    for each, variance, in_common in zip(sources, variances, shared, strict=True):
+    for of_source, variance, in_common in zip(sources, variances, shared, strict=True):
         share = np.divide(variance, total, out=np.zeros_like(total), where=total > 0.0)
-        budget = budget.beside(each, np.diag(share * own) + in_common)
+        budget = budget.beside(of_source, np.diag(share * own) + in_common)
     return budget
 
 

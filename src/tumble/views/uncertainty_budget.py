@@ -10,7 +10,7 @@ import numpy as np
 
 from tumble.inference.sources import Source
 from tumble.result.calibration import Calibration
-from tumble.result.uncertainty_budget import REFERENCES, BudgetLine, shares_by_group, what_would_help
+from tumble.result.uncertainty_budget import REFERENCES, BudgetLine, shares_by_group, what_would_help, with_references
 from tumble.sensors.parameters import beyond_linear, sensor_kind, shown_in
 from tumble.views.blocks import Block, Figure, Section, Table, section, table
 from tumble.views.numbers import cells, percent, shown_units, significant
@@ -40,11 +40,14 @@ def budget_blocks(calibration: Calibration, *, every: bool = False) -> list[Bloc
 
 def share_table(calibration: Calibration) -> Table:
     """Sources with type, standard uncertainty and degrees of freedom, and their mean shares in u² of the parameters of
-    each group, the largest first."""
-    shares, budget, rows = shares_by_group(calibration), calibration.evidence.budget, []
+    each group, the largest first; the reference standards however small."""
+    shares, budget, rows = shares_by_group(calibration), with_references(calibration), []
+    missing = np.zeros(len(budget) - len(calibration.evidence.budget))
+    shares = {group: np.append(share, missing) for group, share in shares.items()}
     every = np.array(list(shares.values()))
     order = np.argsort(-every.mean(axis=0)).tolist()
-    small = [s for s in order if every[:, s].max() < SHOWN]
+    standards = {name for names in REFERENCES.values() for name in names}
+    small = [s for s in order if every[:, s].max() < SHOWN and budget[s].name not in standards]
     for s in (s for s in order if s not in small):
         row = {"source": _words(budget[s]), "type": budget[s].type, **_size(budget[s]), "dof": _degrees(budget[s].dof)}
         rows.append(row | {group: percent(float(share[s])) for group, share in shares.items()})
@@ -64,22 +67,25 @@ def parameter_budget(calibration: Calibration, name: str) -> Table:
     kept = [each for each in lines if each.share >= SHOWN or each.name in REFERENCES[sensor_kind(name)]]
     small = sum(each.share for each in lines if each not in kept)
     if small > 0.0:
-        u = math.sqrt(small) * (parameter.u or 0.0)
-        others = {"words": REST, "type": "B", "u": u, "unit": parameter.unit, "contribution": u, "share": small}
-        kept.append(BudgetLine(**others, name=REST, estimate=0.0, sensitivity=1.0))
+        little = math.sqrt(small) * (parameter.u or 0.0)
+        others = Source(name=REST, words=REST, type="B", u=little, unit=parameter.unit)
+        kept.append(BudgetLine.of(others, estimate=0.0, sensitivity=1.0, contribution=little, share=small))
     for line in kept:
         own, in_unit = _unit_of(line)
         if line.estimate != 0.0:
             own, in_unit = 1.0, line.unit.replace("^2", "²")
         elif line.unit == parameter.unit and line.sensitivity == 1.0:
             own, in_unit = size, unit
-        estimate, u = cells(line.estimate, line.u or 0.0, own) if line.estimate else ("0", _two((line.u or 0.0) / own))
+        u = line.u or 0.0
+        estimate, of_estimate = cells(line.estimate, u, own) if u else (significant(line.estimate, 7), "0")
+        if line.estimate == 0.0:
+            estimate, of_estimate = "0", _two(u / own)
         rows.append(
             {
                 "input quantity": _words(line),
                 "type": "" if line.name == REST else line.type,
                 "estimate": estimate,
-                "u": u,
+                "u": of_estimate,
                 "unit": in_unit,
                 "distribution": line.distribution,
                 "sensitivity": _two(line.sensitivity * own / size),
@@ -88,10 +94,10 @@ def parameter_budget(calibration: Calibration, name: str) -> Table:
                 "dof": _degrees(line.dof),
             }
         )
-    value, u = cells(parameter.value, parameter.u, size)
+    value, whole_u = cells(parameter.value, parameter.u, size)
     distribution = "normal" if parameter.dof is None else "t"
-    whole = {"estimate": value, "u": u, "unit": unit, "distribution": distribution, "sensitivity": ""}
-    whole |= {"contribution": u, "share": percent(1.0), "dof": _degrees(parameter.dof)}
+    whole = {"estimate": value, "u": whole_u, "unit": unit, "distribution": distribution, "sensitivity": ""}
+    whole |= {"contribution": whole_u, "share": percent(1.0), "dof": _degrees(parameter.dof)}
     rows.append({"input quantity": name, "type": ""} | whole)
     caption = f"Uncertainty budget of {name}; contributions in {unit}, sensitivities in {unit} over the unit."
     return table(rows, words=("input quantity", "type", "unit", "distribution"), dense=True, caption=caption)
@@ -128,15 +134,14 @@ def _words(source: Source) -> str:
 
 def budget_section(calibration: Calibration, name: str = "") -> Section | None:
     """The budget on a page: the shares of all sources and, as a figure of this `name`, a bar of each parameter of the
-    linear model by source; none without a budget."""
+    linear model by source, and its table; nothing without a budget."""
     if not calibration.evidence.budget:
         return None
     if not name:
         return section("Uncertainty budget", share_table(calibration))
     said = "Bars: share of the largest sources in u² of every parameter of the linear model."
-    return section(
-        "Uncertainty budget", Figure(svg=_bars(calibration, name), caption=said), *budget_blocks(calibration)
-    )
+    bars = Figure(svg=_bars(calibration, name), caption=said)
+    return section("Uncertainty budget", bars, *budget_blocks(calibration, every=True))
 
 
 def _bars(calibration: Calibration, name: str) -> str:

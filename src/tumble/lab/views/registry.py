@@ -7,7 +7,7 @@ from collections.abc import Collection, Container, Iterable, Mapping, Sequence
 from datetime import date
 from typing import TYPE_CHECKING
 
-from tumble.lab.conformity import RISK, RULE, Result, Verdict
+from tumble.lab.conformity import RISK, RULE, Result, Verdict, in_percent
 from tumble.lab.registry.records import Due, LimitsRecord, Record
 from tumble.lab.registry.registry import logs_of
 from tumble.result.calibration import Calibration
@@ -121,29 +121,15 @@ def record_blocks(record: Record, calibration: Calibration, verdict: Verdict | N
         if judged:
             low, high = (math.nan, math.nan) if judgement is None else (judgement.low, judgement.high)
             cells |= {"lowest": limit_cell(low, size), "highest": limit_cell(high, size)}
-            cells["risk"] = risk_cell(None if judgement is None else judgement.risk)
+            cells["risk"] = in_percent(None if judgement is None else judgement.risk)
         return cells | {"unit": unit} | ({"verdict": judgement.result if judgement else ""} if judged else {})
 
     parameters = quantity_table(shown, shown_units(shown), row, words=("verdict",), caption=_counted(further))
     said = ["no verdict: no limits were in force for this type and check when the record was added"]
     if verdict is not None:
         over = f", {verdict.over}" if verdict.over else ""
-        said = [RULE, RISK, *verdict.reasons, f"verdict: {verdict.result}{over}.{risk_of(verdict)}"]
+        said = [RULE, RISK, *verdict.reasons, f"verdict: {verdict.result}{over}.{verdict.whole_risk}"]
     return ["\n".join(lines), parameters, Items(items=tuple(said))]
-
-
-def risk_cell(risk: float | None) -> str:
-    """A risk in per cent, to two digits."""
-    if risk is None:
-        return ""
-    return "< 0.01 %" if risk < 1e-4 else f"{two_digits(100.0 * risk)} %"
-
-
-def risk_of(verdict: Verdict) -> str:
-    """The risk of a verdict as a sentence after it; nothing where it is undecided."""
-    if verdict.risk is None:
-        return ""
-    return f" Risk of the verdict “{verdict.result}” as a whole: at most {risk_cell(max(verdict.risk, 1e-4))}."
 
 
 def further_of(names: Iterable[str], judged: Container[str]) -> frozenset[str]:
