@@ -6,7 +6,7 @@ from the truth. Each session has biases of its own launch and drifts of its own.
 
 Procedures: the programme at 0, 20 and 40 °C, a launch each; the programme twice in one recording while the temperature
 goes from 0 to 40 °C and back; once while it goes from 0 to 40 °C; once at room temperature while the unit warms by
-3 °C; and the same without any change of temperature. Sensors follow the thermometer with a lag, |N(0, 200 s)| where
+3 °C; and the same without any change of temperature. Sensors follow the thermometer with a lag, |N(0, 150 s)| where
 none is stated, and have a hysteresis of the usual size on ramps.
 
 Then the three procedures from logs of every sample, tactical instruments, rests of 30 s at 20 samples a second.
@@ -41,15 +41,14 @@ from tumble.sensors.parameters import Variable, group_name, named_group, usual_s
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import Scenario, itinerary, scenario_of
 from tumble.simulation.session import session_in_memory
+from tumble.simulation.temperature_profile import REFERENCE as REFERENCE_CELSIUS
 from tumble.simulation.temperature_profile import (
-    LAG_NAME,
     REFERENCE_NAME,
     Climate,
     TemperatureProfile,
-    draw_lag,
+    draw_lags,
     draw_thermal,
 )
-from tumble.simulation.temperature_profile import REFERENCE as REFERENCE_CELSIUS
 from tumble.simulation.temperature_profile import truth_at as true_at
 from tumble.units import DEGREE_PER_HOUR, G_STANDARD, ZERO_CELSIUS, Array
 
@@ -68,7 +67,8 @@ TWICE = Programme(
     ordered=True,
 )
 USUAL = usual_sizes(GRADE)
-LAG = USUAL["temperature.lag"]
+LAGS = ("accel.lag", "gyro.lag")
+LAG = USUAL["accel.lag"]
 LINEAR = ("accel.bias", "accel.scale", "accel.axis", "gyro.bias", "gyro.scale", "gyro.axis")
 WITH_TEMPERATURE: tuple[Variable, ...] = ("temperature", "temperature²", "hysteresis")
 SLOPES = {
@@ -121,7 +121,8 @@ def session(procedure: Procedure, course: Sequence[float], lag: float) -> tuple[
         fallen = procedure.before * (kelvin[1] - kelvin[0]) / (time[1] - time[0])
         time, kelvin = np.append(-procedure.before, time), np.append(kelvin[0] - fallen, kelvin)
     span = 0.5 * (kelvin.min() + kelvin.max()), max(0.5 * float(np.ptp(kelvin)), 1.0)
-    return Climate(time=time, kelvin=kelvin[:, None], reference=REFERENCE, lag=lag, span=span), long
+    lags = {"accel": lag, "gyro": lag}
+    return Climate(time=time, kelvin=kelvin[:, None], reference=REFERENCE, lags=lags, span=span), long
 
 
 def device(procedure: Procedure, rng: np.random.Generator) -> Scenario:
@@ -182,7 +183,7 @@ def calibrated(procedure: Procedure, number: int) -> tuple[Calibration, dict[str
     rng = np.random.default_rng([13, number])
     scenario = scenario_of(RECORDED, rng)
     blocks = {"accel": scenario.accel, "gyro": scenario.gyro}
-    thermal, lag = draw_thermal(RECORDED.further, "tactical", blocks, rng), draw_lag(RECORDED.further, rng)
+    thermal, late = draw_thermal(RECORDED.further, "tactical", blocks, rng), draw_lags(RECORDED.further, rng)
     if not procedure.hysteresis:
         thermal = {name: value for name, value in thermal.items() if not name.endswith("hysteresis")}
     scenario = scenario.changed(programme=procedure.programme)
@@ -191,11 +192,11 @@ def calibrated(procedure: Procedure, number: int) -> tuple[Calibration, dict[str
     sessions, several = [], len(procedure.courses) > 1
     for celsius in procedure.courses:
         mine = of_launch(scenario, rng, several=several)
-        climate = TemperatureProfile(celsius=celsius).climate(duration, lag)
+        climate = TemperatureProfile(celsius=celsius).climate(duration, late)
         sessions.append(session_in_memory(replace(mine, climate=climate), rng))
     found = calibrate_together(sessions) if several else calibrate(sessions[0])
     truth = dict(scenario.truth if several else mine.truth) | {REFERENCE_NAME: REFERENCE_CELSIUS}
-    return found, true_at(truth, found.reference_temperature) | {LAG_NAME: lag}
+    return found, true_at(truth, found.reference_temperature) | {f"{kind}.lag": lag for kind, lag in late.items()}
 
 
 def samples(count: int) -> float:
@@ -209,7 +210,7 @@ def samples(count: int) -> float:
         for found, truth in runs:
             for p in (p for p in found.parameters if p.u and p.name in truth):
                 group = group_name(p.name)
-                mine = ["coefficients"] if group in THERMAL else ["lag"] if p.name == LAG_NAME else []
+                mine = ["coefficients"] if group in THERMAL else ["lag"] if p.name in LAGS else []
                 for kind in ("all", *mine):
                     error = (p.value - truth[p.name]) / (p.u or 1.0)
                     z[kind].append(error)
@@ -232,7 +233,7 @@ def truth_at(scenario: Scenario, kelvin: float) -> dict[str, float]:
             truth[base] += value * warmer + curvature * warmer**2
             truth[name] += 2.0 * curvature * warmer
     assert scenario.climate is not None
-    return truth | {"temperature.lag": scenario.climate.lag}
+    return truth | {f"{kind}.lag": lag for kind, lag in scenario.climate.lags.items()}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -282,7 +283,7 @@ def procedures(count: int) -> float:
     for procedure in (LEVELS, BOTH_WAYS, ONE_WAY):
         runs = [found(*observed(procedure, number, None)) for number in range(count)]
         print(f"\n{procedure.name}: {count} devices; z {rms(runs):.2f}, of the linear model {rms(runs, LINEAR):.2f}")
-        for group in (*LINEAR, *THERMAL, "temperature.lag", "accel.bias.hysteresis", "gyro.bias.hysteresis"):
+        for group in (*LINEAR, *THERMAL, *LAGS, "accel.bias.hysteresis", "gyro.bias.hysteresis"):
             names = [name for run in runs for name in run.z if group_name(name) == group]
             if not names:
                 continue
@@ -326,10 +327,10 @@ def rms_of(values: Sequence[float]) -> float:
 
 
 AT_REFERENCE = ("accel.bias", "accel.scale", "gyro.bias", "gyro.scale")
-HYSTERESIS, LAG_ALONE = ("accel.bias.hysteresis", "gyro.bias.hysteresis"), ("temperature.lag",)
+HYSTERESIS, LAG_ALONE = ("accel.bias.hysteresis", "gyro.bias.hysteresis"), LAGS
 
 
-IN_A5 = ("accel.quadratic", "accel.lever", "accel.delay", *THERMAL, "temperature.lag")
+IN_A5 = ("accel.quadratic", "accel.lever", "accel.delay", *THERMAL, *LAGS)
 """The groups of the method's A5, by its degrees of freedom: 74 in one programme."""
 
 
@@ -359,7 +360,7 @@ def a_lag(procedure: Procedure, lag: float, count: int) -> None:
     made = [observed(quiet, number, lag) for number in range(count)]
     with_lag = [found(*each, leave=HYSTERESIS) for each in made]
     without = [bare(*each, leave=(*LAG_ALONE, *HYSTERESIS)) for each in made]
-    known = [(run.values[LAG_NAME], run.u[LAG_NAME]) for run in with_lag if LAG_NAME in run.values]
+    known = [(run.values[name], run.u[name]) for run in with_lag for name in LAGS if name in run.values]
     every, there = rms_of([each[0] for each in without]), rms_of([each[1] for each in without])
     chi, degrees = (np.mean([getattr(each[2], what) for each in without]) for what in ("chi_square", "degrees"))
     print(f"  {procedure.name}, {procedure.courses[0]} °C, {procedure.before:.0f} s before, {lag:.0f} s:", end=" ")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import os
 import pickle
@@ -9,7 +10,8 @@ import re
 import subprocess
 import sys
 import types
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import fields, replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
@@ -105,6 +107,85 @@ def test_a_type_checker_knows_every_public_name_and_accepts_right_calls(tmp_path
         "print(a.outcome.accepted, a.table(), p.value, v.reasons, c.agree, f)\n",
     )
     assert said.startswith("Success"), said
+
+
+FUNCTIONS = [name for name in tumble.__all__ if inspect.isfunction(getattr(tumble, name))]
+TYPED_ELSEWHERE = ("Data | None", "NoiseDensities | Session | FilePath | None")
+"""Annotations with a type that is there for type checkers alone."""
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_arguments_of_another_type_are_refused_in_one_line(name: str) -> None:
+    function, of = getattr(tumble, name), inspect.Parameter
+    parameters = inspect.signature(function).parameters
+    named = [each for each in parameters.values() if each.kind is not of.VAR_KEYWORD]
+    needed = dict.fromkeys([p.name for p in named if p.default is of.empty and p.kind is not of.VAR_POSITIONAL], "x")
+    for p in named:
+        if p.annotation in TYPED_ELSEWHERE:
+            continue
+        args, kwargs = ([], needed | {p.name: Stranger()}) if p.kind is not of.VAR_POSITIONAL else ([Stranger()], {})
+        with pytest.raises(InputError, match=f"^({'|'.join(parameters)}): expected .*, found (Stranger|'x')") as caught:
+            function(*args, **kwargs)
+        assert "\n" not in str(caught.value)
+
+
+class Stranger:
+    """Of no type that anything takes."""
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (
+            lambda: tumble.calibrate_launches("x"),
+            r"sessions: expected several, each Session or a path, found 'x'",
+        ),  # type: ignore[arg-type]
+        (lambda: tumble.noise_of(np.zeros((9, 3))), r"recordings: expected .*, found ndarray"),  # type: ignore[arg-type]
+        (lambda: tumble.calibrate("x", without=3), "without: expected several, each a whole"),  # type: ignore[arg-type]
+        (
+            lambda: tumble.calibrate_readings(np.zeros((9, 2))),
+            r"readings: expected an array \(N, 3\), .* shape \(9, 2\)",
+        ),
+        (
+            lambda: tumble.normal_gravity(56.8, 0.0),
+            r"latitude: expected radians from -π/2 to π/2, found 56\.8; for deg",
+        ),
+        (lambda: tumble.normal_gravity("a", 0.0), r"latitude: expected a number, found 'a'"),  # type: ignore[arg-type]
+    ],
+)
+def test_what_is_no_session_no_table_and_no_latitude_is_said(call: Callable[[], object], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        call()
+
+
+def test_numbers_and_sequences_of_numpy_are_taken() -> None:
+    assert tumble.normal_gravity(np.float32(0.5), np.int64(0)) == pytest.approx(tumble.normal_gravity(0.5, 0.0))  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="nowhere"):
+        tumble.calibrate("nowhere", without=np.array([1, 2]))
+
+
+def test_a_table_of_readings_may_be_an_array(tmp_path: Path) -> None:
+    rows = np.array([[0, 0, 1.0], [0, 0, -1], [0, 1, 0], [0, -1, 0], [1, 0, 0], [-1, 0, 0.5]])
+    rows = np.vstack([rows, [[0.6, 0.8, 0], [0.6, -0.8, 0], [0, 0.6, 0.8], [0, 0.6, -0.8], [0.8, 0, 0.6]]])
+    (tmp_path / "readings.csv").write_text("x,y,z\n" + "\n".join(",".join(map(str, row)) for row in rows.tolist()))
+    of_array, of_file = (tumble.calibrate_readings(r, unit="g") for r in (rows, tmp_path / "readings.csv"))
+    assert of_array.calibration.parameters == of_file.calibration.parameters
+
+
+HELD = [tumble.Comparison, tumble.Corrected, tumble.Exported, tumble.FieldCheck, tumble.Observed, tumble.Plan]
+
+
+@pytest.mark.parametrize("held", [*HELD, tumble.Programme, tumble.Session, tumble.Setup, tumble.types.RecordedNoise])
+def test_what_a_user_holds_shows_itself_in_a_line_and_in_a_table(held: type) -> None:
+    names = [each.name for each in fields(held) if each.repr]
+    shown = object.__new__(held)
+    for name in names:
+        object.__setattr__(shown, name, np.zeros((1000, 3)) if name == names[0] else "<script>" * 10)
+    assert repr(shown).startswith(f"{held.__name__}({names[0]}=array(1000, 3)")
+    assert "\n" not in repr(shown)
+    html = shown._repr_html_()
+    assert f"<tr><th>{names[0]}</th><td>array(1000, 3)</td></tr>" in html
+    assert "<script>" not in html
 
 
 # -------------------- equality --------------------

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import polars as pl
 import pytest
 
 COMMAND = "from tumble.cli import main\nmain(['inspect', 'launch'], prog_name='tumble')\n"
@@ -56,13 +58,31 @@ def test_memory_that_does_not_suffice_is_said(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no such limit")
 @pytest.mark.parametrize("kilobytes", [700_000, 400_000])
-def test_an_address_space_that_is_too_small_is_said_before_anything_is_read(kilobytes: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize("words", [["inspect", "launch"], ["report", "calibration.json", "--out", "report.html"]])
+def test_an_address_space_that_is_too_small_is_said_before_anything_is_read(
+    words: list[str], kilobytes: int, tmp_path: Path
+) -> None:
     import resource
 
     limit = (1024 * kilobytes,) * 2
-    status, line, _ = ended(COMMAND, tmp_path, lambda: resource.setrlimit(resource.RLIMIT_AS, limit))
+    command = f"from tumble.cli import main\nmain({words}, prog_name='tumble')\n"
+    status, line, _ = ended(command, tmp_path, lambda: resource.setrlimit(resource.RLIMIT_AS, limit))
     assert status == 70
     assert re.fullmatch(r"tumble: the memory does not suffice: expected an address space of at least [^\n]+\n", line)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="descriptors of POSIX")
+@pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-", ">&- 2>&- <&-"])
+def test_a_closed_output_takes_nothing_and_changes_no_status_and_no_file(closed: str, tmp_path: Path) -> None:
+    for words, status in (
+        ("simulate s --positions 3 --rest 4 --sample-rate 20", 0),
+        ("inspect s", 0),
+        ("inspect t", 2),
+    ):
+        command = f"exec {shlex.quote(sys.executable)} -m tumble {words} {closed}"
+        ended_with = subprocess.run(["sh", "-c", command], cwd=tmp_path, check=False, capture_output=True).returncode
+        assert ended_with == status
+    assert pl.read_parquet(tmp_path / "s" / "log.parquet").height > 100
 
 
 def test_a_command_that_is_stopped_before_it_has_begun_says_so(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Sized
 from dataclasses import fields, is_dataclass
+from html import escape
 from typing import Any, Literal
 
 import numpy as np
@@ -23,6 +24,12 @@ class Brief:
         every = fields(self)  # type: ignore[arg-type]  # of the dataclass that has it
         said = (f"{field.name}={_short(getattr(self, field.name))}" for field in every if field.repr)
         return f"{type(self).__name__}({', '.join(said)})"
+
+    def _repr_html_(self) -> str:
+        """The same as a table, as a notebook shows it."""
+        every = [field.name for field in fields(self) if field.repr]  # type: ignore[arg-type]
+        rows = (f"<tr><th>{name}</th><td>{escape(_short(getattr(self, name)))}</td></tr>" for name in every)
+        return f"<table><caption>{type(self).__name__}</caption>{''.join(rows)}</table>"
 
 
 def _short(value: Any) -> str:

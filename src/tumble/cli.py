@@ -83,8 +83,6 @@ COMMANDS: Mapping[str, str] = {
 OWN_PLUGINS = "Laboratory and live page"
 """Heading of the commands that `lab` and `bench` bring."""
 
-_READ_NO_RECORDINGS = ("planning", "passing_on")
-"""Files of commands that read no recordings."""
 _FILES = dict(place.split(".")[::-1] for group in COMMANDS.values() for place in group.split())
 """The file of each built-in command."""
 
@@ -189,8 +187,7 @@ def main(context: click.Context, quiet: bool, verbose: bool) -> None:  # noqa: A
     """Calibrate strapdown inertial measurement units on equipment that is not precise."""
     from tumble.recording.panic import COMMAND_LINE
 
-    if _FILES.get(context.invoked_subcommand or "") not in _READ_NO_RECORDINGS:
-        check_address_space()
+    check_address_space()
     context.call_on_close(_ended_in_order())
     context.call_on_close(partial(COMMAND_LINE.reset, COMMAND_LINE.set(True)))
     warnings.filterwarnings("ignore", message="(Duplicate|Unreadable) variable")  # of scipy, on a damaged MATLAB file

@@ -8,9 +8,13 @@ from __future__ import annotations
 
 import math
 
+from tumble.arguments import checked
+from tumble.errors import InputError
+
 EARTH_RATE = 7.292115e-5
 """Angular velocity of the Earth, rad/s (WGS-84)."""
 
+_POLE = 0.5 * math.pi * (1.0 + 1e-12)
 _SEMI_MAJOR_AXIS = 6378137.0
 _FLATTENING = 1.0 / 298.257223563
 _GM = 3.986004418e14
@@ -22,15 +26,21 @@ NORMAL_GRAVITY_U = 3e-4
 """Standard uncertainty of normal gravity as a value of local gravity, m/s²: gravity anomalies."""
 
 
+@checked
 def normal_gravity(latitude: float, height: float) -> float:
     """Normal gravity, m/s², at a geodetic latitude (rad) and a height over the ellipsoid (m).
 
-    Within 20 ng of the closed form up to 2 km. Source: TR8350.2 (4-1), (4-3).
+    Within 20 ng of the closed form up to 2 km. Source: TR8350.2 (4-1), (4-3). Raises InputError for a latitude beyond
+    the poles, as degrees are.
 
     >>> import tumble
     >>> round(tumble.normal_gravity(0.992, 270.0), 5)
     9.81579
     """
+    if not abs(latitude) <= _POLE:
+        raise InputError(
+            f"--latitude: expected radians from -π/2 to π/2, found {latitude:g}; for degrees, math.radians"
+        )
     s2 = math.sin(latitude) ** 2
     a = _SEMI_MAJOR_AXIS
     semi_minor = a * (1.0 - _FLATTENING)

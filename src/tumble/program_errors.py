@@ -28,11 +28,11 @@ def ended_by(error: BaseException) -> int:
 
 LEAST_ADDRESS_SPACE = 1.6e9
 """Bytes. Reading a recording of 3 MB maps 1.25 GB with one thread of polars, 1.6 GB with sixteen, 0.13 GB of which are
-used; where polars cannot have them its threads abort the process or wait for ever."""
+used; where they cannot be had polars aborts the process or waits for ever, and so may what draws the pictures."""
 
 
 def check_address_space() -> None:
-    """Raises MemoryError where the process may not map what reading a recording does."""
+    """Raise MemoryError where the process may not map what libraries do that read recordings and draw."""
     try:
         import resource
     except ImportError:  # on Windows there is no such limit
@@ -40,8 +40,8 @@ def check_address_space() -> None:
     allowed = resource.getrlimit(resource.RLIMIT_AS)[0]
     if allowed != resource.RLIM_INFINITY and allowed < LEAST_ADDRESS_SPACE:
         raise MemoryError(
-            f"expected an address space of at least {LEAST_ADDRESS_SPACE / 1e9:.1f} GB to read recordings in, found a "
-            f"limit of {allowed / 1e9:.2f} GB; raise it (ulimit -v)"
+            f"expected an address space of at least {LEAST_ADDRESS_SPACE / 1e9:.1f} GB, found a limit of "
+            f"{allowed / 1e9:.2f} GB; raise it (ulimit -v)"
         )
 
 

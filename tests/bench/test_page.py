@@ -112,14 +112,14 @@ def test_every_state_of_a_session_by_keyboard_alone(tmp_path: Path, monkeypatch:
             for position in range(5, 10):
                 bench.take(position)
             running(bench, lambda: bench.state.get("missed") is not None)
-            shown.until("h1", "positions taken" if bench.state["missed"] else "All wanted u reached")
+            shown.until("h1", "positions taken" if bench.state["missed"] else "All that is wanted is reached")
             assert browser.js("document.querySelectorAll('[role=meter]').length") == 6
             assert shown.primary().startswith("Stop and calibrate C")
             shown.look("done")
             browser.press("c")
             running(bench, lambda: bench.state["result"])
             shown.until("h1", "Calibrated")
-            rows = browser.js("[...document.querySelectorAll('#finish tbody tr')].map(r => r.innerText)")
+            rows = browser.js("[...document.querySelectorAll('#numbers tbody tr')].map(r => r.innerText)")
             assert len(rows) == len(read_calibration(tmp_path / "launch" / "calibration.json").parameters)
             browser.press("i")
             running(bench, lambda: "record 1" in browser.text("#registered"))

@@ -200,6 +200,26 @@ def test_idle_connections_give_way_to_a_page(
     assert caplog.records == []
 
 
+def test_streams_without_the_token_leave_room_for_those_with_it(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connections, "most_connections", lambda: 8)
+
+    def streams(count: int, head: bytes) -> list[bytes]:
+        begun = [opened.enter_context(page.connected()) for _ in range(count)]
+        for one in begun:
+            one.sendall(head)
+        return [one.recv(1 << 10).split(b" ")[1] for one in begun]
+
+    known = page.head("GET", "/events")
+    unknown = known.replace(b"Cookie", b"Cake")
+    with ExitStack() as opened:
+        assert sorted(streams(7, unknown)) == 4 * [b"200"] + 3 * [b"503"]
+        assert streams(3, known) == 3 * [b"200"]
+        assert page.ask("/")[0] == 200
+    eventually(lambda: page.ask("/picture/0.svg")[0] == 200)
+    with ExitStack() as opened:
+        eventually(lambda: streams(1, unknown) == [b"200"])
+
+
 def _is_ended(connection: socket.socket) -> bool:
     connection.setblocking(False)
     try:

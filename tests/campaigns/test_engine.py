@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import operator
 import os
 import signal
 import sys
@@ -10,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
@@ -238,6 +240,38 @@ class Deserted:
 
     def submit(self, *_work: object, **_how: object) -> object:
         return object()
+
+
+class Reply:
+    """A future."""
+
+    def __init__(self, work: Callable[[], Any]) -> None:
+        self.result = work
+
+
+class Busy:
+    """A process on a busy machine: of the chunks with one task those before the last attempt are lost on the way."""
+
+    lost = 0
+
+    def nthreads(self) -> dict[str, int]:
+        return {"here": 1}
+
+    def submit(self, computed: Callable[..., bytes], *work: Any, pure: bool) -> Reply:
+        assert not pure
+        if DEADLY in [number for number, _ in work[-1]] and self.lost < ATTEMPTS:
+            self.lost += 1
+            return Reply(partial(operator.truediv, 1, 0))
+        return Reply(partial(computed, *work))
+
+
+def test_what_was_lost_alone_on_a_busy_machine_is_tried_again(
+    expected: pl.DataFrame, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("distributed.wait", lambda sent, **_: SimpleNamespace(done=sent[:1]))
+    busy = Busy()
+    assert rows(job(), tmp_path / "out", partial(cluster._computed, cast(Any, busy))).equals(expected)
+    assert busy.lost == ATTEMPTS
 
 
 def test_a_cluster_that_has_lost_all_processes_is_not_waited_for(

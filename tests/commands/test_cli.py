@@ -598,7 +598,7 @@ def test_an_output_that_cannot_be_written_is_said_in_one_line(sessions: Path) ->
 
 def test_results_are_printed_as_data(sessions: Path) -> None:
     """The content of the calibration file, and what the tables of the others say."""
-    done = run("calibrate", sessions / "one", "--terms", "linear", "--json")
+    done = run("calibrate", sessions / "one", "--json", "--force")
     assert json.loads(done.stdout) == json.loads((sessions / "one/calibration.json").read_text(encoding="utf-8"))
     seen = json.loads(run("inspect", sessions / "one", "--json").stdout)
     observed = seen["observations"]
@@ -630,10 +630,16 @@ def test_a_log_is_calibrated_without_a_session(sessions: Path) -> None:
     assert done.exit_code == 0, done.stderr
     assert json.loads(done.stdout)["device"]["serial"] == "A-7"
     assert "time: column 't' in s" in done.stderr
-    assert {path.name for path in (sessions / "mine-session").iterdir()} == {"session.toml", "calibration.json"}
-    again = refused("calibrate", log, "--latitude", "56.84", below=sessions)
-    assert f"calibrate that (tumble calibrate {sessions / 'mine-session'}), or remove it" in again
-    assert refused("calibrate", log, below=sessions) == again  # a file that is no session.toml is a log
+    kept = {"session.toml", "calibration.json", "made.json"}
+    assert {path.name for path in (sessions / "mine-session").iterdir()} == kept
+    again = run("calibrate", log, "--latitude", "56.84", "--serial", "A-7", "--terms", "linear", "--json")
+    assert again.exit_code == 0, again.stderr
+    once, twice = (json.loads(each.stdout) for each in (done, again))
+    assert {**twice["provenance"], "created": ""} == {**once["provenance"], "created": ""}
+    assert {**twice, "provenance": ""} == {**once, "provenance": ""}
+    anew = run("calibrate", log, "--latitude", "50", "--terms", "linear", "--json")
+    assert "with other options or by another version: anew" in anew.stderr
+    assert json.loads(anew.stdout)["device"]["serial"] == "mine"
     (sessions / "letter.txt").write_text("Dear all,", encoding="utf-8")
     assert "expected rows of readings" in refused(
         "calibrate", sessions / "letter.txt", "--latitude", "50", below=sessions

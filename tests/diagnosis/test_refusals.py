@@ -458,6 +458,14 @@ def test_exchanged_sensors_are_named_in_any_unit(hand: Recording, tmp_path: Path
     assert "accelerometer and gyro columns are exchanged" in reason(exchanged, tmp_path / "session")
 
 
+def test_the_bias_of_gyros_is_no_gravity_in_another_unit(hand: Recording, tmp_path: Path) -> None:
+    """Columns in g and °/s that are stated in SI, of gyros that read about 1 at rest, are not exchanged."""
+    biased = replace(hand, log=hand.log.with_columns(pl.col("gx") + 1.0 * DEGREE))
+    there = biased.times(ACCEL, 1.0 / ACCEL_UNITS["g"]).times(GYRO, 1.0 / GYRO_UNITS["deg/s"])
+    said = reason(there.saying(accel__unit="m/s^2", gyro__unit="rad/s"), tmp_path / "session")
+    assert 'the unit of [log.accel] is not "m/s^2"; "g" would fit' in said
+
+
 def test_exchanged_sensors_are_named_in_raw_counts(hand: Recording, table: Recording, tmp_path: Path) -> None:
     for name, sound in (("hand", hand), ("table", table)):
         exchanged = sound.counted(415.0, 4770.0).saying(accel__columns=list(GYRO), gyro__columns=list(ACCEL))

@@ -7,9 +7,11 @@ Sessions come from the study of departures, which simulates them sample by sampl
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -39,6 +41,7 @@ from tumble.inference.noise_components import Components
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
 from tumble.result.calibration import Calibration
+from tumble.rotation import rotation_matrix
 from tumble.run.calibrate import calibrate
 from tumble.sensors.parameters import Terms
 from tumble.simulation.observations import simulate_observations
@@ -156,6 +159,49 @@ def test_a_loss_is_looked_for_beside_a_warm_up() -> None:
     """The estimate of all groups takes what was lost for a warm-up as well."""
     _, lost = _lost_in_turn(_unstamped(8), 0, 1)
     assert lost.outcome.remarks
+
+
+def _changed(seed: int, change: Callable[[Any, Array, Array], None]) -> tuple[Estimate, Observations]:
+    """The estimate of a session by hand whose samples are changed; `change` has them and accelerometers and gyros."""
+    s = study("departures")
+    rng, setting = np.random.default_rng(seed), s.SETTINGS[1]
+    truth, ways = s.truth_of(setting, rng), s.ways_of(setting, rng)
+    samples = s.sampled(setting, ways, truth, s.CLEAN)
+    accel, gyro = samples.accel.copy(), samples.gyro.copy()
+    change(samples, accel, gyro)
+    samples = s.departed(setting, replace(samples, accel=accel, gyro=gyro), s.CLEAN, rng)
+    observations = s.observed(setting, samples)
+    return joint(observations), observations
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_gyros_that_turn_against_the_accelerometers_are_named_and_nothing_else(seed: int) -> None:
+    def shifted(samples: Any, _: Array, gyro: Array) -> None:
+        after = slice(int(np.flatnonzero(samples.part == 9)[0]), None)
+        gyro[after] = gyro[after] @ rotation_matrix(0.1 * DEGREE * np.array([0.6, 0.0, 0.8])).T
+
+    estimate, observations = _changed(seed, shifted)
+    found = misfit(estimate)
+    assert found is not None
+    assert found.causes == ("shift",)
+    assert verdict(estimate, observations).gyro.verdict == "not accepted"
+
+
+def test_accelerometers_that_are_late_by_another_time_in_each_turn_lack_no_samples() -> None:
+    rng = np.random.default_rng(8)
+
+    def late(samples: Any, accel: Array, _: Array) -> None:
+        for turn in range(1, -int(samples.part.min()) + 1):
+            rows = np.flatnonzero(samples.part == -turn)
+            at = np.arange(len(rows))
+            behind = at - rng.uniform(0.0, 2.0)  # samples
+            accel[rows] = np.column_stack([np.interp(behind, at, accel[rows, p]) for p in range(3)])
+
+    estimate, observations = _changed(1, late)
+    found = misfit(estimate)
+    assert found is not None
+    assert "lost samples" not in found.causes
+    assert verdict(estimate, observations).verdict == "accepted with scatter"
 
 
 def test_time_stamps_that_jitter_are_named_with_their_remedy(tmp_path: Path) -> None:

@@ -278,7 +278,7 @@ CASES: dict[str, Case] = {
     ),
     "mdeg/s without a word": Case(
         write=q.scaled(1.0, 1e3 * DEG),
-        said=("in mdeg/s (a guess): one deg/s reads", "guessed: next would be"),
+        said=("in mdeg/s (a guess): one deg/s reads",),
         worth=(1.0, 1e3 * DEG),
     ),
     # which column is what

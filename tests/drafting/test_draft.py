@@ -125,8 +125,23 @@ def test_counts_of_gyros_without_turns_get_no_scale_and_the_user_is_told(
     still = handheld.head(300).with_columns(pl.col("ax", "ay", "az") * 1670.0, pl.col("gx", "gy", "gz") * 939.0)
     session, said = drafted(still, tmp_path)
     assert session.log.gyro is not None
+    assert not session.log.gyro.scale_stated  # and no number that stands for it
+    assert session.log.doubt.startswith("no turn tells what the gyros' counts are worth: the accelerometers alone are")
     assert "the scale is unknown, for no turns show it: put that of the data sheet there" in said
     assert "a guess from too few rests" in said
+
+
+@pytest.mark.parametrize("size", [0.68, 2.0])
+def test_gravity_in_no_unit_that_rests_in_several_attitudes_show_can_be_calibrated(
+    size: float, handheld: pl.DataFrame, tmp_path: Path
+) -> None:
+    """`new` said that it cannot be, and `calibrate` accepted it."""
+    log = handheld.with_columns(pl.col("ax", "ay", "az") * (size / G_STANDARD))
+    session, said = drafted(log, tmp_path)
+    assert session.log.accel.unit_name == "count"
+    assert session.log.accel.scale == pytest.approx(np.full(3, size), rel=0.05)
+    assert "rests in several attitudes read" in said
+    assert "cannot be calibrated" not in said
 
 
 @pytest.mark.parametrize(("rate", "stated"), [(104.0, 104.0), (62.5, 62.5), (50.0, 50.0)])

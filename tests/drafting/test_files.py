@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 from pathlib import Path
 
 import numpy as np
@@ -36,12 +37,32 @@ def rows() -> Array:
         ("a.json", b'{"ax": [0.1, 0.2], "ay": [0.1, 0.2]}', "a document of JSON; write the readings as CSV"),
         ("a.xlsx", b"PK\x03\x04" + 90 * b"x", "an archive or a workbook; unpack it, or save its sheets as CSV"),
         ("log.csv", b"version https://git-lfs.github.com/spec/v1\noid sha256:00", "a pointer of Git LFS to it; fetch"),
+        ("log.parquet", b"version https://git-lfs.github.com/spec/v1\noid sha256:00", "a pointer of Git LFS to it"),
+        ("log.csv", gzip.compress(b"t,ax,ay,az\n" + 99 * b"0,1,2,3\n"), "compressed by gzip under another name"),
+        ("log.txt", b"SQLite format 3\0" + 99 * b"\0", "a database; export its readings as CSV"),
+        ("imu.csv", b"\x7fELF\2\1\1" + 99 * b"\0", "a program"),
+        ("imu.csv", b"\x89PNG\r\n\x1a\n" + 99 * b"\1", "an image"),
+        ("imu.csv", b"<!DOCTYPE html>\n<html><body>1,2,3</body></html>\n", "a page of the web, as of a download that"),
+        ("imu.csv", b"/annex/objects/MD5E-s10--00.csv\n", "a pointer of git-annex"),
+        ("imu.csv", b"ULog\x01\x12\x35\x01" + 99 * b"\2", "a flight log of PX4 under another name; name it so that"),
+        ("imu.dat", bytes(range(256)) * 9, "bytes that are no text, of a format unknown here"),
+        ("imu.bin", b"\xb5b\x10\x03" + 99 * b"\0", "UBX of a u-blox receiver"),
     ],
 )
 def test_what_is_no_log_is_refused_by_its_name(name: str, content: bytes, said: str, tmp_path: Path) -> None:
     (tmp_path / name).write_bytes(content)
     with pytest.raises(InputError, match=said):
         new_session(tmp_path / "session", tmp_path / name)
+
+
+def test_what_is_no_log_is_left_out_where_others_are(rows: Array, tmp_path: Path) -> None:
+    (tmp_path / "logs").mkdir()
+    pl.DataFrame(rows, schema=["t", "ax", "ay", "az", "gx", "gy", "gz"]).write_csv(tmp_path / "logs" / "imu.csv")
+    (tmp_path / "logs" / "photo.jpeg").write_bytes(b"\xff\xd8\xff\xe0" + bytes(range(256)))
+    (tmp_path / "logs" / "notes.txt").write_text("Turned by hand.", encoding="utf-8")
+    draft, _ = new_session(tmp_path / "session", tmp_path / "logs")
+    assert [file.name for file in draft.files] == ["imu.csv"]
+    assert any("photo.jpeg" in said and "left out" in said for said in draft.said)
 
 
 @pytest.mark.parametrize("columns", [[0, 1, 2, 3, 4, 5, 6], [1, 2, 3]])

@@ -136,7 +136,7 @@ int main(void)
     imu_thermometer state = {0};
     double celsius, seconds;
     while (scanf("%lf %lf", &celsius, &seconds) == 2) {
-        printf("%a\\n", imu_sensors_celsius(&state, celsius, seconds));
+        printf("%a\\n", imu_gyro_celsius(&state, celsius, seconds));
     }
     return 0;
 }
@@ -145,9 +145,9 @@ int main(void)
 
 @pytest.mark.parametrize("lag", [73.0, -40.0])
 def test_the_lag_is_followed_as_the_library_does(tmp_path: Path, gcc: str, lag: float) -> None:
-    """Over steps from milliseconds to hours; without the lag among the parameters there is no such function."""
+    """Over steps from milliseconds to hours; without a lag among the parameters there is no such function."""
     made = warmed(calibration())
-    parameter = Parameter(name="temperature.lag", value=lag, u=1.0, unit="s")
+    parameter = Parameter(name="gyro.lag", value=lag, u=1.0, unit="s")
     assert made.covariance is not None
     n = len(made.parameters)
     covariance = np.eye(n + 1)
@@ -155,6 +155,7 @@ def test_the_lag_is_followed_as_the_library_does(tmp_path: Path, gcc: str, lag: 
     made = replace(made, parameters=(*made.parameters, parameter), covariance=covariance)
     exported = export_calibration(made, "c")
     assert not any("lag" in loss for loss in exported.losses)
+    assert "imu_accel_celsius" not in exported.content.decode()
 
     def run_on(readings: Array) -> Array:
         return np.array(list(map(float.fromhex, compiled(gcc, tmp_path, made, LAGGING, readings))))

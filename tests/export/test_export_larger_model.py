@@ -112,7 +112,7 @@ def test_every_target_names_what_moves_warms_and_drifts_that_it_does_not_hold(to
     expected = [
         group.words.partition(",")[0]
         for group in groups()
-        if group.name in present and group.regressors is None and not group.linear and group.name != "temperature.lag"
+        if group.name in present and group.regressors is None and not group.linear and group.variable != "lag"
         if group.name.partition(".")[2] not in HELD.get(to, ())
     ]
     assert expected

@@ -195,6 +195,12 @@ def test_a_parameter_has_words_degrees_of_freedom_and_limits_in_its_unit(tmp_pat
         assert len((value.text or "").partition("e")[0].lstrip("-0.").replace(".", "")) <= 12
 
 
+def test_a_text_stands_as_it_was_written() -> None:
+    text = content(of_device(calibration(), serial="A\\7*/x", model="B\x1b\\C")).decode()
+    assert "A\\7*/x" in text
+    assert "B\N{REPLACEMENT CHARACTER}\\C" in text
+
+
 def test_units_are_those_of_d_si() -> None:
     assert d_si("m/s^2") == r"\metre\second\tothe{-2}"
     assert d_si("rad/s") == r"\radian\second\tothe{-1}"

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -272,6 +273,25 @@ def test_what_goes_wrong_on_the_way_leaves_nothing(registry: Registry) -> None:
     with pytest.raises(KeyboardInterrupt):
         interrupted()
     assert registry.limits() == []
+
+
+def test_of_a_new_registry_nothing_is_left_where_nothing_was_added(
+    place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(_: object) -> None:
+        raise sqlite3.OperationalError("disk I/O error")
+
+    (tmp_path / "limits.toml").write_text("format = 1\n", encoding="utf-8")
+    with pytest.raises(InputError, match="expected limits"), open_registry(place, create=True) as registry:
+        registry.set_limits("M", tmp_path / "limits.toml")
+    monkeypatch.setattr(database, "_make_tables", full)
+    monkeypatch.setattr(database.shutil, "disk_usage", lambda _: SimpleNamespace(free=4096))
+    with (
+        pytest.raises(InputError, match="cannot be used: No space left"),
+        open_registry(place, create=True) as registry,
+    ):
+        added(registry)
+    assert [path.name for path in tmp_path.iterdir()] == ["limits.toml"]
 
 
 def test_postgresql_keeps_records_refuses_changes_and_is_named_without_the_password(tmp_path: Path) -> None:

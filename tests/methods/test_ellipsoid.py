@@ -15,6 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.linear_instrument import stated_linear
 from tests.support.staged import staged, staged_estimate
 from tumble.diagnosis.observability import Refusal
 from tumble.errors import InputError
@@ -457,7 +458,8 @@ def test_ellipsoid_and_scalar_method_agree_on_the_same_rests() -> None:
 
 
 def test_ellipsoid_and_scalar_method_agree_on_the_real_recording(data: Path) -> None:
-    a, b = calibrate(data / "xsens-mti", method="ellipsoid", terms="linear"), staged_estimate(data / "xsens-mti")
+    folder = data / "xsens-mti"
+    a, b = calibrate(stated_linear(folder), method="ellipsoid", terms="linear"), staged_estimate(folder)
     assert a.outcome.accepted
     assert a.gyro is None
     names = [p.name for p in a.parameters]

@@ -26,6 +26,7 @@ from tests.support.direct import (
     observed,
     scenario,
 )
+from tests.support.linear_instrument import stated_linear
 from tests.support.staged import staged, staged_estimate
 from tumble.diagnosis.verdict import verdict
 from tumble.inference.estimate import Estimate
@@ -410,7 +411,7 @@ def test_a_loose_prior_changes_nothing() -> None:
 def test_sessions_with_truth_are_within_their_uncertainties(data: Path, name: str) -> None:
     """Rms of (value − truth)/u about 1, none beyond 4; u not larger than the staged one, but for what biases may do."""
     truth = json.loads((data / name / "truth.json").read_text())
-    found = calibrate(data / name, method="joint", terms="linear")
+    found = calibrate(stated_linear(data / name), method="joint", terms="linear")
     assert found.outcome.accepted
     z = np.array([(p.value - truth[p.name]) / p.u for p in found.parameters if p.u is not None])
     assert len(z) == 21

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from tests.support.direct import DODECAHEDRON, PYRAMID, QUIET, SETUP, error_of, in_the_hand, observed, scenario
+from tests.support.linear_instrument import stated_linear
 from tumble.inference.joint import joint
 from tumble.planning.setup import Setup
 from tumble.rotation import unit_vector
@@ -73,7 +74,7 @@ def test_a_session_with_redundant_blocks_is_calibrated(axes: Array, tmp_path: Pa
         gyro=gyro,
         truth=draw_parameters(GRADES["tactical"], (accel, gyro), rng),
     )
-    found = calibrate(write_simulation(tmp_path / "session", scenario, rng), terms="linear")
+    found = calibrate(stated_linear(write_simulation(tmp_path / "session", scenario, rng)), terms="linear")
     assert found.outcome.accepted, found.outcome.reasons
     assert [p.name for p in found.parameters] == [*accel.names, *gyro.names]
     truth = json.loads((tmp_path / "session" / "truth.json").read_text())

@@ -174,8 +174,8 @@ def test_indirect_coefficients_are_those_of_the_reference() -> None:
 
 def test_remarks_say_where_the_formulas_end() -> None:
     assert plan(SETUP, method="scalar").remarks == ()
-    (rough,) = plan(replace(SETUP, table_error=7.0 * DEGREE), method="scalar").remarks
-    assert "7°" in rough
+    (rough,) = plan(replace(SETUP, table_error=7.0 * DEGREE), method="scalar").reasons
+    assert "`calibrate` takes rests within 7°" in rough
     noisy = replace(SETUP, gyro=Spread(bias=5.0 * DEGREE_PER_HOUR, scale=1e-3, axis=1e-3))
     assert "take joint" in plan(noisy, method="scalar").remarks[0]
 

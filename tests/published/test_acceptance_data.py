@@ -12,6 +12,7 @@ import pytest
 from click.testing import CliRunner
 from scipy.linalg import rq
 
+from tests.support.linear_instrument import stated_linear
 from tests.support.staged import staged_estimate
 from tumble.cli import main
 from tumble.result.calibration import Calibration
@@ -52,7 +53,7 @@ IN_SI_AND_DEGREES = (
 
 @pytest.mark.parametrize("name", ["truth-turntable", "truth-handheld"])
 def test_an_independent_simulation_is_recovered_within_its_uncertainties(name: str, data: Path) -> None:
-    result = calibrate(data / name, terms="linear")
+    result = calibrate(stated_linear(data / name), terms="linear")
     truth = json.loads((data / name / "truth.json").read_text())
     assert result.outcome.accepted
     assert [p.name for p in result.parameters] == list(truth)
@@ -71,7 +72,7 @@ def test_without_its_gyros_it_still_gives_the_accelerometers(name: str, data: Pa
     without = re.sub(r"\[log\.gyro\]\n(?:\w.*\n?)*", "", described)
     assert "[log.accel]" in without
     (tmp_path / "session.toml").write_text(without)
-    result = calibrate(tmp_path, terms="linear")
+    result = calibrate(stated_linear(tmp_path), terms="linear")
     truth = json.loads((data / name / "truth.json").read_text())
     assert result.outcome.accepted
     assert [p.name for p in result.parameters] == list(truth)[:9]

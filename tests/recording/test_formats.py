@@ -172,8 +172,11 @@ def write_ulog(path: Path, record: Array, warmth: tuple[float, float] = (25.0, 2
     path.write_bytes(out)
 
 
-def write_bin(path: Path, record: Array, celsius: tuple[float, float] | None = None) -> None:
-    """By the published layout of ArduPilot logs: FMT messages, then data, each after the two bytes A3 95."""
+def write_bin(
+    path: Path, record: Array, celsius: tuple[float, float] | None = None, *, names: tuple[str, ...] = ("IMU", "IMU")
+) -> None:
+    """By the published layout of ArduPilot logs: FMT messages, then data, each after the two bytes A3 95. The instance
+    is in a field, or before 4.1 in the name."""
 
     def kind_of(number: int, name: str, types: str, columns: str) -> bytes:
         length = 3 + struct.calcsize("<" + types.replace("Q", "q"))
@@ -182,12 +185,15 @@ def write_bin(path: Path, record: Array, celsius: tuple[float, float] | None = N
         )
 
     out = b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", 0x80, 89, b"FMT", b"BBnNZ", b"Type,Length,Name,Format,Columns")
-    more = "" if celsius is None else ",T"
-    out += kind_of(7, "IMU", "QBffffff" + "f" * len(more[1:]), "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ" + more)
+    more, counted = "" if celsius is None else ",T", names[0] == names[1]
+    for k, name in enumerate(dict.fromkeys(names)):
+        types, fields = ("QBffffff", "TimeUS,I,") if counted else ("Qffffff", "TimeUS,")
+        out += kind_of(7 + k, name, types + "f" * len(more[1:]), f"{fields}GyrX,GyrY,GyrZ,AccX,AccY,AccZ{more}")
     for i, row in enumerate(record):
         for instance in (0, 1):
             shown = row + instance
-            out += b"\xa3\x95\x07" + struct.pack("<QB6f", 10**6 + i * 10**6 // RATE, instance, *shown[3:], *shown[:3])
+            out += b"\xa3\x95" + bytes([7 if counted else 7 + instance]) + struct.pack("<Q", 10**6 + i * 10**6 // RATE)
+            out += bytes([instance] if counted else []) + struct.pack("<6f", *shown[3:], *shown[:3])
             out += b"" if celsius is None else struct.pack("<f", celsius[instance])
     path.write_bytes(out)
 
@@ -329,6 +335,26 @@ def test_px4_has_the_thermometer_of_the_accelerometers_else_of_the_gyros_else_of
         found, temperatures = temperature_of(path)
         assert found == name
         np.testing.assert_array_equal(temperatures, np.broadcast_to(celsius, temperatures.shape))
+
+
+def test_ardupilot_before_4_1_has_the_instance_in_the_name(record: Array, tmp_path: Path) -> None:
+    read = {}
+    for file, names in (("new.bin", ("IMU", "IMU")), ("old.bin", ("IMU", "IMU2"))):
+        write_bin(tmp_path / file, record, names=names)
+        read[file] = messages(tmp_path / file)
+    assert [m.name for m in read["old.bin"]] == [m.name for m in read["new.bin"]] == ["IMU.0", "IMU.1"]
+    for old, new in zip(read["old.bin"], read["new.bin"], strict=True):
+        assert next(old.rows()).equals(next(new.rows()))
+        assert (old.triads, old.imu) == (new.triads, new.imu)
+
+
+def test_an_error_of_the_program_is_not_called_damage(
+    record: Array, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_bin(tmp_path / "r.bin", record)
+    monkeypatch.setattr("tumble.recording.formats.ardupilot.triads_of", lambda *_: record.no_such_name)  # type: ignore[attr-defined]
+    with pytest.raises(AttributeError, match="no_such_name"):
+        messages(tmp_path / "r.bin")
 
 
 def test_ardupilot_has_the_thermometer_of_the_imu_unless_it_reads_zero(at_rest: Array, tmp_path: Path) -> None:

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import os
+import struct
 import tracemalloc
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import h5py
 import numpy as np
+import polars as pl
 import pytest
 from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
+from mcap.writer import Writer as McapWriter
+from rosbags.rosbag1 import Writer as Bag1Writer
+from scipy.io import savemat
 
 from tumble.cli import main
 from tumble.documents import toml_of
@@ -22,14 +27,71 @@ from tumble.files import whole_file
 from tumble.recording.session_file import read_session
 
 
+def write_parquet(path: Path) -> None:
+    pl.DataFrame({c: np.zeros(4_000_000) for c in COLUMNS}).write_parquet(path, row_group_size=1 << 24)
+
+
+def write_mcap(path: Path) -> None:
+    with path.open("wb") as stream:
+        writer = McapWriter(stream, chunk_size=1 << 30)
+        writer.start()
+        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
+        channel = writer.register_channel("/said", "cdr", schema)
+        for _ in range(4):
+            writer.add_message(channel, 0, b"\0" * (1 << 26), 0)
+        writer.finish()
+
+
+def write_bag(path: Path) -> None:
+    bag = Bag1Writer(path)
+    bag.set_compression(Bag1Writer.CompressionFormat.BZ2)
+    with bag:
+        there = bag.add_connection("/said", "std_msgs/msg/String", msgdef="string data", md5sum="0" * 32)
+        bag.write(there, 0, b"\0" * (1 << 27))
+
+
+PACKED: dict[str, Callable[[Path], object]] = {
+    "a.parquet": write_parquet,
+    "a.npz": lambda path: np.savez_compressed(path, **{c: np.zeros(4_000_000) for c in COLUMNS}),
+    "a.npy": lambda path: path.write_bytes(np.lib.format.magic(1, 0) + struct.pack("<H", len(HUGE)) + HUGE),
+    "a.mat": lambda path: savemat(path, {c: np.zeros(4_000_000) for c in COLUMNS}, do_compression=True),
+    "a.mcap": write_mcap,
+    "a.bag": write_bag,
+}
+COLUMNS = ("t", "ax", "ay", "az", "gx", "gy", "gz")
+HUGE = b"{'descr': '<f8', 'fortran_order': False, 'shape': (68719476736, 3)}\n"
+
+
+@pytest.mark.parametrize("name", PACKED)
+def test_what_unpacks_to_hundreds_of_its_size_is_refused_before_it_is(name: str, tmp_path: Path) -> None:
+    PACKED[name](tmp_path / name)
+    tracemalloc.start()
+    with pytest.raises(InputError, match=f"{name}: expected readings, of which a packed file of .* holds at most"):
+        new_session(tmp_path / "session", tmp_path / name)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 30_000_000
+
+
 @pytest.mark.parametrize("name", ["a.h5", "a.mat"])
 def test_arrays_of_which_a_file_holds_nothing_are_refused(name: str, tmp_path: Path) -> None:
     with h5py.File(tmp_path / name, "w") as file:
         for kind in ("accel", "gyro"):
             file.create_dataset(kind, shape=(2**36, 3), chunks=(1024, 3), dtype="f8")
     assert (tmp_path / name).stat().st_size < 10_000
-    with pytest.raises(InputError, match="of 68719476736 by 3 numbers, of which the file holds next to none"):
+    with pytest.raises(InputError, match=r"expected readings, of which a packed file of .* found 3\.3e"):
         new_session(tmp_path / "session", tmp_path / name)
+
+
+@pytest.mark.parametrize("rows", [0, 3000])
+def test_a_line_of_a_million_commas_is_refused_before_it_is_split(rows: int, tmp_path: Path) -> None:
+    samples = "".join(f"{k / 100},0,0,9.8,0,0,0\n" for k in range(3000))
+    header = ",".join(COLUMNS) + "\n"
+    (tmp_path / "log.csv").write_text(
+        header + samples[: len(samples) * rows // 3000] + "," * 1_000_000 + "\n" + samples
+    )
+    with pytest.raises(InputError, match="expected"):
+        new_session(tmp_path / "session", tmp_path / "log.csv")
 
 
 def test_a_key_of_thousands_of_parts_takes_no_memory(tmp_path: Path) -> None:

@@ -216,7 +216,7 @@ def test_readings_that_are_not_as_expected_are_refused_in_one_line(given: dict[s
 def test_calibrate_says_what_it_takes() -> None:
     with pytest.raises(InputError, match="calibrate: expected a session or readings accel=…, found nothing"):
         calibrate()
-    with pytest.raises(InputError, match="session: expected the path of a session folder or a Session, found int"):
+    with pytest.raises(InputError, match="session: expected Session or a path or None, found 42; see help"):
         calibrate(42)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="found accel beside a session"):
         calibrate("session", accel=STILL)

@@ -183,7 +183,7 @@ def test_all_that_a_calibration_can_hold_is_read_as_it_was_written(calibration: 
     )
     further = tuple(
         Parameter(name=name, value=1e-4, u=1e-5, unit=group_of(name).unit)
-        for name in ("accel.bias.x.t1", "accel.bias.x.t2", "gyro.bias.z.hysteresis", "temperature.lag")
+        for name in ("accel.bias.x.t1", "accel.bias.x.t2", "gyro.bias.z.hysteresis", "gyro.lag")
     )
     parameters = (*calibration.parameters, *further)
     warm = tuple(replace(rest, temperature=20.0 + i) for i, rest in enumerate(calibration.evidence.rests))
@@ -216,7 +216,7 @@ def test_all_that_a_calibration_can_hold_is_read_as_it_was_written(calibration: 
         399.7,
         whole.evidence.together,
     )
-    assert again.content()["temperature"] == {"reference": 25.0, "range": [20.0, 33.0], "lag": 1e-4}
+    assert again.content()["temperature"] == {"reference": 25.0, "range": [20.0, 33.0], "lag": {"gyro": 1e-4}}
 
 
 def test_a_session_without_gyros_gives_the_accelerometer_parameters(session: Path, tmp_path: Path) -> None:

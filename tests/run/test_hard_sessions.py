@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
+import scipy
 
 import tumble
 from tumble.errors import InputError
@@ -143,6 +144,16 @@ def test_a_dead_zone_is_named_and_the_gyros_are_refused(hand: Recorded, width: f
     assert any("a dead zone of the driver" in reason for reason in made.outcome.gyro.reasons)
 
 
+@pytest.mark.parametrize("beyond", [1.5, 2.3])
+def test_a_dead_zone_that_cuts_a_tail_of_the_noise_is_named(hand: Recorded, beyond: float) -> None:
+    """Of gyros with a bias of so many standard deviations more than its width."""
+    at_rest = hand.gyro[hand.time < hand.rests[0][1]]
+    zone = beyond * at_rest.std(axis=0)
+    gyro = hand.gyro - at_rest.mean(axis=0) + zone + 0.5 * DEGREE
+    gyro = np.where(np.abs(gyro) < 0.5 * DEGREE, 0.0, gyro)
+    assert "a dead zone of the driver" in tumble.inspect_session(hand.session(gyro=gyro)).gyro_faults[0]
+
+
 @pytest.mark.parametrize("step", [1e-4, 2e-3, 0.01])
 def test_coarse_gyros_have_no_dead_zone(hand: Recorded, step: float) -> None:
     rounded = step * np.round(hand.gyro / step)
@@ -157,6 +168,80 @@ def test_normalised_accelerometers_are_a_fault_with_and_without_gyros(hand: Reco
         assert "a driver has normalised them" in fault
     assert tumble.calibrate(hand.session(accel=unit), terms="linear").outcome.verdict == "not accepted"
     assert tumble.inspect_session(hand.session()).faults == ()
+
+
+@pytest.mark.parametrize("digits", [3, 6])
+def test_normalised_accelerometers_may_be_rounded(hand: Recorded, digits: int) -> None:
+    unit = (9.80665 * hand.accel / np.linalg.norm(hand.accel, axis=1, keepdims=True)).round(digits)
+    (fault,) = tumble.inspect_session(hand.session(accel=unit)).faults
+    assert "normalised" in fault
+
+
+@pytest.mark.parametrize("size", [0.05, 0.1, 0.2])
+def test_vibration_across_gravity_is_no_normalisation(hand: Recorded, size: float) -> None:
+    """By a fan, of so many g in a direction that is horizontal in every attitude."""
+    across = np.cross(hand.accel, [0.36, 0.48, 0.8])
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    shaken = hand.accel + 9.8 * size * np.sin(2.0 * np.pi * 23.3 * hand.time)[:, None] * across
+    assert tumble.inspect_session(hand.session(accel=shaken)).faults == ()
+
+
+def test_stamps_of_bursts_are_those_of_even_rows(hand: Recorded) -> None:
+    """Ten samples are read at once, late by about 5 ms, and spread over the time since the last ten; where rows are
+    missing the stamps stay as they are."""
+    n = len(hand.time) // 10 * 10
+    read = hand.time[9:n:10] + 0.005 * np.abs(np.random.default_rng(5).standard_normal(n // 10))
+    before = np.concatenate([[0.0], read[:-1]])
+    stamps = (before[:, None] + np.outer(read - before, np.arange(1, 11) / 10)).ravel()
+    even, burst = (
+        tumble.calibrate(hand.session(accel=hand.accel[:n], gyro=hand.gyro[:n], time=time))
+        for time in (hand.time[:n], stamps)
+    )
+    assert burst.outcome.verdict == even.outcome.verdict == "accepted"
+    assert any("time stamps are those of bursts" in note for note in burst.provenance.notes)
+    for name in ("gyro.scale.x", "gyro.axis.xy", "accel.scale.z"):
+        assert burst[name].value == pytest.approx(even[name].value, abs=0.3 * even[name].u)
+    kept = np.delete(np.arange(n), slice(n // 2, n // 2 + 30))
+    torn = hand.session(accel=hand.accel[kept], gyro=hand.gyro[kept], time=stamps[kept])
+    assert not tumble.inspect_session(torn).notes
+
+
+@pytest.mark.parametrize("constant", [0.2, 1.0, 5.0])
+def test_gyros_behind_a_high_pass_filter_leave_the_accelerometers(hand: Recorded, constant: float) -> None:
+    a = float(np.exp(-np.diff(hand.time).mean() / constant))
+    filtered = scipy.signal.lfilter([a, -a], [1.0, -a], hand.gyro - hand.gyro[0], axis=0)
+    made = tumble.calibrate(hand.session(gyro=filtered))
+    assert (made.outcome.accel.accepted, made.outcome.gyro.accepted) == (True, False)
+    assert any("a high-pass filter on the chip or in the driver" in reason for reason in made.outcome.gyro.reasons)
+    assert np.abs(hand.errors(made)).max() < 4.0
+
+
+def test_accelerometers_late_by_another_time_in_each_turn_are_no_lost_samples(hand: Recorded) -> None:
+    late, rng = np.zeros(len(hand.time)), np.random.default_rng(2)
+    for (_, start), (stop, _) in pairwise(hand.rests):
+        late[(hand.time > start) & (hand.time < stop)] = rng.uniform(0.0, 0.02)
+    accel = np.column_stack([np.interp(hand.time - late, hand.time, column) for column in hand.accel.T])
+    made = tumble.calibrate(hand.session(accel=accel))
+    assert made.outcome.gyro.accepted
+    assert np.abs(hand.errors(made, "gyro")).max() < 4.0
+
+
+def test_a_level_of_the_gyros_that_steps_after_the_last_rest_is_no_jump(hand: Recorded) -> None:
+    """Three stretches follow in which the device is tilted slowly, too far for a rest."""
+    dt, rng = float(np.diff(hand.time).mean()), np.random.default_rng(4)
+    accel, gyro = [hand.accel], [hand.gyro]
+    for up in (hand.accel[0], hand.accel[len(hand.time) // 2], -hand.accel[0]):
+        across = np.cross(up, [0.3, 0.4, 0.6])
+        tilt = 0.35 * DEGREE * np.arange(0.0, 15.0, dt)[:, None]
+        still = np.cos(tilt) * up + np.sin(tilt) * across * np.linalg.norm(up) / np.linalg.norm(across)
+        blow = 3.0 * rng.standard_normal((round(2.0 / dt), 3))
+        accel += [up + blow, still + 0.01 * rng.standard_normal(still.shape)]
+        rates = hand.gyro[rng.integers(0, round(hand.rests[0][1] / dt), len(still))]
+        gyro += [blow, rates + np.array([1.3, 0.6, 0.0]) * DEGREE]
+    a, g = np.concatenate(accel), np.concatenate(gyro)
+    found = tumble.inspect_session(hand.session(accel=a, gyro=g, time=dt * np.arange(1, len(a) + 1)))
+    assert found.segmentation.jump is None
+    assert len(found.segmentation.rests) == len(hand.rests)
 
 
 @pytest.mark.parametrize("digits", [4, 6])
@@ -242,6 +327,51 @@ def test_six_faces_give_bias_and_scale_of_each_axis_and_say_what_is_absent(tmp_p
     assert tumble.export_calibration(again, "csv").losses[0].startswith("accel.axis.yx, accel.axis.zx, accel.axis.zy")
     force, _ = again.apply(accel[:400])
     assert abs(np.linalg.norm(force.mean(axis=0)) - SITE["gravity"]) < 1e-3
+
+
+def described(samples: dict[str, Array], gyro: dict[str, object] | None = None) -> Session:
+    """A session in memory of accelerometers in m/s², with or without gyros in counts."""
+    log: dict[str, object] = {"time": "t", "accel": {"columns": ["ax", "ay", "az"], "unit": "m/s^2"}}
+    if gyro is not None:
+        log["gyro"] = {"columns": ["gx", "gy", "gz"], "unit": "count", "scale_per": "deg/s"} | gyro
+    site = {"gravity": SITE["gravity"], "gravity_u": SITE["gravity_u"]}
+    return tumble.session_of({"format": 1, "device": {"serial": "A"}, "site": site, "log": log}, samples)
+
+
+def test_gyros_in_counts_of_an_unknown_scale_do_not_throw_out_rests() -> None:
+    """Fourteen counts of 131 per °/s between attitudes were 14 °/s off their level at rest."""
+    rng = np.random.default_rng(2)
+    time, accel, true = six_faces(rng)
+    up = accel / np.linalg.norm(accel, axis=1, keepdims=True)
+    counts = np.round([-550.0, 110.0, -70.0] + 14.0 * up + 4.0 * rng.standard_normal(accel.shape))
+    samples = {"t": time} | dict(zip(("ax", "ay", "az"), accel.T, strict=True))
+    gyros = dict(zip(("gx", "gy", "gz"), counts.T, strict=True))
+    made = tumble.calibrate(described(samples | gyros, {"offset": [-550.0, 110.0, -70.0]}))
+    alone = tumble.calibrate(described(samples))
+    assert len(made.evidence.rests) == 6
+    assert [(p.name, p.value, p.u) for p in made.parameters] == [(p.name, p.value, p.u) for p in alone.parameters]
+    assert [p.name for p in made.parameters] == list(true)
+    assert "states no scale for its counts" in made.provenance.notes[-1]
+
+
+@pytest.mark.parametrize("part", [0.0, 0.1])
+def test_an_axis_that_level_faces_contradict_is_in_u_and_said(part: float) -> None:
+    """z reads +0.9 and −1.1 g, and 0 at level: z was −99.9 ± 1.6 mg, and x and y 5 u off, accepted."""
+    rng = np.random.default_rng(7)
+    force = np.repeat(np.vstack([np.eye(3), -np.eye(3)]), 400, axis=0) + 2e-3 * np.repeat(
+        rng.standard_normal((6, 3)), 400, 0
+    )
+    force *= SITE["gravity"] / np.linalg.norm(force, axis=1, keepdims=True)
+    read = force + 0.02 * rng.standard_normal(force.shape)
+    read[:, 2] -= part / SITE["gravity"] * force[:, 2] ** 2
+    time = np.repeat(10.0 * np.arange(6.0), 400) + 0.01 * np.tile(np.arange(400.0), 6)
+    made = tumble.calibrate(described({"t": time} | dict(zip(("ax", "ay", "az"), read.T, strict=True))))
+    said = [remark for remark in made.outcome.remarks if "beside its bias on all faces" in remark]
+    assert len(said) == (part > 0.0)
+    assert ("accel.bias.z" in made.outcome.unobservable) == (part > 0.0)
+    for name in ("accel.scale.x", "accel.scale.y"):
+        assert abs(made[name].value) < 1.5 * (made[name].u or 0.0)
+        assert (made[name].u or 0.0) < (0.008 if part else 0.003)
 
 
 def between_rests(hand: Recorded, change: Callable[[int], Array]) -> Array:

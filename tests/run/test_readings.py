@@ -418,7 +418,7 @@ def test_terms_beyond_the_linear_model_are_in_u_and_said(grade: str, positions: 
             table_of(seen), unit="m/s^2", gravity=9.81, gravity_u=0.0, grade=grade if stated else None
         ).calibration
         said = next(note for note in found.provenance.notes if note.startswith("quadratic and cubic terms"))
-        assert ("guessed from the" in said) != stated
+        assert (f"usual for the grade {grade}" in said) == stated
         z += [(p.value - true) / p.u for p, true in zip(found.parameters, values, strict=False) if p.u]
     assert len(z) == 90
     assert np.mean(np.square(z)) < 2.5
@@ -438,6 +438,50 @@ def test_positions_that_the_terms_explain_are_not_bad() -> None:
     seen[4] *= 1.01
     found = calibrate_readings(table_of(seen), unit="m/s^2", gravity=9.81, grade="navigation").calibration
     assert "position 5 (line 6) does not fit" in found.outcome.reasons[0]
+
+
+def test_the_grade_is_not_told_by_biases_and_a_clean_triad_has_a_small_u() -> None:
+    """Of a linear navigation triad on the tilter u of the biases was 491 µg by default, whatever the readings, and
+    errors 0.4–9 µg."""
+    rng = np.random.default_rng(29)
+    up = placed(FOURTEEN, rng)
+    seen = TRIAD.model(np.zeros(9)).predict(9.81 * up) + 1e-4 * rng.standard_normal((14, 3))
+    u = []
+    for bias in (0.0, 0.02, 1.0):
+        found = calibrate_readings(table_of(seen + bias), unit="m/s^2", gravity=9.81, gravity_u=0.0).calibration
+        u.append([p.u or 0.0 for p in found.parameters])
+        assert max(u[-1][:3]) < 40e-6 * G_STANDARD
+    assert u[1] == pytest.approx(u[0], rel=1e-6)
+    assert u[2] == pytest.approx(u[0], rel=1e-6)
+
+
+@pytest.mark.parametrize("zero", [0.0, 0.5, 1.0, 5.0])
+def test_powers_are_of_forces_and_not_of_readings_with_their_zero(zero: float) -> None:
+    """With a zero of 5 g u of the scale factors was 210 million ppm, and the table accepted."""
+    rng = np.random.default_rng(31)
+    seen = placed(np.vstack([cube(1), cube(2)]), rng) + 2e-4 * rng.standard_normal((18, 3))
+    full, linear = (
+        calibrate_readings(table_of(0.33 * (seen + zero)), scale=[0.33], grade="mems", terms=terms).calibration
+        for terms in ("full", "linear")
+    )
+    assert full["accel.bias.y"].value == pytest.approx(zero * G_STANDARD, abs=5e-3)
+    for name in TRIAD.names:
+        assert 0.7 < (full[name].u or 0.0) / (linear[name].u or 1.0) < 3.0
+
+
+def test_readings_of_a_converter_of_ten_bits_are_accepted_with_what_they_are_worth() -> None:
+    """3.3 V in 1024 steps, 0.33 V/g: a step is 9.8 mg, and a scatter beyond 1 mg was refused."""
+    z = []
+    for seed in range(12):
+        rng = np.random.default_rng([37, seed])
+        seen = 1.66 + 0.33 * placed(np.vstack([cube(1), cube(2)]), rng)
+        found = calibrate_readings(table_of(np.round(seen / 3.3 * 1024.0) * 3.3 / 1024.0), scale=[0.33]).calibration
+        assert found.outcome.accepted
+        z += [
+            (found[f"accel.bias.{a}"].value - 1.66 / 0.33 * G_STANDARD) / (found[f"accel.bias.{a}"].u or 0.0)
+            for a in "xyz"
+        ]
+    assert np.sqrt(np.mean(np.square(z))) < 1.4
 
 
 def test_the_terms_do_not_change_the_values_and_linear_leaves_them_out(tmp_path: Path) -> None:
@@ -550,13 +594,46 @@ def test_of_edges_alone_the_bad_one_is_named_with_the_opposite_one(tmp_path: Pat
 
 
 def test_too_few_positions_are_refused_with_what_would_help(tmp_path: Path) -> None:
-    found = run(written(tmp_path, readings(cube(1))), "--scale", NEGATIVE)
+    found = run(written(tmp_path, readings(cube(3))), "--scale", NEGATIVE)
     assert found.exit_code == 1
-    assert "6 positions determine 6 of the 9 parameters" in found.stderr
+    assert "8 positions determine 7 of the 9 parameters" in found.stderr
     content = json.loads((tmp_path / "readings.calibration.json").read_text())
     assert content["parameters"] == []
     assert content["accel"] is None
     assert content["outcome"]["unobservable"] == list(TRIAD.names)
+
+
+def on_faces(values: Array, rng: np.random.Generator, tilt: float) -> Array:
+    """Readings, m/s², on six faces by hand."""
+    up = cube(1) + tilt * rng.standard_normal((6, 3))
+    return TRIAD.model(values).predict(9.81 * up / np.linalg.norm(up, axis=1, keepdims=True))
+
+
+def test_six_faces_give_bias_and_scale_factor_of_each_axis(tmp_path: Path) -> None:
+    values = np.array([0.3, -0.1, 0.2, 0.01, -0.01, 0.02, 0.0, 0.0, 0.0])
+    seen = 16384.0 / G_STANDARD * on_faces(values, np.random.default_rng(1), 0.02)
+    options = {"unit": "count", "scale": [16384.0], "gravity": 9.81, "gravity_u": 0.0}
+    found = calibrate_readings(written(tmp_path, np.round(seen)), **options).calibration
+    assert found.outcome.accel.accepted
+    assert "as six faces give them" in found.outcome.remarks[0]
+    assert [p.name for p in found.parameters] == list(TRIAD.names[:6])
+    z = [(p.value - true) / (p.u or np.nan) for p, true in zip(found.parameters, values, strict=False)]
+    assert np.abs(z).max() < 2.0
+    assert max(p.u or np.inf for p in found.parameters[:3]) < 0.03
+
+
+def test_a_zero_that_level_faces_do_not_read_is_in_u_and_said(tmp_path: Path) -> None:
+    """z reads +0.9 and −1.1 g, and 0 where it is level: its bias is −0.1 g or 0, and scale factors of the others are
+    off by 0.5 % if the device leans."""
+    values = np.zeros(9)
+    faces = on_faces(values, np.random.default_rng(1), 1e-4) / 9.81
+    faces[:, 2] -= 0.1 * faces[:, 2] ** 2
+    found = calibrate_readings(written(tmp_path, faces), unit="g").calibration
+    assert not found.outcome.accepted
+    assert "accelerometer z reads 100 mg beside its bias" in found.outcome.remarks[0]
+    assert "accel.bias.z" in found.outcome.unobservable
+    for axis in "xy":
+        assert abs(found[f"accel.scale.{axis}"].value) < 1.2 * (found[f"accel.scale.{axis}"].u or 0.0)
 
 
 def test_nine_positions_have_values_and_no_uncertainties(tmp_path: Path) -> None:
@@ -594,9 +671,8 @@ def test_readings_of_another_size_than_stated_are_refused_with_what_would_fit(
 
 def test_where_leaving_out_almost_any_position_helps_none_is_named(tmp_path: Path) -> None:
     found = run(written(tmp_path, np.round(volts(14, 3e-5), 2)), "--scale", NEGATIVE)
-    assert found.exit_code == 1
-    assert re.search(r"the positions scatter by \S+ mg, more than 1 mg", found.stderr)
-    assert found.stderr.count("(line") <= 4
+    assert found.exit_code == 0
+    assert re.search(r"remark: the positions scatter by \S+ mg, more than 1 mg; u has it", found.stdout)
 
 
 # -------------------- unusable tables and options --------------------

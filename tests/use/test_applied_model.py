@@ -227,9 +227,9 @@ def test_a_log_is_corrected_at_the_temperatures_of_sensors_that_lag(tmp_path: Pa
         sensors = behind if lag > 0.0 else 2.0 * celsius - behind
         accel, gyro = read(instrument, values, force, rate, sensors)
         folder = logged(tmp_path / f"{lag}", 0.01 * np.arange(1.0, N + 1), accel, gyro, celsius, "degC")
-        late = Parameter(name="temperature.lag", value=lag, u=0.1, unit="s", prior=200.0, learned=0.99)
-        lagging = replace(made, parameters=(*made.parameters, late), covariance=None)
+        late = (Parameter(name=f"{kind}.lag", value=lag, u=0.1, unit="s") for kind in ("accel", "gyro"))
+        lagging = replace(made, parameters=(*made.parameters, *late), covariance=None)
         found_f, found_w = corrected(lagging, folder)
         np.testing.assert_allclose(found_f, force, atol=1e-8)
         np.testing.assert_allclose(found_w, rate, atol=2e-9)
-        assert any(f"with a lag of {lag:.0f} s" in said for said in applied(lagging, folder))
+        assert any(f"with a lag of {lag:.0f} s (accel), {lag:.0f} s (gyro)" in s for s in applied(lagging, folder))

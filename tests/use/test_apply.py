@@ -12,6 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from tests.support.calibrated import HEXAD, calibration, session_of
+from tests.support.linear_instrument import stated_linear
 from tumble.cli import main
 from tumble.errors import InputError, LogError
 from tumble.planning.setup import Setup
@@ -189,12 +190,12 @@ def test_a_corrected_device_has_no_errors_left(tmp_path: Path) -> None:
     """Calibrating the corrected log of a noiseless session finds biases, scale errors and angles of zero."""
     request = Setup.of(grade="mems", positions=14, rest=5.0, rate_deg_s=120.0, sample_rate=50.0, noise_factor=0.0)
     folder = simulate_session(tmp_path / "session", request, seed=4)
-    made, session = calibrate(folder, terms="linear"), read_session(folder)
+    made, session = calibrate(stated_linear(folder), terms="linear"), read_session(folder)
     again = tmp_path / "again"
     again.mkdir()
     apply_to_session(made, session, again / "log.parquet")
     (again / "session.toml").write_text((folder / "session.toml").read_text())
-    rest = calibrate(again, terms="linear")
+    rest = calibrate(stated_linear(again), terms="linear")
     for before, after in zip(made.parameters, rest.parameters, strict=True):
         assert abs(after.value) < 1e-6 + 1e-4 * abs(before.value), after.name
     assert max(abs(p.value) for p in made.parameters) > 1e-3

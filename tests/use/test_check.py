@@ -15,6 +15,7 @@ from click.testing import CliRunner, Result
 from scipy import stats
 
 from tests.support.calibrated import of_device, with_fields
+from tests.support.linear_instrument import stated_linear
 from tests.support.shared import calibrated, copy_of, session
 from tumble.cli import main
 from tumble.errors import CalibrationError, InputError
@@ -238,7 +239,7 @@ def test_every_frame_checks_alike(tmp_path: Path) -> None:
     again = simulate_session(tmp_path / "again", replace(faces, programme=programme("cube-12")), seed=51, launch=2)
     found = {}
     for frame in FRAMES:
-        made = calibrate(own, frame=frame, terms="linear")
+        made = calibrate(stated_linear(own), frame=frame)
         found[frame] = check_calibration(made, again), check_calibration(made, own)
     for frame, (check, left_out) in found.items():
         assert check.valid

@@ -28,12 +28,19 @@ Readings = tuple[Array, Array, Array, Array]
 """Readings of accelerometers and gyros, stamps, s, and temperatures, K."""
 
 
-def moving(*, lag: float = 1.5) -> tuple[Calibration, Readings]:
-    """A calibration of all groups, with lever arms and a lag, and the readings of a device in motion, with lost ones, a
+def late(accel: float, gyro: float) -> tuple[Parameter, ...]:
+    """Lags of accelerometers and gyros behind their thermometer, s."""
+    return tuple(
+        Parameter(name=f"{kind}.lag", value=lag, u=0.1, unit="s") for kind, lag in (("accel", accel), ("gyro", gyro))
+    )
+
+
+def moving(*, lag: float = 1.5, gyro_lag: float = 1.5) -> tuple[Calibration, Readings]:
+    """A calibration of all groups, with lever arms and lags, and the readings of a device in motion, with lost ones, a
     gap and a step of temperature."""
     made, instrument, values = larger(leave=("accel.delay",))
-    late = Parameter(name="temperature.lag", value=lag, u=0.1, unit="s", prior=200.0, learned=0.99)
-    made = with_fields(made, parameters=(*made.parameters, late), covariance=None, sample_rate=100.0)
+    parameters = (*made.parameters, *late(lag, gyro_lag))
+    made = with_fields(made, parameters=parameters, covariance=None, sample_rate=100.0)
     celsius = np.where(np.arange(N) < 200, 15.0, 40.0) + np.sin(np.arange(N) / 50.0)
     accel, gyro = read(instrument, values, *truth(), celsius)
     time = 0.01 * np.arange(1, N + 1) + 1e-4 * np.random.default_rng(8).uniform(-1.0, 1.0, N)
@@ -124,8 +131,8 @@ def lagging(lag: float = 1.5) -> tuple[Calibration, float, float]:
     """A calibration whose sensors follow their thermometer with a lag, s, and its reference temperature, °C."""
     made = warmed(calibration(), curved=False)
     assert made.reference_temperature is not None
-    late = Parameter(name="temperature.lag", value=lag, u=0.1, unit="s")
-    return replace(made, parameters=(*made.parameters, late), covariance=None), made.reference_temperature, lag
+    parameters = (*made.parameters, *late(lag, lag))
+    return replace(made, parameters=parameters, covariance=None), made.reference_temperature, lag
 
 
 def test_sensors_follow_a_step_of_the_thermometer_with_the_lag() -> None:
@@ -219,6 +226,23 @@ def test_what_lags_goes_by_the_stamps() -> None:
     _, expected = made.apply(*still, temperature=reference + 20.0 * risen + ZERO_CELSIUS)
     assert expected is not None
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-14)
+
+
+def test_accelerometers_and_gyros_follow_the_thermometer_each_with_their_lag() -> None:
+    """Force as with the lag of the accelerometers for all, rate as with that of the gyros; however the stream is cut,
+    with lost temperatures, late samples and gaps."""
+    made, readings = moving(lag=1.5, gyro_lag=-4.0)
+    order = np.insert(np.arange(400), [11, 40, 40], [9, 39, 30])
+    some: Readings = tuple(each[order] for each in readings)  # type: ignore[assignment]  # four arrays
+    whole = fed(Corrector(made), some, [])
+    for cuts in ([12, 13, 41, 42, 43, 60], [200, 262, 263, 301]):
+        for ours, theirs in zip(fed(Corrector(made), some, cuts), whole, strict=True):
+            np.testing.assert_array_equal(ours, theirs)
+    _, force, _, _ = fed(Corrector(moving(lag=1.5, gyro_lag=1.5)[0]), some, [])
+    _, _, rate, _ = fed(Corrector(moving(lag=-4.0, gyro_lag=-4.0)[0]), some, [])
+    np.testing.assert_allclose(whole[2], rate, atol=1e-5)  # the gyros feel the force
+    assert np.nanmax(np.abs(whole[2] - fed(Corrector(moving(lag=1.5, gyro_lag=1.5)[0]), some, [])[2])) > 1e-3
+    np.testing.assert_allclose(whole[1], force, atol=5e-3)  # levers turn with the gyros
 
 
 def test_samples_outside_of_what_was_calibrated_are_flagged() -> None:

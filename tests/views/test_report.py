@@ -27,6 +27,7 @@ from matplotlib.figure import Figure
 from tests.support.browser import Browser, chromium, eventually
 from tests.support.calibrated import HEXAD
 from tests.support.calibrated import calibration as exact
+from tests.support.linear_instrument import stated_linear
 from tests.support.pages import Page, last_digit, number, opened, pdf_text
 from tests.support.shared import copy_of
 from tests.support.shared import session as shared
@@ -79,14 +80,14 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def file(session: Path) -> Path:
     path = session.parent / "joint.json"
-    calibrate(session, terms="linear").write(path)
+    calibrate(stated_linear(session), terms="linear").write(path)
     return path
 
 
 @pytest.fixture(scope="session")
 def other_method(session: Path) -> Path:
     path = session.parent / "scalar.json"
-    calibrate(session, method="scalar").write(path)
+    calibrate(stated_linear(session), method="scalar", terms="linear").write(path)
     return path
 
 

@@ -26,6 +26,7 @@ _LOOK_SECONDS = 0.05
 def shown(calibration: Calibration) -> dict[str, Any]:
     """A calibration as the page shows it: the verdict with its reasons, the parameters in the units of `tumble
     calibrate`, the files that can be fetched, the formats for export, and the answer of the registry, empty as yet."""
+    from tumble.result.unaided import improvement
     from tumble.views.numbers import shown_units
 
     units, rows = shown_units(calibration.parameters), []
@@ -37,6 +38,7 @@ def shown(calibration: Calibration) -> dict[str, Any]:
     return {
         "accepted": calibration.outcome.accepted,
         "reasons": list(calibration.outcome.reasons),
+        "before_and_after": list(improvement(calibration)) if calibration.outcome.accepted else [],
         "parameters": rows,
         "files": [CALIBRATION_FILE],
         "formats": [name for name in targets() if not target(name).needs],

@@ -157,7 +157,9 @@ def _turn(task: Task, progress: Progress) -> Screen:
         "screen": "turn",
         "headline": "Hold still: the unit is not yet at rest" if arrived else f"Turn now {label}",
         **_where(task, progress, at),
-        "early": "" if progress.judged[-1].enough else f"rest {at} was left before the wanted u",
+        "early": ""
+        if progress.judged[-1].enough
+        else f"rest {at} was left before its mean was known as well as is wanted",
         "turn": {"done": degrees[0], "angle": degrees[1], "rate": degrees[2], "full_scale": degrees[3]},
     }
 
@@ -170,7 +172,7 @@ def _done(task: Task, taken: int, estimate: EstimateShown | None, *, complete: b
         missed = [group["group"] for group in estimate["groups"] if not group["enough"]]
     if estimate is not None and estimate["enough"]:
         better = math.sqrt((taken + _MORE) / taken)
-        said = f"All wanted u reached at rest {taken}; five more would make it {better:.1f} times better"
+        said = f"All that is wanted is reached at rest {taken}; five more would make it {better:.1f} times better"
     elif missed:
         said = f"All {taken} positions taken; not reached: {', '.join(missed)}"
     else:
@@ -197,6 +199,7 @@ _LEFT_OUT = {
     "gap": ("Leave this out", "what was recorded since the gap, until you move; then take {wanted} again"),
 }
 _GOING_ON = {
+    "unit": "the unit is right; such a log cannot be calibrated",
     "gap": "nothing is left out; a turn with the gap in it tells nothing",
     "temperature": "nothing is left out; the change is one more unknown of the calibration",
     "clipped": "nothing is left out; such a log cannot be calibrated",
@@ -227,6 +230,7 @@ def answers(state: State) -> list[Answer]:
         wanted = f"position {position['number']}" if position else "a new position"
         each = {
             "again": (label, says.format(wanted=wanted)),
+            "unit": (f"Yes, in {fault['unit']}", "the session is changed, and what is recorded is read anew"),
             "keep_first": ("Keep the first part", "the rest ends at the knock; go on to the next position"),
             "anew": ("Record this unit anew", "in a folder of its own beside this one"),
             "go_on": ("Go on", _GOING_ON.get(fault["kind"], "nothing is left out: where the page is wrong")),

@@ -23,6 +23,7 @@ from tumble.recording.live.sources import is_recorded, source_of
 from tumble.recording.session import Exclusion, Session
 from tumble.recording.session_file import SESSION_FILE, read_session, write_session
 from tumble.recording.text.dialect import DIALECT_KEYS
+from tumble.units import ACCEL_UNITS, GYRO_UNITS, Unit
 
 MOTIONCAL_LOG: Mapping[str, Any] = {
     "file": "log.csv",
@@ -100,6 +101,23 @@ def begin_next(folder: Path, serial: str) -> Path:
     return made
 
 
+def set_unit(folder: Path, unit: str) -> None:
+    """State the unit of the accelerometers in session.toml, with gyros of rad/s in °/s where it is g, as they come
+    together."""
+    content = _content(folder)
+    log = content["log"]
+    log["accel"] = _in_unit(log["accel"], unit, ACCEL_UNITS)
+    if unit.endswith("g") and log.get("gyro", {}).get("unit") == "rad/s":
+        log["gyro"] = _in_unit(log["gyro"], "deg/s", GYRO_UNITS)
+    write_session(folder, content)
+
+
+def _in_unit(table: Mapping[str, Any], unit: str, units: Mapping[str, Unit]) -> dict[str, Any]:
+    """A table of channels that read in another unit; their full scale stays what it is."""
+    full = {key: table[key] * units[table["unit"]].factor / units[unit].factor for key in ("range",) if key in table}
+    return {**table, **full, "unit": unit}
+
+
 def leave_out(folder: Path, one: Exclusion | None, instead_of: Exclusion | None = None) -> None:
     """Write a table [[exclude]] at the end of session.toml, and remove `instead_of`, which was added before. Whatever
     else is in the file stays as it is."""
@@ -168,6 +186,14 @@ class Answers:
         here = fault.kind in _HERE
         self._leave_out(fault, fault.start, now, until_moved=not here)
         return "left out; hold still, this rest begins anew" if here else "left out; take it again"
+
+    def passed(self, fault: Fault) -> str:
+        """Settle a fault that is over: a rest in a wrong position is left out, a gap is noted."""
+        if fault.kind == "gap":
+            self._answered.append(fault)
+            return f"noted: {fault.said}; the turn with it tells nothing"
+        self._leave_out(fault, fault.start, fault.stop, until_moved=False)
+        return "the right position is taken; the wrong one is left out"
 
     def keep_first(self, fault: Fault | None, now: float) -> str:
         """Leave out what is wrong and what follows it, and keep what was before."""

@@ -9,11 +9,13 @@ from typing import Any, Literal, TypedDict
 
 
 class Received(TypedDict):
-    """Lines that were `refused` and `why` the last one was; whether the source has `ended`; its troubles, in words."""
+    """Lines that were `refused` and `why` the last one was; whether the source has `ended`, and whether it is `silent`
+    although it has not; its troubles, in words."""
 
     refused: int
     why: str
     ended: bool
+    silent: bool
     trouble: list[str]
 
 

@@ -17,7 +17,7 @@ from typing import Any
 
 from tumble.bench import results, screens, session_folder
 from tumble.bench.follow.estimates import Estimates
-from tumble.bench.follow.faults import Fault, faults_of_rests
+from tumble.bench.follow.faults import Fault, another_unit, faults_of_rests, is_over
 from tumble.bench.follow.live import Live
 from tumble.bench.follow.wishes import Task, Wanted
 from tumble.bench.record.recorder import NOTHING_RECEIVED, Intake
@@ -74,6 +74,7 @@ class Station:
         self._buttons: Mapping[str, Callable[[str], str]] = {
             "again": lambda _: self._answers.again(*self._present_fault()),
             "keep_first": lambda _: self._answers.keep_first(*self._present_fault()),
+            "unit": lambda _: self._set_unit(),
             "go_on": lambda _: self._answers.going_on(self._present_fault()[0]),
             "leave_out": lambda number: self._answers.leave_out_rest(
                 number, 0 if self._estimates.shown is None else self._estimates.shown["rests"]
@@ -100,7 +101,7 @@ class Station:
         self._result: dict[str, Any] | None = None
         self._busy = self._message = ""
         self._wrong: Fault | None = None
-        self._taken = 0
+        self._taken = self._outdated = 0
 
     # -------------------- running --------------------
 
@@ -151,15 +152,20 @@ class Station:
             if not progress.still:
                 self._answers.moved(progress.now)
             fault, _ = self._present_fault()
+            while fault is not None and is_over(fault, self.task, progress):
+                self._message = self._answers.passed(fault)
+                fault, _ = self._present_fault()
             self._estimates.ask(progress, self._answers.excluded)
             shown = screens.screen(self.task, progress, fault, self._estimates.shown, go_on=self._answers.go_on)
             another = fault is not None and (self._wrong is None or not fault.is_like(self._wrong))
-            if another or len(progress.groups) > self._taken:
+            if another or len(progress.groups) > self._taken > 0:
                 self._message = ""  # which was of what was wrong before, or of the position before
             self._wrong, self._taken = fault, len(progress.groups)
         intake, live, device, programme = self.intake, self._live, self.task.session.device, self.task.programme
         source = "recording has stopped" if self._listen is not None else "the log of another program"
         received: Received = NOTHING_RECEIVED if intake is None else intake.received
+        if received["silent"]:
+            shown = {**shown, "headline": "Nothing comes from the sensor: is it plugged in?"}
         following = [live.trouble] if live.trouble else []
         state: State = {
             **shown,
@@ -176,6 +182,7 @@ class Station:
                 "refused": received["refused"],
                 "why": received["why"],
                 "ended": received["ended"],
+                "silent": received["silent"],
                 "trouble": [*received["trouble"], *following],
             },
             "programme": None if programme is None else programme.name,
@@ -197,7 +204,8 @@ class Station:
         progress = self._live.now
         if progress is None:
             return None, 0.0
-        faults = (*self._live.faults, *faults_of_rests(self.task, progress))
+        of_rests = faults_of_rests(self.task, progress)
+        faults = (*another_unit(self.task, progress), *self._live.faults, *of_rests)
         return next((fault for fault in faults if not self._answers.has_answered(fault)), None), progress.now
 
     # -------------------- the buttons --------------------
@@ -231,6 +239,17 @@ class Station:
             return " ".join(str(error).split())
         except Exception as error:
             return _said_of(error, f"{name}: not done")
+
+    def _set_unit(self) -> str:
+        """State the unit that is asked about, and read the log anew by it."""
+        fault, _ = self._present_fault()
+        if fault is None or not fault.unit:
+            return "no unit is asked about"
+        outdated = self.trace(0)["next"]
+        session_folder.set_unit(self.folder, fault.unit)
+        self._begin(self.folder)
+        self._outdated = outdated
+        return f"the accelerometers are in {fault.unit}; what is recorded is read anew"
 
     def _stop_recording(self) -> str:
         """Stop recording; that it is so, and what of it the disk has not taken."""
@@ -285,9 +304,9 @@ class Station:
         return self._live.at
 
     def trace(self, since: int) -> Trace:
-        """Block means from number `since` on, at most the last minute."""
+        """Block means from number `since` on, at most the last minute; all of it where those before are outdated."""
         now = self._live.now
-        return screens.trace(None if now is None else now.blocks, since)
+        return screens.trace(None if now is None else now.blocks, since if since > self._outdated else 0)
 
     def file(self, name: str) -> Path | None:
         """A result that can be fetched."""

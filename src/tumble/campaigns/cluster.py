@@ -4,8 +4,9 @@ The processes are those of dask.distributed. They are spawned, never forked: a c
 polars hangs. Everything listens on the loopback alone.
 
 A chunk whose process died comes back as KilledWorker. Most of its tasks are innocent: someone ended the process, or its
-memory ran out. So they are set aside and tried one by one at the end, while nothing else runs. A task has failed when
-ATTEMPTS processes in a row died with it alone: one of them may have been dying already of the task before.
+memory ran out. So they are set aside and tried one by one at the end, while nothing else runs; and those that fail
+then, again when all others are done, for a process may have been dying of the task before, or the machine been busy. A
+task has failed when it did so ATTEMPTS times.
 """
 
 from __future__ import annotations
@@ -130,6 +131,8 @@ def _imported() -> tuple[Any, Any]:
 
 def _computed(client: Client, job: Job, pending: Sequence[int]) -> Iterator[Done]:
     """Chunks of tasks with their rows, as the processes of a client finish them."""
+    from distributed import KilledWorker
+
     set_aside: list[int] = []
     workers = max(1, sum(cast(Any, client).nthreads().values()))
     waiting, sent = chunks(pending, workers=workers), dict[Any, Chunk]()
@@ -147,29 +150,25 @@ def _computed(client: Client, job: Job, pending: Sequence[int]) -> Iterator[Done
                     raise
                 except Exception:
                     set_aside += chunk
+        why: dict[int, str] = {}
+        for _ in range(ATTEMPTS):
+            why = dict.fromkeys(set_aside, "")
+            for number in set_aside:
+                (future,) = _first_done([_submit(job, (number,), client)], client)
+                try:
+                    yield (number,), future.result()
+                except CancelledError:
+                    raise
+                except KilledWorker:
+                    why[number] = f"each of {ATTEMPTS} processes that computed it alone died"
+                except Exception as error:
+                    why[number] = f"{type(error).__name__}: {error}"
+            set_aside = [number for number in set_aside if why[number]]
         for number in set_aside:
-            yield (number,), _alone(job, number, client)
+            row = failed(number, job.label(job.items[number]), why[number])
+            yield (number,), parquet_of([row], job.columns)
     except (CancelledError, OSError) as error:
         raise TumbleError(f"the cluster is lost; {_GO_ON}") from error
-
-
-def _alone(job: Job, number: int, client: Client) -> bytes:
-    """The rows of a task while nothing else runs."""
-    from distributed import KilledWorker
-
-    why = f"each of {ATTEMPTS} processes that computed it alone died"
-    for _ in range(ATTEMPTS):
-        (done,) = _first_done([_submit(job, (number,), client)], client)
-        try:
-            return bytes(done.result())
-        except CancelledError:
-            raise
-        except KilledWorker:
-            continue
-        except Exception as error:
-            why = f"{type(error).__name__}: {error}"
-            break
-    return parquet_of([failed(number, job.label(job.items[number]), why)], job.columns)
 
 
 def _first_done(sent: Iterable[Future[Any]], client: Client) -> set[Future[Any]]:

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import polars as pl
 
+from tumble.arguments import checked
 from tumble.brief import Brief
 from tumble.campaigns.cluster import executor_for
 from tumble.campaigns.engine import Job, Progress, Row, run
@@ -56,6 +57,7 @@ class FleetResult(Brief):
     failed: Mapping[str, str]
 
 
+@checked
 def fleet(
     sessions: FilePath,
     out: FilePath,

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from tumble.arguments import checked
 from tumble.brief import Brief
 from tumble.campaigns.campaign import AXES, Campaign, read_campaign
 from tumble.campaigns.cluster import executor_for
@@ -67,6 +68,7 @@ class CampaignResult(Brief):
     summary: Path
 
 
+@checked
 def campaign(
     planned: Campaign | FilePath,
     out: FilePath,

@@ -60,7 +60,7 @@ class Numbers(click.ParamType[tuple[Any, ...]]):
 PATH = _NamedPath(path_type=Path)
 FILE = _NamedPath(path_type=Path, dir_okay=False)
 FOLDER = _NamedPath(path_type=Path, file_okay=False)
-METHOD_NAMES = ["joint", "sequential", "scalar", "ellipsoid"]
+METHOD_NAMES = ["joint", "sequential", "scalar", "scalar-nominal", "ellipsoid"]
 NUMBERS = Numbers("numbers with commas between them")
 FRAMES = ["accelerometer", "case", "paper", "symmetric"]
 AS_JSON = "tumble.json"
@@ -168,8 +168,13 @@ LOG = together(
     option("--accel", "Of a LOG: columns of the accelerometers, names or numbers from 1.", metavar="N,N,N"),
     option("--gyro", "Of a LOG: columns of the gyros, names or numbers from 1.", metavar="N,N,N"),
     option("--time", "Of a LOG: column of the time, its name or number from 1.", metavar="N"),
+    option("--accel-unit", "Of a LOG: unit of the accelerometers, as in session.toml.", metavar="UNIT"),
+    option("--gyro-unit", "Of a LOG: unit of the gyros, as in session.toml.", metavar="UNIT"),
 )
 """What is known of a log that no session describes."""
+
+
+_UNITS = "accel_unit", "gyro_unit"
 
 
 def given_of(options: dict[str, Any]) -> Given:
@@ -178,7 +183,7 @@ def given_of(options: dict[str, Any]) -> Given:
 
     stated: dict[str, Any] = {
         name: options.pop(name, None)
-        for name in ("serial", "latitude", "height", "sample_rate", "programme", "message", "time")
+        for name in ("serial", "latitude", "height", "sample_rate", "programme", "message", "time", *_UNITS)
     }
     for kind in ("accel", "gyro"):
         columns = options.pop(kind)

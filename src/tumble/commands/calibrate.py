@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -73,9 +72,9 @@ def calibrate(
     launch to launch, and --out is required. With --together they are one estimate by the method joint, with
     coefficients over temperature. Several methods are compared: the first one's result is the one written.
 
-    A file that is no session.toml, or anything with --latitude, --height, --serial, --sample-rate, --accel, --gyro or
-    --time, is a LOG in any dialect: a session is made of it first, as `tumble new` does, in the folder LOG-session
-    beside it.
+    A file that is no session.toml, or anything with --latitude, --height, --serial, --sample-rate, --accel, --gyro,
+    --time or units, is a LOG in any dialect: a session is made of it first, as `tumble new` does, in the folder
+    LOG-session beside it. It is found there by the content of the log; other options make it anew.
     """
     from tumble.recording.session_file import read_session
     from tumble.run.calibrate import calibrate as calibrate_session
@@ -160,31 +159,20 @@ def _known_in(registry: str, session: Session, frame: Frame, *, several: bool) -
 @contextmanager
 def _session_of(logs: Sequence[Path], given: Given, *, every: bool) -> Iterator[Sequence[Path]]:
     """The folder of a session made of a log, of which `every` sentence is said where that is wanted; it is there no
-    more where the block fails."""
-    from tumble.drafting.new_session import written_session
-    from tumble.files import nothing_left
+    more, or as it was before, where the block fails."""
+    from tumble.drafting.made_session import session_of_log
 
     if len(logs) > 1 or (logs[0].is_dir() and (logs[0] / "session.toml").exists()) or logs[0].suffix == ".toml":
         raise InputError(
-            "--latitude, --height, --serial, --sample-rate, --accel, --gyro, --time: expected one log with them, "
-            "found a session; they stand in its session.toml"
+            "--latitude, --height, --serial, --sample-rate, --accel, --gyro, --time and units: expected one log with "
+            "them, found a session; they stand in its session.toml"
         )
-    name = logs[0].name.partition(".")[0]
-    folder = logs[0].with_name(f"{name}-session")
-    if (folder / "session.toml").exists():
-        raise InputError(
-            f"{folder}: expected none yet, found the session that was made of this log before; calibrate that "
-            f"(tumble calibrate {folder}), or remove it to make it anew"
-        )
-    with nothing_left(folder) as output:
-        draft, faults = written_session(
-            output, logs[0], replace(given, serial=given.serial or name), tell.with_progress
-        )
-        for sentence in draft.said if every else ():
+    with session_of_log(logs[0], given, tell.with_progress) as (folder, state, said, faults):
+        for sentence in said if every else ():
             tell.say(sentence)
         for fault in faults:
             tell.warn(f"look at this: {fault}")
-        tell.say(f"kept in {folder / 'session.toml'}")
+        tell.say(state)
         yield [folder]
 
 
@@ -209,7 +197,7 @@ def _session_of(logs: Sequence[Path], given: Given, *, every: bool) -> Iterator[
 @ask.option("--modulus", "gyro: rate of the table; mag: the field; in --unit or --scale-per.", type=float)
 @ask.option("--modulus-u", "Its standard uncertainty; default: scale factors are relative to it.", type=float)
 @ask.option("--rows-per-position", "Rows of one position after another.", 1, type=int)
-@ask.grade(None, "; default: guessed from biases and residuals")
+@ask.grade(None, "; default: any, as far as residuals allow")
 @ask.terms("full")
 @ask.frame([frame for frame in ask.FRAMES if frame != "case"])
 @ask.SERIAL

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from tumble.commands import ask, tell
 from tumble.errors import InputError
+
+if TYPE_CHECKING:
+    from tumble.drafting.draft import Draft
+    from tumble.drafting.new_session import Given
 
 
 @click.command(epilog=ask.examples("tumble new imu-7 LOG0007.TXT --latitude 56.84 --serial A-7"))
@@ -41,6 +46,8 @@ def new(folder: Path, more: tuple[Path, ...], log: tuple[Path, ...], **options: 
     told = {"the serial number": given.serial, "the place": given.latitude}
     missing = [what for what, value in told.items() if value is None]
     tell.say(f"written to {folder / 'session.toml'}" + (f"; fill in {' and '.join(missing)}" if missing else ""))
+    if draft.doubts:
+        tell.answer(f"doubt: {'; '.join(draft.doubts)}")
 
 
 @click.command(epilog=ask.examples("tumble inspect imu-7"))
@@ -56,7 +63,8 @@ def inspect(session: Path, picture: Path | None) -> None:
     if picture is not None:
         plot(observed, picture)
         tell.say(f"written to {picture}")
-    tell.show(observed, lambda: inspection_blocks(observed))
+    doubt = observed.session.log.doubt
+    tell.show(observed, lambda: [*inspection_blocks(observed), *[f"doubt: {doubt}"] * bool(doubt)])
     for fault in (*observed.faults, *observed.gyro_faults, *observed.gyro_bias_faults):
         tell.warn(f"fault: {fault}")
     sys.exit(1 if observed.faults else 0)
@@ -73,25 +81,21 @@ def inspect(session: Path, picture: Path | None) -> None:
 @click.option("--filters", is_flag=True, help="Values for Kalibr, VINS, robot_localization, ArduPilot and PX4, too.")
 @ask.option("--plot/picture", "Draw the Allan deviations into this .svg, .png or .pdf.", type=ask.FILE)
 @ask.LOG
-@ask.option("--accel-unit", "Of a LOG: unit of the accelerometers, as in session.toml.")
-@ask.option("--gyro-unit", "Of a LOG: unit of the gyros.")
 @ask.JSON
 def noise(
     recordings: tuple[Path, ...],
     filters: bool,
     picture: Path | None,
-    accel_unit: str | None,
-    gyro_unit: str | None,
     **options: Any,
 ) -> None:
     """Allan deviation: the noise of every sensor, from the longest rest of SESSION or from all of a LOG at rest.
 
-    LOG is a log in any dialect: its columns, units and times are found as `tumble new` finds them, where no option says
-    them. Several of one device, all sessions or all logs alike, are taken together.
+    LOG is a log in any dialect, of gyros alone too, or a folder of files: its columns, units and times are found as
+    `tumble new` finds them, where no option says them. Several of one device, all sessions or all logs alike, are
+    taken together.
     """
     from tempfile import TemporaryDirectory
 
-    from tumble.drafting.new_session import new_session
     from tumble.run.quiet_samples import is_session, noise_of
     from tumble.views.noise import noise_blocks, plot
 
@@ -99,20 +103,31 @@ def noise(
         found = noise_of(*recordings)
     else:
         with TemporaryDirectory() as folder:
-            given = ask.given_of(options)
-            draft, _ = new_session(Path(folder) / "session", recordings[0], given, progress=tell.with_progress)
-            if draft.rate_guessed:
-                raise InputError(
-                    f"{recordings[0]}: expected a time column (--time) or the rate (--sample-rate), found neither"
-                )
-            layout = dict(draft.content["log"])
-            for kind, unit in (("accel", accel_unit), ("gyro", gyro_unit)):
-                if unit is not None:
-                    layout[kind] = {"columns": layout.get(kind, {"columns": []})["columns"], "unit": unit}
-            found = noise_of(*recordings, layout=layout)
-        for sentence in draft.said:
-            tell.say(sentence)
+            drafts = _drafts(recordings, Path(folder), ask.given_of(options))
+            layout = {key: value for key, value in drafts[0].log.items() if key != "file"}
+            files = [file for draft in drafts for file in draft.files]
+            found = noise_of(*files, layout=layout)
     if picture is not None:
         plot(found.panels, picture)
         tell.say(f"written to {picture}")
     tell.show(found, lambda: noise_blocks(found, filters=filters))
+
+
+def _drafts(recordings: Sequence[Path], folder: Path, given: Given) -> list[Draft]:
+    """What logs are, of gyros alone too, with copies where need be in a folder: each a record of its own, or one where
+    some are of accelerometers and others of gyros."""
+    from tumble.drafting.new_session import drafted_log
+    from tumble.files import OutputFolder
+
+    def drafted(name: str, logs: Sequence[Path]) -> Draft:
+        draft, _ = drafted_log(OutputFolder(folder / name), logs, given, tell.with_progress, gyros_suffice=True)
+        if draft.rate_guessed:
+            raise InputError(f"{logs[0]}: expected a time column (--time) or the rate (--sample-rate), found neither")
+        return draft
+
+    drafts = [drafted(str(number), [recording]) for number, recording in enumerate(recordings)]
+    if len({frozenset(draft.triads) for draft in drafts}) > 1:
+        drafts = [drafted("together", recordings)]
+    for sentence in drafts[0].said:
+        tell.say(sentence)
+    return drafts

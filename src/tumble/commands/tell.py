@@ -53,6 +53,13 @@ def print_json(result: Any, indent: int | None = None) -> None:
     click.echo(json.dumps({"format": 1} | data_of(result), indent=indent, allow_nan=False))
 
 
+def answer(line: str) -> None:
+    """A line to standard output, as it can be shown."""
+    from tumble.documents import plain
+
+    click.echo(plain(line))
+
+
 def say(line: str) -> None:
     """A line to standard error, as it can be shown: what was written where, notes. Nothing where `tumble -q` asks for
     results alone."""

@@ -24,17 +24,18 @@ from tumble.diagnosis.linearised_session import (
     LinearisedSession,
     sized,
 )
-from tumble.diagnosis.projection import Projection, Remaining, projections
+from tumble.diagnosis.projection import FALSE_ALARMS, Projection, Remaining, projections
 from tumble.earth import earth_rate
 from tumble.inference.likelihood import Linearised
 from tumble.inference.linearisation import linearise
 from tumble.inference.noise_components import Components
 from tumble.inference.step import Step
 from tumble.inference.turns_about import TurnsAbout
+from tumble.rotation import skew
 from tumble.sensors.instrument import functions
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import PAIRS, PRODUCTS, RATE, positions_by_group
-from tumble.units import DEGREE, G_STANDARD, Array
+from tumble.units import DEGREE, G_STANDARD, Array, IntArray
 
 MEMORIES = (10.0, 60.0, 300.0)
 """Time constants of a memory that are tried, s."""
@@ -47,6 +48,12 @@ FEWEST_BESIDE = 2
 """Rests on either side of a jump: one alone with another bias is a rest that does not fit."""
 FREE = 0.01
 """Of the variance of a step of a process: the data say nothing of one of which they leave more than 1 − FREE."""
+ALIKE = 0.8
+"""Of the logarithm of the probability of the likeliest cause: one of as much may as well be it, for the noise by which
+they are compared is not known better."""
+SHIFTS = 7
+"""Places of a session at which gyros are tried that turn against the accelerometers: one that shifts between two of
+them is seen by either."""
 COARSE = 0.5
 """What rounding does to the mean of a rest, in parts of its noise, from which on it is a cause."""
 
@@ -62,6 +69,8 @@ class Cause:
     probability: float = 0.0
     by_group: Mapping[str, float] = field(default_factory=dict)
     sentence: str
+    rivals: tuple[str, ...] = ()
+    """Names of causes that the session does not tell from it."""
 
     @property
     def damage(self) -> float:
@@ -127,14 +136,37 @@ def tested(linearised: Linearised, candidates: Sequence[Candidate]) -> list[list
         tried[key] = tried.get(key, 0) + candidate.tried
     by_session = []
     for s, seen_by in enumerate(zip(alone, whole, strict=True)):
-        best = dict[tuple[str, Concerns], Cause]()
+        best, columns = dict[tuple[str, Concerns], Cause](), dict[tuple[str, Concerns], IntArray]()
         for candidate, end in zip(candidates, ends, strict=True):
-            key = candidate.name, candidate.concerns
-            cause = candidate.tested(s, slice(end - candidate.columns[0].shape[2], end), *seen_by, groups)
+            key, some = (candidate.name, candidate.concerns), slice(end - candidate.columns[0].shape[2], end)
+            cause = candidate.tested(s, some, *seen_by, groups)
             if cause is not None and (key not in best or cause.probability < best[key].probability):
-                best[key] = cause
-        by_session.append([replace(c, probability=min(1.0, tried[key] * c.probability)) for key, c in best.items()])
+                best[key], columns[key] = cause, np.arange(some.start, some.stop)
+        likely = [replace(c, probability=min(1.0, tried[key] * c.probability)) for key, c in best.items()]
+        by_session.append(_told_apart(likely, list(columns.values()), seen_by[1]))
     return by_session
+
+
+def _told_apart(causes: list[Cause], columns: list[IntArray], whole: Projection) -> list[Cause]:
+    """The causes beside the likeliest one, if that stands out: each is as likely as it is beside it, and those that
+    were nearly as likely and are nothing beside it are its rivals, which are said with it."""
+    if not causes or min(cause.probability for cause in causes) > FALSE_ALARMS:
+        return causes
+    first = min(range(len(causes)), key=lambda i: causes[i].probability)
+    best, alone, out = causes[first], whole.explained(columns[first]), list[Cause]()
+    assert alone is not None
+    for cause, own in zip(causes, columns, strict=True):
+        both = whole.explained(np.concatenate([columns[first], own]))
+        if cause is causes[first] or both is None:
+            continue
+        more = both.q - alone.q
+        chance = whole.chance(both.fall - alone.fall, more, (alone.fall, alone.q)) if more > 0 else 1.0
+        if cause.probability <= best.probability**ALIKE and chance > FALSE_ALARMS:
+            damages = {name: max(size, cause.by_group[name]) for name, size in best.by_group.items()}
+            sentence = f"{best.sentence}; or, which the session does not tell apart: {cause.sentence}"
+            best = replace(best, sentence=sentence, by_group=damages, rivals=(*best.rivals, cause.name))
+        out.append(replace(cause, probability=max(cause.probability, chance)))
+    return [best, *out]
 
 
 def candidates_of(session: LinearisedSession) -> Iterator[Candidate]:
@@ -167,6 +199,8 @@ def candidates_of(session: LinearisedSession) -> Iterator[Candidate]:
                 ),
             )
     yield from products(session)
+    if any(session.turned) and about is not None and gyro is not None:
+        yield from shifts(session, about, gyro)
     modelled = "gyro.cubic" in session.problem.instrument.members
     if any(session.turned) and about is not None and gyro is not None and not modelled:
         yield gyro_nonlinearity(session, about, gyro)
@@ -218,6 +252,38 @@ def jumps(session: LinearisedSession) -> Iterator[Candidate]:
             unit=UNITS[kind],
             sentences=tuple(sentences),
             tried=max(1, most - 2 * FEWEST_BESIDE + 1),
+        )
+
+
+def shifts(session: LinearisedSession, about: TurnsAbout, gyro: Block) -> Iterator[Candidate]:
+    """Gyros that turn against the accelerometers by a small angle δ between two rests, as on a board that is loose, at
+    SHIFTS places of each session: ∂K/∂δ of a gyro of the axis a is a × δ, in the rates of what comes after."""
+    rests, before_turn, n = session.observations.rests, session.problem.before_turn, session.accel.size
+    change = skew(gyro.axes)  # (n, 3, 3): a × e_j, by the components of the rate
+    whole_rest, whole_turn = session.nothing(3)
+    whole_rest[:, n : n + gyro.size] = np.einsum("nb,pbj->npj", session.rate, change)
+    by_phi, by_velocity = (
+        np.einsum("kipb,pbj->kij", by[..., RATE], change) for by in (about.by_phi, about.by_velocity)
+    )
+    whole_turn[:, :3] = by_phi
+    session.put_velocity(whole_turn, by_velocity)
+    for place in range(1, SHIFTS + 1):
+        at_rest, in_turn, sentences = np.zeros(len(rests)), np.zeros(len(before_turn)), list[str]()
+        for part in session.problem.parts:
+            last = part.rests.start + (part.rests.stop - part.rests.start) * place // (SHIFTS + 1)
+            at_rest[last + 1 : part.rests.stop] = 1.0
+            turns = np.arange(part.turns.start, part.turns.stop)
+            in_turn[turns] = 0.5 * (1.0 + np.sign(before_turn[turns] - last))
+            sentences.append(
+                f"the gyros turn against the accelerometers by {{size}} about {rests.stop[last]:z.0f} s, as on a board "
+                "that is loose: fasten it, and calibrate what is before and what is after as launches"
+            )
+        yield Candidate(
+            name="shift",
+            concerns="gyro",
+            columns=(whole_rest * at_rest[:, None, None], whole_turn * in_turn[:, None, None]),
+            unit=(DEGREE, "°"),
+            sentences=tuple(sentences),
         )
 
 

@@ -5,13 +5,14 @@ which unit, scale, offset or columns would make them.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 
 import numpy as np
 
 from tumble.recording.session import Channels, LogSpec, Session
 from tumble.reduction.blocks.reducer import ChannelState, Reduction
 from tumble.reduction.rests.segmentation import RestSpan
-from tumble.rotation import onto_body
+from tumble.rotation import onto_body, unit_vector
 from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, UNIT_TOLERANCE, Array, fitting_units, is_near_one
 
 REST_SHARE = 0.2
@@ -41,9 +42,10 @@ def mixed_rows(reduction: Reduction, log: LogSpec) -> list[str]:
     ]
 
 
-RADIAL = 0.25
-"""Of the noise across gravity: accelerometers whose magnitude is steadier in all attitudes and on the way have it from
-a driver. That of sensors has the same noise along gravity as across, and their errors beside."""
+RADIAL, CONSTANT, LENGTHENS = 0.25, 1e-3, 1e-5
+"""Accelerometers whose magnitude is constant to RADIAL of their noise across gravity and to CONSTANT of itself, in all
+attitudes and on the way, have it from a driver: sensors have the same noise along gravity as across, and their errors
+beside. A vibration v across gravity of raw ones lengthens them by v²/2g, which is told from LENGTHENS of g on."""
 LEAST_FORCE = 1e-9
 """m/s²: of a shorter vector no direction is known."""
 
@@ -56,14 +58,20 @@ def normalised(reduction: Reduction, rests: Sequence[RestSpan], to_body: Array) 
     length = np.linalg.norm(np.concatenate([each.accel.ends for each in reduction.files]) @ to_body.T, axis=1)
     magnitude, files = float(np.median(length)), {each.file: each for each in reduction.files}
     spread = float(np.sqrt(np.mean((length - magnitude) ** 2)))
-    squares = list[float]()
+    squares, lengthened = list[float](), list[float]()
     for rest in rests:
         samples = files[rest.file].accel.ends[rest.first : rest.last] @ to_body.T
         up = samples.mean(axis=0) / max(float(np.linalg.norm(samples.mean(axis=0))), LEAST_FORCE)
-        across = samples - np.outer(samples @ up, up)
-        squares.append(0.5 * float(across.var(axis=0).sum()))
-    noise = float(np.sqrt(np.median(squares)))
-    if spread >= RADIAL * noise:
+        off = samples - samples.mean(axis=0)
+        square = ((off - np.outer(off @ up, up)) ** 2).sum(axis=1)
+        squares.append(0.5 * float(square.mean()))
+        lengthened.append(0.5 * float(square.std()) / max(magnitude, LEAST_FORCE))
+    noise, longer = float(np.sqrt(np.median(squares))), float(np.median(lengthened))
+    limit = CONSTANT * magnitude
+    if longer > LENGTHENS * magnitude:
+        steps = [channel.step for channel in reduction.accel_channels if np.isfinite(channel.step)]
+        limit = min(limit, max([longer, *steps]))
+    if spread >= min(RADIAL * noise, limit):
         return []
     return [
         f"the magnitude of the accelerometers is {magnitude:.6g} m/s^2 at rest and on the way, constant to "
@@ -74,9 +82,9 @@ def normalised(reduction: Reduction, rests: Sequence[RestSpan], to_body: Array) 
 
 FEWEST_ZEROS, MORE_ZEROS = 5, 3.0
 """Zeros at rest, beyond this number and so many times the values at the most frequent other place, are no chance."""
-PLACES = 200.0
-"""Places between zero and the median of what is read otherwise: counts and pulses, whose intervals jitter, stay in
-one, and a smooth noise has a quarter of a percent in each."""
+PLACES, TIGHT, PULSES = 200.0, 20.0, 0.35
+"""Pulses whose intervals jitter stay in one of PLACES between zero and the median of what is read otherwise. They are
+such where so large a part of all is in one of TIGHT of these; of a smooth noise hardly two values are equal."""
 FINE = 3.0
 """Steps of a channel: where what is read otherwise is mostly nearer to zero, coarse resolution makes the zeros."""
 
@@ -99,14 +107,64 @@ def dead_zones(reduction: Reduction, rests: Sequence[RestSpan], channels: Channe
         usual, busiest = least, 0
         if len(others):
             usual = float(np.median(others))
-            busiest = int(np.unique(np.floor(PLACES * others / usual), return_counts=True)[1].max())
+            pulses = _most_alike(np.round(TIGHT * others / usual)) > PULSES * len(others)
+            busiest = _most_alike(np.floor(PLACES * others / usual) if pulses else others)
         if usual >= FINE * step and zeros > FEWEST_ZEROS + MORE_ZEROS * busiest:
             found.append(
-                f"column {column!r} reads exactly 0 in {100.0 * zeros / len(sizes):.0f} % of the samples at rest, and "
+                f"column {column!r} reads exactly 0 in {100.0 * zeros / len(sizes):.3g} % of the samples at rest, and "
                 f"never less than {least / DEGREE:.2g} °/s otherwise: a dead zone of the driver, in which biases and "
                 "slow rates are lost; switch it off"
             )
     return found
+
+
+def _most_alike(values: Array) -> int:
+    """How often the most frequent of values is there."""
+    return int(np.unique(values, return_counts=True)[1].max())
+
+
+FADES, RETURNS, TILTED = 0.5, 0.3, 0.5
+"""Part of the squares of what gyros read at rest that goes with the turns before; part of the angle that gyros read in
+a turn that is left in the end, where its vertical was turned by more than TILTED, rad."""
+FEWEST_TURNED = 5
+"""Turns, in which chance shows neither."""
+
+
+def high_passed(reduction: Reduction, rests: Sequence[RestSpan]) -> list[str]:
+    """Gyros behind a high-pass filter of time constant τ. After a turn by θ they read −θ/τ, which fades: what they read
+    at the start of a rest beyond what they read at its end goes against the turn before. Of a turn that lasts longer
+    than τ hardly anything is left in their integral, whatever the vertical was turned by."""
+    files, starts, turns, left = (
+        {each.file: each for each in reduction.files},
+        list[Array](),
+        list[Array](),
+        list[float](),
+    )
+    for before, rest in pairwise(rests):
+        f = files[rest.file]
+        if before.file != rest.file:
+            continue
+        half, between = max((rest.last - rest.first) // 2, 1), slice(before.last, rest.first)
+        later = f.gyro.means[rest.last - half : rest.last].mean(axis=0)
+        angles = np.diff(f.edges)[between, None] * (f.gyro.means[between] - later)
+        starts.append(f.gyro.means[rest.first : rest.first + half].mean(axis=0) - later)
+        turns.append(angles.sum(axis=0))
+        ends = (f.accel.means[span.first : span.last].mean(axis=0) for span in (before, rest))
+        if np.linalg.norm(np.subtract(*map(unit_vector, ends))) > TILTED and len(angles):
+            path = float(np.linalg.norm(angles, axis=1).sum())
+            left.append(float(np.linalg.norm(turns[-1])) / max(path, LEAST_FORCE))
+    r, θ = np.array(starts), np.array(turns)
+    along = float((r * θ).sum())
+    if len(r) >= FEWEST_TURNED and along < 0.0 and along**2 > FADES * float((r**2).sum() * (θ**2).sum()):
+        seen = "at rest the gyros read a rate against the turn before, which fades"
+    elif len(left) >= FEWEST_TURNED and np.median(left) < RETURNS:
+        seen = "in the integral of the gyros next to nothing is left of a turn once it is over"
+    else:
+        return []
+    return [
+        f"{seen}: a high-pass filter on the chip or in the driver, with which slow rates and biases are lost; "
+        "switch it off"
+    ]
 
 
 def channel_faults(reduction: Reduction, log: LogSpec) -> list[str]:
@@ -198,8 +256,11 @@ def accelerometer_faults(reduction: Reduction, session: Session) -> list[str]:
         meant = (logged - channels.offset[:n]) / channels.scale[:n] * channels.unit.factor
         meant = meant @ onto_body(channels.axes[:n]).T
         of_gyros = float(np.median(np.linalg.norm(meant, axis=1)))
-        in_a_unit = magnitude < 0.5 * g and fitting_units(of_gyros / of_g, rates)
-        if (is_near_one(of_gyros / g) and _like_gravity(meant)) or in_a_unit:
+        like = _like_gravity(meant)
+        in_a_unit = magnitude < 0.5 * g and bool(fitting_units(of_gyros / of_g, rates))
+        if fitting_units(magnitude / of_g, rates):  # as a bias of gyros may: what has many directions is gravity
+            in_a_unit = in_a_unit and like and not _like_gravity(force)
+        if (is_near_one(of_gyros / g) and like) or in_a_unit:
             return [
                 f"accelerometer and gyro columns are exchanged: the accelerometers read {magnitude:.3g} m/s^2 and the "
                 f"gyro columns have the magnitude of gravity; exchange [log.accel] columns and [log.gyro] columns"

@@ -1,19 +1,23 @@
-"""The linear model where the instrument has more: whether the session shows it, and by how much it moves the result.
+"""What a method of the linear model takes as nothing, and what it has of it in its u; and whether the session shows it.
 
-The methods beside `joint` have bias, scale factor and axis angles alone, and take what else there is for one of these:
-a quadratic term of the accelerometers for a bias and scale factors. Two things are asked of such an estimate.
+The methods beside `joint`, and `joint` with linear terms, have bias, scale factor and axis angles alone, and take what
+else there is for one of these: a quadratic term of the accelerometers for a bias and scale factors. Groups of usual
+size σ, beyond bias, scale factor and axis angles, add B φ to what is observed: to readings at rest β ∂K/∂θ φ, to
+rotations of turns −∂φ/∂θ φ. With the derivative G of the result by what is observed, the parameters move by
 
-Its residuals are judged about the estimate that `joint` makes of the same model (`judged`), for the turns show most of
-what rests alone can be fitted to. And what they do not show is counted: in u by the method ellipsoid, which has no
-turns, in a note by the others. Groups of usual size σ, beyond bias, scale factor and axis angles, add B φ to the
-readings at rest, B along what no turn of the vertical reaches. A fit of the linear columns A, with the weights it has,
-takes A⁺ B φ for parameters:
+    ΔX = G B φ,   cov(ΔX) = G B Σ (G B)ᵀ,   cov(ΔX, −φ) = −G B Σ,   Σ = diag(σ²)
 
-    ΔX = A⁺ B φ,   cov(ΔX) = A⁺ B Σ (A⁺ B)ᵀ,   cov(ΔX, −φ) = −A⁺ B Σ,   Σ = diag(σ²)
+which is in u, of all of these methods. The groups stay at nothing, so that −φ is their error. With it the corrected
+force in the attitudes of the rests is as well known as the fit has it, and in others as badly as the groups allow.
+Where the session shows that σ is too small, it is what `joint` widens the prior of a group to
+(`GroupFinding.prior_widened`).
 
-The groups stay at nothing, so that −φ is their error. With it the corrected force in the attitudes of the rests is as
-well known as the fit has it, and in others as badly as the groups allow. Where the rests show that σ is too small, it
-is what `joint` widens the prior of a group to (`GroupFinding.prior_widened`).
+G is of the methods of the paper the derivative of their passes; of `ellipsoid` A⁺, A being the linear columns with the
+weights that the fit has and B what no turn of the vertical reaches; and of `joint` with linear terms N⁻¹ Aᵀ of its
+normal equations, which gives N_AA⁻¹ N_AB with those of the whole instrument.
+
+Residuals are judged about the estimate that `joint` makes with all groups (`by_joint`): what these explain is in u, and
+the turns show most of what rests alone can be fitted to.
 
 This is docs/explanation/mathematics.md (36) with usual sizes; the columns are those of Eq. (12) of the turntable paper,
 for any number of sensors.
@@ -21,52 +25,31 @@ for any number of sensors.
 
 from __future__ import annotations
 
-from collections.abc import Container
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
-from tumble.diagnosis.lost_samples import lost_by_velocities
-from tumble.diagnosis.misfit import DAMAGE, damaging
 from tumble.diagnosis.undetermined import linear_names
+from tumble.inference.elimination import fold
 from tumble.inference.estimate import Estimate, GroupFinding
 from tumble.inference.joint import joint
 from tumble.inference.likelihood import Problem, instruments_of
+from tumble.inference.linearisation import linearise
 from tumble.inference.prediction import prediction
 from tumble.inference.sources import source
+from tumble.inference.start import start_of
+from tumble.inference.step import mean_along, tell
+from tumble.inference.turns_about import TurnsAbout
 from tumble.reduction.observations import Observations
 from tumble.rotation import unit_vector
 from tumble.sensors.instrument import Instrument, functions
 from tumble.sensors.model import beyond_turning
-from tumble.sensors.parameters import FORCE, positions_by_group, shown_in, units_of
-from tumble.units import Array, two_digits
+from tumble.sensors.parameters import FORCE
+from tumble.units import Array
 
 _NOTHING = 1e-9
 """Of the largest singular value: what rests do not determine is moved by nothing that they show."""
-_AT_REST = {
-    "accel.quadratic": "quadratic terms",
-    "accel.cubic": "cubic terms",
-    "accel.asymmetry": "asymmetry",
-}
-"""Groups that change readings of the accelerometers at rest."""
-_WORDS = {"accel.bias": "biases", "accel.scale": "scale factors", "accel.axis": "axis angles"}
-
-
-def judged(estimate: Estimate, observations: Observations, whole: Observations) -> Estimate:
-    """An estimate of the linear model with a likelihood by which its residuals are judged, and with what the velocities
-    of turns say of lost samples; `whole` are the observations that know the usual sizes of all groups."""
-    if estimate.linearised is None and not estimate.unobservable and estimate.converged:
-        beside = by_joint(observations if estimate.gyro is not None else observations.of_accelerometers())
-        if beside is not None:
-            estimate = replace(estimate, linearised=beside.linearised)
-    if estimate.linearised is None or not whole.unstamped or estimate.gyro is None:
-        return estimate
-    lost = lost_by_velocities(estimate.linearised, whole)
-    if lost is None:
-        return estimate
-    if lost.damage > DAMAGE:
-        return replace(estimate, reasons=(*estimate.reasons, damaging(lost)[1]))
-    return replace(estimate, remarks=(*estimate.remarks, f"probable cause: {lost.sentence}"))
 
 
 def by_joint(observations: Observations) -> Estimate | None:
@@ -78,55 +61,26 @@ def by_joint(observations: Observations) -> Estimate | None:
     return found if found.converged and not linear_names(found.unobservable) else None
 
 
-def left_out(estimate: Estimate, observations: Observations, whole: Observations) -> tuple[str, ...]:
-    """What an estimate of the linear model leaves out, and by how much more than u that moves it, as a note."""
-    block = observations.accel_block
-    names = {name for name in whole.usual if name in _AT_REST}
-    if not names or not set(block.names) <= set(estimate.names) or estimate.unobservable:
-        return ()
-    moved, u = moved_by(names, whole), estimate.u[: len(block.names)]
-    sizes = []
-    for name, at in positions_by_group(block.names).items():
-        by, known = float(np.sqrt((moved[at] ** 2).mean())), float(np.sqrt((u[at] ** 2).mean()))
-        if by > known:
-            size, unit = shown_in(name, units_of(block.names)[at[0]], by)
-            sizes.append(f"{_WORDS[name]} by {two_digits(by / size)} {unit}")
-    if not sizes:
-        return ()
-    return (
-        f"not in the model: {', '.join(_AT_REST[name] for name in _AT_REST if name in names)} of the accelerometers; "
-        f"where they are of the size usual in instruments of the grade, they move {', '.join(sizes)} (rms), which u "
-        "does not contain; the method joint with all its terms does",
-    )
-
-
-def taken_as_nothing(estimate: Estimate) -> tuple[str, ...]:
-    """That groups are nothing by the method and in its u by their size, where an estimate has such, as a note."""
-    if not estimate.groups:
-        return ()
-    return (
-        f"the method {estimate.method} takes all of it as nothing and has its size in u; the method joint finds what "
-        "the session shows of it, and --terms linear leaves it out",
-    )
-
-
-def moved_by(names: set[str], observations: Observations) -> Array:
-    """Standard deviations (m,) by which groups of their usual sizes move bias, scale factors and axis angles of the
-    accelerometers in a fit to the rests that does not have them."""
-    return np.asarray(np.linalg.norm(left_out_of(observations, names=names).moved, axis=1))
-
-
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class LeftOut:
     """The `instrument` with the groups that are left out, the `usual` standard deviations (k,) of these, how many times
-    too small they are (k,), by how much one of each `moves` the parameters (m, k) of the linear model, and what it
-    `leaves` (r, k) in the rows that these are fitted to, in units of their standard deviations."""
+    too small they are (k,), and by how much one of each `moves` the parameters (m, k) of the linear model."""
 
     instrument: Instrument
     usual: Array
     too_small: Array
     moves: Array
-    leaves: Array
+
+    @staticmethod
+    def of(problem: Problem, moves: Array, beside: Estimate | None) -> LeftOut:
+        """What a problem has beyond the linear model, its sizes widened as those of the estimate `beside`."""
+        instrument, first = problem.instrument, problem.instrument.linear_count
+        too_small = np.ones(len(instrument.names))
+        for group in () if beside is None else beside.groups:
+            if group.name in instrument.members:
+                too_small[instrument.members[group.name]] = group.prior_widened
+        usual = problem.measured[1][1 + first :]
+        return LeftOut(instrument=instrument, usual=usual, too_small=too_small[first:], moves=moves)
 
     @property
     def sizes(self) -> Array:
@@ -139,20 +93,25 @@ class LeftOut:
         return self.moves * self.sizes
 
 
-def left_out_of(
-    observations: Observations, sigma: Array | None = None, names: Container[str] | None = None,
-    beside: Estimate | None = None,
-) -> LeftOut:  # fmt: skip
-    """The groups of the accelerometers of which the observations know a usual size, those of `names` alone where there
-    are any, and what they do in a fit to rests with standard deviations `sigma` (N,), equal ones where None. Their
-    sizes are widened as those of the estimate `beside`."""
+def whole_problem(observations: Observations) -> Problem:
+    """The likelihood of the instrument with all groups whose usual size the observations know, without those that a
+    method of the linear model does not see: lever arms and delays, which act on velocities, and the lag."""
+    whole = instruments_of(observations)[0]
+    further = tuple(group for group in whole.further if group.variable != "lag" and group.motion is None)
+    return Problem.of(observations, instrument=replace(whole, further=further), usual=observations.usual)
+
+
+def left_out_by_rests(
+    observations: Observations, linear: Array, sigma: Array | None = None, beside: Estimate | None = None
+) -> tuple[LeftOut, Array]:
+    """What a fit of the accelerometers to rests leaves out that has the parameters `linear` (m,), and what one of each
+    group leaves in its rows (r, k), in units of the standard deviations `sigma` (N,) of the rests, equal ones where
+    None. Powers are of the forces that the fit makes of the readings, which may have a zero of many g."""
     seen = observations.of_accelerometers()
-    usual = {name: size for name, size in seen.usual.items() if names is None or name in names}
-    whole = instruments_of(replace(seen, usual=usual))[0]
-    instrument = replace(whole, further=tuple(group for group in whole.further if group.variable != "lag"))
-    problem = Problem.of(seen, instrument=instrument, usual=usual)
-    block, g, values = seen.accel_block, seen.site.gravity, np.zeros(len(instrument.names))
-    force = g * unit_vector(block.nominal().apply(seen.rests.accel))
+    problem = whole_problem(seen)
+    instrument, block, g = problem.instrument, seen.accel_block, seen.site.gravity
+    values = np.append(linear, np.zeros(len(instrument.names) - len(linear)))
+    force = g * unit_vector(block.model(linear).apply(seen.rests.accel))
     beta, D = functions(block, force, np.zeros_like(force)), instrument.derivative(block, values)
     changes = np.einsum("ipb,pbm->ipm", beta, D)
     changing, base = problem.changed
@@ -163,30 +122,60 @@ def left_out_of(
         rows = rows / np.repeat(sigma, block.size - 2)[:, None]
     A, B = np.split(rows, [instrument.linear_count], axis=1)
     moves = np.linalg.pinv(A, rcond=_NOTHING) @ B
-    too_small = np.ones(B.shape[1])
-    for group in () if beside is None else beside.groups:
-        if group.name in instrument.members:
-            members = instrument.members[group.name]
-            too_small[members.start - A.shape[1] : members.stop - A.shape[1]] = group.prior_widened
-    return LeftOut(
-        instrument=instrument,
-        usual=problem.measured[1][1 + A.shape[1] :],
-        too_small=too_small,
-        moves=moves,
-        leaves=B - A @ moves,
-    )
+    return LeftOut.of(problem, moves, beside), B - A @ moves
+
+
+def left_out_by_passes(observations: Observations, derivative: Array, beside: Estimate | None) -> LeftOut:
+    """What a method leaves out whose result has the `derivative` (m, 6N + 3K + 1) by the readings of accelerometers,
+    then gyros, at rest, by the errors of the turns, all in body axes, and by gravity; without gyros (m, 3N + 1)."""
+    problem = whole_problem(observations)
+    rows, first, shown = start_of(problem)[0].rows, problem.instrument.linear_count, list[Array]()
+    for k, block in enumerate(problem.instrument.blocks):
+        of_rests = rows.rest[:, 3 * k : 3 * k + 3, 4 + first : -1]
+        shown.append(block.axes.T @ of_rests)
+    shown.append(rows.turn[:, :3, 7 + first : -1])
+    every = np.concatenate([each.reshape(-1, each.shape[2]) for each in shown])
+    return LeftOut.of(problem, derivative[:, :-1] @ every, beside)
+
+
+def with_left_out_by_joint(estimate: Estimate, observations: Observations) -> Estimate:
+    """An estimate by `joint` of the linear model with what it leaves out, by its likelihood, judged by that of all
+    groups where there is one."""
+    linear, problem = estimate.linearised, whole_problem(observations)
+    if linear is None:
+        return estimate
+    instrument, last = problem.instrument, 1 + problem.instrument.linear_count
+    values = np.append(linear.point.values, np.zeros(len(instrument.names) + 1 - last))
+    point = replace(linear.point, values=values)
+    about = None if linear.about is None else TurnsAbout.of(observations, instrument, values)
+    rows = linearise(problem, point, about)
+    told = tell(problem, rows, linear.noise.weights(linear.components))
+    triangle = np.zeros_like(rows.prior)
+    triangle[:last, :last] = rows.prior[:last, :last]
+    fold(told.sessions[0], triangle, triangular=True)
+    exact = int(triangle[0, 0] == 0.0)  # gravity
+    moves = np.zeros((last, len(values) + 1 - last))
+    moves[exact:] = scipy.linalg.solve_triangular(triangle[exact:last, exact:last], triangle[exact:last, last:-1])
+    if told.process is not None:  # biases are means over the session
+        both = np.vstack([moves, -np.eye(moves.shape[1])])
+        moves[1 + problem.biases] += mean_along(told)[0][:, :-1] @ both
+    beside = by_joint(observations)
+    if beside is not None and estimate.converged:
+        estimate = replace(estimate, linearised=beside.linearised, hyperparameters=beside.hyperparameters)
+    return with_left_out(estimate, LeftOut.of(problem, moves[1:], beside), observations.site.gravity)
 
 
 def with_left_out(estimate: Estimate, found: LeftOut, gravity: float) -> Estimate:
-    """An estimate of the accelerometers, with degrees of freedom, with the groups it leaves out, which are nothing
-    within their sizes, and their part in its covariance."""
+    """An estimate with the groups it leaves out, which are nothing within their sizes, and their part in its
+    covariance."""
     instrument, moved, sizes, first = found.instrument, found.moved, found.sizes, found.instrument.linear_count
     k, crossed = len(sizes), -moved * sizes
     linear = estimate.covariance + moved @ moved.T
     covariance = np.block([[linear, crossed], [crossed.T, np.diag(sizes**2)]])
     values = np.append(estimate.values, np.zeros(k))
-    assert estimate.degrees is not None
-    degrees = estimate.degrees * (np.diag(linear) / np.diag(estimate.covariance)) ** 2
+    degrees = estimate.degrees
+    if degrees is not None:
+        degrees = np.append(degrees * (np.diag(linear) / np.diag(estimate.covariance)) ** 2, np.full(k, np.inf))
     groups = (
         GroupFinding(
             name=name,
@@ -206,6 +195,7 @@ def with_left_out(estimate: Estimate, found: LeftOut, gravity: float) -> Estimat
             by = np.vstack([-moved, np.diag(sizes)])[:, own]
             size, unit = float(sizes[own.start]), instrument.units[members.start]
             budget = budget.beside(source(f"prior.{name}", size, unit), by @ by.T)
+    rate = None if estimate.prediction is None else estimate.prediction.at_rate
     return replace(
         estimate,
         budget=budget,
@@ -218,6 +208,40 @@ def with_left_out(estimate: Estimate, found: LeftOut, gravity: float) -> Estimat
         increments=tuple(np.append(step, np.zeros(k)) for step in estimate.increments),
         instrument=instrument,
         groups=tuple(groups),
-        degrees=np.append(degrees, np.full(k, np.inf)),
-        prediction=prediction(instrument, values, covariance, gravity=gravity, rate=None),
+        degrees=degrees,
+        prediction=prediction(instrument, values, covariance, gravity=gravity, rate=rate),
+    )
+
+
+def linear_part(estimate: Estimate) -> Estimate:
+    """The bias, scale factor and axis angles of an estimate that takes other groups as nothing, whose part stays in
+    their covariance."""
+    instrument = estimate.instrument
+    if instrument is None:
+        return estimate
+    m = instrument.linear_count
+    return replace(
+        estimate,
+        names=estimate.names[:m],
+        units=estimate.units[:m],
+        values=estimate.values[:m],
+        covariance=estimate.covariance[:m, :m],
+        observable=estimate.observable[:m],
+        null=estimate.null[:, :m],
+        increments=tuple(step[:m] for step in estimate.increments),
+        instrument=replace(instrument, further=()),
+        groups=(),
+        degrees=None if estimate.degrees is None else estimate.degrees[:m],
+        budget=None if estimate.budget is None else estimate.budget.carried(np.eye(m, len(estimate.names))),
+    )
+
+
+def taken_as_nothing(estimate: Estimate) -> tuple[str, ...]:
+    """That groups are nothing in an estimate of the linear model and in its u by their size, as a note."""
+    if not estimate.groups:
+        return ()
+    method = f"method {estimate.method}" + (" with linear terms" if estimate.method == "joint" else "")
+    return (
+        f"the {method} takes what is not bias, scale or axis angle as nothing and has its usual size in u; the method "
+        "joint with all terms finds what the session shows of it",
     )

@@ -15,14 +15,15 @@ linear model.
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 
-from tumble.diagnosis.causes import Candidate, Cause, tested
+from tumble.diagnosis.causes import Candidate, Cause
 from tumble.diagnosis.linearised_session import SHORTEST_TURN, LinearisedSession
-from tumble.diagnosis.projection import UNSEEN, Remaining, SumOfSquares, standing_out
-from tumble.inference.joint import joint
-from tumble.inference.likelihood import Linearised, Point, Problem, instruments_of
-from tumble.inference.linearisation import linearised
+from tumble.diagnosis.projection import UNSEEN, Remaining, SumOfSquares
+from tumble.inference.likelihood import Linearised
 from tumble.inference.noise_components import SCATTER, Components
 from tumble.inference.turns_about import TurnsAbout
 from tumble.recording.rows.gaps import REGULAR_HINT
@@ -34,8 +35,12 @@ from tumble.units import DEGREE, Array
 OF_TURNS = ("gyro.scale", "gyro.axis")
 """Groups of parameters that turns tell."""
 FEWEST_HELD = 3
+LEAST = 1e-12
+"""Of a mean square of residuals in units of their noise: less is none."""
 ROUNDS = 4
 """Of the scatter of turns that are to blame for all."""
+CLEARLY = 3.0
+"""Standard deviations of a covariance that is there."""
 JITTERING = 3e-3
 """Of an interval: time stamps that jitter by less are right, as far as any turn shows."""
 
@@ -48,16 +53,21 @@ def stamps_remedy(jitter: str) -> str:
 def jittering(observations: Observations) -> str:
     """What to try where time stamps jitter about even rows, for the turns err then as much as if the rows did.
 
-    Intervals that such stamps make have the covariance −σ² from one to the next; lost samples or a rate that changes
-    have not."""
+    Times between such stamps have the covariance −σ² from one to the next, over one interval or over several where the
+    stamps are of bursts; lost samples or a rate that changes have not."""
     samples = observations.turn_samples
     if samples is None or not len(samples.start):
         return ""
     every = [samples.samples.read(a, b)[2] for a, b in zip(samples.start.tolist(), samples.stop.tolist(), strict=True)]
     interval = float(np.median(np.concatenate(every)))
     off = [np.where(np.abs(dt - interval) < 0.5 * interval, dt - interval, 0.0) for dt in every]
-    covariance = sum(float(e[1:] @ e[:-1]) for e in off) / max(1, sum(len(e) - 1 for e in off))
-    jitter = float(np.sqrt(max(0.0, -covariance)))
+    jitter = 0.0
+    for count in 2 ** np.arange(7):
+        sums = [each[: len(each) // count * count].reshape(-1, count).sum(axis=1) for each in off]
+        products = np.concatenate([[0.0], *(each[1:] * each[:-1] for each in sums)])
+        if -products.sum() > CLEARLY * np.sqrt((products**2).sum()):
+            jitter = float(np.sqrt(-products.sum() / (len(products) - 1)))
+            break
     return (
         f"; or the time stamps jitter by {1e3 * jitter:.2g} ms: {REGULAR_HINT}" if jitter > JITTERING * interval else ""
     )
@@ -144,21 +154,24 @@ def samples_held(observations: Observations) -> Cause | None:
     )
 
 
-def turns_to_blame(linearised: Linearised, alone: Remaining) -> Remaining:
-    """What is left of residuals where turns alone scatter, by as much as residuals do: lost samples make rotations err,
-    and an estimate may have taken that for rests that scatter. What jerky turns err by, which goes with the axis too,
-    is told by their samples."""
+def turns_to_blame(linearised: Linearised) -> Remaining:
+    """What is left of residuals where rotations and velocities of turns alone scatter, each by as much as its residuals
+    do, and groups of parameters are of their usual sizes: lost samples make rotations err, and an estimate may have
+    taken that for rests that scatter, or for groups; accelerometers that are late err in velocities, and the rotations
+    must not be blamed for it. What jerky turns err by, which goes with the axis too, is told by their samples."""
     Z, of = linearised.noise.turn_directions
-    along, variance = Z[:, :, of == SCATTER.index("turn")], 0.0
-    aliased = linearised.components.aliased
-    remaining = Remaining.of(linearised, Components(aliased=aliased)) if aliased > 0.0 else alone
+    names = ("turn", "velocity") if linearised.problem.instrument.in_velocities else ("turn",)
+    along = {name: Z[:, :, of == SCATTER.index(name)] for name in names}
+    components = Components(aliased=linearised.components.aliased)
+    remaining = Remaining.of(linearised, components, usual=True)
     for step in range(ROUNDS):
-        square = SumOfSquares.along(remaining.step.told.weights.turn @ along, *remaining.left.turn)
-        if step == 0:
-            variance = square.excess
-        elif square.mean > 0.0:
-            variance *= square.square / square.mean
-        remaining = Remaining.of(linearised, Components(turn=float(np.sqrt(variance)), aliased=aliased))
+        W, scatter = remaining.step.told.weights.turn, dict[str, Any]()
+        for name in names:
+            square, before = SumOfSquares.along(W @ along[name], *remaining.left.turn), getattr(components, name)
+            variance = square.excess if step == 0 else before**2 * square.square / max(square.mean, LEAST)
+            scatter[name] = float(np.sqrt(variance))
+        components = replace(components, **scatter)
+        remaining = Remaining.of(linearised, components, usual=True)
     return remaining
 
 
@@ -186,31 +199,3 @@ def lost_in_all_turns(session: LinearisedSession, s: int, blamed: Remaining) -> 
         sentence="turns that err about their own axis, with their angle: samples are missing or held in the log; "
         + stamps_remedy(jitter),
     )
-
-
-def lost_by_velocities(linear: Linearised, observations: Observations) -> Cause | None:
-    """The turn that lacks samples, where an estimate of all groups of parameters shows it: the velocities of turns,
-    which the linear model does without, tell more of it than their rotations. That estimate is made where the noise
-    alone does not explain the velocities about the linear one, one step from its solution and without scatter."""
-    instrument, own = instruments_of(observations)
-    problem = Problem.of(observations, instrument=instrument, own=own, usual=observations.usual)
-    values, first = problem.measured[0][1:].copy(), instrument.linear_count
-    values[:first] = linear.point.values[:first]
-    point = Point(
-        values=values,
-        gravity=linear.point.gravity,
-        attitudes=linear.point.attitudes,
-        own=np.zeros((len(problem.parts), len(problem.own_known))),
-    )
-    about = None if linear.about is None else TurnsAbout.of(observations, instrument, values)
-    if _standing_loss(linearised(problem, point, about)) is None:
-        return None
-    whole = joint(observations).linearised
-    return None if whole is None else _standing_loss(whole)
-
-
-def _standing_loss(linearised: Linearised) -> Cause | None:
-    """The turn that lacks samples most likely, where it stands out."""
-    losses = of_turns(LinearisedSession(linearised), Remaining.of(linearised, linearised.components))
-    causes = [cause for of_session in tested(linearised, losses) for cause in of_session] if losses else []
-    return next((cause for cause in causes if cause.probability <= standing_out([cause.probability])), None)

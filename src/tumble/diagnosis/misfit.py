@@ -31,7 +31,8 @@ from tumble.inference.estimate import Estimate, HyperparameterEstimate
 from tumble.inference.likelihood import Linearised, SessionSpan
 from tumble.inference.noise_components import REST_MODES, SCATTER, Components
 from tumble.reduction.observations import Observations
-from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD
+from tumble.sensors.parameters import group_of, shown_in
+from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, two_digits
 
 NAMED_PROBABILITY, LOST_PROBABILITY = 0.02, 0.05
 """A cause is named for scatter that is there where chance alone would show as much less often, and samples are taken
@@ -47,6 +48,9 @@ NOTHING = {"accel": 5e-6 * G_STANDARD, "gyro": 0.02 * DEGREE_PER_HOUR, "turn": 2
 BEYOND_USUAL = 3.0
 """Times what is usual of the grade: an in-run bias or a drift that is larger for certain, by the lower limit of its
 middle 68 %, is said; and so is the in-run bias of a sensor, beside those of its kind."""
+LARGER, WIDENED = 5.0, 10.0
+"""Times its usual size: a group of parameters that is larger for certain, by the lower limit of its middle 68 %, is
+said, and one whose prior is widened by more at the maximum."""
 TURNS_MORE = 10.0
 """Times: turns that scatter by more than gyros at rest, in parts of their noise, do so for a cause of their own."""
 DAMAGE, SPARED = 3.0, 0.5
@@ -137,9 +141,10 @@ def misfit(estimate: Estimate) -> Misfit | None:
     alone, whole = Remaining.of(linearised, Components()), Remaining.of(linearised, linearised.components)
     session, together = LinearisedSession(linearised), linearised.problem.observations.together
     chances = [{group: group.chance(linearised, alone, part) for group in GROUPS} for part in linearised.problem.parts]
-    causes = _causes(session, alone, whole)
+    causes = _causes(session, whole)
     limit = standing_out([p for by in chances for p in by.values()] + [c.probability for by in causes for c in by])
     wandering = list(_wandering(estimate, linearised))
+    unusual = list(_groups_beyond_usual(estimate))
     usual = {h.name.removesuffix("_in_run"): h.usual for h in estimate.hyperparameters}
     known = {group.partition(".")[0] for (group,), cause, _ in wandering if cause != "scale-factor drift"}
     every = [
@@ -149,12 +154,13 @@ def misfit(estimate: Estimate) -> Misfit | None:
     if together is not None:
         named = zip(together.names, every, strict=True)
         every = [found.each(f"{name}: ") for name, found in named if found.reasons or found.remarks]
-    remarks: list[Said] = [(concerns, remark) for concerns, _, remark in wandering]
+    remarks: list[Said] = [(concerns, remark) for concerns, _, remark in (*unusual, *wandering)]
     remarks += (said for found in every[:MOST_SESSIONS] for said in found.remarks)
     if len(every) > MOST_SESSIONS:
         more = len(every) - MOST_SESSIONS
         remarks.append(((), f"{more} more sessions scatter: calibrate them one by one to see by what"))
-    behind = [*(cause for found in every for cause in found.causes), *(cause for _, cause, _ in wandering)]
+    behind = [cause for found in every for cause in found.causes]
+    behind += [*(name for _, names, _ in unusual for name in names), *(cause for _, cause, _ in wandering)]
     joined = Misfit(
         reasons=tuple(said for found in every for said in found.reasons),
         remarks=tuple(remarks),
@@ -163,17 +169,17 @@ def misfit(estimate: Estimate) -> Misfit | None:
     return joined if estimate.method == "joint" else joined.each("by the method joint, ", (AT_RANDOM, CONTAINED))
 
 
-def _causes(session: LinearisedSession, alone: Remaining, whole: Remaining) -> list[list[Cause]]:
+def _causes(session: LinearisedSession, whole: Remaining) -> list[list[Cause]]:
     """Of each session all causes, the most significant first, one of a name and kind of sensor, by what is left of the
     residuals with the noise alone and with the components of variance of the estimate."""
     by_probability = attrgetter("probability")
     by_session = tested(session.linearised, [*candidates_of(session), *of_turns(session, whole)])
-    blamed = turns_to_blame(session.linearised, alone) if any(session.turned) else whole
+    blamed = turns_to_blame(session.linearised) if any(session.turned) else whole
     for s, causes in enumerate(by_session):
         causes += quantisation(session, s)
         lost = [cause for cause in causes if cause.name == "lost samples"]
         held = samples_held(session.observed[s])
-        if held is None and session.turned[s]:
+        if held is None and session.turned[s] and blamed.step.told.weights.components.turn > NOTHING["turn"]:
             lost.append(lost_in_all_turns(session, s, blamed))
         likely = held or min(lost, key=by_probability, default=None)
         causes[:] = [cause for cause in causes if cause not in lost] + ([likely] if likely is not None else [])
@@ -206,7 +212,8 @@ def _of_session(
     if larger:  # others that may be behind a scatter that is there
         concerned = {"both", *(group.concerns for group in larger)}
         likely = [cause for cause in causes if cause not in named and cause.concerns in concerned]
-        if ratios.get("turn", 0.0) > TURNS_MORE * ratios.get("gyro", 0.0):
+        explained = any(cause.concerns != "accel" for cause in named)
+        if ratios.get("turn", 0.0) > TURNS_MORE * ratios.get("gyro", 0.0) and not explained:
             # what makes turns scatter, and gyros at rest much less, is random itself: nothing systematic need fit it
             sentence = "a device that moved after it was put down, or before it was taken up: wait until it lies still"
             named.append(Cause(name="movement", concerns="gyro", probability=1.0, sentence=sentence))
@@ -227,7 +234,7 @@ def _of_session(
     return Misfit(
         reasons=tuple(reasons),
         remarks=tuple(remarks),
-        causes=tuple(cause.name for cause in named),
+        causes=tuple(name for cause in named for name in (cause.name, *cause.rivals)),
     )
 
 
@@ -264,6 +271,28 @@ def _larger(group: Group, ratio: float, linearised: Linearised) -> str:
     return f"{said}{AT_RANDOM}"
 
 
+def _groups_beyond_usual(estimate: Estimate) -> Iterator[tuple[tuple[str], tuple[str, ...], str]]:
+    """Groups of parameters beyond the linear model that are far larger than usual, but for drifts: the kind of sensors
+    that has them, their names, and a remark."""
+    sizes = {h.name: h for h in estimate.hyperparameters}
+    by_kind = dict[str, dict[str, str]]()
+    for finding in estimate.groups:
+        group, size = group_of(finding.name), sizes.get(finding.name)
+        if size is None or group.variable == "time":
+            continue
+        if size.low > LARGER or finding.prior_widened > WIDENED:
+            unit, name = shown_in(group.name, group.unit, finding.prior)
+            times, usual = max(size.value, finding.prior_widened), two_digits(finding.prior / unit)
+            said = f"{group.words} (about {times:.2g} times the usual {usual} {name})".replace(" °", "°")
+            by_kind.setdefault(group.kind, {})[group.name] = said
+    for kind, groups in by_kind.items():
+        remark = (
+            f"larger than usual: {', '.join(groups.values())}{CONTAINED}; state sizes in [device.prior], or "
+            "another grade, where the device is so, and look for disturbances of the log where it is not"
+        )
+        yield (kind,), tuple(groups), remark
+
+
 def _wandering(estimate: Estimate, linearised: Linearised) -> Iterator[tuple[tuple[str], str, str]]:
     """What changes within the session far beyond what is usual, by the sizes that were estimated: drifts of biases and
     of scale factors, in-run biases of kinds of sensors, and of single ones. The group that each concerns, the name of
@@ -279,7 +308,7 @@ def _wandering(estimate: Estimate, linearised: Linearised) -> Iterator[tuple[tup
             name = f"{kind}.{what}.drift"
             drifts[what] = name in by_name and _beyond(by_name[name])
             if drifts[what]:
-                changed = sized(longest * _slope(name, linearised), unit)
+                changed = sized(longest * _slope(name, estimate, linearised), unit)
                 yield (
                     (f"{kind}.{what}",),
                     cause,
@@ -312,11 +341,10 @@ def _beyond(size: HyperparameterEstimate) -> bool:
     return size.low > BEYOND_USUAL * size.usual
 
 
-def _slope(name: str, linearised: Linearised) -> float:
+def _slope(name: str, estimate: Estimate, linearised: Linearised) -> float:
     """The largest change a second of a group of drifts, of the instrument or of the sessions."""
-    problem, point = linearised.problem, linearised.point
+    problem = linearised.problem
     if name in problem.instrument.members:
-        return float(np.abs(point.values[problem.instrument.members[name]]).max())
-    assert problem.own is not None
-    members, first = problem.own.members[name], problem.own.linear_count
-    return float(np.abs(point.own[:, members.start - first : members.stop - first]).max())
+        return float(np.abs(estimate.values[problem.instrument.members[name]]).max())
+    assert estimate.own is not None
+    return float(np.abs(estimate.own.values[:, problem.own_members[name]]).max())

@@ -34,7 +34,7 @@ from tumble.inference.likelihood import Linearised, Problem, Rows
 from tumble.inference.linearisation import with_priors
 from tumble.inference.noise_components import Components, Noise
 from tumble.inference.step import Left, Step, inverse_of, left, solve, tell, with_own
-from tumble.units import Array
+from tumble.units import Array, IntArray
 
 SEEN_HEADING = 0.05
 """rad: a heading that the gyros at rest know better is where the rows were linearised."""
@@ -70,7 +70,7 @@ class Projection:
     degrees: float
     scatters: bool
 
-    def explained(self, some: slice, known: float = np.inf) -> Explained | None:
+    def explained(self, some: slice | IntArray, known: float = np.inf) -> Explained | None:
         """Some of the columns by least squares; None where one is not seen better than it is `known`, SI."""
         own, length = self.triangle[:, some], self.length[some]
         size, directions = np.linalg.eigh(own.T @ own)
@@ -87,15 +87,16 @@ class Projection:
             moved=self.moving[:, some] @ values,
         )
 
-    def chance(self, fall: float, q: int) -> float:
-        """Probability of a fall of chi-square with q parameters: by Fisher's distribution where the scale of the
-        residuals was estimated from them; 1 where nothing is left beside them to tell it by."""
+    def chance(self, fall: float, q: int, before: tuple[float, int] = (0.0, 0)) -> float:
+        """Probability of a fall of chi-square with q parameters, after one with others `before`: by Fisher's
+        distribution where the scale of the residuals was estimated from them; 1 where nothing is left beside them to
+        tell it by."""
         if not self.scatters:
             return float(scipy.special.chdtrc(q, fall))
-        others = self.degrees - q
+        others = self.degrees - q - before[1]
         if others < 1.0:
             return 1.0
-        rest = max(self.chi_square - fall, 1e-9)
+        rest = max(self.chi_square - fall - before[0], 1e-9)
         overstated = min(1.0, self.chi_square / self.degrees)  # noise that is less than said proves nothing
         return float(scipy.special.fdtrc(q, others, overstated * fall / q / (rest / others)))
 
@@ -103,9 +104,7 @@ class Projection:
 def projections(linearised: Linearised, components: Components, rest: Array, turn: Array) -> Iterator[Projection]:
     """Of every session what its unknowns leave of columns of the rests (N, r, c) and turns (K, t, c), SI, with
     components of variance."""
-    problem = _as_large_as_they_are(linearised)
-    rows = with_priors(linearised.rows, problem, linearised.point, linearised.about)
-    rows, noise = _with_norths(linearised, rows)
+    problem, rows, noise = _judged_rows(linearised)
     q, c, p, m = len(problem.own_known), rest.shape[2], len(rows.prior) - 1, len(problem.instrument.names)
     rows = rows.beside(rest, turn)
     told = tell(problem, rows, noise.weights(components))
@@ -147,11 +146,22 @@ class Remaining:
     left: Left
 
     @staticmethod
-    def of(linearised: Linearised, components: Components) -> Remaining:
-        """What is left of all rows."""
-        problem, (rows, noise) = linearised.problem, _with_norths(linearised, linearised.rows)
+    def of(linearised: Linearised, components: Components, *, usual: bool = False) -> Remaining:
+        """What is left of all rows, beside priors of groups as wide as these are large, or of `usual` size."""
+        problem, rows, noise = _judged_rows(linearised, usual)
         step = solve(problem, rows, noise.weights(components))
         return Remaining(step=step, left=left(problem, step))
+
+
+def _judged_rows(linearised: Linearised, usual: bool = False) -> tuple[Problem, Rows, Noise]:
+    """The problem, the rows with its priors, and their noise, by which residuals and causes are judged."""
+    problem = linearised.problem
+    if usual:
+        problem = replace(problem, measured=problem.usual, own_known=problem.own_usual)
+    else:
+        problem = _as_large_as_they_are(linearised)
+    rows, noise = _with_norths(linearised, with_priors(linearised.rows, problem, linearised.point, linearised.about))
+    return problem, rows, noise
 
 
 def _as_large_as_they_are(linearised: Linearised) -> Problem:

@@ -10,11 +10,11 @@ import numpy as np
 
 from tumble.diagnosis.misfit import Said
 from tumble.diagnosis.observability import faces_and_edges, most_telling, rows_of_rests, standing
-from tumble.inference.estimate import DETERMINED, SEEN, Estimate
+from tumble.inference.estimate import DETERMINED, Estimate
 from tumble.inference.sources import common_covariances
 from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
-from tumble.rotation import onto_body, skew, tangent_basis
+from tumble.rotation import onto_body, rotation_vector, skew, tangent_basis, unit_vector
 from tumble.sensors.parameters import LINEAR, group_name, group_of, limits_of, sensor_kind, within_kind
 from tumble.units import DEGREE, Array
 
@@ -24,6 +24,11 @@ where all err alike by as much; where it is known less than DETERMINED times bet
 
 _ONE_ATTITUDE = math.cos(10.0 * DEGREE)
 """Cosine between verticals in the body: closer ones are those of one attitude."""
+
+MIXED = 0.1
+"""Part of accelerometers in a combination of parameters of unit length: less comes with gyros that are not known."""
+SHORTEST = 1e-9
+"""rad: a shorter turn is about no axis."""
 
 MOST_LISTED = 21
 """Parameters that are named one by one."""
@@ -171,33 +176,56 @@ def _largest_of(combination: Array) -> list[int]:
 
 def _most_helpful(estimate: Estimate, observations: Observations, unseen: Array) -> str:
     """The rests, or the turns, that together would say what the data do not determine, the most telling first; `unseen`
-    (q, m) are combinations of parameters."""
+    (q, m) are combinations of parameters. One that the session's own rests or turns show at least as well as any
+    further one would is lost in their noise: no attitude is missing."""
     m = len(observations.accel_block.names)
-    if np.abs(unseen[:, :m]).max(initial=0.0) > SEEN:
+    of_accel = np.linalg.norm(unseen[:, :m], axis=1) > MIXED
+    if of_accel.any():
         block, g = observations.accel_block, observations.site.gravity
         spread = limits_of(block.names)
-        rests = {standing(u): rows_of_rests(block, u[None], g)[0] * spread for u in faces_and_edges()}
-        what, (helpful, others) = "rests", most_telling(unseen[:, :m], rests)
+        further = {standing(u): rows_of_rests(block, u[None], g)[0] * spread for u in faces_and_edges()}
+        own = rows_of_rests(block, unit_vector(block.nominal().apply(observations.rests.accel)), g) * spread
+        what, unseen = "rests", unseen[of_accel, :m]
     else:
-        turns = {
-            f"180° about {'XYZ'[axis]} from {'XYZ'[up]} up": _turn_rows(observations, axis, up)
+        further = {
+            f"180° about {'XYZ'[axis]} from {'XYZ'[up]} up": _turn_rows(
+                observations, np.pi * np.eye(3)[axis], np.eye(3)[up]
+            )
             for up in range(3)
             for axis in range(3)
         }
-        what, (helpful, others) = "turns", most_telling(unseen[:, m:], turns)
+        own, what, unseen = _rows_of_turns(observations), "turns", unseen[:, m:]
+    most = np.max([np.linalg.norm(rows @ unseen.T, axis=0) for rows in further.values()], axis=0)
+    shown = np.linalg.norm(own.reshape(-1, unseen.shape[1]) @ unseen.T, axis=0) >= most
+    helpful, others = most_telling(unseen[~shown], further)
     return _and(
         f"{what} that would help, the most helpful first: {', '.join(helpful)}" if helpful else "",
         f"the others no further {what} would show to the method {estimate.method}" if others else "",
+        f"the {what} there are would show {'the others' if helpful or others else 'it'} if they were quieter: let the "
+        "device lie still, on something firm, for longer"
+        if shown.any()
+        else "",
     )
 
 
-def _turn_rows(observations: Observations, axis: int, up: int) -> Array:
-    """What one more turn by 180° about a body axis would say about the gyro parameters, in units of their spreads:
-    (2, m), rad."""
-    block = observations.gyro_block
+def _rows_of_turns(observations: Observations) -> Array:
+    """What the turns of a session say about the gyro parameters, as of nominal sensors: (K, 2, m)."""
+    turns, block = observations.turns, observations.gyro_block
+    if turns is None or block is None or not len(turns):
+        return np.zeros((0, 2, 0 if block is None else len(block.names)))
+    vertical = unit_vector(observations.accel_block.nominal().apply(observations.rests.accel))
+    paths = rotation_vector(turns.C)
+    return np.array([_turn_rows(observations, path, vertical[k]) for path, k in zip(paths, turns.first, strict=True)])
+
+
+def _turn_rows(observations: Observations, path: Array, up: Array) -> Array:
+    """What a turn by the rotation vector `path` (3,) from the vertical `up` (3,), both in the body, says about the gyro
+    parameters, in units of their spreads: (2, m), rad."""
+    block, angle = observations.gyro_block, float(np.linalg.norm(path))
     assert block is not None
-    n = np.eye(3)[axis]
+    n = path / max(angle, SHORTEST)
     derivative = np.einsum("ap,pqm->aqm", onto_body(block.axes), block.jacobian(np.zeros(len(block.names))))
-    path = np.pi * np.outer(n, n) + 2.0 * skew(n)  # ∫ C dθ of a turn by π, Eq. (6.2)
-    rows = tangent_basis(np.eye(3)[up]) @ skew(np.eye(3)[up]) @ path @ np.einsum("aqm,q->am", derivative[:, :3], n)
+    # ∫ C dψ over the angle, Eq. (6.2)
+    integral = np.sin(angle) * np.eye(3) + (1.0 - np.cos(angle)) * skew(n) + (angle - np.sin(angle)) * np.outer(n, n)
+    rows = tangent_basis(up) @ skew(up) @ integral @ np.einsum("aqm,q->am", derivative[:, :3], n)
     return np.asarray(rows * limits_of(block.names))

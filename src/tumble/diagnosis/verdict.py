@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy
 
 from tumble.diagnosis.misfit import Misfit, Said, misfit
+from tumble.diagnosis.projection import FALSE_ALARMS
 from tumble.diagnosis.undetermined import (
     as_six_faces_give,
     faces_alone,
@@ -18,13 +20,15 @@ from tumble.inference.integral import rough
 from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.segmentation import Segmentation
-from tumble.sensors.parameters import sensor_kind
+from tumble.sensors.parameters import group_name, sensor_kind
 from tumble.units import DEGREE, G_STANDARD, two_digits
 
 SCATTER_LIMIT, TURN_SCATTER_LIMIT = 1e-3 * G_STANDARD, 1.0 * DEGREE
 """Of readings at rest by the methods that have one scatter and leave nothing out, and of turns by all."""
 MOST_LEFT_OUT = 1.0 / 3.0
 """Of the rests or turns: where more do not fit, it is not they that are wrong."""
+OF_USUAL = 2.0
+"""Degrees of freedom for which the usual spread of scale factors counts: it is right within a factor of about two."""
 MILLIGAL = 1e-5  # m/s²
 GRAVITY_DOUBTED = 300.0 * MILLIGAL
 GRAVITY_REFUSED = 1100.0 * MILLIGAL
@@ -162,6 +166,18 @@ def no_rests(segmentation: Segmentation) -> Outcome:
     return Outcome(reasons=(f"{reason}; {advice}",))
 
 
+def little_used(segmentation: Segmentation) -> tuple[str, ...]:
+    """That much of the quiet time of a log is no rest that the estimate has, as a remark."""
+    used = sum(rest.stop - rest.start for rest in segmentation.rests)
+    unused = sum(stretch.stop - stretch.start for stretch in segmentation.rejected)
+    if unused <= MOST_LEFT_OUT * (used + unused):
+        return ()
+    return (
+        f"{unused:.0f} s of {used + unused:.0f} s in which the device was quiet are not used as rests, more than a "
+        "third (the notes say why); let it lie still for longer, without vibration or sway",
+    )
+
+
 # -------------------- gravity of the site against normal gravity of its latitude and height --------------------
 
 
@@ -196,4 +212,45 @@ def gravity_doubted(site: Site) -> tuple[str, ...]:
         f"{gravity_said(site)}, more than {GRAVITY_DOUBTED / MILLIGAL:.0f}: look at gravity, latitude_deg and height_m "
         f"in [site]; if that is wrong, the scale factors of the accelerometers are off by "
         f"{difference / site.gravity * 1e6:+.0f} ppm",
+    )
+
+
+# -------------------- time base of the log against the scale factors of the gyros --------------------
+
+
+def time_base_doubted(estimate: Estimate, usual: float) -> tuple[str, ...]:
+    """Scale factors of the gyros that err alike by more than they differ, as all do by a wrong time base.
+
+    The mean of n scale-factor errors of an instrument is N(0, σ²/n) beside its own uncertainty, that of the time base
+    included. σ is by the spread s of the n and by the `usual` one of the grade, which counts as OF_USUAL degrees of
+    freedom: σ² = (OF_USUAL usual² + (n − 1) s²)/(OF_USUAL + n − 1). What stands out by Student's t, with the degrees of
+    freedom of Welch and Satterthwaite, is said.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        With gyros.
+    usual : float
+        Standard deviation of scale-factor errors over instruments of the grade.
+
+    Returns
+    -------
+    tuple of str
+        A remark, or nothing.
+    """
+    at = [i for i, name in enumerate(estimate.names) if group_name(name) == "gyro.scale"]
+    n = len(at)
+    if n < len("xyz") or not estimate.observable[at].all():
+        return ()
+    scale, degrees = estimate.values[at], OF_USUAL + n - 1
+    mean, spread = float(scale.mean()), float(scale.std(ddof=1))
+    by_spread = (OF_USUAL * usual**2 + (n - 1) * spread**2) / degrees / n
+    variance = by_spread + float(estimate.covariance[np.ix_(at, at)].mean())
+    t = mean / np.sqrt(variance)
+    if 2.0 * scipy.special.stdtr(degrees * (variance / by_spread) ** 2, -abs(t)) > FALSE_ALARMS:
+        return ()
+    return (
+        f"the scale factors of the gyros err alike, by {100.0 * mean:+.2g} %, and differ by {100.0 * spread:.2g} %: "
+        "the sample rate or the time stamps are wrong by as much, or the nominal scale of the gyros is, which the "
+        "session does not tell apart; measure the rate by a clock",
     )

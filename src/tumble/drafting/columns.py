@@ -6,15 +6,16 @@ What a name or a unit says is believed. Numbers decide only which columns withou
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import polars as pl
 
-from tumble.drafting.containers import check_is_text
+from tumble.drafting.containers import NAMED, NoLogError, check_format, check_is_text
 from tumble.drafting.dialects import as_table
 from tumble.drafting.foreign_log import LONGEST, SAMPLE_ROWS, ForeignLog, Stated, samples_in
 from tumble.drafting.repairs import nanoseconds_of
@@ -23,7 +24,7 @@ from tumble.drafting.several_sensors import split_by_header, split_by_sensor
 from tumble.drafting.times import times_of_column
 from tumble.errors import InputError
 from tumble.files import OutputFolder
-from tumble.recording.columns.names import ACCEL, columns_by_name, is_no_sensor, time_unit, unit_of_name
+from tumble.recording.columns.names import ACCEL, GYRO, columns_by_name, is_no_sensor, time_unit, unit_of_name
 from tumble.recording.columns.numbers import columns_by_data, time_by_data
 from tumble.recording.log_source import readable
 from tumble.recording.readers import ENDINGS, source_of
@@ -35,18 +36,24 @@ _GROWING = 0.9  # of the steps of stamps that are those of rows
 _DELIMITER_WORDS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "blanks"}
 
 
-def identified_log(files: Sequence[Path], folder: OutputFolder, stated: Stated = MappingProxyType({})) -> ForeignLog:
-    """One log of text and Parquet files, with its columns identified, as far as they are not `stated`.
+_NONE: Mapping[str, Any] = MappingProxyType({})
+
+
+def identified_log(
+    files: Sequence[Path], folder: OutputFolder, stated: Stated = _NONE, units: Mapping[str, str] = _NONE
+) -> ForeignLog:
+    """One log of text and Parquet files, with its columns identified, as far as they are not `stated`, and the `units`
+    of sensors that are.
 
     Files that are written alike and whose columns have no telling names are identified together: a file of one position
     does not show what they are, all of them do. Raises InputError for files that are no logs, or not alike."""
     logs: list[ForeignLog] = []
-    without: list[_NoRowsError] = []
+    without: list[NoLogError] = []
     omitted: tuple[str, ...] = ()
     for file in files:  # text without rows beside logs that have some, as the metadata that a phone writes, is left out
         try:
-            logs += [log.with_stated(stated) for log in _found(file, folder)]
-        except _NoRowsError as error:
+            logs += [log.with_stated(stated, units) for log in _found(file, folder)]
+        except NoLogError as error:
             without.append(error)
             omitted += (f"{file.name} has no rows of readings and is left out",)
     if not logs:
@@ -65,7 +72,7 @@ def identified_log(files: Sequence[Path], folder: OutputFolder, stated: Stated =
         numeric = _numeric(first)
         time = first.columns.time or time_by_data(numeric, first.read(numeric, rows=LONGEST // 10))
         logs = [replace(first.with_columns(time=time), files=tuple(file for log in logs for file in log.files))]
-    logs = [_with_time(log) if log in whole else _by_data(log) for log in logs]
+    logs = [_with_nameless_gyros(_with_time(_with_gravity(log))) if log in whole else _by_data(log) for log in logs]
     first = logs[0]
     for log in logs[1:]:
         if (log.keys, log.columns.triads, log.columns.time) != (first.keys, first.columns.triads, first.columns.time):
@@ -73,25 +80,22 @@ def identified_log(files: Sequence[Path], folder: OutputFolder, stated: Stated =
                 f"{log.files[0]}: expected a log written as {first.files[0].name} is, found another; give them to "
                 "sessions of their own"
             )
-    first.check_has_accelerometers()
+    first.check_has_sensors(gyros_suffice=True)
     taken = tuple(file for log in logs for file in log.files)
     kept = {path: source for log in logs for path, source in log.kept.items()}
     said = first.said + ((f"{len(taken)} files, each a recording of its own",) if len(taken) > 1 else ()) + omitted
     return replace(first, files=taken, said=said, kept=kept)
 
 
-class _NoRowsError(InputError):
-    """A text file without rows of readings."""
-
-
 def _found(file: Path, folder: OutputFolder) -> list[ForeignLog]:
     """The log in a file; one of each sensor where its rows are of single sensors."""
+    check_format(file, recording=file.suffix.lower() in NAMED)
     if file.suffix.lower() == ".parquet":
         return [ForeignLog(files=(file,), keys={}, columns=columns_by_name(source_of(file).names))]
     with readable(file), opened(file) as stream:
         seen = stream.read(_SEEN_BYTES)
     if not seen:
-        raise _NoRowsError(f"{file}: expected a log, found an empty file")
+        raise NoLogError(f"{file}: expected a log, found an empty file")
     check_is_text(file, seen)
     if parts := split_by_header(file, seen, folder):
         return [log for part in parts for log in _found(part, folder)]
@@ -99,7 +103,7 @@ def _found(file: Path, folder: OutputFolder) -> list[ForeignLog]:
         part, remark = copied
         return [replace(log, said=(remark, *log.said)) for log in _found(part, folder)]
     dialect_and_top = dialect_of(seen)
-    if dialect_and_top is None and max(map(len, seen.split(b"\n"))) > LINE_BYTES // 8:
+    if dialect_and_top is None and max(map(len, seen.split(b"\n"))) > LINE_BYTES // 2:
         raise InputError(f"{file}: expected a log of rows of numbers, found something else; is it a recording?")
     if dialect_and_top is not None:
         dialect, top = dialect_and_top
@@ -108,7 +112,7 @@ def _found(file: Path, folder: OutputFolder) -> list[ForeignLog]:
         lines = seen.decode(dialect.encoding, errors="replace").split("\n")[top.lines : top.lines + SAMPLE_ROWS]
         rows = [row for line in lines if len(row := dialect.cells(line)) == len(top.names)]
     if dialect_and_top is None or len(rows) < 2:
-        raise _NoRowsError(f"{file}: expected rows of readings below the names of the columns, found none")
+        raise NoLogError(f"{file}: expected rows of readings below the names of the columns, found none")
     cells = {name: [row[j] for row in rows] for j, name in enumerate(top.names) if name}
     filled = {name: [cell for cell in column if cell.strip()] for name, column in cells.items()}
     numbers = {name for name, column in filled.items() if any(dialect.is_number(c) or is_clock(c) for c in column)}
@@ -156,7 +160,37 @@ def _by_data(log: ForeignLog) -> ForeignLog:
         return log
     triads = {kind: replace(s, unit=unit_of_name(kind, s.columns[0])) for kind, s in told.columns.triads.items()}
     time = known.time or told.columns.time
+    near = "columns are told by their numbers, and others would fit too: all values hang on it; state --accel, --gyro"
+    log = replace(log, doubts=(near,)) if told.near else log
     return log.with_columns(told.said(known.triads), triads={**triads, **known.triads}, time=time, others=(), times=())
+
+
+def _with_gravity(log: ForeignLog) -> ForeignLog:
+    """A log of accelerometers with those of several triads that read gravity, if the first do not: a phone writes what
+    a filter has left too."""
+    first = log.columns.triads[ACCEL].columns
+    further = columns_by_name([name for name in log.cells if name not in first]).triads.get(ACCEL)
+    if further is None or log.reads_gravity(first) or not log.reads_gravity(further.columns):
+        return log
+    said = f"accel: {', '.join(further.columns)}, since {', '.join(first)} do not read gravity"
+    others = (*(name for name in log.columns.others if name not in further.columns), *first)
+    return log.with_columns([said], triads={**log.columns.triads, ACCEL: further}, others=others)
+
+
+def _with_nameless_gyros(log: ForeignLog) -> ForeignLog:
+    """A log of accelerometers with the gyros among its columns without names, if numbers show them."""
+    nameless = [name for name in _numeric(log) if name.isdecimal() and name != log.columns.time]
+    accel = log.columns.triads[ACCEL]
+    if GYRO in log.columns.triads or len(nameless) < len("xyz"):
+        return log
+    read = log.read([*accel.columns, *nameless])
+    told = columns_by_data([*accel.columns, *nameless], read[: samples_in(read)]).columns.triads
+    if GYRO not in told or set(told[ACCEL].columns) != set(accel.columns):
+        unused = f"columns without names, {', '.join(nameless)}, are not used"
+        doubt = f"{unused}: the accelerometers alone are calibrated; state --gyro if some are gyros"
+        return replace(log, doubts=(doubt,))
+    said = f"gyro: columns {', '.join(told[GYRO].columns)}, by their numbers (a guess)"
+    return log.with_columns([said], triads={**log.columns.triads, GYRO: told[GYRO]})
 
 
 def _with_finest_time(log: ForeignLog) -> ForeignLog:

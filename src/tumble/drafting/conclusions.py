@@ -4,7 +4,7 @@ in sentences how near it comes, what would fit too, and what is wrong with the r
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -15,6 +15,7 @@ from tumble.drafting.draft import Draft
 from tumble.drafting.hypotheses import Evidence, Hypothesis, evidence_of, ranked, readings
 from tumble.errors import InputError, TumbleError
 from tumble.recording.columns.names import ACCEL, GYRO
+from tumble.recording.columns.patterns import WITHOUT_GRAVITY
 from tumble.recording.columns.scales import ONE, PER, KnownScale
 from tumble.run.observed import Progress, inspect_session
 from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS
@@ -22,8 +23,6 @@ from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS
 _TOLERANCE = 0.3
 """Part of gravity by which the magnitude of accelerometers in a stated unit may be off."""
 _LARGEST_BIAS = 20.0  # °/s: what reads more at rest has an offset
-_SHOWN = 40.0
-"""What costs so much more is not shown."""
 _MOST_RATES = 8
 _TIME_KEYS = ("time", "time_unit", "regular", "rate_hz")
 
@@ -46,14 +45,18 @@ def completed(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> tupl
     near = [hypothesis for hypothesis in every[1:] if hypothesis.cost < best.cost + widths.near]
     log = {key: value for key, value in draft.log.items() if key not in _TIME_KEYS} | best.times.keys
     said = _of_times(draft, best, shown, near)
-    log[ACCEL], of_accel = _accel(draft, best, shown, near)
-    said += of_accel
+    if ACCEL in draft.triads:
+        log[ACCEL], of_accel = _accel(draft, best, shown, near)
+        said += of_accel
     if best.gyro is not None:
         log[GYRO], of_gyro = _gyro(draft, best, best.gyro, shown, every, near)
         said += of_gyro
-    if draft.guessed:
-        said.append(_next(best, every, widths))
-    out = replace(draft, content={**draft.content, "log": log}, said=(*draft.said, *said), rate=best.times.rate)
+    doubts = (*_no_gravity(draft, best, shown), *_doubts(draft, log, best, near), *draft.doubts)
+    log |= {"doubt": "; ".join(doubts)} if doubts else {}
+    content = {**draft.content, "log": log}
+    out = replace(draft, content=content, said=(*draft.said, *said), doubts=doubts, rate=best.times.rate)
+    if ACCEL not in draft.triads:
+        return out, []
     try:
         faults = list(inspect_session(out.session(), progress=progress).faults)
     except (TumbleError, np.linalg.LinAlgError) as error:
@@ -71,38 +74,59 @@ def completed(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> tupl
     return out, faults
 
 
-def _next(best: Hypothesis, every: Sequence[Hypothesis], widths: Widths) -> str:
-    """The cheapest hypotheses that differ from the best in the accelerometers, the gyros, the times or the axes, and
-    what they cost more."""
-    further: dict[str, float] = {}
-    every = [h for h in every if h.cost < best.cost + widths.near or (h.accel.known and (not h.gyro or h.gyro.known))]
-    for part in (ACCEL, GYRO, "time", "axes"):
-        rivals = [h for h in every if part in h.differs(best)]
-        if rivals:
-            rival = min(rivals, key=lambda h: h.cost + len(h.differs(best)))
-            further.setdefault(_differing(rival, best), rival.cost - best.cost)
-    listed = sorted((cost, words) for words, cost in further.items() if words)
-    if not listed:
-        return "guessed: there is nothing else that it may be"
-    said = "; ".join(f"{words} (cost +{cost:.1f})" for cost, words in listed if cost < max(_SHOWN, listed[0][0] + 1e-9))
-    doubt = "; too near to be sure: state what you know" if listed[0][0] < widths.near else ""
-    return f"guessed: next would be {said}; +{widths.near:g} is 20 times less likely{doubt}"
+def _no_gravity(draft: Draft, best: Hypothesis, shown: Evidence) -> Iterator[str]:
+    """What is said of accelerometers that do not read gravity: in the unit of their names, or in any. Raises InputError
+    where they have none and their names say that a filter has taken it off."""
+    if ACCEL not in draft.triads:
+        return
+    unit, columns = draft.unit(ACCEL), draft.triads[ACCEL].columns
+    if unit is not None and ACCEL_UNITS[unit].kind != "raw":
+        length = shown.length * ACCEL_UNITS[unit].per_second(best.times.rate) / ONE[ACCEL]
+        if abs(length - 1.0) > _TOLERANCE:
+            read = f"the accelerometers read {length:.3g} g at rest in {unit}, as their names say"
+            yield f"{read}: if another unit is right, state --accel-unit; without gravity none is calibrated"
+    elif not (best.accel.known or draft.whole[ACCEL] or unit == "V"):
+        if WITHOUT_GRAVITY.search(columns[0]):
+            raise InputError(
+                f"{draft.files[0]}: expected readings of accelerometers, found linear acceleration, which a filter has "
+                f"taken gravity off ({', '.join(columns)[:120]}); log the raw accelerometers"
+            )
+        seen = "the accelerometers read no whole numbers as counts are, and gravity in no unit"
+        if shown.rests >= 4 and shown.length_u < _TOLERANCE:
+            yield f"{seen}: rests in several attitudes read {shown.length:.4g} per g, which is taken for their scale"
+        else:
+            yield (
+                f"{seen}: if they are volts, state --accel-unit V; what a filter has left without gravity cannot be "
+                "calibrated"
+            )
 
 
-def _differing(rival: Hypothesis, best: Hypothesis) -> str:
-    """What a hypothesis says otherwise than the best one."""
-    words, parts = list[str](), rival.differs(best)
-    for kind, sensors, scale in ((ACCEL, "accelerometers", rival.accel), (GYRO, "gyros", rival.gyro)):
-        if kind in parts and scale is not None:
-            counts = f"{scale.value:.6g} counts per {PER[kind]}" if scale.known else "counts of no data sheet"
-            words.append(f"{sensors} in {scale.unit or counts}")
-    if "time" in parts:
-        stamps = f"a time in {rival.times.keys.get('time_unit', 's')}"
-        words.append(stamps if rival.times.stamped else f"{rival.times.rate:g} samples per second")
-    if "axes" in parts and rival.profile is not None:
-        exchanged = columns_said(rival.profile.exchange) if rival.profile.exchanged else "no columns are exchanged"
-        words.append(exchanged)
-    return ", ".join(words)
+def _doubts(draft: Draft, log: Mapping[str, Any], best: Hypothesis, near: Sequence[Hypothesis]) -> Iterator[str]:
+    """What is not sure, with what hangs on it and how it is settled."""
+    for kind, sensors, scale in ((ACCEL, "accelerometers", best.accel), (GYRO, "gyros", best.gyro)):
+        if scale is None or kind not in draft.triads:
+            continue
+        with_accel = ACCEL in draft.triads
+        alone = "the accelerometers alone are calibrated, " if with_accel else ""
+        rivals = [h.accel if kind == ACCEL else h.gyro for h in near if kind in h.differs(best)]
+        others = " or ".join(dict.fromkeys(rival.said for rival in rivals if rival is not None and rival.known))
+        if log[kind]["unit"] == "count" and "scale" not in log[kind]:
+            yield (
+                f"no turn tells what the gyros' counts are worth: {alone}noise is as if one were 1 deg/s; put the data "
+                "sheet's scale into [log.gyro]"
+            )
+        elif others and draft.unit(kind) is None:
+            yield (
+                f"{sensors} in {scale.said} by a guess, {others} would fit too: all their values hang on it; state "
+                f"--{kind}-unit"
+            )
+    rates = [h.times.rate for h in near if "time" in h.differs(best)]
+    if draft.rate_guessed or rates:
+        told = "by the turns" if best.profile is not None else "by a guess"
+        others = ", ".join(f"{rate:g}" for rate in list(dict.fromkeys(rates))[:_MOST_RATES])
+        also = f", {others} would fit too" if rates else ""
+        hang = "the gyros' scale factors hang" if best.gyro is not None else "how long rests are hangs"
+        yield f"{best.times.rate:g} samples per second {told}{also}: {hang} on it; state --sample-rate"
 
 
 def _of_times(draft: Draft, best: Hypothesis, shown: Evidence, near: Sequence[Hypothesis]) -> list[str]:
@@ -175,26 +199,13 @@ def _accel(
     named, unit, found = f"accelerometers: {', '.join(columns)}", draft.unit(ACCEL), shown.length
     if unit is not None and ACCEL_UNITS[unit].kind != "raw":
         said = [f"{named} in {unit} (from the name or the format), magnitude {found:.6g}"]
-        if abs(found * ACCEL_UNITS[unit].per_second(best.times.rate) / ONE[ACCEL] - 1.0) > _TOLERANCE:
-            linear = "linear acceleration, which a filter has taken gravity off, cannot be calibrated"
-            doubt = linear if "lin" in columns[0].lower() else "is the unit right?"
-            said.append(f"accelerometers: their magnitude is not that of gravity in {unit}: {doubt}")
         return {"columns": columns, "unit": unit}, said
     zero: Any = shown.zero[0] if len(set(shown.zero)) == 1 else shown.zero
     seen = f"from {shown.rests} rests" if shown.rests >= 4 else "a guess from too few rests: state the data sheet's"
     seen = seen if shown.rests else "a guess, for there are no rests, from their median magnitude"
     about = f", zero at {zero}" if zero or scale.unit is None else ""
-    said = [f"{named} in {_comes_near(ACCEL, scale, shown, best, near)}{about} ({seen})"]
-    if not (scale.known or draft.whole[ACCEL] or unit == "V"):
-        if "lin" in columns[0].lower():
-            raise InputError(
-                f"{draft.log['file']}: expected readings of accelerometers, found linear acceleration, which a filter "
-                f"has taken gravity off ({', '.join(columns)[:120]}); log the raw accelerometers"
-            )
-        said.append(
-            f"{named} are no whole numbers as counts are, and read gravity in no unit: are they volts, or what a "
-            "filter has left without gravity? That cannot be calibrated"
-        )
+    near_to = f"V: {found:.4g} V per g found" if unit == "V" else _comes_near(ACCEL, scale, shown, best, near)
+    said = [f"{named} in {near_to}{about} ({seen})"]
     if scale.unit is not None and not zero:
         return {"columns": columns, "unit": scale.unit}, said
     raw = "V" if unit == "V" else "count"
@@ -229,7 +240,8 @@ def _gyro(
         fitting = " or ".join(f"{value:.6g}" for value in sorted(rivals | {gyro.value}))
         shows = f"{fitting} per deg/s fit the only turn" if open_scale else "no turns show it"
         unknown = f"the offset is their reading at rest, the scale is unknown, for {shows}"
-        return _counts(columns, 1.0, "deg/s", centred), [f"{named} counts; {unknown}: put that of the data sheet there"]
+        counts = {"columns": columns, "unit": "count", "scale_per": "deg/s", "offset": centred}
+        return counts, [f"{named} counts; {unknown}: put that of the data sheet there"]
     why = [words for cost, words in readings(shown, gyro, rate, draft) if cost < 0.0]
     rival = next((h for h in every if GYRO in h.differs(best)), best)
     if rival.gyro is not None and rival is not best:

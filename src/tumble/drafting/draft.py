@@ -13,7 +13,7 @@ from tumble.drafting.times import ASSUMED_RATE, Times, at_rate
 from tumble.recording.columns.names import Sensors
 from tumble.recording.readers import KeptLog
 from tumble.recording.session import Session
-from tumble.recording.session_file import session_of
+from tumble.recording.session_file import session_of, session_of_gyros
 from tumble.recording.text.dialect import DIALECT_KEYS
 
 
@@ -23,6 +23,8 @@ class Draft:
 
     content: Mapping[str, Any]
     said: tuple[str, ...]
+    doubts: tuple[str, ...] = ()
+    """What is not sure, each with what hangs on it and how it is settled."""
     magnetometer: Mapping[str, Any] | None = None
     """The table [log.magnetometer], offered as a comment: iron nearby spoils it, and not the rest."""
     triads: Mapping[str, Sensors] = field(default_factory=dict)
@@ -58,6 +60,12 @@ class Draft:
         """Whether anything is: a unit or a time."""
         return bool(self.times.rivals) or any(sensors.unit is None for sensors in self.triads.values())
 
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The files of the log."""
+        file = self.log["file"]
+        return tuple(map(Path, [file] if isinstance(file, str) else file))
+
     def unit(self, kind: str) -> str | None:
         """The unit of sensors that their names say."""
         return self.triads[kind].unit
@@ -68,7 +76,7 @@ class Draft:
 
     def session(self) -> Session:
         """The session of the content, whose log is read from what was kept of it."""
-        session = session_of(self.content)
+        session = session_of(self.content) if "accel" in self.log else session_of_gyros(self.content)
         files = tuple(self.kept.get(Path(str(file)), file) for file in session.log.files)
         return replace(session, log=replace(session.log, files=files))
 
@@ -77,8 +85,7 @@ def session_text(draft: Draft, folder: Path, programme: str | None, *, named: bo
     """session.toml of a folder, with a comment on all that has to be filled in: the serial number too, unless it was
     `named`."""
     log, device = draft.content["log"], draft.content["device"]
-    stated = [log["file"]] if isinstance(log["file"], str) else log["file"]
-    files = [os.path.relpath(file, folder.resolve()) for file in stated]
+    files = [os.path.relpath(file, folder.resolve()) for file in draft.files]
     site = draft.content.get("site", {})
     latitude, height = site.get("latitude_deg"), site.get("height_m")
     comment = "# which sensors of the autopilot these are, from 1, and their device ids: `tumble export` compares them"
@@ -96,8 +103,9 @@ def session_text(draft: Draft, folder: Path, programme: str | None, *, named: bo
         "# gravity = 9.80665    # m/s², where it was measured; gravity_u is its standard uncertainty",
         "",
     ]
-    keys = (key for key in (*DIALECT_KEYS, "time", "time_unit", "regular", "rate_hz") if key in log)
-    lines += _table("[log]", {"file": files[0] if len(files) == 1 else files} | {key: log[key] for key in keys})
+    keys = (key for key in (*DIALECT_KEYS, "time", "time_unit", "regular", "rate_hz", "doubt") if key in log)
+    settled = ["# a doubt is taken out when it is settled"] if draft.doubts else []
+    lines += _table("[log]", {"file": files[0] if len(files) == 1 else files} | {k: log[k] for k in keys}, *settled)
     for kind in ("accel", "gyro", "temperature"):
         lines += _table(f"[log.{kind}]", log[kind]) if kind in log else []
     if draft.magnetometer is not None:

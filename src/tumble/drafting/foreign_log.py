@@ -23,6 +23,7 @@ from tumble.recording.columns.names import (
     time_unit,
     unit_of_name,
 )
+from tumble.recording.columns.scales import CANDIDATES
 from tumble.recording.readers import KeptLog, source_of
 from tumble.recording.rows.gaps import is_reading
 from tumble.recording.text.dialect import Dialect, is_clock
@@ -34,8 +35,10 @@ LONGEST = 2_000_000
 
 HEAD_ROWS = 20_000
 SAMPLE_ROWS = 200
-_FUSED = re.compile(r"grav|user_?acc|linear_?acc(?!.*cov)|\blacc", re.IGNORECASE)
+_FUSED = re.compile(r"grav|(user|free|linear)_?acc(?!.*cov)|\blacc", re.IGNORECASE)
 SHOWN = 12
+_NEAR = 0.1
+_FEWEST_ROWS = 50
 _SHORTEST_SESSION = 4 * USUAL.rest
 """s: what four rests alone take, and fewer tell nothing."""
 _FILLED = 50
@@ -56,6 +59,8 @@ class ForeignLog:
     remarks: tuple[str, ...] = ()
     cells: Mapping[str, Sequence[str]] = field(default_factory=dict)
     said: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
+    """What is not sure, each with what hangs on it and how it is settled."""
     dialect: Dialect | None = None
     kept: dict[Path, KeptLog] = field(default_factory=dict)
     """The files that were read, by their paths: every look at them is at what was read once."""
@@ -115,6 +120,12 @@ class ForeignLog:
                     return numbers[np.isfinite(numbers)]
         return np.empty(0)
 
+    def reads_gravity(self, columns: Sequence[str]) -> bool:
+        """Whether three columns, if they are some, have the length of gravity in a unit, at the median."""
+        length = np.linalg.norm(self.read(columns, rows=HEAD_ROWS), axis=1) if columns else np.empty(0)
+        median = float(np.nanmedian(length)) if np.isfinite(length).any() else 0.0
+        return any(c.unit is not None and abs(median / c.value - 1.0) < _NEAR for c in CANDIDATES[ACCEL])
+
     def is_clock(self, column: str) -> bool:
         """Whether a column has times of day."""
         cells = [cell for cell in self.cells.get(column, ()) if cell]
@@ -148,14 +159,14 @@ class ForeignLog:
             return assumed
         return replace(assumed, said=(f"time: column {stamps.column!r} does not grow and is not used", *assumed.said))
 
-    def with_stated(self, stated: Stated) -> ForeignLog:
-        """The log with sensors and time as the user states them, by name or by number from 1.
+    def with_stated(self, stated: Stated, units: Mapping[str, str]) -> ForeignLog:
+        """The log with sensors and time as the user states them, by name or by number from 1, and in stated units.
 
         What these columns were taken for otherwise is dropped. Raises InputError for columns that it does not have."""
         columns = {kind: tuple(self._named(kind, c.strip()) for c in listed) for kind, listed in stated.items()}
         taken = [c for listed in columns.values() for c in listed]
         if not taken:
-            return self
+            return self._in_units(units)
         for kind, listed in columns.items():
             if len(listed) != (1 if kind == TIME_KIND else 3) or any(taken.count(c) > 1 for c in listed):
                 three = "three columns that are nothing else, with commas between"
@@ -174,7 +185,13 @@ class ForeignLog:
             time_unit=None if time is None else time_unit(time),
             times=known.times if time == known.time else (),
             temperatures=tuple(c for c in known.temperatures if c not in taken),
-        )
+        )._in_units(units)
+
+    def _in_units(self, units: Mapping[str, str]) -> ForeignLog:
+        """The log with its sensors in stated units."""
+        triads = self.columns.triads
+        stated = {kind: replace(s, unit=units[kind]) for kind, s in triads.items() if kind in units}
+        return self.with_columns(triads={**triads, **stated})
 
     def _named(self, kind: str, column: str) -> str:
         """The name of a column that is given by that, or by its number from 1."""
@@ -188,15 +205,24 @@ class ForeignLog:
             f"{column!r}; there are {', '.join(names[:SHOWN])[:200]}{did_you_mean(column, names)}"
         )
 
-    def check_has_accelerometers(self) -> None:
-        """Raise InputError where no columns are those of accelerometers."""
-        if ACCEL in self.columns.triads:
+    def check_has_sensors(self, *, gyros_suffice: bool) -> None:
+        """Raise InputError where no columns are those of accelerometers, nor of gyros where these suffice, and for a
+        short table of accelerometers without times, which are positions."""
+        rows = max(map(len, self.cells.values()), default=_FEWEST_ROWS)
+        alone = len(self.files) == 1 and self.columns.time is None and GYRO not in self.columns.triads
+        if rows < _FEWEST_ROWS and alone:
+            raise InputError(
+                f"{self.files[0]}: expected a recording, found a table of {rows} rows; a table of mean readings, a row "
+                "a position, is for `tumble ellipsoid`"
+            )
+        if ACCEL in self.columns.triads or (gyros_suffice and GYRO in self.columns.triads):
             return
         names, found = self.names, ", ".join(self.names[:SHOWN])[:200]
         expected = "columns named as accelerometers are, such as ax, ay, az or acc_x, acc_y, acc_z"
         remedy = "log the readings of the accelerometers too"
         if GYRO in self.columns.triads:
             found = f"gyros alone ({', '.join(self.columns.triads[GYRO].columns)[:120]})"
+            remedy += f"; the noise of gyros alone is told by tumble noise {self.files[0].name}"
         elif len(names) == len("xyz") and all(map(str.isdecimal, names)):
             expected, found = "a recording", "three columns without names that are no sensor by their numbers"
             remedy = "of a table with a row a position write `x,y,z` above the rows and give it to `tumble ellipsoid`"

@@ -76,6 +76,8 @@ _ZERO = 0.1
 """Standard deviation of the zero of accelerometers in a unit, part of gravity."""
 _RAW_IN_A_UNIT = 0.1
 """Share of sensors that are in a unit though their name says that they are raw: `gyroADC` of Betaflight."""
+_FEWEST_COUNTS = 2.0
+"""Per g, with which accelerometers tell anything."""
 _HOPELESS = 40.0
 """An accelerometer's unit that costs so much more than the best is not combined with others."""
 _LARGEST_BIAS, _LARGEST_NOISE = 20.0 * DEGREE, 0.17 * DEGREE
@@ -141,10 +143,20 @@ def evidence_of(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> Ev
         reduction = reduce_log(opened, session.accel_block, session.gyro_block, progress(opened))
     except (TumbleError, np.linalg.LinAlgError):
         return Evidence(rate=draft.rate, length=draft.magnitude, length_u=_MOVING)
+    if ACCEL not in draft.triads:
+        return _of_gyros_alone(reduction)
     trials = [_with_windows(reduction, factor, draft.magnitude, widths) for factor in factors]
     counts = {ASSUMED_RATE * factor: trial.rests for factor, trial in zip(factors, trials, strict=True)}
     most = max(trials, key=lambda t: (max((p.unturned - p.least for p in t.profiles), default=0.0), t.rests))
     return replace(most, by_rate=counts if len(factors) > 1 else {})
+
+
+def _of_gyros_alone(reduction: Reduction) -> Evidence:
+    """What gyros alone show, which are taken to be at rest most of the time."""
+    means = np.concatenate([file.accel.means for file in reduction.files])
+    middle = np.median(means, axis=0)
+    scatter = 1.4826 * float(np.median(np.abs(means - middle))) * math.sqrt(reduction.files[0].size)
+    return Evidence(rate=reduction.rate, length=1.0, length_u=_MOVING, gyro=middle[None], gyro_scatter=scatter)
 
 
 def _with_windows(reduction: Reduction, factor: float, magnitude: float, widths: Widths) -> Evidence:
@@ -269,13 +281,16 @@ class Hypothesis:
 def ranked(shown: Evidence, draft: Draft, widths: Widths = WIDTHS) -> list[Hypothesis]:
     """All hypotheses of a log that shows this, the cheapest first."""
     deviation = math.hypot(widths.scale, shown.length_u)
-    accels = list(_assumed(ACCEL, draft, cost_of_any(deviation)))
+    with_accel = ACCEL in draft.triads
+    accels = list(_assumed(ACCEL, draft, cost_of_any(deviation))) if with_accel else [(COUNTS, 0.0)]
     gyros = list(_assumed(GYRO, draft, cost_of_any(widths.scale))) if GYRO in draft.triads else []
     if not shown.profiles:  # what counts are worth nothing tells
         counted = sum(math.exp(-0.5 * cost) for gyro, cost in gyros if gyro.unit is None and gyro.known)
-        gyros = [(gyro, cost) for gyro, cost in gyros if gyro.unit is not None]
-        gyros += [(COUNTS, -2.0 * math.log(counted))] if counted else []
-    stated = draft.unit(ACCEL) is not None
+        units = [(gyro, cost) for gyro, cost in gyros if gyro.unit is not None]
+        gyros = [*([(COUNTS, -2.0 * math.log(counted))] if counted else []), *units]
+    if with_accel and draft.whole[ACCEL] and shown.length < _FEWEST_COUNTS:
+        accels = [(accel, assumed) for accel, assumed in accels if accel.unit is not None] or accels
+    stated = with_accel and draft.unit(ACCEL) is not None
     samples = float(np.median(shown.samples)) if shown.rests else np.inf
     out = []
     for profile in shown.profiles or (None,):
@@ -286,7 +301,8 @@ def ranked(shown: Evidence, draft: Draft, widths: Widths = WIDTHS) -> list[Hypot
                 taken = accel if accel.known else replace(accel, value=shown.length)
                 off = math.log(shown.length / taken.reads(times.rate)) / deviation
                 away = max(map(abs, shown.zero)) / (_ZERO * shown.length) if accel.unit else 0.0
-                odds = _ODDS.get((accel.unit, gyro.unit), 1.0) if gyro is not None and gyro.known else 1.0
+                paired = with_accel and gyro is not None and gyro.known
+                odds = _ODDS.get((accel.unit, gyro.unit), 1.0) if paired and gyro is not None else 1.0
                 cost = assumed - 2.0 * math.log(odds) + (0.0 if stated and accel.unit else off**2 + away**2)
                 of_accel.append((taken, cost))
             least = min(cost for _, cost in of_accel)

@@ -19,10 +19,11 @@ from typing import Any
 
 import numpy as np
 
+from tumble.arguments import checked
 from tumble.diagnosis.turn_likelihood import WIDTHS, Widths
 from tumble.drafting.columns import identified_log
 from tumble.drafting.conclusions import completed
-from tumble.drafting.containers import files_of, unzipped
+from tumble.drafting.containers import check_format, files_of, unzipped
 from tumble.drafting.draft import Draft, session_text
 from tumble.drafting.foreign_log import HEAD_ROWS, SAMPLE_ROWS, ForeignLog
 from tumble.drafting.repairs import repaired
@@ -38,9 +39,9 @@ from tumble.recording.readers import source_of
 from tumble.recording.rows.gaps import is_reading
 from tumble.recording.session import AutopilotSensor, sensors_content
 from tumble.recording.session.log_tables import RAW
-from tumble.recording.session_file import SESSION_FILE, session_of
+from tumble.recording.session_file import SESSION_FILE
 from tumble.run.observed import Progress
-from tumble.units import DEGREE, TEMPERATURE_UNITS
+from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS, TEMPERATURE_UNITS
 
 _FAST = 0.99
 _SECONDS, _FEWEST_MEANS, _STEADY = 2.0, 3, 0.4
@@ -55,7 +56,7 @@ _CORE_MOTION = re.compile(r"accelerometerAcceleration[XYZ]\(G\)")
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Given:
     """What the user states: serial number, latitude (°), height (m), rate (Hz), programme and message of a recording,
-    and the columns of a log that are its accelerometers, gyros and time, by name or by number from 1."""
+    the columns of a log that are its accelerometers, gyros and time, by name or by number from 1, and their units."""
 
     serial: str | None = None
     latitude: float | None = None
@@ -66,6 +67,17 @@ class Given:
     accel: Sequence[str] = ()
     gyro: Sequence[str] = ()
     time: str | None = None
+    accel_unit: str | None = None
+    gyro_unit: str | None = None
+
+    @property
+    def units(self) -> dict[str, str]:
+        """The stated units by what they are of. Raises InputError for others than session.toml has."""
+        known = {ACCEL: (self.accel_unit, ACCEL_UNITS), GYRO: (self.gyro_unit, GYRO_UNITS)}
+        for kind, (unit, units) in known.items():
+            if unit is not None and unit not in units:
+                raise InputError(f"--{kind}-unit: expected one of {', '.join(units)}, found {unit!r}")
+        return {kind: unit for kind, (unit, _) in known.items() if unit is not None}
 
     @property
     def columns(self) -> dict[str, Sequence[str]]:
@@ -77,6 +89,7 @@ class Given:
 NOTHING_GIVEN = Given()
 
 
+@checked
 def new_session(
     folder: FilePath,
     logs: FilePath | Sequence[FilePath],
@@ -132,6 +145,24 @@ def written_session(
     path = folder.path / SESSION_FILE
     if path.exists():
         raise InputError(f"{path}: expected a folder without a session, found one; choose another folder")
+    draft, faults = drafted_log(folder, logs, given, progress, widths)
+    text = session_text(draft, folder.path, given.programme, named=bool(given.serial))
+    with whole_file(folder.new_file(SESSION_FILE)) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    return draft, faults
+
+
+def drafted_log(
+    folder: OutputFolder,
+    logs: FilePath | Sequence[FilePath],
+    given: Given,
+    progress: Progress,
+    widths: Widths = WIDTHS,
+    *,
+    gyros_suffice: bool = False,
+) -> tuple[Draft, list[str]]:
+    """What `new_session` writes, and the faults; where `gyros_suffice`, of a log of gyros alone too, of which a session
+    cannot be made. Copies of logs are written into the folder."""
     listed = [logs] if isinstance(logs, str | os.PathLike) else logs
     files = [file for log in listed for file in files_of(Path(log))]
     if given.programme is not None and given.programme not in programmes():
@@ -144,11 +175,16 @@ def written_session(
         raise InputError(f"--sample-rate: expected a positive number, found {given.sample_rate:g}")
     files = [inner for file in files for inner in unzipped(file, folder)]
     imu: Mapping[str, AutopilotSensor] = {}
-    if not (recordings := [file for file in files if is_recording(file) or file.is_dir()]):
-        log = identified_log(files, folder, given.columns)
-    elif given.columns:
+    recordings = [file for file in files if is_recording(file) or file.is_dir()]
+    for file in filter(Path.is_file, recordings):
+        check_format(file, recording=True)
+    if not recordings:
+        log = identified_log(files, folder, given.columns, given.units)
+        log.check_has_sensors(gyros_suffice=gyros_suffice)
+    elif given.columns or given.units:
+        options = [*given.columns, *(f"{kind}-unit" for kind in given.units)]
         raise InputError(
-            f"--{', --'.join(given.columns)}: expected a log of text or Parquet, found {recordings[0].name}, whose "
+            f"--{', --'.join(options)}: expected a log of text or Parquet, found {recordings[0].name}, whose "
             "messages say what is what; --message takes one"
         )
     elif len(recordings) < len(files):
@@ -162,14 +198,13 @@ def written_session(
     serial = given.serial or folder.path.resolve().name or "unknown"
     device = {"serial": serial, **({"imu": sensors_content(imu)} if imu else {})}
     draft = replace(draft, content={**draft.content, "device": device, **site})
-    session_of(draft.content)  # checked as a session is
+    draft.session()  # checked as a session is
     draft, faults = completed(draft, progress, widths)
+    if ACCEL not in draft.triads:
+        return draft, faults
     draft = _with_sign(draft)
     if draft.guessed:
         draft = draft.with_log([_row_as_read(draft)])
-    text = session_text(draft, folder.path, given.programme, named=bool(given.serial))
-    with whole_file(folder.new_file(SESSION_FILE)) as temporary:
-        temporary.write_text(text, encoding="utf-8")
     return draft, faults
 
 
@@ -185,11 +220,12 @@ def _of_log(log: ForeignLog, rate: float | None) -> Draft:
     said += [f"also there, and not used: {', '.join(known.others)}"] if known.others else []
     triads = {kind: known.triads[kind] for kind in (ACCEL, GYRO) if kind in known.triads}
     read = {kind: log.read(sensors.columns, rows=HEAD_ROWS) for kind, sensors in triads.items()}
-    magnitude = _magnitude(log, triads[ACCEL])
+    first = next(iter(triads))
+    magnitude = _magnitude(log, triads[first])
     if magnitude == 0.0:
         raise LogError(
-            f"{log.files[0]}: {', '.join(triads[ACCEL].columns)}: expected readings, found none in the first "
-            f"{len(read[ACCEL])} rows"
+            f"{log.files[0]}: {', '.join(triads[first].columns)}: expected readings, found none in the first "
+            f"{len(read[first])} rows"
         )
     files = [str(file.resolve()) for file in log.files]
     table: dict[str, Any] = {"file": files[0] if len(files) == 1 else files, **log.keys, **times.keys}
@@ -205,7 +241,7 @@ def _of_log(log: ForeignLog, rate: float | None) -> Draft:
     largest = np.abs(read[GYRO][np.isfinite(read[GYRO]).all(axis=1)]).max(axis=1) if GYRO in triads else np.zeros(0)
     whole = {kind: bool((r == np.floor(r))[np.isfinite(r)].all()) for kind, r in read.items()}
     # accelerometers that read nearly nothing at the mean over two seconds read no gravity
-    force = read[ACCEL][np.isfinite(read[ACCEL]).all(axis=1)]
+    force = read[ACCEL][np.isfinite(read[ACCEL]).all(axis=1)] if ACCEL in triads else np.empty((0, 3))
     rows = max(int(_SECONDS * times.rate), 2)
     if (count := len(force) // rows) >= _FEWEST_MEANS:
         means = np.linalg.norm(force[: count * rows].reshape(-1, rows, 3).mean(axis=1), axis=1)
@@ -218,6 +254,7 @@ def _of_log(log: ForeignLog, rate: float | None) -> Draft:
     return Draft(
         content={"format": 1, "device": {"serial": "unknown"}, "log": table},
         said=(*said, *told),
+        doubts=log.doubts,
         magnetometer=magnetometer,
         triads=triads,
         times=times,

@@ -107,7 +107,9 @@ def repaired(log: ForeignLog, folder: OutputFolder, rate: float | None) -> Forei
     columns = replace(columns, time=TIME, time_unit="s") if in_seconds else columns
     copied = f"so mended, the log is copied to {files[0].name}{' …' * (len(files) > 1)}"
     every_remark = (*log.said, *(said for said, _ in mends), *filter(None, [why]), copied)
-    return ForeignLog(files=tuple(files), keys={}, columns=columns, remarks=log.remarks, said=every_remark)
+    return ForeignLog(
+        files=tuple(files), keys={}, columns=columns, remarks=log.remarks, said=every_remark, doubts=log.doubts
+    )
 
 
 def _recordings(log: ForeignLog) -> tuple[Edges | None, str]:
@@ -253,7 +255,7 @@ def _positions_apart(log: ForeignLog, *, unsigned: bool) -> tuple[Edges | None, 
     """The positions that follow each other in a file without a turn: by a column that names them, or where gravity
     jumps from one row to the next while nothing moves before and after; None where there are none. With `unsigned`, 16
     bits of the accelerometers were read without their sign. Raises InputError for positions of too few rows."""
-    if len(log.files) > 1:
+    if len(log.files) > 1 or ACCEL not in log.columns.triads:
         return None, ""
     accel = log.read(log.columns.triads[ACCEL].columns)
     accel = _unwrapped(accel) if unsigned else accel

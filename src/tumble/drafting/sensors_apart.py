@@ -4,7 +4,8 @@ Parquet, and the accelerometers and gyros of a phone in files of their own."""
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import takewhile
 from operator import eq
 from pathlib import Path
@@ -12,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from tumble.drafting.foreign_log import HEAD_ROWS, SHOWN, ForeignLog
+from tumble.drafting.foreign_log import SHOWN, ForeignLog
 from tumble.drafting.times import grows_mostly, recordings_of, times_of_column
 from tumble.errors import InputError
 from tumble.files import OutputFolder
@@ -27,14 +28,13 @@ from tumble.recording.columns.names import (
     unit_of_name,
 )
 from tumble.recording.columns.numbers import time_by_data
-from tumble.recording.columns.scales import CANDIDATES
+from tumble.recording.columns.patterns import WITHOUT_GRAVITY
 from tumble.recording.formats import TIME, Message, as_log, messages
 from tumble.recording.session import AutopilotSensor
 from tumble.units import TIME_UNITS
 
-_NEAR = 0.1
-_UNCALIBRATED = re.compile(r"acc.*uncal|uncal.*acc", re.IGNORECASE)
-_NOT_ACCEL = re.compile(r"lin|user|uncal|without|\bno[_ ]?g", re.IGNORECASE)
+_UNCALIBRATED = re.compile(r"uncal", re.IGNORECASE)
+_GRAVITY = re.compile(r"grav|schwerkraft", re.IGNORECASE)
 
 
 def log_of_recording(
@@ -108,7 +108,7 @@ def are_sensors_apart(logs: Sequence[ForeignLog]) -> bool:
     all have room for two kinds are recordings of one device."""
     if len(logs) < 2 or any({ACCEL, GYRO} <= set(log.columns.triads) for log in logs):
         return False
-    if all(sum(not is_no_sensor(name) for name in log.cells) >= len("xyz") + len("xyz") for log in logs):
+    if all(_has_room_for_two(log) for log in logs):
         return False
     by_kind = _by_kind(logs)
     if set(by_kind) == {ACCEL, GYRO}:
@@ -116,47 +116,67 @@ def are_sensors_apart(logs: Sequence[ForeignLog]) -> bool:
     return not any(log.columns.triads or log.unnamed for log in logs)
 
 
+def _has_room_for_two(log: ForeignLog) -> bool:
+    """Whether a log may be of accelerometers and gyros: it has columns for both, and none that are x, y and z alone."""
+    axes_alone = set("xyz") <= {(name.split() or [""])[0].lower() for name in log.cells}
+    return not axes_alone and sum(not is_no_sensor(name) for name in log.cells) >= len("xyz") + len("xyz")
+
+
 def _by_kind(logs: Sequence[ForeignLog]) -> dict[str, ForeignLog]:
-    """The first log of each kind of sensors by the names of its columns, or where they do not say of its file; of
-    accelerometers the first that reads gravity, if one does: what a phone calls so may be without it."""
-    by_kind: dict[str, ForeignLog] = {}
-    for log in logs:
+    """The first log of each kind of sensors by the names of its columns, or where they do not say of its file, readings
+    that a phone has not corrected last; of accelerometers the first that reads gravity, if one does: what a phone calls
+    so may be without it."""
+    by_kind: dict[str, list[ForeignLog]] = {}
+    for log in sorted(logs, key=lambda log: _UNCALIBRATED.search(log.files[0].stem) is not None):
         name = log.files[0].stem
         named = next((kind for kind in (ACCEL, GYRO) if kind in log.columns.triads), None)
         kind = named or next((k for k, pattern in SENSOR_WORDS.items() if pattern.search(name)), None)
-        if kind is None or (kind == ACCEL and _NOT_ACCEL.search(name)):
-            continue
-        better = kind == ACCEL and ACCEL in by_kind and not _reads_gravity(by_kind[ACCEL]) and _reads_gravity(log)
-        if kind not in by_kind or better:
-            by_kind[kind] = log
-    uncalibrated = [log for log in logs if _UNCALIBRATED.search(log.files[0].stem)]
-    return {ACCEL: uncalibrated[0], **by_kind} if uncalibrated else by_kind
+        if kind is not None and not (kind == ACCEL and WITHOUT_GRAVITY.search(name)):
+            by_kind.setdefault(kind, []).append(log)
+    first = {kind: found[0] for kind, found in by_kind.items()}
+    with_gravity = next((log for log in by_kind.get(ACCEL, []) if _reads_gravity(log)), None)
+    return first if with_gravity is None else {**first, ACCEL: with_gravity}
 
 
 def _reads_gravity(log: ForeignLog) -> bool:
     """Whether the three sensors of a log of accelerometers read gravity in a unit."""
-    columns = _three(log, ACCEL)[1]
-    if not columns:
-        return False
-    length = float(np.nanmedian(np.linalg.norm(log.read(columns, rows=HEAD_ROWS), axis=1)))
-    return any(c.unit is not None and abs(length / c.value - 1.0) < _NEAR for c in CANDIDATES[ACCEL])
+    return log.reads_gravity(_three(log, ACCEL)[1])
 
 
 def of_sensors_apart(logs: Sequence[ForeignLog], folder: OutputFolder) -> ForeignLog:
     """Accelerometers and gyros that come in a file each, as of phones, as one log at the times of the gyros."""
     by_kind = _by_kind(logs)
-    if ACCEL not in by_kind:
-        logs[0].check_has_accelerometers()
+    if not by_kind:
+        logs[0].check_has_sensors(gyros_suffice=True)
     read = {kind: _message(by_kind[kind], kind) for kind in (ACCEL, GYRO) if kind in by_kind}
+    gravity = next((log for log in logs if _GRAVITY.search(log.files[0].stem)), None)
+    summed = ""
+    if ACCEL in by_kind and gravity is not None and not _reads_gravity(by_kind[ACCEL]):
+        read[ACCEL] = _sum(read[ACCEL], _message(gravity, ACCEL))
+        summed = f", {gravity.files[0].name} added to the accelerometers, which are without gravity"
     joined = folder.new_file("log.parquet")
-    as_log(joined, read[ACCEL], read.get(GYRO))
+    first = next(iter(read.values()))
+    as_log(joined, first, read.get(GYRO))
     named = " and ".join(log.files[0].name for log in by_kind.values())
     columns = Columns(time=TIME, time_unit="s", triads={kind: m.triads[kind] for kind, m in read.items()})
-    unused = [log.files[0].name for log in logs if log not in by_kind.values()]
+    unused = [log.files[0].name for log in logs if log not in by_kind.values() and not (summed and log is gravity)]
     also = (f"also there, and not used: {', '.join(unused)}",) if unused else ()
-    said = f"{named}: one log at the times of the gyros, written to {joined}"
-    fastest = read.get(GYRO, read[ACCEL])
+    said = f"{named}: one log at the times of the gyros{summed}, written to {joined}"
+    fastest = read.get(GYRO, first)
     return ForeignLog(files=(joined,), keys={}, columns=columns, said=(said, *also, fastest.remark))
+
+
+def _sum(accel: Message, gravity: Message) -> Message:
+    """Accelerations without gravity and gravity, as a phone has parted its readings."""
+
+    def rows() -> Iterator[pl.DataFrame]:
+        (more,) = gravity.rows()
+        for table in accel.rows():
+            columns = accel.columns
+            added = (pl.Series(c, table[c] + np.interp(table[TIME], more[TIME], more[c])) for c in columns)
+            yield table.with_columns(added)
+
+    return replace(accel, rows=rows)
 
 
 def _three(log: ForeignLog, kind: str) -> tuple[ForeignLog, list[str]]:

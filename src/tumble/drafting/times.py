@@ -53,7 +53,7 @@ _UNEVEN = 3.0
 _SHORTEST = 1e-9  # that stamps grow by in all, in any unit
 _ANEW = 0.01
 _RATE_IN_TEXT = re.compile(
-    r"(?:rate|frequency|freq|fs|частота|abtastrate|采样率)\w*[^0-9\n]{0,20}?(\d+(?:[.,]\d+)?)\s*(?:k?Hz|Гц|赫兹|$)",
+    r"(?:rate|frequency|freq|fs|\bat|частота|abtastrate|采样率)\w*[^0-9\n]{0,20}?(\d+(?:[.,]\d+)?)\s*(?:k?Hz|Гц|赫兹|$)",
     re.IGNORECASE,
 )
 

@@ -12,14 +12,15 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+from tumble.arguments import checked
 from tumble.errors import InputError, did_you_mean
+from tumble.files import FilePath
 from tumble.plugins import entry_points_of, load
 
 if TYPE_CHECKING:
     from tumble.export.exported import Exported
     from tumble.export.kalibr import NoiseDensities
     from tumble.export.templates import Template
-    from tumble.files import FilePath
     from tumble.recording.session import Session
     from tumble.result.calibration import Calibration
 
@@ -107,6 +108,7 @@ def _of_template(file: Path, name: str | None = None) -> Target:
     return Target(write=template.write, takes=takes, ending=template.front.ending)
 
 
+@checked
 def export_calibration(
     calibration: Calibration | FilePath,
     to: str | None = None,

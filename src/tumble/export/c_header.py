@@ -11,9 +11,9 @@ Where parameters change with temperature, there are functions with a temperature
 
     out = inverse · ((reading − bias − d (b₁ + d b₂)) / (1 + d (s₁ + d s₂)))
 
-sensor by sensor. Where the sensors lag behind the thermometer by λ, a function follows it from reading to reading,
-exact where the temperature is straight between two (`tumble.reduction.rests.thermometer`): over h seconds, with
-g = 1 − e^(−h/λ),
+sensor by sensor. Where sensors lag behind the thermometer by λ, a function for each kind follows it from reading to
+reading, exact where the temperature is straight between two (`tumble.reduction.rests.thermometer`): over h seconds,
+with g = 1 − e^(−h/λ),
 
     y₁ = y₀ + g (T₀ − y₀) + (T₁ − T₀) (1 − g λ/h)
 
@@ -56,8 +56,8 @@ def c_header(calibration: Calibration) -> Exported:
     """The header of a calibration."""
     known, compensator = models(calibration), calibration.compensator
     warm = bool(changing(calibration)) and calibration.reference_temperature is not None
-    lag = compensator.lag if warm else 0.0
-    held = HELD | (HELD_AT if warm else frozenset()) | ({"temperature.lag"} if lag else frozenset())
+    lags = {kind: lag for kind, lag in compensator.lags.items() if warm and lag != 0.0 and kind in known}
+    held = HELD | (HELD_AT if warm else frozenset()) | {f"{kind}.lag" for kind in lags}
     losses = notes_of(calibration, held=held)
     comments = [*origin(calibration), *_worked(compensator, known)]
     if warm:
@@ -68,12 +68,13 @@ def c_header(calibration: Calibration) -> Exported:
             f"it, in degC{known_from}"
         )
         comments += own_thermometers(calibration)
-    if lag:
-        readings = "; ".join(f"{celsius:g} after {seconds:g} s" for celsius, seconds in LAG_EXAMPLE)
+    readings = "; ".join(f"{celsius:g} after {seconds:g} s" for celsius, seconds in LAG_EXAMPLE)
+    for kind, lag in lags.items():
         comments += [
-            f"sensors lag behind the thermometer by {lag:.6g} s: give functions in _at what imu_sensors_celsius makes "
-            "of every reading, with a state for each thermometer",
-            f"example lag: the thermometer reads {readings}; the sensors have {shown(_sensors_celsius(lag).round(9))}",
+            f"{kind} lags behind the thermometer by {lag:.6g} s: give imu_correct_{kind}_at what imu_{kind}_celsius "
+            "makes of every reading, with a state for each thermometer",
+            f"example {kind} lag: the thermometer reads {readings}; the sensors have "
+            f"{shown(_sensors_celsius(lag).round(9))}",
         ]
     functions = [
         _function(compensator, kind, model, single=single, at=at)
@@ -81,7 +82,7 @@ def c_header(calibration: Calibration) -> Exported:
         for single in (False, True)
         for at in ([None, calibration] if warm else [None])
     ]
-    text = laid_out("imu_calibration.h.j2", comments=[*comments, *losses], lag=lag, functions=functions)
+    text = laid_out("imu_calibration.h.j2", comments=[*comments, *losses], lags=lags, functions=functions)
     return Exported(content=text.encode(), losses=losses)
 
 

@@ -13,6 +13,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from tumble.brief import Brief
 from tumble.errors import InputError
 from tumble.result.accepted import WORDS
 from tumble.result.calibration import Calibration
@@ -44,8 +45,8 @@ ROUNDING = 1e-6
 """Relative errors of single precision, which are not stated one by one."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Exported:
+@dataclass(frozen=True, kw_only=True, slots=True, repr=False)
+class Exported(Brief):
     """A file in the format of another program.
 
     Attributes
@@ -262,8 +263,8 @@ def _largest(calibration: Calibration, group: ParameterGroup) -> tuple[float, st
         return rate**2 * float(np.linalg.norm(own.reshape(-1, 3), axis=1).max()), at_rate
     if group.motion is not None:  # delays
         return rate * G_STANDARD * float(np.abs(own).max()), f"in 1 g {at_rate}"
-    if group.base is None:  # a lag, on a bias of the accelerometers
-        slopes = [abs(value) for name, value in values.items() if group_name(name) == "accel.bias.t1"]
+    if group.base is None:  # a lag, on a bias
+        slopes = [abs(value) for name, value in values.items() if group_name(name) == f"{group.kind}.bias.t1"]
         return abs(float(own[0])) * HEATING * max(slopes, default=0.0), "at 1 K/min"
     span, over = (HOUR, "after an hour") if group.variable == "time" else (WARMER, f"in {WARMER:.0f} K")
     if group.variable == "hysteresis":

@@ -21,7 +21,7 @@ need of φ; `table` makes those of a problem, in their order. Adding one is addi
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Container, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal, get_args
@@ -31,7 +31,7 @@ import numpy as np
 from tumble.inference.likelihood import Problem
 from tumble.inference.noise_components import CORRELATION_TIME, OF_TURNS, SCATTER, SCATTER_WORDS, Components, Noise
 from tumble.inference.variables import at_two_temperatures, both_ways
-from tumble.sensors.parameters import variable_of
+from tumble.sensors.parameters import poorer, prior_sizes, variable_of
 from tumble.units import Array, BoolArray
 
 IN_RUN_WITHIN = float(np.log(30.0) / 1.645)
@@ -139,6 +139,19 @@ class Hyperparameters(tuple[Hyperparameter, ...]):
         return np.asarray(np.exp(np.maximum(phi, 0.0) @ by))
 
 
+def size_factors(
+    grade: str, sizes: Mapping[str, float], sheet: Container[str] = (), *, guessed: bool
+) -> dict[str, float]:
+    """Factors by which the sizes of groups in instruments of a grade may be too small, by where each is from: a data
+    `sheet`, or a grade that is stated or guessed. A guess between grades of equal sizes cannot be wrong by it."""
+    worse = poorer(grade) if guessed else None
+    in_worse = {} if worse is None else prior_sizes(worse)
+    return {
+        name: SHEET if name in sheet else GUESSED if in_worse.get(name, 0.0) > size else STATED
+        for name, size in sizes.items()
+    }
+
+
 def table(problem: Problem, noise: Noise, seen: BoolArray) -> Hyperparameters:
     """The hyperparameters of a problem: the components of scatter that are `seen`, the in-run biases, and the groups
     whose size is by a prior."""
@@ -190,7 +203,7 @@ def table(problem: Problem, noise: Noise, seen: BoolArray) -> Hyperparameters:
             entries.append(Hyperparameter.of_size(f"{kind}.in_run.{sensor}", said, "unlike", UNLIKE, member))
         first += block.size
 
-    # groups of parameters beyond the linear model. The lag multiplies others: a wide prior would let both grow.
+    # groups of parameters beyond the linear model. A lag multiplies others: a wide prior would let both grow.
     # Curvatures are not wider than usual where there are but two temperatures, nor is a hysteresis where they came one
     # way: what a bias has beyond its usual size would be taken for one.
     two, both_sides = at_two_temperatures(observations), both_ways(observations)
@@ -214,9 +227,7 @@ def components_of(entries: Hyperparameters, phi: Array) -> Components:
 
 def sized(problem: Problem, entries: Hyperparameters, phi: Array) -> Problem:
     """The problem with the priors of its groups as large as φ says, or a stack of them."""
-    expected, usual = problem.measured[0], problem.usual[1].copy()
-    if problem.lag_known and problem.lag is not None:
-        usual[1 + problem.lag] = problem.measured[1][1 + problem.lag]
+    expected, usual = problem.measured[0], problem.usual[1]
     known = np.broadcast_to(usual, (*phi.shape[:-1], len(usual))).copy()
     known[..., 1:] *= entries.sizes(phi, entries.by_group)
     own = problem.own_usual * entries.sizes(phi, entries.by_own_group)

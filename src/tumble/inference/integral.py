@@ -98,7 +98,7 @@ def posterior(fitted: Maximum, points: int = POINTS) -> Posterior:
     phi, log_q = best.phi[None].repeat(points, axis=0), np.zeros(points)
     if axes:
         value, vectors = np.linalg.eigh(correlation)
-        normal = _normal(points, len(axes))
+        normal = normal_points(points, len(axes))
         z = normal @ (vectors * np.sqrt(value)) @ vectors.T
         log_q -= 0.5 * (normal**2).sum(axis=1)
         for own, axis in zip(z.T, axes, strict=True):
@@ -123,13 +123,13 @@ def posterior(fitted: Maximum, points: int = POINTS) -> Posterior:
     sources = averaged(weight, by_source)
     sources["hyperparameters"] = ((steps - mean).T * weight) @ (steps - mean)
     covariance = np.sum(list(sources.values()), axis=0)
-    factor = _coverage_factors(steps - mean, deviations, weight, np.sqrt(np.diag(covariance)))
+    factor = coverage_factors(steps - mean, deviations, weight, np.sqrt(np.diag(covariance)))
     shorter = np.where(factor > 0.0, np.minimum(0.5 * factor, 1.0), 1.0)
     return Posterior(
         step=mean,
         covariance=covariance * np.outer(shorter, shorter),
         sources={name: each * np.outer(shorter, shorter) for name, each in sources.items()},
-        degrees=_degrees(factor[1:]),
+        degrees=degrees_of(factor[1:]),
         process_step=process_mean,
         process_covariance=np.tensordot(weight, of_points("process_covariance"), axes=1)
         + ((process - process_mean).T * weight) @ (process - process_mean),
@@ -268,7 +268,7 @@ def rough(pareto: float, effective: float) -> bool:
     return pareto > POOR and effective < ENOUGH
 
 
-def _normal(points: int, dimensions: int) -> Array:
+def normal_points(points: int, dimensions: int) -> Array:
     """Points (points, D) of the normal distribution, of its mean and covariance: an additive recurrence of low
     discrepancy in the unit cube, by the root of x^{D+1} = x + 1, made so."""
     root = 2.0
@@ -311,7 +311,7 @@ def _pareto(above: Array) -> tuple[float, float]:
     return (n * shape + 5.0) / (n + 10.0), -shape / chosen
 
 
-def _coverage_factors(means: Array, deviations: Array, weight: Array, u: Array) -> Array:
+def coverage_factors(means: Array, deviations: Array, weight: Array, u: Array) -> Array:
     """The half widths at COVERAGE of the mixtures of Gaussians (points, m) over their u (m,); 0 where u is. By Newton's
     method, and by halves where that leaves the bounds."""
     low, high, k = np.zeros(len(u)), np.full(len(u), 20.0), np.full(len(u), 2.0)
@@ -329,7 +329,7 @@ def _coverage_factors(means: Array, deviations: Array, weight: Array, u: Array) 
     return np.where(u > 0.0, k, 0.0)
 
 
-def _degrees(factor: Array) -> Array:
+def degrees_of(factor: Array) -> Array:
     """Degrees of freedom (m,) of the t that has these coverage factors at COVERAGE."""
     degrees = np.geomspace(1.0, MOST_DEGREES, 400)
     factors = scipy.special.stdtrit(degrees, 0.5 + 0.5 * COVERAGE)

@@ -13,7 +13,6 @@ limit; so does a combination of them.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 
 import numpy as np
 
@@ -30,7 +29,7 @@ from tumble.inference.estimate import (
 )
 from tumble.inference.fits import TOTAL, chi_squares, left_out, sigmas
 from tumble.inference.integral import POINTS, Posterior, posterior
-from tumble.inference.lag import maximum_with_lag
+from tumble.inference.lag import maximum_with_lags
 from tumble.inference.likelihood import NO_PRIOR, Linearised, Prior, Problem, instruments_of
 from tumble.inference.linearisation import at_reference
 from tumble.inference.maximum import MAX_ITERATIONS, Maximum, without_outliers
@@ -65,16 +64,14 @@ def joint(
     usual, own = instruments_of(observations)
     problem = Problem.of(observations, prior, instrument=instrument or usual, own=own, usual=observations.usual)
     at, first = start_of(problem)
-    fitted, by_lag = maximum_with_lag(problem, at, QUICK_STEPS if quick else MAX_ITERATIONS)
+    fitted, by_lag = maximum_with_lags(problem, at, QUICK_STEPS if quick else MAX_ITERATIONS)
     if fitted.converged and not quick:
         fitted = without_outliers(fitted)
     shown = posterior(fitted, POINTS if intervals and not quick else 1)
-    return _estimate(problem, fitted, shown, (*first, *fitted.increments[:-1], shown.step[1:]), by_lag)
+    return _estimate(fitted, shown, (*first, *fitted.increments[:-1], shown.step[1:]), by_lag)
 
 
-def _estimate(
-    free: Problem, fitted: Maximum, shown: Posterior, increments: tuple[Array, ...], by_lag: Array
-) -> Estimate:
+def _estimate(fitted: Maximum, shown: Posterior, increments: tuple[Array, ...], by_lag: Array) -> Estimate:
     problem, instrument, noise, best = fitted.problem, fitted.problem.instrument, fitted.at.noise, fitted.best
     accel_sigmas, gyro_sigmas, turn_sigmas = sigmas(problem, noise, best.told.weights, best.left)
     alone = chi_squares(problem, left(problem, fitted.at.solved(problem, Components()))).values()
@@ -86,10 +83,12 @@ def _estimate(
     budget = _budget(fitted, shown, common)
     in_common = np.sum(list(common.values()), axis=0)
     covariance = shown.covariance[1:, 1:] + in_common
+    # what the time base or rounding leave open no further rest or turn would show
+    shown_by_data = (shown.covariance[1:, 1:] + by_lag)[:linear, :linear]
     spread = problem.spread[:linear]
     observable = np.ones(len(values), dtype=bool)
-    observable[:linear] = np.sqrt(np.diag(covariance)[:linear]) < spread / DETERMINED
-    findings = tuple(_findings(fitted))
+    observable[:linear] = np.sqrt(np.diag(shown_by_data)) < spread / DETERMINED
+    findings = tuple(_findings(fitted, np.diag(by_lag)))
     for finding in findings:
         observable[instrument.members[finding.name]] = finding.kept
     accel = problem.accel_model(values)
@@ -100,7 +99,7 @@ def _estimate(
         values=values,
         covariance=covariance,
         observable=observable,
-        null=_undetermined(covariance[:linear, :linear] / np.outer(spread, spread)),
+        null=_undetermined(shown_by_data / np.outer(spread, spread)),
         accel=accel,
         gyro=None if observations.gyro_block is None else problem.gyro_model(values),
         rest_residual=np.linalg.norm(_force(fitted, values), axis=1) - observations.site.gravity,
@@ -120,7 +119,7 @@ def _estimate(
             gravity=observations.site.gravity,
             rate=_usual_rate(fitted.at.about),
         ),
-        linearised=_linearised(fitted, free),
+        linearised=_linearised(fitted),
         own=_own(fitted),
         hyperparameters=tuple(_hyperparameters(fitted, shown)),
         integral=Integral(points=shown.points, effective=shown.effective, pareto=shown.pareto),
@@ -189,16 +188,11 @@ def _undetermined(covariance: Array) -> Array:
     return np.asarray(combinations[:, variance > DETERMINED**-2].T)
 
 
-def _linearised(fitted: Maximum, free: Problem) -> Linearised:
-    """The likelihood about the solution, with the lag as in the problem in which it is free."""
-    at, problem = fitted.at, fitted.problem
-    if free.lag is not None:
-        measured = problem.measured[0].copy(), problem.measured[1].copy()
-        for values, others in zip(measured, free.measured, strict=True):
-            values[1 + free.lag] = others[1 + free.lag]
-        problem = replace(problem, measured=measured, lag_known=False, by_lag=free.by_lag)
+def _linearised(fitted: Maximum) -> Linearised:
+    """The likelihood about the solution."""
+    at = fitted.at
     return Linearised(
-        problem=problem,
+        problem=fitted.problem,
         point=at.point,
         about=at.about,
         rows=at.rows,
@@ -240,12 +234,16 @@ def _own(fitted: Maximum) -> OwnEstimate | None:
     )
 
 
-def _findings(fitted: Maximum) -> Iterator[GroupFinding]:
-    """What the session says of each further group, beside a prior of the size at the maximum."""
+def _findings(fitted: Maximum, by_lag: Array) -> Iterator[GroupFinding]:
+    """What the session says of each further group, beside a prior of the size at the maximum; of lags by the variances
+    (m,) that they leave."""
     known = fitted.best.step.covariance.diagonal()[1:]
     problem = fitted.problem
     instrument, sized, usual = problem.instrument, problem.measured[1][1:], problem.usual[1][1:]
     for group in instrument.further:
         own = instrument.members[group.name]
-        size = usual[own] if group.variable == "lag" else sized[own]
-        yield GroupFinding.of(group.name, usual[own], size, known[own])
+        if group.variable == "lag":
+            prior = np.array([problem.observations.usual[group.name]])
+            yield GroupFinding.of(group.name, prior, prior, by_lag[own])
+        else:
+            yield GroupFinding.of(group.name, usual[own], sized[own], known[own])

@@ -1,8 +1,23 @@
-"""The lag of the sensors behind their thermometer, and the spread it leaves in all parameters.
+"""The lags of the sensors behind their thermometers, and the spread they leave in all parameters.
 
-Everything else is linear, or nearly so, once the lag is known, which multiplies the coefficients over temperature: the
-likelihood has several minima over it, where the temperature hardly bends none that Gauss–Newton finds. So the estimate
-holds the likeliest lag, and in the end its probability is summed over a grid: docs/explanation/mathematics.md (35).
+Accelerometers and gyros have a lag each: they may be chips apart from the thermometer and from each other. Everything
+else is linear, or nearly so, once the lags are known, which multiply the coefficients over temperature: the likelihood
+has several minima over a lag, where the temperature hardly bends none that Gauss–Newton finds. So the estimate holds
+the likeliest lags, and in the end the probability of each lag λ is summed over a grid.
+
+A lag matters as far as anything changes with temperature. Where nothing does, any lag fits, and a large one best: with
+it the sensors have hardly become warmer, and parameters at the temperature of the thermometer would be far from all
+that was observed. So there are two hypotheses, as likely beforehand: the coefficients c over temperature of a kind of
+sensor are of usual size, c ~ N(0, S) and λ ~ N(0, s²), or they are zero. With the solution θ(λ), of covariance C(λ),
+the odds of the first with a lag are those of the density of c = 0 before and after (Savage and Dickey),
+
+    O(λ) = (|C_c|/|S|)^½ exp(½ cᵀ C_c⁻¹ c),    P = ∫ p(λ) O(λ) dλ / (1 + ∫ p(λ) O(λ) dλ)
+
+and with λ̄ = P E λ, θ₀ and C₀ of the second hypothesis, and the mean over the lags of the first
+
+    C = (1 − P) [C₀ + (θ₀ − θ(λ̄))(θ₀ − θ(λ̄))ᵀ] + P E[C(λ) + (θ(λ) − θ(λ̄))(θ(λ) − θ(λ̄))ᵀ]
+
+but no less than C(λ̄): docs/explanation/mathematics.md (35).
 """
 
 from __future__ import annotations
@@ -11,16 +26,16 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import scipy
 
-from tumble.inference.hyperparameters import components_of
-from tumble.inference.likelihood import Point, Problem
-from tumble.inference.maximum import At, Maximum, likeliest, maximum
-from tumble.inference.noise_components import Components
+from tumble.inference.integral import conditional, coverage_factors
+from tumble.inference.likelihood import Problem
+from tumble.inference.maximum import At, Evaluated, Maximum, likeliest, maximum
+from tumble.sensors.parameters import THERMAL, sensor_kind, variable_of
 from tumble.units import Array
 
 LAGS = (-100.0, -25.0, 0.0, 10.0, 25.0, 50.0, 100.0, 200.0, 400.0, 800.0)
 """s: time constants of the sensors behind the thermometer from which the best is sought."""
-LAG_HELD = 1e-3  # s
 _APART = np.concatenate([[0.5], 2.0 ** np.arange(0.0, 10.5)])
 LAGS_ABOUT = np.concatenate([-_APART[::-1], [0.0], _APART])
 """s: from the lag that is held, where its likelihood is taken at first."""
@@ -28,67 +43,158 @@ RESOLVED, HALVINGS = 0.2, 10
 """Largest probability of one lag of a grid that resolves the likelihood, half a standard deviation of a Gaussian from
 the next, and how often steps beside likelier ones are halved at most."""
 LAG_ROUNDS = 3
-"""Solutions with a lag of which each shows the one before to be wrong, at most."""
+"""Solutions with lags of which each shows the one before to be wrong, at most."""
 
 
-def maximum_with_lag(problem: Problem, at: At, iterations: int) -> tuple[Maximum, Array]:
-    """The maximum with the likeliest lag, which is held, and what is to be added to the covariance (m, m) of the
-    parameters because the lag is not known: with the solutions θ(λ)
+def maximum_with_lags(problem: Problem, at: At, iterations: int) -> tuple[Maximum, Array]:
+    """The maximum with the likeliest lags, which are held, and the covariance (m, m) that they leave.
 
-        C = C(λ) + E[(θ(λ) − E θ)(θ(λ) − E θ)ᵀ]                                                                   (35)
+    Parameters
+    ----------
+    problem
+        The session, with or without lags among its parameters.
+    at
+        The linearisation to begin from.
+    iterations
+        Linearisations at most.
 
-    Where a session hardly shows the lag, its likelihood is no parabola, and mean and spread are not those of the
-    maximum. The lag that is held in the end is its mean."""
-    lag, free = problem.lag, problem
-    if lag is None:
-        return likeliest(problem, at, iterations), np.zeros((len(problem.instrument.names),) * 2)
-    expected, u = (float(values[1 + lag]) for values in problem.measured)
+    Returns
+    -------
+    maximum
+        That with the lags λ̄.
+    spread
+        By how much the covariance (m, m) of the parameters is greater because the lags are not known.
+    """
+    lags, spread = problem.lags, np.zeros((len(problem.instrument.names),) * 2)
+    if not lags:
+        return likeliest(problem, at, iterations), spread
+    usual = {kind: problem.observations.usual[f"{kind}.lag"] for kind in lags}
 
-    def held(value: float, sizes: Problem, point: Point, near: At) -> tuple[Problem, At]:
-        """The problem with this lag, which is known, and groups of these sizes, linearised at a point with it."""
-        measured, values = (sizes.measured[0].copy(), sizes.measured[1].copy()), point.values.copy()
-        measured[0][1 + lag], measured[1][1 + lag], values[lag] = value, LAG_HELD, value
-        known = replace(free, measured=measured, own_known=sizes.own_known, lag_known=True)
-        return known, At.of(known, replace(point, values=values), near.about, near.noise.kept)
+    def held(values: Array, near: At) -> tuple[Problem, At]:
+        """The problem with the lags among values (m,), and the linearisation there."""
+        known = free.with_lags(values)
+        return known, At.of(known, replace(near.point, values=values), near.about, near.noise.kept)
 
-    def again(value: float) -> Maximum:
-        return maximum(*held(value, free, fitted.point, fitted.at), fitted.best.phi, iterations)
+    def with_lag(values: Array, kind: str, lag: float) -> Array:
+        out = values.copy()
+        out[lags[kind]] = lag
+        return out
 
-    def solutions(sizes: Problem, components: Components) -> Callable[[Array], tuple[Array, Array]]:
-        def at_lags(lags: Array) -> tuple[Array, Array]:
-            every = [held(value, sizes, fitted.point, fitted.at) for value in lags.tolist()]
-            steps = [near.solved(known, components) for known, near in every]
-            moved_by = np.array([step.parameters for step in steps])
-            moved_by[:, 1 + lag] = lags
-            return np.array([step.deviance for step in steps]) + ((lags - expected) / u) ** 2, moved_by
+    def penalty(kind: str, lag: Array) -> Array:
+        """−2 ln of the prior of a lag."""
+        return np.asarray((lag / usual[kind]) ** 2)
+
+    def again(values: Array) -> Maximum:
+        return maximum(*held(values, replace(fitted.at, point=fitted.point)), fitted.best.phi, iterations)
+
+    def with_lags(phi: Array, kind: str, tried: Array) -> list[Evaluated]:
+        """The solutions at φ with lags of a kind."""
+        near = replace(fitted.at, point=fitted.point)
+        every = (held(with_lag(fitted.point.values, kind, lag), near) for lag in tried.tolist())
+        return [Evaluated.of(known, fitted.entries, there, phi) for known, there in every]
+
+    def likelihood(phi: Array, kind: str) -> Callable[[Array], tuple[Array, Array]]:
+        """−2 ln of the posterior of lags."""
+
+        def at_lags(tried: Array) -> tuple[Array, Array]:
+            value = np.array([each.value for each in with_lags(phi, kind, tried)])
+            return penalty(kind, tried) - 2.0 * value, tried
 
         return at_lags
 
-    fitted = likeliest(*held(0.0, free, at.point, at), iterations)
-    free = replace(free, bias_after=fitted.free.bias_after)
-    tried = {0.0}
+    def solutions(kind: str) -> Callable[[Array], tuple[Array, Array]]:
+        """The same at the φ of the maximum, with covariances and values (L, m, m + 1) of the parameters."""
+
+        def at_lags(tried: Array) -> tuple[Array, Array]:
+            every = with_lags(fitted.best.phi, kind, tried)
+            found = [(each.covariance, fitted.point.values + each.step[1:]) for each in map(conditional, every)]
+            value = np.array([each.value for each in every])
+            both = np.array([np.column_stack([C[1:, 1:], values]) for C, values in found])
+            return penalty(kind, tried) - 2.0 * value, both
+
+        return at_lags
+
+    def goodness(fit: Maximum) -> float:
+        """ln of the posterior of φ and the lags."""
+        return float(fit.best.value) - 0.5 * sum(float(penalty(kind, fit.point.values[i])) for kind, i in lags.items())
+
+    free = problem
+    fitted = likeliest(*held(at.point.values, at), iterations)
+    free = replace(problem, bias_after=fitted.free.bias_after)
+    tried = {tuple(fitted.point.values[list(lags.values())])}
     for _ in range(LAG_ROUNDS):
-        # by the φ that the lag before has led to, which may hide another one, and by the usual
-        usual = components_of(fitted.entries, fitted.entries.centre)
-        grids = solutions(fitted.problem, fitted.components), solutions(free, usual)
-        every = [resolved(at_lags, np.array(LAGS))[:2] for at_lags in grids]
-        likely = {float(lags[np.argmax(weight / np.gradient(lags))]) for lags, weight in every} - tried
-        maxima = [fitted, *map(again, sorted(likely))]
-        best = max(maxima, key=lambda each: each.best.value - 0.5 * ((each.point.values[lag] - expected) / u) ** 2)
-        tried |= likely
+        candidates = []
+        for phi in (fitted.best.phi, fitted.entries.centre):  # the first may hide another maximum
+            values = fitted.point.values
+            for kind in lags:
+                grid, weight, _ = resolved(likelihood(phi, kind), np.array(LAGS))
+                values = with_lag(values, kind, float(grid[np.argmax(weight / np.gradient(grid))]))
+            key = tuple(values[list(lags.values())])
+            if key not in tried:
+                tried.add(key)
+                candidates.append(values)
+        best = max([fitted, *map(again, candidates)], key=goodness)
         if best is fitted:
             break
         fitted = best
-    at_lags = solutions(fitted.problem, fitted.components)
-    lags, weight, moved_by = resolved(at_lags, fitted.point.values[lag] + LAGS_ABOUT)
-    moved_by -= weight @ moved_by
-    return again(float(weight @ lags)), ((moved_by.T * weight) @ moved_by)[1:, 1:]
+    means, prior_u = fitted.point.values.copy(), fitted.problem.measured[1][1:]
+    others = np.delete(np.arange(len(means)), list(lags.values()))
+    for kind, i in lags.items():
+        at_lags, own = solutions(kind), coefficients(fitted.problem, kind)
+        grid, weight, found = resolved(at_lags, fitted.point.values[i] + LAGS_ABOUT)
+        prior = np.exp(-0.5 * penalty(kind, grid)) * np.gradient(grid)
+        log_odds = [log_odds_of_change(each[own][:, [*own, -1]], prior_u[own]) for each in found]
+        change = float(scipy.special.expit(scipy.special.logsumexp(log_odds, b=prior / prior.sum())))
+        means[i] = change * float(weight @ grid)
+        spread[i, i] = weight @ (grid - means[i]) ** 2
+        (held_one,) = at_lags(means[[i]])[1]
+        every = np.vstack([without(held_one, own)[None], found])[:, others][:, :, [*others, -1]]
+        more = greater_by(every, held_one[others][:, [*others, -1]], np.append(1.0 - change, change * weight))
+        spread[np.ix_(others, others)] += more
+    return again(means), spread
+
+
+def without(solution: Array, own: list[int]) -> Array:
+    """A solution, its covariance and its values (m, m + 1), where the parameters at `own` are zero."""
+    return solution - solution[:, own] @ np.linalg.solve(solution[np.ix_(own, own)], solution[own])
+
+
+def greater_by(every: Array, held: Array, weight: Array) -> Array:
+    """By how much the covariance (m, m) of a mixture of solutions is greater than that of the one which is held: of
+    each the covariance and the values, (L, m, m + 1) and (m, m + 1), and the probability (L,). u is half the half width
+    of the mixture at 95.45 % where that is less than its standard deviation, as in the integral, and not less than that
+    of the one that is held."""
+    off, before = (every - held)[:, :, -1], np.diag(held)
+    more = np.tensordot(weight, every[:, :, :-1] - held[:, :-1], axes=1) + (off.T * weight) @ off
+    size = np.sqrt(np.abs(np.diag(more)))
+    size[size == 0.0] = 1.0
+    value, vectors = np.linalg.eigh(more / np.outer(size, size))
+    more = (vectors * np.maximum(value, 0.0)) @ vectors.T * np.outer(size, size)
+    after = before + np.diag(more)
+    u = np.sqrt(np.maximum(np.diagonal(every, axis1=1, axis2=2), 1e-6 * before))
+    after *= np.minimum(0.5 * coverage_factors(off, u, weight, np.sqrt(after)), 1.0) ** 2
+    share = np.sqrt(np.maximum(after - before, 0.0) / np.maximum(np.diag(more), 1e-300))
+    return np.asarray(more * np.outer(share, share))
+
+
+def coefficients(problem: Problem, kind: str) -> list[int]:
+    """Where the coefficients over temperature of a kind of sensor stand among the parameters."""
+    names = problem.instrument.names
+    return [i for i, name in enumerate(names) if sensor_kind(name) == kind and variable_of(name) in THERMAL]
+
+
+def log_odds_of_change(found: Array, sizes: Array) -> float:
+    """ln of the odds that coefficients are as large as is usual rather than zero, where both were as likely beforehand:
+    the density of zero by the prior, of standard deviations `sizes` (k,), over that afterwards, by covariance and
+    values (k, k + 1) (Savage and Dickey)."""
+    covariance, values = found[:, :-1] / np.outer(sizes, sizes), found[:, -1] / sizes
+    return 0.5 * float(values @ np.linalg.solve(covariance, values) + np.linalg.slogdet(covariance)[1])
 
 
 def resolved(at_lags: Callable[[Array], tuple[Array, Array]], lags: Array) -> tuple[Array, Array, Array]:
-    """Lags in ascending order, their probabilities, and what the solutions move gravity and the parameters by
-    (L, 1 + m), of −2 ln likelihood and solutions `at_lags`: those of a first grid, and between them as many as resolve
-    the likelihood, which may be narrow, and steep to one side."""
+    """Lags in ascending order, their probabilities, and the solutions with them
+    (L, …), of −2 ln likelihood and solutions `at_lags`: those of a first grid, and between them as many as resolve the
+    likelihood, which may be narrow, and steep to one side."""
     deviance, moved_by = at_lags(lags)
     for halved in range(HALVINGS + 1):
         weight = np.exp(-0.5 * (deviance - deviance.min())) * np.gradient(lags)

@@ -44,14 +44,16 @@ import numpy as np
 from tumble.earth import EARTH_RATE, earth_rate
 from tumble.inference.noise_components import NO_COMPONENTS, Components, Noise, Weights
 from tumble.inference.turns_about import TurnsAbout
-from tumble.inference.variables import GROWING, Variables, by_lag, variables_of
+from tumble.inference.variables import GROWING, KINDS, Variables, variables_of
 from tumble.reduction.observations import Observations
 from tumble.rotation import UP, rotation_matrix, skew
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import SensorModel, beyond_body
-from tumble.sensors.parameters import Variable, limits_of
+from tumble.sensors.parameters import Variable, limits_of, sensor_kind, variable_of
 from tumble.units import Array, IntArray
 
+LAG_HELD = 1e-3
+"""s: standard deviation of a lag that is held."""
 OWN: tuple[Variable, ...] = ("time", "launch")
 """What the changes go with that each of several sessions has of its own."""
 
@@ -175,12 +177,8 @@ class Problem:
     """What each of several sessions has of its own, beside the linear model, and"""
     own_known: Array = field(default_factory=lambda: np.zeros(0))
     """the standard deviations (q,) of its priors."""
-    by_lag: Variables = field(default_factory=dict)
-    """Derivatives of the variables by the lag of the thermometer, where this is an unknown."""
-    at_lag: float | None = None
-    """The lag at which the variables are."""
-    lag_known: bool = False
-    """Whether the lag is known, so that nothing else is said of it."""
+    at_lags: tuple[float, ...] = ()
+    """The lags at which the variables are."""
     usual: tuple[Array, Array] = (np.zeros(0), np.zeros(0))
     """`measured` with every group of its usual size, and"""
     own_usual: Array = field(default_factory=lambda: np.zeros(0))
@@ -211,6 +209,8 @@ class Problem:
         known = limits_of(instrument.names)
         for name, members in instrument.members.items():
             known[members] = (usual or {}).get(name, known[members])
+            if variable_of(name) == "lag":  # the estimate holds it: `tumble.inference.lag`
+                known[members] = LAG_HELD
         known = np.array([prior.parameters.get(n, k) for n, k in zip(instrument.names, known.tolist(), strict=True)])
         start = np.array([observations.start.get(name, 0.0) for name in instrument.names])
         own_known = [np.zeros(0)]
@@ -282,26 +282,32 @@ class Problem:
         return sum(block.size for block in self.instrument.blocks)
 
     @cached_property
-    def lag(self) -> int | None:
-        """Where the lag of the thermometer stands among the parameters."""
-        found = self.instrument.members.get("temperature.lag")
-        return None if found is None else found.start
+    def lags(self) -> dict[str, int]:
+        """Where the lags behind the thermometers stand among the parameters, by kind of sensor."""
+        members = self.instrument.members
+        return {kind: members[f"{kind}.lag"].start for kind in KINDS if f"{kind}.lag" in members}
+
+    def with_lags(self, values: Array) -> Problem:
+        """The problem in which the lags are known to have the values they have among those of the parameters (m,)."""
+        expected, at = self.measured[0].copy(), list(self.lags.values())
+        expected[1:][at] = values[at]
+        return replace(self, measured=(expected, self.measured[1]))
 
     def warmed(self, point: Point) -> Problem:
-        """The problem with the temperatures that the sensors have by the lag at a point."""
-        if self.lag is None:
+        """The problem with the temperatures that the sensors have by the lags at a point."""
+        lags = {kind: float(point.values[at]) for kind, at in self.lags.items()}
+        if tuple(lags.values()) == self.at_lags:
             return self
-        lag = float(point.values[self.lag])
-        if lag == self.at_lag:
-            return self
-        change = {} if self.lag_known else by_lag(self.observations, lag)
-        return replace(self, variables=variables_of(self.observations, lag), by_lag=change, at_lag=lag)
+        return replace(self, variables=variables_of(self.observations, lags), at_lags=tuple(lags.values()))
 
-    def goes_with(self, of: Variables, variable: Variable, own: slice, place: int) -> Array:
+    def goes_with(self, variable: Variable, own: slice, place: int) -> Array:
         """What the parameters at `own` go with (·, m), or (·, 1) where all go with the same, at rest (`place` 0) or in
-        the turns (1): each with the temperature of its sensor's thermometer."""
-        every = of[variable][place]
-        return every if every.shape[1] == 1 else every[:, self.instrument.thermometers[own]]
+        the turns (1): each with the temperature of its sensor."""
+        every = self.variables[variable][place]
+        if every.shape[1] == 1:
+            return every
+        of_gyros = sensor_kind(self.instrument.names[own.start]) == "gyro"
+        return every[:, self.instrument.thermometers[own] + of_gyros * every.shape[1] // 2]
 
     @cached_property
     def changed(self) -> tuple[IntArray, IntArray]:
@@ -310,21 +316,20 @@ class Problem:
         own = np.concatenate([none, *(every[own] for own, _, _ in self.changes)])
         return own, np.concatenate([none, *(every[base] for _, base, _ in self.changes)])
 
-    def going(self, of: Variables, place: int) -> Array:
+    def going(self, place: int) -> Array:
         """What the changes (·, c) go with at rest (`place` 0), in the turns (1), or by how much a second that grows in
-        them (2); nothing where the variables `of` have none of theirs."""
+        them (2)."""
         out, first = np.zeros((len(self.of_session[min(place, 1)]), len(self.changed[0]))), 0
         for own, _, variable in self.changes:
             last = first + own.stop - own.start
-            if variable in of:
-                out[:, first:last] = self.goes_with(of, variable, own, place)
+            out[:, first:last] = self.goes_with(variable, own, place)
             first = last
         return out
 
     @cached_property
     def goes(self) -> tuple[Array, Array, Array]:
         """What the changes go with, (N, c), (K, c) and (K, c)."""
-        return self.going(self.variables, 0), self.going(self.variables, 1), self.going(self.variables, GROWING)
+        return self.going(0), self.going(1), self.going(GROWING)
 
     def changes_in(self, point: Point, place: int) -> Array:
         """The values (·, c) of the changes at every rest (`place` 0) or turn (1), those of its session."""

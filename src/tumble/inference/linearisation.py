@@ -100,9 +100,9 @@ def _add_changes(
     problem: Problem, point: Point, rows: Array, first: int, place: int, growing: Array | None = None
 ) -> None:
     """Fill in the columns of rows (·, r, ·), those of parameters from `first` on, of what changes with time,
-    temperature or launch: those of its base times what it goes with, at rest (`place` 0) or in the turns (1); and that
-    of the lag, which moves the temperatures. What they add is taken off the residuals. `growing` are the columns
-    (K, r, m) of what grows by 1 a second about the middle of the turns."""
+    temperature or launch: those of its base times what it goes with, at rest (`place` 0) or in the turns (1). What they
+    add is taken off the residuals. `growing` are the columns (K, r, m) of what grows by 1 a second about the middle of
+    the turns."""
     own, base = problem.changed
     if not len(own):
         return
@@ -111,9 +111,6 @@ def _add_changes(
     by = sum(problem.goes[of][:, None] * columns for of, columns in every)
     rows[:, :, first + own] = by
     rows[:, :, -1] -= (by @ values)[:, :, 0]
-    if problem.by_lag and problem.lag is not None:
-        warmer = sum(problem.going(problem.by_lag, of)[:, None] * columns for of, columns in every)
-        rows[:, :, first + problem.lag] += (warmer @ values)[:, :, 0]
 
 
 def at_reference(problem: Problem, point: Point, rows: Rows) -> Array:

@@ -23,7 +23,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tumble.inference.lag import maximum_with_lag
+from tumble.inference.lag import maximum_with_lags
 from tumble.inference.likelihood import NO_PRIOR, Problem, instruments_of
 from tumble.inference.maximum import MAX_ITERATIONS, without_outliers
 from tumble.inference.start import start_of
@@ -95,7 +95,7 @@ def _closing_best(as_recorded: Observations, suspects: BadSamples, runs: IntArra
     linear = replace(as_recorded, usual={})
     instrument, own = instruments_of(linear)
     problem = Problem.of(linear, NO_PRIOR, instrument=instrument, own=own, usual={})
-    fitted, _ = maximum_with_lag(problem, start_of(problem)[0], MAX_ITERATIONS)
+    fitted, _ = maximum_with_lags(problem, start_of(problem)[0], MAX_ITERATIONS)
     if fitted.converged:
         fitted = without_outliers(fitted)
     turns, samples, gyro = linear.turns, linear.turn_samples, linear.gyro_block

@@ -48,6 +48,7 @@ WORDS: Mapping[str, tuple[str, Evaluation]] = {
     "aliased_apart.scatter": ("jumps of rate between samples of spare gyros", "A"),
     "accel.in_run": ("in-run bias of the accelerometers", "A"),
     "gyro.in_run": ("in-run bias of the gyros", "A"),
+    "passes": ("what further passes of the method would change", "B"),
     "fit": ("noise and scatter, by the residuals of the fit", "A"),
     "mag.fit": ("noise and scatter of the magnetometer, by the residuals of its fit", "A"),
     "launches": ("changes from launch to launch", "A"),
@@ -58,8 +59,9 @@ WORDS: Mapping[str, tuple[str, Evaluation]] = {
     "hyperparameters": ("what the model does not know of itself: scatter, in-run biases, sizes of groups", "A"),
     "rounding": ("rounding of readings to steps", "B"),
     "clock": ("time base of the log", "B"),
-    "lag": ("lag of the thermometer", "A"),
+    "lag": ("lags behind the thermometer", "A"),
     "type": ("what other units of the type are like", "B"),
+    "tilt": ("tilt that level faces have in common, or what is not linear", "B"),
     "case": ("placements on the faces of the case", "A"),
 }
 """Of every source: in words, and how its uncertainty is evaluated. Those of groups of parameters are `prior.GROUP`."""

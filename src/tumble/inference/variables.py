@@ -1,22 +1,25 @@
 """What parameters change with: time, temperature and its square, the direction in which the temperature came, and, of
 several sessions, that they are several.
 
-Temperatures are those of each thermometer, or of what follows it with a lag (docs/explanation/mathematics.md (15),
-section 12), as means over each rest and each turn: where a ramp turns back within a turn the rests beside it do not say
-how warm it was, and the mean of a square is not the square of a mean. The reference T₀ is the mean of each thermometer
-over the rests, so that T − T₀ is small and a parameter has its value at T₀. Hysteresis is h sgn(Ṫ)(1 − x²), x = −1 … 1
-over the range of the thermometer in the recording: it is nothing where the temperature turns back.
+Temperatures are those of the accelerometers and of the gyros, each of which follow their thermometer with a lag of
+their own (docs/explanation/mathematics.md (15), section 12), as means over each rest and each turn: where a ramp turns
+back within a turn the rests beside it do not say how warm it was, and the mean of a square is not the square of a mean.
+The reference T₀ is the mean of each thermometer over the rests, so that T − T₀ is small and a parameter has its value
+at T₀. Hysteresis is h sgn(Ṫ)(1 − x²), x = −1 … 1 over the range of the thermometer in the recording: it is nothing
+where the temperature turns back.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 
 import numpy as np
 
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.thermometer import Warmth
 from tumble.reduction.rests.warming import OVER_TEMPERATURE
+from tumble.sensors.model import SensorKind
 from tumble.sensors.parameters import Variable
 from tumble.units import Array, BoolArray
 
@@ -24,7 +27,6 @@ BOTH_WAYS = 3
 """Rests that have to come from each side for a hysteresis to be sought."""
 INNER = 0.8
 """Of half the range: beyond, a hysteresis does nothing."""
-LAG_STEP = 1.0  # s, of the difference for the derivative
 LEVEL = 0.05
 """K: rests of a session whose temperatures differ by no more are at one level: half of it, more of which a lag does not
 make, times a usual slope is within the usual instability of a bias, in every grade."""
@@ -33,17 +35,21 @@ RAMP = 1.0
 BETWEEN = 0.8
 """Of the range of temperatures: where so much of it has no rest, all are at its two ends."""
 
+NO_LAGS: Mapping[str, float] = MappingProxyType({})
+KINDS: tuple[SensorKind, ...] = ("accel", "gyro")
 Variables = Mapping[Variable, tuple[Array, Array, Array]]
-"""Of the rests (N, T) and of the turns (K, T), and by how much a second it grows within the turns (K, T): by
-thermometer, or (·, 1) where all parameters go with the same."""
+"""Of the rests (N, 2 T) and of the turns (K, 2 T), and by how much a second it grows within the turns (K, 2 T): of
+accelerometers with each of the T thermometers, then of gyros, or (·, 1) where all parameters go with the same."""
 GROWING = 2
 """The place of the last."""
 
 
-def variables_of(observations: Observations, lag: float = 0.0) -> dict[Variable, tuple[Array, Array, Array]]:
+def variables_of(
+    observations: Observations, lags: Mapping[str, float] = NO_LAGS
+) -> dict[Variable, tuple[Array, Array, Array]]:
     """What parameters may change with, of the rests and of the turns: time from the mean of its rests, s, the
-    temperature of each thermometer from its mean, K, and its square, and the direction it came from; and of several
-    sessions, each of them."""
+    temperatures of the sensors, which follow their thermometers with `lags`, s, by kind of sensor, from the mean of the
+    thermometer, K, and their squares, and the direction they came from; and of several sessions, each of them."""
     rests, turns, session = observations.rests, observations.turns, observations.session
     time = 0.5 * (rests.start + rests.stop)
     for of in (slice(None),) if session is None else (session == s for s in range(session[-1] + 1)):
@@ -55,14 +61,17 @@ def variables_of(observations: Observations, lag: float = 0.0) -> dict[Variable,
     grows = {"time": 1.0, "launch": 0.0}
     out = {name: (v, 0.5 * (v[first] + v[last]), np.full((len(first), 1), grows[name])) for name, v in at_rest.items()}
     if rests.temperatures is not None:
-        out |= _of_temperature(observations, rests.temperatures, lag)
+        every = [_of_temperature(observations, rests.temperatures, lags.get(kind, 0.0)) for kind in KINDS]
+        for name in every[0]:
+            rest, turn, grown = (np.hstack(each) for each in zip(*(of_kind[name] for of_kind in every), strict=True))
+            out[name] = rest, turn, grown
     return out
 
 
 def _of_temperature(
     observations: Observations, kelvin: Array, lag: float
 ) -> dict[Variable, tuple[Array, Array, Array]]:
-    """What goes with the temperature."""
+    """What goes with the temperatures of sensors that follow each thermometer with a lag, s."""
     reference, seconds = kelvin.mean(axis=0), np.maximum(_turning(observations)[1], 1.0)[:, None]
     rest, turn, before, after = (_of_warmth(each, reference) for each in _warmth(observations, kelvin, lag))
     out = {name: (rest[name], turn[name], 2.0 * (after[name] - before[name]) / seconds) for name in rest}
@@ -109,16 +118,6 @@ def _warmth(observations: Observations, kelvin: Array, lag: float) -> tuple[Warm
     every = thermometers.means(file, *when, lag)
     in_turns, before, after = (every[len(rests) + i * K : len(rests) + (i + 1) * K] for i in range(3))
     return every[: len(rests)], in_turns, before, after
-
-
-def by_lag(observations: Observations, lag: float) -> dict[Variable, tuple[Array, Array, Array]]:
-    """Derivatives by the lag, 1/s, of what goes with the temperature."""
-    later, sooner = (variables_of(observations, lag + step) for step in (LAG_STEP, -LAG_STEP))
-    out: dict[Variable, tuple[Array, Array, Array]] = {}
-    for name in (name for name in later if name in ("temperature", "temperature²", "hysteresis")):
-        rest, turn, grows = ((b - a) / (2.0 * LAG_STEP) for b, a in zip(later[name], sooner[name], strict=True))
-        out[name] = rest, turn, grows
-    return out
 
 
 def over_a_range(observations: Observations) -> bool:

@@ -25,9 +25,10 @@ from typing import Any
 import numpy as np
 import scipy
 
+from tumble.documents import plain
 from tumble.errors import InputError
 from tumble.export import Target
-from tumble.export.exported import UNITS, Exported, example, models, not_held, one_line, origin, shown
+from tumble.export.exported import UNITS, Exported, example, models, not_held, origin, shown
 from tumble.files import FilePath
 from tumble.lab.certificate import RELATES, STATES, Certificate, Party, check_certificate, judged_by, read_certificate
 from tumble.lab.conformity import RISK, RULE, Verdict, verdicts
@@ -133,9 +134,14 @@ def _add(parent: ET.Element, name: str, content: Any) -> None:
                 _add(element, part, value)
 
 
+def _line(text: str) -> str:
+    """A text on one line, without characters that XML does not have."""
+    return " ".join(plain(text).split())
+
+
 def _text(text: str | None) -> dict[str, Any] | None:
     """A text in English; nothing where there is none."""
-    return None if text is None else {"content": {"@lang": "en", "": one_line(text)}}
+    return None if text is None else {"content": {"@lang": "en", "": _line(text)}}
 
 
 # -------------------- who, what, when --------------------
@@ -157,11 +163,11 @@ def _administrative(calibration: Calibration, certificate: Certificate, scope: M
         "issueDate": None if certificate.issued is None else certificate.issued.isoformat(),
         "reportAmendedSubstituted": None if certificate.replaces is None else replaced,
     }
-    serial = {"issuer": "manufacturer", "value": one_line(calibration.serial), "name": _text("serial number")}
+    serial = {"issuer": "manufacturer", "value": _line(calibration.serial), "name": _text("serial number")}
     item = {
         "name": _text("inertial measurement unit"),
         "description": _text(STATES[certificate.state]),
-        "model": None if calibration.model is None else one_line(calibration.model),
+        "model": None if calibration.model is None else _line(calibration.model),
         "identifications": {"identification": serial},
     }
     code, contact = certificate.laboratory.code, _contact(certificate.laboratory)

@@ -194,7 +194,7 @@ def _noiseless() -> Iterator[SelftestCase]:
 
 def _noisy_table() -> Iterator[SelftestCase]:
     """a simulated device on a rough table, with noise, and the file of its calibration"""
-    calibration, truth = _simulated(Setup.of(rest=20.0))
+    calibration, truth = _simulated(Setup.of(rest=20.0, terms="full"))
     z = np.array([(p.value - truth[p.name]) / p.u for p in calibration.parameters if p.u])
     yield SelftestCase(
         name=f"rough table: rms of (value − truth)/u of {len(z)} parameters",
@@ -234,7 +234,7 @@ def _exchanged_columns() -> Iterator[SelftestCase]:
 def _simulated(setup: Setup) -> tuple[Calibration, dict[str, float]]:
     """The calibration of a simulated session, and its truth."""
     session, scenario = _drawn(setup)
-    return calibrate(session, terms="linear"), dict(scenario.truth)
+    return calibrate(session, terms="full" if setup.further else "linear"), dict(scenario.truth)
 
 
 def _drawn(setup: Setup) -> tuple[Session, Scenario]:

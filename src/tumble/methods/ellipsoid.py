@@ -17,7 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tumble.diagnosis.linear_model import by_joint, left_out_of, with_left_out
+from tumble.diagnosis.linear_model import by_joint, left_out_by_rests, with_left_out
 from tumble.diagnosis.observability import Refusal
 from tumble.errors import InputError
 from tumble.inference.estimate import Estimate, Fit
@@ -26,6 +26,7 @@ from tumble.methods.ellipsoid_fit import EllipsoidFit, fit_ellipsoid
 from tumble.reduction.observations import Observations
 from tumble.rotation import unit_vector
 from tumble.sensors.parameters import units_of
+from tumble.units import Array
 
 
 def ellipsoid(observations: Observations) -> Estimate:
@@ -100,9 +101,14 @@ def estimate_of(found: EllipsoidFit, observations: Observations, beside: Estimat
     )
     if not observations.usual:
         return estimate
-    # the standard deviations of the rests along the vertical that the fit has, infinite where it leaves them out
+    estimate = replace(estimate, linearised=None if beside is None else beside.linearised)
+    found_groups = left_out_by_rests(observations, found.values, deviations(found, observations), beside)[0]
+    return with_left_out(estimate, found_groups, gravity)
+
+
+def deviations(found: EllipsoidFit, observations: Observations) -> Array:
+    """Standard deviations (N,) of the readings at rest along the vertical that a fit has, infinite where it leaves them
+    out."""
     up = unit_vector(found.model.apply(observations.rests.accel))
     variance = np.einsum("ip,ipq,iq->i", up, observations.rests.accel_covariance, up) + found.scatter**2
-    sigma = np.where(found.used, np.sqrt(variance), np.inf)
-    estimate = replace(estimate, linearised=None if beside is None else beside.linearised)
-    return with_left_out(estimate, left_out_of(observations, sigma, beside=beside), gravity)
+    return np.where(found.used, np.sqrt(variance), np.inf)

@@ -21,8 +21,8 @@ C W_iᵀW_i C, and the parts add up to C. A prior of size s of parameter j is W 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -30,6 +30,7 @@ from tumble.brief import Brief
 from tumble.earth import earth_rate
 from tumble.errors import InputError
 from tumble.inference.elimination import fold
+from tumble.inference.hyperparameters import size_factors
 from tumble.inference.in_run import InRun
 from tumble.inference.likelihood import Linearised, Point, Problem
 from tumble.inference.linearisation import linearised
@@ -48,7 +49,7 @@ from tumble.reduction.blocks.tuning import USUAL
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.rests import Rests
 from tumble.reduction.turns.turns import TURN_FLOOR, VELOCITY_FLOOR
-from tumble.sensors.grades import NoiseModel
+from tumble.sensors.grades import GRADES, NoiseModel
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import positions_by_group, prior_sizes
 from tumble.units import Array, BoolArray
@@ -110,6 +111,8 @@ def stated(setup: Setup, *, gyros: bool = True, prior: Prior | None = None) -> B
     InputError
         For values that make no sense, and where there is no noise.
     """
+    if not setup.programme.ordered:  # the mean over orders
+        return _mean([stated(each, gyros=gyros, prior=prior) for each in _in_some_orders(setup)])
     course = itinerary_of(setup).as_logged(setup.ramp, USUAL.margin_of(setup.rest))
     seen, by_type = expected(view(course, setup, gyros=gyros)), None
     if prior is not None:
@@ -122,6 +125,29 @@ def stated(setup: Setup, *, gyros: bool = True, prior: Prior | None = None) -> B
         by_type = np.zeros((len(places), len(problem.instrument.names)))
         by_type[:, places] = np.linalg.inv(np.linalg.cholesky(covariance))
     return bound_by(seen, setup.turn_rate, setup.clock_u, by_type)
+
+
+ORDERS = 8
+"""Of positions that come in any order, over which is averaged."""
+
+
+def _in_some_orders(setup: Setup) -> list[Setup]:
+    """A set-up with the positions of its programme in several orders."""
+    listed, rng = setup.programme, np.random.default_rng(0)
+    orders = [rng.permutation(len(listed.positions)).tolist() for _ in range(ORDERS)]
+    programmes = (replace(listed, positions=tuple(listed.positions[i] for i in o), ordered=True) for o in orders)
+    return [replace(setup, programme=each) for each in programmes]
+
+
+def _mean(bounds: Sequence[Bound]) -> Bound:
+    """The mean of bounds of the same parameters."""
+    first = bounds[0]
+    return replace(
+        first,
+        covariance=np.mean([each.covariance for each in bounds], axis=0),
+        condition=float(np.mean([each.condition for each in bounds])),
+        sources={name: np.mean([each.sources[name] for each in bounds], axis=0) for name in first.sources},
+    )
 
 
 def instrument_of(setup: Setup, gyros: bool) -> Instrument:
@@ -239,6 +265,7 @@ def view(course: Itinerary, setup: Setup, *, gyros: bool) -> Linearised:
         if level == 0.0 and (gyros or sensors == "accelerometers"):
             raise InputError(f"noise: expected {sensors} with noise, found none; without it there is no bound")
     instrument, turns, samples, about = instrument_of(setup, gyros), None, None, None
+    usual = prior_sizes(setup.instrument, usual=setup.further)
     earth, g, first = np.array(earth_rate(setup.latitude)), setup.gravity, course.first
     if gyros and len(first) > 0:
         start, still, T = course.attitudes[first], course.still[first], course.seconds
@@ -259,7 +286,8 @@ def view(course: Itinerary, setup: Setup, *, gyros: bool) -> Linearised:
         ),
         turns=turns,
         turn_samples=samples,
-        usual=prior_sizes(setup.instrument, usual=setup.further),
+        usual=usual,
+        too_small=size_factors(setup.instrument, usual, guessed=True) if setup.instrument in GRADES else {},
     )
     point = Point(values=np.zeros(len(instrument.names)), gravity=g, attitudes=course.attitudes)
     if turns is not None:

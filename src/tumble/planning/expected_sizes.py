@@ -2,15 +2,16 @@
 
 `joint` estimates hyperparameters (`tumble.inference.hyperparameters`) with the parameters, and integrates over them.
 Let a session be as its set-up says: noise of standard deviation s without scatter beside it, and groups of the usual
-size. On the average over such sessions the posterior of each hyperparameter by itself is
+size. The posterior of each hyperparameter by itself is
 
-    x = σ/s of a component of scatter with ν degrees of freedom     e^{−x} [(1 + x²) e^{1/(1 + x²)}]^{−ν/2}
-    λ of a group seen with variances v, of the usual size s         p(λ) Π [(λ²s² + v) e^{(s² + v)/(λ²s² + v)}]^{−1/2}
+    x = σ/s of a component of scatter with ν degrees of freedom     p(x) (1 + x²)^{−ν/2} e^{−χ²/2(1 + x²)}
+    λ of a group seen with variances v, of the usual size s         p(λ) Π (λ²s² + v)^{−1/2} e^{−y²/2(λ²s² + v)}
 
-where the logarithm of the likelihood is replaced by its expectation. The size that counts is the root mean square of σ,
-and the size of the prior with which a parameter has the mean of its variances 1/(1/λ²s² + 1/v). A group about which the
-session says nothing (`SHOWN`) keeps its usual size, as in the integral. In-run biases have the size of the set-up: the
-rests show it.
+with χ² of ν degrees of freedom and y of the variance s² + v, as chance has them in sessions. The size that counts is
+the root mean square of σ, and the size of the prior with which a parameter has the mean over sessions of its variance,
+the mean of 1/(1/λ²s² + 1/v) and what its value differs by with λ. A group about which the session says nothing
+(`SHOWN`) keeps its usual size, as in the integral; each is beside what is expected of all others. An in-run bias is a
+group of as many members as it has states, whose prior is log-normal about the size of the set-up.
 """
 
 from __future__ import annotations
@@ -19,65 +20,91 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import scipy
 
 from tumble.inference.hyperparameters import table
 from tumble.inference.integral import SHOWN
 from tumble.inference.likelihood import Linearised
+from tumble.inference.linearisation import with_priors
 from tumble.inference.maximum import LEAST_DEGREES
-from tumble.inference.noise_components import SCATTER
-from tumble.inference.step import left, scatter_score, solve
+from tumble.inference.noise_components import OF_TURNS, SCATTER
+from tumble.inference.step import in_run_scores, left, scatter_score, solve
 from tumble.units import Array
 
 FINE = 400
 """Points of an integral."""
+ROUNDS = 2
 FARTHEST = 4.0
 """Range of an integral, in standard deviations of the prior."""
+CHANCES = (np.arange(64) + 0.5) / 64
+"""Of what sessions show, over which is averaged."""
 
 
 def expected(seen: Linearised) -> Linearised:
     """A linearised likelihood with the scatter and the sizes of groups that `joint` will find on the average, from one
     at perfect sensors with the noise of the set-up."""
-    problem, noise = seen.problem, seen.noise
-    step = solve(problem, seen.rows, noise.weights(seen.components))
+    problem, noise, components = seen.problem, seen.noise, seen.components
+    step = solve(problem, seen.rows, noise.weights(components))
     information = scatter_score(noise, step, left(problem, step))[1].diagonal()
-    sizes, scatter = problem.measured[1].copy(), dict[str, Any]()
-    size, variances = sizes[1:], np.diag(step.covariance)[1:]
-    for h in table(problem, noise, information > 0.0):
+    entries, usual, found = table(problem, noise, information > 0.0), problem.measured[1][1:], dict[str, Any]()
+    for h in entries:
         if h.place == "scatter":
             degrees = 2.0 * float(information[SCATTER.index(h.name)]) * h.usual**4
             if degrees > LEAST_DEGREES:
-                scatter[h.name] = h.usual * _expected_scatter(degrees)
-        elif h.place == "group":
-            usual, v = size[h.members], variances[h.members]
-            learned = np.clip(1.0 - v / usual**2, 0.0, 1.0)
+                found[h.name] = h.usual * _expected_scatter(degrees, of_turns=h.name in OF_TURNS)
+        elif h.place == "in-run" and step.told.process is not None:
+            states = in_run_scores(step.told.process, step)[2][h.members]
+            share = float(np.clip(states.mean() / len(problem.link), 1e-6, 1.0 - 1e-6))
+            every = np.ones(len(states) * len(problem.link))
+            factor = _expected_size(every, (1.0 - share) * every, h.within, two_sided=True)[0]
+            found[h.name] = getattr(components, h.name) * float(factor)
+    components = replace(components, **found)
+    for _ in range(ROUNDS):  # each group is beside what is expected of all others
+        rows = with_priors(seen.rows, problem, seen.point, seen.about)
+        sizes, variances = (
+            problem.measured[1].copy(),
+            np.diag(solve(problem, rows, noise.weights(components)).covariance),
+        )
+        for h in entries:
+            if h.place != "group":
+                continue
+            s, size, v = usual[h.members], sizes[1:][h.members], variances[1:][h.members]
+            v = 1.0 / (1.0 / v - 1.0 / size**2 + 1.0 / s**2)  # beside a prior of the usual size
+            learned = np.clip(1.0 - v / s**2, 0.0, 1.0)
             larger = np.exp(2.0 * (2.0 * learned.sum() + h.within**-2) ** -0.5)
-            if 2.0 * (larger * learned / (larger * learned + 1.0 - learned)).sum() > SHOWN:
-                size[h.members] *= _expected_size(usual, v, h.within)
-    wider = replace(problem, measured=(problem.measured[0], sizes))
-    return replace(seen, problem=wider, components=replace(seen.components, **scatter))
+            shown = 2.0 * (larger * learned / (larger * learned + 1.0 - learned)).sum() > SHOWN
+            sizes[1:][h.members] = s * _expected_size(s, v, h.within) if shown else s
+        problem = replace(problem, measured=(problem.measured[0], sizes))
+    return replace(seen, problem=problem, components=components)
 
 
-def _expected_scatter(degrees: float) -> float:
-    """Root mean square of x = σ/s with so many degrees of freedom."""
+def _expected_scatter(degrees: float, *, of_turns: bool = False) -> float:
+    """Root mean square of x = σ/s with so many degrees of freedom, whose prior is e^{−x}, that of turns (1 + x)⁻²."""
     x = np.linspace(0.0, 12.0, 4 * FINE)
-    log_density = -x - 0.5 * degrees * (np.log1p(x**2) + 1.0 / (1.0 + x**2))
-    density = np.exp(log_density - log_density.max())
-    return float(np.sqrt(density @ x**2 / density.sum()))
+    square = scipy.special.gammaincinv(0.5 * degrees, CHANCES)[:, None] * 2.0  # χ²
+    log_density = -2.0 * np.log1p(x) if of_turns else -x
+    log_density = log_density - 0.5 * (degrees * np.log1p(x**2) + square / (1.0 + x**2))
+    density = np.exp(log_density - log_density.max(axis=1, keepdims=True))
+    return float(np.sqrt(np.mean(density @ x**2 / density.sum(axis=1))))
 
 
-def _expected_size(usual: Array, variance: Array, within: float) -> Array:
+def _expected_size(usual: Array, variance: Array, within: float, *, two_sided: bool = False) -> Array:
     """Factor (k,) by which the priors of the parameters of a group are widened, whose usual sizes are `usual` (k,) and
-    whose variances in the session are `variance` (k,)."""
+    whose variances in the session are `variance` (k,); `two_sided` where it may be less than 1."""
     s2 = usual**2
     seen = 1.0 / np.maximum(1.0 / variance - 1.0 / s2, 1e-9 / s2)
-    p = np.linspace(0.0, FARTHEST * within, FINE)
+    p = np.linspace(-FARTHEST * within if two_sided else 0.0, FARTHEST * within, FINE)
     size2 = np.exp(2.0 * p)[:, None] * s2
-    log_likelihood = -0.5 * (np.log(size2 + seen) + (s2 + seen) / (size2 + seen)).sum(axis=1)
-    density = np.exp(log_likelihood - log_likelihood.max() - 0.5 * (p / within) ** 2)
-    density /= np.sqrt(0.5 * np.pi) * within / (p[1] - p[0])
-    density[0] += np.exp(log_likelihood[0] - log_likelihood.max())  # half of the prior is on the usual size
-    share, weight = size2 / (size2 + seen), density / density.sum()
+    drawn = (s2 + seen) * np.random.default_rng(0).standard_normal((len(CHANCES), len(usual))) ** 2
+    log_likelihood = -0.5 * (np.log(size2 + seen).sum(axis=1) + drawn @ (1.0 / (size2 + seen)).T)
+    top = log_likelihood.max(axis=1, keepdims=True)
+    density = np.exp(log_likelihood - top - 0.5 * (p / within) ** 2)
+    if not two_sided:  # half of the prior is on the usual size
+        density /= np.sqrt(0.5 * np.pi) * within / (p[1] - p[0])
+        density[:, 0] += np.exp(log_likelihood - top)[:, 0]
+    share, weight = size2 / (size2 + seen), density / density.sum(axis=1, keepdims=True)
     mean = weight @ share
-    apart = weight @ (share - mean) ** 2
-    larger = 1.0 / np.maximum(1.0 / (mean * seen + apart * (s2 + seen)) - 1.0 / seen, 1e-9 / s2) / s2
-    return np.asarray(np.sqrt(np.minimum(larger, weight @ np.exp(2.0 * p))))
+    apart = weight @ share**2 - mean**2
+    known = np.mean(mean * seen + apart * drawn, axis=0)
+    larger = 1.0 / np.maximum(1.0 / known - 1.0 / seen, 1e-9 / s2) / s2
+    return np.asarray(np.sqrt(np.clip(larger, 0.0 if two_sided else 1.0, np.mean(weight @ np.exp(2.0 * p)))))

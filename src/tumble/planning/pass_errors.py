@@ -40,7 +40,7 @@ from tumble.planning.error_propagation import (
 )
 from tumble.planning.itinerary import itinerary_of
 from tumble.planning.setup import GROUPS, MEMBERS, NAMES, Setup, check_setup
-from tumble.units import DEGREE, DEGREE_PER_HOUR, Array
+from tumble.units import DEGREE_PER_HOUR, Array
 
 _INDIRECT = ("indirect, programme matrix",) * 2
 _BY_METHOD: Mapping[MethodOfPaper, tuple[str, ...]] = {
@@ -51,10 +51,9 @@ _BY_METHOD: Mapping[MethodOfPaper, tuple[str, ...]] = {
 ESTIMATORS = {method: dict(zip(GROUPS, words, strict=True)) for method, words in _BY_METHOD.items()}
 """How each method finds each group of parameters, with the equations of the paper."""
 
-LARGEST_DEVIATION = 5.0 * DEGREE
-"""Largest table and mounting error, rad, for which formulas of first order in them are taken to hold."""
 LARGEST_AZIMUTH = 0.1
-"""Largest azimuth error of TRIAD, rad, likewise; the paper, too, wants biases an order below the Earth's rate."""
+"""Largest azimuth error of TRIAD, rad, for which formulas of first order in it are taken to hold; the paper, too, wants
+biases an order below the Earth's rate."""
 REST_NOISE = ("accelerometer noise at rest", "gyro noise at rest")
 """The sources that longer rests reduce."""
 
@@ -152,12 +151,6 @@ class PassErrors:
 
 def remarks(setup: Setup) -> Iterator[str]:
     """Where a set-up is outside the range of the formulas, in sentences."""
-    largest = max(setup.table_error, setup.mounting_error)
-    if largest > LARGEST_DEVIATION:
-        yield (
-            f"errors of table and mounting up to {largest / DEGREE:.3g}°: the formulas are of first order in them and "
-            f"hold up to {LARGEST_DEVIATION / DEGREE:g}°"
-        )
     rate = math.hypot(setup.gyro.bias, setup.noise.gyro_white / math.sqrt(setup.rest), setup.noise.gyro_instability)
     north = earth_rate(setup.latitude)[0]
     if rate > LARGEST_AZIMUTH * north:

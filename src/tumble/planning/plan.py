@@ -18,6 +18,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from tumble.arguments import checked
 from tumble.brief import Brief
 from tumble.diagnosis.observability import in_words
 from tumble.errors import InputError
@@ -25,8 +26,9 @@ from tumble.inference.prior import Prior
 from tumble.planning.bounds import CLOCK, GRAVITY, Bound, stated
 from tumble.planning.error_propagation import MethodOfPaper
 from tumble.planning.next_positions import ANY, NextPosition, TurnTable, next_positions
-from tumble.planning.pass_errors import ESTIMATORS, LARGEST_DEVIATION, REST_NOISE, PassErrors, remarks
+from tumble.planning.pass_errors import ESTIMATORS, REST_NOISE, PassErrors, remarks
 from tumble.planning.setup import MEMBERS, NAMES, UNITS, Setup, check_setup, expect, with_all_groups
+from tumble.reduction.rests.matching import POSITION_LIMIT
 from tumble.sensors.grades import spread_of
 from tumble.sensors.parameters import Terms, positions_by_group
 from tumble.units import DEGREE, engineering
@@ -72,9 +74,9 @@ class Requirement:
     """What a wanted accuracy, u rms by group, SI, needs, where u is that with the set-up as it is.
 
     `table_error` and `mounting_error` are the largest tolerances, rad, in the ratio of the set-up, None where they do
-    not matter within 5°. `rest` is the shortest rest, s, with the programme as it is, infinite where no rest of an hour
-    is enough; `positions` the number of positions with the rests as they are, None where MOST_ADDED more are too few.
-    `reason` says why no set-up gives this accuracy; it is empty where one does."""
+    not matter within `largest_errors`. `rest` is the shortest rest, s, with the programme as it is, infinite where no
+    rest of an hour is enough; `positions` the number of positions with the rests as they are, None where MOST_ADDED
+    more are too few. `reason` says why no set-up gives this accuracy; it is empty where one does."""
 
     group: str
     unit: str
@@ -121,6 +123,7 @@ class Plan(Brief):
         raise KeyError(name)
 
 
+@checked
 def plan(
     setup: Setup,
     *,
@@ -208,6 +211,31 @@ def plan(
         ),
         requirements=needs,
         reasons=(*missing, *(row.reason for row in needs if row.reason)),
+        remarks=tuple(f"{said}; the method joint needs none: leave [programme] out" for said in _tilted(setup)),
+    )
+
+
+def largest_errors(setup: Setup) -> tuple[float, float]:
+    """The largest errors of table and mounting, rad, in the ratio of a set-up, with which every rest is near enough to
+    its position for `calibrate`: each tilts by up to √2 times its error about an axis."""
+    table, mounting = (setup.table_error, setup.mounting_error) if _tilt(setup) > 0.0 else (1.0, 1.0)
+    most = POSITION_LIMIT / math.sqrt(2.0) / (table + mounting)
+    return most * table, most * mounting
+
+
+def _tilt(setup: Setup) -> float:
+    """By how much errors of table and mounting may tilt a position, rad."""
+    return math.sqrt(2.0) * (setup.table_error + setup.mounting_error)
+
+
+def _tilted(setup: Setup) -> tuple[str, ...]:
+    """That errors of table and mounting may take a rest out of its position, where they may."""
+    if _tilt(setup) <= 1.001 * POSITION_LIMIT:
+        return ()
+    return (
+        f"errors of table and mounting of up to {setup.table_error / DEGREE:.3g}° and "
+        f"{setup.mounting_error / DEGREE:.3g}° may tilt a position by {_tilt(setup) / DEGREE:.2g}°, and `calibrate` "
+        f"takes rests within {POSITION_LIMIT / DEGREE:.0f}° of the positions of a programme",
     )
 
 
@@ -330,12 +358,15 @@ def _plan_of_paper(setup: Setup, method: MethodOfPaper, iterations: int, wanted:
                     sources=_by_size(of_group),
                 )
             )
-    found = Plan(setup=setup, method=method, groups=tuple(groups), remarks=tuple(remarks(setup)))
+    found = Plan(
+        setup=setup, method=method, groups=tuple(groups), reasons=_tilted(setup), remarks=tuple(remarks(setup))
+    )
     _check_wanted(wanted, found.groups)
     if wanted and max(setup.table_error, setup.mounting_error) == 0.0:  # equal tolerances are asked for
         errors = PassErrors.of(replace(setup, table_error=DEGREE, mounting_error=DEGREE), method)
     needs = tuple(_paper_requirement(found.group(g), value, errors) for g, value in wanted.items())
-    return replace(found, requirements=needs, reasons=tuple(row.reason for row in needs if row.reason))
+    impossible = (row.reason for row in needs if row.reason)
+    return replace(found, requirements=needs, reasons=(*found.reasons, *impossible))
 
 
 _REMEDY: Mapping[str, str] = {
@@ -373,7 +404,7 @@ def _paper_requirement(planned: PlannedGroup, wanted: float, errors: PassErrors)
         return replace(row, reason=reason)
     permitted = (1.0 - REST_SHARE) * free if rest_noise > 0.0 else free
     row = replace(row, rest=rest_noise / (REST_SHARE * free))
-    largest = LARGEST_DEVIATION / max(setup.table_error, setup.mounting_error)
+    largest = max(largest_errors(setup)) / max(setup.table_error, setup.mounting_error)
     if by_deviations(largest) - floor <= permitted:
         return row
     scale = float(brentq(lambda x: by_deviations(x) - floor - permitted, 0.0, largest, rtol=1e-9))

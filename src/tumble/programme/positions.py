@@ -23,6 +23,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from tumble.arguments import checked
 from tumble.brief import Brief
 from tumble.errors import ProgrammeError, did_you_mean
 from tumble.plugins import entry_points_of, load
@@ -144,6 +145,7 @@ def programme(name: str) -> Programme:
     return from_attitudes(codes, name)
 
 
+@checked
 def programme_of(given: str | Sequence[str]) -> Programme:
     """The built-in programme of a name, or that of positions listed by their attitude codes. Raises ProgrammeError for
     a name or a code that is not known.

@@ -23,7 +23,7 @@ from tumble.errors import LogError, TumbleError, did_you_mean
 from tumble.recording.log_source import LogSource, first_numbers, readable
 from tumble.recording.readers import TableLog, source_of
 from tumble.recording.rows.gaps import Bridge, Gap, Grid
-from tumble.recording.rows.timed import check_head, regular_grid, rounded_grid, rows_of
+from tumble.recording.rows.timed import burst_grid, check_head, regular_grid, rounded_grid, rows_of
 from tumble.recording.session import LogSpec, Session
 from tumble.units import ZERO_CELSIUS, Array
 
@@ -98,6 +98,15 @@ class Log(Brief):
             return None
         return dt.datetime.fromtimestamp(seconds, dt.UTC).isoformat(timespec="seconds")
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is remarkable in its times, in words."""
+        jitter = max(grid.jitter for grid in self._grids)
+        said = (
+            f"time stamps are those of bursts, read up to {1e3 * jitter:.2g} ms late or early: rows are taken as even"
+        )
+        return (said,) if jitter > 0.0 else ()
+
     def chunks(self, rows: int = 65536) -> Iterator[Chunk]:
         """The samples in order, file by file, at most `rows` at a time; together the same to the bit for any
         `rows`. Memory does not grow with the log (of a Parquet file one row group is held).
@@ -130,7 +139,7 @@ def samples_of_file(source: LogSource, spec: LogSpec, file: int, grid: Grid, gap
     """The samples of one file as they come from its reader, repaired and in SI; what was bridged or left out is added
     to `gaps`."""
     bridge = Bridge(source=source, file=file, spec=spec, interval=grid.interval, gaps=gaps)
-    rows = rows_of(source, spec, file, grid, gaps, on_grid=spec.unstamped or grid.rounded)
+    rows = rows_of(source, spec, file, grid, gaps, on_grid=spec.unstamped or grid.rounded or grid.jitter > 0.0)
     for time, dt_of_log, values in bridge.samples(rows):
         dt = dt_of_log if spec.clock_rate == 1.0 else spec.clock_rate * dt_of_log
         yield Chunk(
@@ -189,7 +198,7 @@ def open_log(session: Session) -> Log:
             time = check_head(source, spec, head * spec.time_factor)
             grid = Grid(start=float(time[0]), interval=float(np.median(np.diff(time))))
             rounded = rounded_grid(source, spec, grid.interval) if any(spec.increments.values()) else None
-            grids.append(rounded or grid)
+            grids.append(rounded or burst_grid(source, spec, time) or grid)
     intervals = [grid.interval for grid in grids]
     for source, interval in zip(sources, intervals, strict=True):
         if abs(interval / intervals[0] - 1.0) > _RATE_TOLERANCE:

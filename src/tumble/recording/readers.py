@@ -20,6 +20,7 @@ from tumble.files import ending_in, whole_file
 from tumble.recording.log_source import LogSource, Unread, ending_of, in_column, readable, rows_of_numbers
 from tumble.recording.panic import wait_for_last_words, without_panic
 from tumble.recording.text.dialect import Dialect
+from tumble.recording.text.pieces import check_unpacked
 from tumble.recording.text.text_log import text_log
 
 ENDINGS = (".csv", ".csv.gz", ".csv.zst", ".parquet")
@@ -30,6 +31,7 @@ Data = Any
 Pandas is not a dependency, so that its frames cannot be named in a type."""
 
 _PARQUET_ROWS = 1 << 15
+_NUMBER_BYTES = 8
 _KEPT_ROWS = 4_000_000
 
 
@@ -49,7 +51,9 @@ def source_of(file: Path | LogSource, dialect: Dialect | None = None) -> LogSour
         if file.stat().st_size == 0:
             raise LogError(f"{file}: expected a log, found an empty file")
         if ending == ".parquet":
-            return TableLog.of(file, partial(pl.scan_parquet, file, glob=False))
+            table = TableLog.of(file, partial(pl.scan_parquet, file, glob=False))
+            check_unpacked(file, table.rows * len(table.types) * _NUMBER_BYTES)
+            return table
         return text_log(file, dialect)
 
 

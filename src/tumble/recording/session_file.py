@@ -6,7 +6,6 @@ what they say in SI and radians.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import replace
@@ -15,8 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 import tomli_w
 
+from tumble.arguments import checked
 from tumble.documents import text_of_document, toml_of, validated
-from tumble.errors import InputError, SessionError
+from tumble.errors import SessionError
 from tumble.files import FilePath, whole_file
 from tumble.recording.session import Session
 from tumble.recording.session.document import SessionDocument
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 SESSION_FILE = "session.toml"
 
 
+@checked
 def read_session(folder: FilePath) -> Session:
     """The session of a folder, or of the path of its session.toml.
 
@@ -52,6 +53,7 @@ def read_session(folder: FilePath) -> Session:
     return _complete(validated(SessionDocument, content, str(path), SessionError).si(path.parent), str(path))
 
 
+@checked
 def session_of(description: Mapping[str, Any], data: Data | None = None) -> Session:
     """The session of a description, the content of session.toml as a mapping. With `data` (arrays by column name, a
     polars or a pandas frame, or a sequence of them for a log of several files) the description names no log.file;
@@ -82,6 +84,14 @@ def session_of(description: Mapping[str, Any], data: Data | None = None) -> Sess
     return _complete(replace(session, log=replace(session.log, files=samples or session.log.files)), where)
 
 
+def session_of_gyros(description: Mapping[str, Any]) -> Session:
+    """The session of a description without [log.accel]: it has accelerometers all the same, for which the gyros stand,
+    so that their readings are those of the session."""
+    some = {"columns": [f"no accelerometer {axis}" for axis in "xyz"], "unit": "m/s^2"}
+    session = session_of({**description, "log": {**description["log"], "accel": some}})
+    return replace(session, log=replace(session.log, accel=session.log.gyro or session.log.accel, gyro=None))
+
+
 def _complete(session: Session, where: str) -> Session:
     """A session whose files are there, and whose log's clock was compared with the second one that it may have."""
     log, passport = session.log, session.device.systematic
@@ -100,17 +110,13 @@ def _complete(session: Session, where: str) -> Session:
 
 
 def session_from(given: Session | FilePath) -> Session:
-    """A session as it is, or that of a folder. Raises InputError for anything else."""
+    """A session as it is, or that of a folder."""
     if isinstance(given, Session):
         return given
-    if not isinstance(given, str | os.PathLike):
-        raise InputError(
-            f"session: expected the path of a session folder or a Session, found {type(given).__name__}; give arrays "
-            "by name: accel=…, gyro=…, time=… or rate=…"
-        )
     return read_session(given)
 
 
+@checked
 def write_session(folder: FilePath, content: Mapping[str, Any]) -> None:
     """Write session.toml with this content, keys and values as in the file, into a folder, made if need be.
 

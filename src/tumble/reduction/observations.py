@@ -31,6 +31,7 @@ from tumble.reduction.noise.rounding import Rounding, rounding_notes
 from tumble.reduction.rests.blemishes import BadSamples, bad_sample_notes, blemish_notes
 from tumble.reduction.rests.matching import Match
 from tumble.reduction.rests.rests import Rests, reduced_rests, rows_of, thermometers_of
+from tumble.reduction.rests.sway import sway_notes, sway_of
 from tumble.reduction.rests.thermometer import Thermometers
 from tumble.reduction.turns.array_motion import ArrayMoments, MovedArray, array_moments
 from tumble.reduction.turns.moments import (
@@ -207,7 +208,11 @@ def observe(
     notes += blemish_notes(reduction, spans)
     if gyro is not None and gyro_noise is not None and reduction.samples is not None:
         noises = (accel, fit_coloured_noise(accel_quiet)), (gyro, gyro_noise)
-        turned = turns, samples = reduced_turns(reduction, reduction.samples, spans, rests, *noises, rounded)
+        sway = sway_of(reduction, spans)
+        notes += sway_notes(sway)
+        if sway is not None:
+            rests = replace(rests, accel=rests.accel * (1.0 + sway.shortened)[:, None])
+        turned = turns, samples = reduced_turns(reduction, reduction.samples, spans, rests, *noises, rounded, sway)
         notes += bad_sample_notes(samples.bad, turns.first)
         readings = turn_readings(reduction, spans, turned, noises[1], rounded["gyro"]) if gyro.size > 3 else None
         if arrays is None:  # that in turns which are left out included

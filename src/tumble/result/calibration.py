@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import AfterValidator, Field
 
+from tumble.arguments import checked
 from tumble.errors import InputError, MissingExtraError
 from tumble.files import FilePath
 from tumble.inference.estimate import GroupFinding
@@ -300,8 +301,8 @@ class Calibration(Mapping[str, Parameter]):
             Intervals of the samples, s, if the readings are increments, m/s and rad.
         temperature : array_like, shape (...), or mapping of str to array_like, optional
             Temperature of the sensors, K, by default the reference temperature. In a stream it follows the thermometer
-            with the lag `temperature.lag`. If the sensors have several thermometers, a mapping of "accel" and "gyro" to
-            arrays (...) or (..., n).
+            with the lags `accel.lag` and `gyro.lag`. If the sensors have several thermometers, a mapping of "accel" and
+            "gyro" to arrays (...) or (..., n).
 
         Returns
         -------
@@ -373,6 +374,7 @@ class Calibration(Mapping[str, Parameter]):
 _COLUMNS = ("name", "value", "u", "unit", "deviation", "run_to_run", "k", "dof", "prior", "learned")
 
 
+@checked
 def read_calibration(path: FilePath) -> Calibration:
     """Read a calibration file, as `Calibration.write` writes it.
 

@@ -76,7 +76,7 @@ def adapter_of(record: type) -> TypeAdapter[Any]:
 
 def content_of(calibration: Calibration) -> dict[str, Any]:
     """What the calibration file holds, as JSON has it: beside the fields the correction, the range of temperatures that
-    the rests have, the lag behind the thermometer, and with each sensor model its unit and the values of the groups
+    the rests have, the lags behind the thermometer, and with each sensor model its unit and the values of the groups
     beyond it."""
     from tumble.result.applied_correction import correction_content
 
@@ -95,8 +95,8 @@ def content_of(calibration: Calibration) -> dict[str, Any]:
     content["device"]["imu"] = sensors_content(calibration.imu)
     range_of_rests = calibration.temperature_range
     warmth = content["temperature"] | {"range": None if range_of_rests is None else list(range_of_rests)}
-    if "temperature.lag" in calibration:
-        warmth["lag"] = calibration["temperature.lag"].value
+    lags = {kind: calibration[f"{kind}.lag"].value for kind in ("accel", "gyro") if f"{kind}.lag" in calibration}
+    warmth |= {"lag": lags} if lags else {}
     content["temperature"] = {key: value for key, value in warmth.items() if value != {}}
     content["device"] = {key: value for key, value in content["device"].items() if value != {}}
     units = {"accel": "m/s^2", "gyro": "rad/s", "mag": calibration["mag.bias.x"].unit if calibration.mag else ""}

@@ -7,7 +7,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from math import sqrt
+from math import inf, sqrt
 
 import numpy as np
 import scipy
@@ -244,7 +244,7 @@ def remarks(calibration: Calibration) -> tuple[str, ...]:
     def unseen(fit: Fit) -> float:
         """The largest scatter, in units of the noise, that leaves so small a chi-square in UNSEEN of all cases."""
         least = 2.0 * float(scipy.special.gammaincinv(0.5 * fit.degrees, UNSEEN))
-        return sqrt(max(fit.chi_square / least - 1.0, 0.0))
+        return sqrt(max(fit.chi_square / least - 1.0, 0.0)) if least > 0.0 else inf
 
     found = list(without_expanded(calibration.parameters))
     if calibration.evidence.launches:
@@ -252,7 +252,7 @@ def remarks(calibration: Calibration) -> tuple[str, ...]:
     for kind, sensors in KINDS.items():
         groups = [fit for name, fit in calibration.evidence.fits.items() if name.startswith(kind) and fit.degrees > 0.0]
         hidden = max(((unseen(fit), fit.degrees) for fit in groups if fit.scatter == 0.0), default=(0.0, 0.0))
-        if hidden[0] > 1.0:
+        if 1.0 < hidden[0] < inf:
             found.append(
                 f"no scatter of the {sensors} was detected, with {hidden[1]:.2g} degrees of freedom to show one: U "
                 f"covers the noise within rests and turns; a scatter of up to {hidden[0]:.2g} times that noise may be "

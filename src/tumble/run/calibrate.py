@@ -14,34 +14,37 @@ from typing import Any, Literal, Unpack, get_args
 import numpy as np
 
 from tumble import __version__
+from tumble.arguments import checked
+from tumble.diagnosis.level_faces import with_common_tilt
 from tumble.diagnosis.undetermined import one_attitude
+from tumble.diagnosis.verdict import little_used, time_base_doubted
 from tumble.errors import CalibrationError, InputError
 from tumble.files import FilePath
 from tumble.inference.estimate import Estimate, Outcome
-from tumble.inference.hyperparameters import GUESSED, SHEET, STATED
+from tumble.inference.hyperparameters import size_factors
 from tumble.inference.joint import joint
 from tumble.inference.prior import Prior, with_prior
-from tumble.inference.sources import by_time_base, clocked, of_fit, source
+from tumble.inference.sources import by_time_base, clocked, source
 from tumble.recording.arrays import SensorArrays, session_of_arrays
 from tumble.recording.log import Log
 from tumble.recording.session import LogSpec, Session
 from tumble.recording.session_file import session_from
 from tumble.reduction.observations import Observations
 from tumble.result.calibration import Calibration, read_calibration
-from tumble.result.coverage import by_gravity
 from tumble.result.evidence import Provenance
-from tumble.result.parts import Parameter
 from tumble.run.from_estimate import bridged_in, reference_of, result_of, without_result
 from tumble.run.observed import Progress, inspected, observations_for_calibration
 from tumble.sensors.frames import Convention, Frame
+from tumble.sensors.grades import GRADES, guessed_grade
 from tumble.sensors.grades import grade as grade_named
-from tumble.sensors.grades import guessed_grade
-from tumble.sensors.parameters import Terms, poorer, prior_sizes
+from tumble.sensors.parameters import Terms, prior_sizes
 
 _LOG = logging.getLogger(__name__)
-Method = Literal["joint", "sequential", "scalar", "ellipsoid"]
+Method = Literal["joint", "sequential", "scalar", "scalar-nominal", "ellipsoid"]
 DEFAULT_METHOD: Method = "joint"
 Estimator = Callable[[Observations], Estimate]
+NOISIER = 10.0
+"""Times the white noise usual of a grade: no unit of it is as noisy. Of the units of a class it differs by 3."""
 
 
 def _imported(module: str, name: str) -> Callable[..., Estimate]:
@@ -53,14 +56,17 @@ METHODS: Mapping[str, Estimator] = {
     "joint": joint,
     "ellipsoid": _imported("ellipsoid", "ellipsoid"),
 }
-WITH_ALL_TERMS = ("joint", "ellipsoid")
-"""Those that know of groups of parameters beyond bias, scale factor and axis angles."""
+UNSCALED = (
+    "[log.gyro] states no scale for its counts: the accelerometers are calibrated alone; state scale as the data sheet "
+    "has it, and the gyros are too"
+)
 ITERATED_METHODS: Mapping[str, Callable[..., Estimate]] = {
-    name: _imported("paper.four_stages", name) for name in ("sequential", "scalar")
+    name: _imported("paper.four_stages", name.replace("-", "_")) for name in ("sequential", "scalar", "scalar-nominal")
 }
 """The pipelines of the paper, which take a number of iterations."""
 
 
+@checked
 def calibrate(
     session: Session | FilePath | None = None,
     *,
@@ -80,14 +86,14 @@ def calibrate(
     session
         A session or the path of its folder. Without it, give the readings as `accel=…, gyro=…, rate=…`.
     method
-        `joint`, maximum likelihood of all readings; `sequential` and `scalar`, the methods of the paper; `ellipsoid`,
-        accelerometers alone, without attitudes.
+        `joint`, maximum likelihood of all readings; `sequential`, `scalar` and `scalar-nominal`, the methods of the
+        paper, the last in the attitudes of the programme; `ellipsoid`, accelerometers alone, without attitudes.
     iterations
-        Number of passes of `sequential` and `scalar`; default 2.
+        Number of passes of the methods of the paper; default 2.
     frame
         Frame of the result: `accelerometer`, `paper`, `symmetric` or `case`.
     terms
-        `full`, or `linear` for bias, scale factor and axis angles alone, by the methods `joint` and `ellipsoid`.
+        `full`, or `linear` for bias, scale factor and axis angles alone, with what else is usual in their u.
     without
         Numbers from 1 of rests to leave out, beside those that the session excludes.
     prior
@@ -125,22 +131,23 @@ def calibrate(
         raise InputError(f"calibrate: expected a session or readings accel=…, found {found}{beside}")
     else:
         given = session_from(session)
-    given = given.without(without)
+    given, stated = given.without(without).of_known_scales(), given
     known: dict[str, Callable[..., Estimate]] = {**METHODS, **ITERATED_METHODS}
     if method not in known:
         raise InputError(f"method: expected one of {', '.join(known)}, found {method!r}")
     if iterations is not None and method not in ITERATED_METHODS:
         raise InputError(
             f"iterations: expected none with the method {method!r}, which iterates until nothing changes, found "
-            f"{iterations}; only {' and '.join(ITERATED_METHODS)} take a number"
+            f"{iterations}; only {', '.join(ITERATED_METHODS)} take a number"
         )
     estimator: Estimator = known[method] if iterations is None else partial(known[method], iterations=iterations)
     if prior is not None and (method != "joint" or terms != "full"):
         raise InputError("prior: expected the method joint with all terms, which takes one, found another")
     if frame != "accelerometer":
         Convention(frame=frame, block=given.accel_block)
-    terms = terms if method in WITH_ALL_TERMS else "linear"
     made = _calibrated(given, method, estimator, frame, terms, progress, prior)
+    if given.log.gyro is not stated.log.gyro:
+        made = _with_provenance(made, notes=(*made.provenance.notes, UNSCALED))
     if not given.excluded:
         return made
 
@@ -194,6 +201,11 @@ def _calibrated(
                 if made_alone.outcome.accel.accepted and not lost:
                     because = (f"{why}; the accelerometers are estimated alone" for why in made.outcome.gyro.reasons)
                     estimate, made, faults = alone, made_alone, (*because, *faults)
+        made = _with_remarks(made, little_used(observed.segmentation), ())
+        if estimate[0].gyro is not None and not session.log.increments["gyro"]:
+            grade, _ = _ruled_out(session, estimate[1]) or grade_of(session, estimate[1])
+            doubts = time_base_doubted(estimate[0], grade_named(grade).gyro.scale)
+            made = _with_remarks(made, doubts, ("gyro.scale",))
         if session.log.magnetometer is not None:
             from tumble.run.magnetometer import with_magnetometer
 
@@ -217,6 +229,13 @@ def _calibrated(
     return _with_provenance(made, circumstances=observed.circumstances, assumptions=assumptions(session))
 
 
+def _with_remarks(calibration: Calibration, remarks: tuple[str, ...], concerned: tuple[str, ...]) -> Calibration:
+    """The calibration with further remarks, which concern groups of parameters, or all where none is given."""
+    outcome = calibration.outcome
+    concerns = {**outcome.concerns, **(dict.fromkeys(remarks, concerned) if concerned else {})}
+    return replace(calibration, outcome=replace(outcome, remarks=(*outcome.remarks, *remarks), concerns=concerns))
+
+
 def _with_provenance(calibration: Calibration, **changed: Any) -> Calibration:
     """The calibration with changed fields of its provenance."""
     return replace(calibration, provenance=replace(calibration.provenance, **changed))
@@ -235,17 +254,13 @@ def systematic_of(session: Session) -> Mapping[str, float]:
     return {p.name: p.value for p in passport.parameters}
 
 
-def with_grade(session: Session, observations: Observations, terms: Terms) -> Observations:
-    """The observations with what is usual for instruments of the grade of a session's device: sizes of the groups
-    beyond the linear model, none for the linear terms, and of in-run biases, with a note of the grade.
-
-    The factor by which a size may be too small goes by where it is from: a data sheet, a stated grade, or a guessed one
-    whose size is larger in the next poorer grade. A guess between grades of equal sizes cannot be wrong by it."""
-    grade, guessed_from = grade_of(session, observations)
+def with_grade(session: Session, observations: Observations) -> Observations:
+    """The observations with what is usual for instruments of the grade of a session's device, sizes of the groups
+    beyond the linear model and of in-run biases, with a note of the grade. A stated grade that the recording rules out
+    gives way to a guessed one."""
+    grade, guessed_from = _ruled_out(session, observations) or grade_of(session, observations)
     sheet, noise = session.device.prior, grade_named(grade).noise
-    usual = {} if terms == "linear" else prior_sizes(grade, sheet)
-    worse = poorer(grade) if guessed_from else None
-    in_worse = {} if worse is None else prior_sizes(worse)
+    usual = prior_sizes(grade, sheet)
     said = f"what is not bias, scale or axis angle is taken to be of the size usual for the grade {grade}"
     origin = f", guessed from {guessed_from}; state another as [device] grade" if guessed_from else ""
     of_grade = f"{'guessed' if guessed_from else 'stated'} grade {grade}"
@@ -253,25 +268,42 @@ def with_grade(session: Session, observations: Observations, terms: Terms) -> Ob
         observations,
         usual=usual,
         size_basis={name: "data sheet" if name in sheet else of_grade for name in usual},
-        too_small={
-            name: SHEET if name in sheet else GUESSED if in_worse.get(name, 0.0) > size else STATED
-            for name, size in usual.items()
-        },
+        too_small=size_factors(grade, usual, sheet, guessed=bool(guessed_from)),
         in_run={"accel": noise.accel_instability, "gyro": noise.gyro_instability},
-        notes=observations.notes + ((said + origin,) if usual else ()),
+        notes=(*observations.notes, said + origin),
     )
 
 
 def grade_of(session: Session, observations: Observations) -> tuple[str, str]:
     """The grade of a session's device, and what it had to be guessed from in words, nothing where it is stated."""
-    rests = observations.rests
-    if session.device.grade is not None:
-        return session.device.grade, ""
-    accel_white = float(np.median(rests.accel_noise))
-    if not rests.gyro_noise.size:
-        return guessed_grade(accel_white, None)
-    bias = float(np.abs(np.median(rests.gyro, axis=0)).max())
-    return guessed_grade(accel_white, float(np.median(rests.gyro_noise)), bias)
+    return _guessed(observations) if session.device.grade is None else (session.device.grade, "")
+
+
+def _guessed(observations: Observations) -> tuple[str, str]:
+    """The grade by the rests alone, and what it is guessed from in words."""
+    white = _white_noise(observations)
+    if len(white) == 1:
+        return guessed_grade(white["accel"], None)
+    return guessed_grade(white["accel"], white["gyro"], float(np.abs(np.median(observations.rests.gyro, axis=0)).max()))
+
+
+def _white_noise(observations: Observations) -> dict[str, float]:
+    """Typical densities of the noise at rest, SI/√Hz, by kind of sensors."""
+    noises = {"accel": observations.rests.accel_noise, "gyro": observations.rests.gyro_noise}
+    return {kind: float(np.median(noise)) for kind, noise in noises.items() if noise.size}
+
+
+def _ruled_out(session: Session, observations: Observations) -> tuple[str, str] | None:
+    """The guess in place of a stated grade that the recording rules out: a poorer one, where gyros, or accelerometers
+    without any, are NOISIER than those of the stated grade or gyros have biases that none of it has. None where the
+    grade may be right."""
+    stated, (guess, because) = session.device.grade, _guessed(observations)
+    order, white = list(GRADES), _white_noise(observations)
+    if stated is None or order.index(guess) <= order.index(stated):
+        return None
+    kind = "gyro" if "gyro" in white else "accel"
+    noisier = white[kind] > NOISIER * getattr(grade_named(stated).noise, f"{kind}_white")
+    return (guess, because) if noisier or because != "the noise" else None
 
 
 def estimated(
@@ -284,7 +316,8 @@ def estimated(
 ) -> tuple[Estimate, Observations] | Outcome:
     """The estimate and what it was made from, or why there is none."""
     by_clock = clocked(session.log.time_base_u, session.log.increments)
-    observations = with_grade(session, observations, terms)
+    linear_joint = method is joint and terms == "linear"
+    observations = with_grade(session, observations)
     if prior is not None:
         observations = replace(observations, in_run={**observations.in_run, **prior.in_run})
     notes = (*observations.notes, *by_reference_clock(session.log))
@@ -292,30 +325,29 @@ def estimated(
     observations = replace(observations, start=start, notes=notes, by_clock=by_clock, unstamped=unstamped)
     try:
         with np.errstate(over="ignore"):  # damaged samples, of which it breaks down
-            estimate = method(observations)
-        if estimate.method != "joint":  # which counts the time base itself, and has a budget
-            budget, change = estimate.budget, by_time_base(estimate.names, by_clock)
-            if budget is None:
-                every = zip(estimate.names, estimate.values.tolist(), estimate.units, strict=True)
-                parameters = [Parameter(name=name, value=value, u=None, unit=unit) for name, value, unit in every]
-                of_gravity = by_gravity(parameters, estimate.covariance, observations.site)
-                degrees = np.inf if estimate.degrees is None else float(estimate.degrees.min())
-                budget = of_fit(estimate.covariance, of_gravity, observations.site.gravity_u, degrees)
-            of_clock, relative = np.outer(change, change), max(map(abs, by_clock.values()), default=0.0)
-            budget = budget.beside(source("clock", relative, "1"), of_clock)
+            estimate = method(replace(observations, usual={}) if linear_joint else observations)
+        if estimate.method != "joint":  # which counts the time base itself
+            change, relative = by_time_base(estimate.names, by_clock), max(map(abs, by_clock.values()), default=0.0)
+            of_clock, budget = np.outer(change, change), estimate.budget
+            budget = None if budget is None else budget.beside(source("clock", relative, "1"), of_clock)
             estimate = replace(estimate, covariance=estimate.covariance + of_clock, budget=budget)
-        if terms == "linear" or estimate.method != "joint":
-            from tumble.diagnosis.linear_model import judged, left_out, taken_as_nothing
-        if terms == "linear":
-            whole = with_grade(session, observations, "full")
-            estimate = judged(estimate, observations, whole)
-            notes += left_out(estimate, observations, whole)
-        elif estimate.method != "joint":
-            estimate = judged(estimate, observations, observations)
-            notes += taken_as_nothing(estimate)
+        if linear_joint or estimate.method != "joint":
+            from tumble.diagnosis import linear_model
+
+            if linear_joint:
+                estimate = linear_model.with_left_out_by_joint(estimate, observations)
+            notes += linear_model.taken_as_nothing(estimate)
+            estimate = linear_model.linear_part(estimate) if terms == "linear" else estimate
         elif prior is not None:
             estimate, said = with_prior(estimate, observations, prior, reference_of(observations))
             notes += said
+        if found := _ruled_out(session, observations):
+            remark = (
+                f"[device] grade is {session.device.grade!r}, but by {found[1]} the device is of the grade {found[0]}, "
+                "whose usual sizes are taken: state its grade, or look for what disturbed the recording"
+            )
+            estimate = replace(estimate, remarks=(*estimate.remarks, remark))
+        estimate = with_common_tilt(estimate, observations)
     except np.linalg.LinAlgError as error:
         broken = f"the estimate broke down ({error}): the data contradict the model; look at them with `tumble inspect`"
         return Outcome(reasons=(one_attitude(observations) or broken,))
@@ -348,6 +380,7 @@ def assumptions(session: Session) -> tuple[str, ...]:
             f"no uncertainty of the time base is stated: {size}, as of {of}, is in the u of "
             f"{' and '.join(by_clock)}; state clock_ppm_u in [log], 0 where it is exact"
         )
+    out += [f"doubt: {log.doubt}"] if log.doubt else []
     return tuple(out)
 
 

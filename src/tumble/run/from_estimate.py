@@ -39,6 +39,9 @@ from tumble.units import DEGREE, ZERO_CELSIUS, Array, IntArray
 if TYPE_CHECKING:
     from tumble.run.case import CaseAlignment
 
+LAGS = {"accel.lag": "accelerometers", "gyro.lag": "gyros"}
+SEEN = 3.0
+"""Of u: a slope over temperature that is seen."""
 GAPS_SHOWN = 5
 ONE_RATE = 1.3
 """The largest rate of the turns, root mean square, in parts of the smallest, where they count as one rate: at rest,
@@ -345,6 +348,7 @@ def _of_the_case(case: CaseAlignment | None) -> Iterator[str]:
 def over_temperature(estimate: Estimate, observations: Observations) -> Iterator[str]:
     """What the temperatures of several sessions, or of a session over temperature, determine, and what not."""
     kelvin, turns = observations.rests.temperature, observations.turns
+    yield from _of_lags(estimate, observations)
     if kelvin is None or (observations.together is None and not over_a_range(observations)):
         return
 
@@ -375,10 +379,33 @@ def over_temperature(estimate: Estimate, observations: Observations) -> Iterator
                 f"turns span {span(turned)} only: how scale factors change beyond that is what is usual; turn at the "
                 "other temperatures too"
             )
-    lagging = any(group.name == "temperature.lag" and group.kept for group in estimate.groups)
-    if lagging and not both_ways(observations):
-        u = float(estimate.u[estimate.names.index("temperature.lag")])
+    lags = [float(estimate.u[estimate.names.index(name)]) for name in LAGS if name in estimate.names]
+    if lags and not both_ways(observations):
         yield (
-            f"the temperature was not passed both ways: the lag behind the thermometer is known to {u:.0f} s only, and "
-            "hysteresis not at all, which is in u by its usual size; ramp up and down in one recording"
+            f"the temperature was not passed both ways: lags behind the thermometer are known to {max(lags):.0f} s "
+            "only, and hysteresis not at all, which is in u by its usual size; ramp up and down in one recording"
         )
+
+
+def _of_lags(estimate: Estimate, observations: Observations) -> Iterator[str]:
+    """Which sensors change with the temperatures that there were, and where lags are most of u."""
+    kelvin = observations.rests.temperatures
+    if kelvin is None or estimate.budget is None:
+        return
+    own = [i for i, source in enumerate(estimate.budget.sources) if source.name == "lag"]
+    of_lag = np.diagonal(estimate.budget.covariances[own], axis1=1, axis2=2).sum(axis=0)
+    for name, sensors in LAGS.items():
+        if name not in estimate.names:
+            continue
+        kind = sensor_kind(name)
+        slopes = [i for i, n in enumerate(estimate.names) if group_name(n) in (f"{kind}.bias.t1", f"{kind}.scale.t1")]
+        bias = [i for i, n in enumerate(estimate.names) if group_name(n) == f"{kind}.bias"]
+        if np.any(of_lag[bias] > 0.5 * estimate.u[bias] ** 2):
+            u = float(estimate.u[estimate.names.index(name)])
+            yield (
+                f"how far the {sensors} are behind their thermometer is known to {u:.0f} s only, which is most of the "
+                f"u of {kind}.bias; let the device warm up before, ramp up and down in one recording, or state "
+                f"{kind}_lag in [device.prior]"
+            )
+        elif np.all(np.abs(estimate.values[slopes]) < SEEN * estimate.u[slopes]):
+            yield f"the {sensors} are not seen to change with temperature, over {np.ptp(kelvin):.1f} K"

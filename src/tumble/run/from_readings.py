@@ -7,22 +7,14 @@ form of the source: k in output per g, the angles θ of its upper triangular mat
     u = diag(k) [[1, θz, θy], [0, 1, θx], [0, 0, 1]] (a + b)                                             (1), (5)
 
 The estimate is that of the method `ellipsoid` from rests, whose means the rows are: with quadratic and cubic terms,
-asymmetry and drift of the accelerometers in u, of the size usual for the grade. Rows are taken to be in the order and
-at the pace of an operator's sheet; those of a recording show in themselves what drifts.
-
-A table has no noise in time to tell the grade of its accelerometers by. Guessed is the poorest of two. By the biases:
-the poorest grade whose three usual biases are so small by chance in no less than CHANCE of its instruments. By the
-residuals e of the fit, the best grade in which they are so large in no less,
-
-    e = (I − A A⁺)(n + B φ),   Σe² ~ a χ²_ν,  a ν = tr C,  2 a² ν = 2 tr C²,   C = σ²(I − A A⁺) + L Σ_φ Lᵀ
-
-σ being the grade's in-run instability, Σ_φ the usual sizes of what it has beyond the linear model and L what this
-leaves in the residuals (Satterthwaite). Noise of the reading itself makes the guess poorer, and u larger, never
-smaller.
+asymmetry and drift of the accelerometers in u, of the sizes usual for the grade, or, where none is stated, for any
+grade, as far as the residuals allow for them (`tumble.methods.group_sizes`). Rows are taken to be in the order and at
+the pace of an operator's sheet; those of a recording show in themselves what drifts.
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
@@ -32,14 +24,19 @@ from typing import Any, Unpack
 import numpy as np
 import scipy
 
+from tumble.arguments import checked
 from tumble.brief import Brief
-from tumble.diagnosis.linear_model import left_out_of
-from tumble.diagnosis.observability import Refusal, undetermined
+from tumble.diagnosis.level_faces import UPRIGHT, with_common_tilt
+from tumble.diagnosis.linear_model import left_out_by_rests
+from tumble.diagnosis.observability import Refusal, rough_directions, undetermined
+from tumble.diagnosis.verdict import verdict
 from tumble.errors import InputError
 from tumble.files import FilePath
 from tumble.inference.estimate import Estimate, Outcome
+from tumble.inference.joint import joint
 from tumble.methods.ellipsoid import estimate_of
 from tumble.methods.ellipsoid_fit import TRIAD, EllipsoidFit, fit_ellipsoid
+from tumble.methods.group_sizes import with_groups
 from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.rests import Rests
@@ -60,21 +57,27 @@ from tumble.run.readings_table import (
     positions_of,
     read_table,
     sizes_seen,
+    table_of,
 )
 from tumble.sensors.frames import Convention, Frame, convert, frame_of
 from tumble.sensors.grades import GRADES
 from tumble.sensors.grades import grade as grade_named
-from tumble.sensors.parameters import FURTHER, Terms, usual_sizes, variable_of
+from tumble.sensors.parameters import FURTHER, Terms, prior_sizes, variable_of
 from tumble.units import Array, engineering, fitting_units, is_near_one
 from tumble.usual_setup import MOVE, ON_TABLE
 
-SCATTER_LIMIT = {"accel": 1e-3, "gyro": 1e-3, "mag": 2e-2}
-"""Scatter of the positions, in parts of the modulus, above which a triad does not follow the model. Near steel the
-field of the Earth is not the same in every position."""
+SCATTER_SAID = {"accel": 1e-3, "gyro": 1e-3, "mag": 2e-2}
+"""Scatter of the positions, in parts of the modulus, that is said: u has it, but good instruments have less, or it is
+that of readings with few digits. Near steel the field of the Earth is not the same in every position."""
 
-RECORDED_LIMIT = 2e-2
-"""The same of samples of a triad that is waved about: of an accelerometer it is its own motion, which makes the vector
-longer by its square, 4e-4."""
+SCATTER_LIMIT = 2e-2
+"""The same above which a triad does not follow the model. Of an accelerometer that is waved about scatter is its own
+motion, which makes the vector longer by its square, 4e-4."""
+
+FACES = 6
+"""Positions at least that bias and scale factors of a triad need."""
+LEAST_NOISE = 1e-6
+"""Noise, in parts of the modulus, at least of a reading that nothing checks."""
 
 NAMED = 4
 """Of more positions than these, the one to look at is not told."""
@@ -82,14 +85,15 @@ NAMED = 4
 BAD_CHANCE = 1e-3
 """A position is bad where chance alone makes one of the positions so bad in less than this part of all tables."""
 
+DOUBT_CHANCE = 1e-2
+"""The same where the scatter is more than good instruments have: it is then not that of all positions alike."""
+
 WAVED = (
     "an accelerometer that is waved reads its own motion: what of it is always along the same side of the device, as "
     "in turns about a wrist (0.1 m at 60 °/s: 11 mg), passes for a bias and is not in u; a table of readings at rest "
     "has none of it"
 )
 """What a recording cannot show of itself."""
-
-CHANCE = 0.01
 
 AT_REST = tuple(
     group.name
@@ -112,8 +116,9 @@ class ReadingsCalibration(Brief):
     recorded: bool
 
 
+@checked
 def calibrate_readings(
-    readings: ReadingsTable | FilePath,
+    readings: ReadingsTable | Array | FilePath,
     *,
     rows_per_position: int = 1,
     grade: str | None = None,
@@ -124,15 +129,18 @@ def calibrate_readings(
 ) -> ReadingsCalibration:
     """Calibrate a triad from a table of its readings in nine or more positions, by the ellipsoid method.
 
+    Six faces give bias and scale factor of each accelerometer, as the method `joint` has them.
+
     Parameters
     ----------
     readings
-        A table, or the path of its CSV file: a header with the names of three columns, and a row per position.
+        Array of shape (N, 3), a row per position; or the path of a CSV file with the names of three columns above the
+        rows.
     rows_per_position
         Number of rows of each position; equal positions count once.
     grade
         Grade of the accelerometers, by which terms beyond bias, scale factor and axis angles are in u with their usual
-        size; guessed if None.
+        size; that of any grade if None, as far as the residuals allow for it.
     terms
         `full`, or `linear` to leave these terms out of u.
     frame
@@ -167,12 +175,15 @@ def calibrate_readings(
         raise InputError(f"--frame: expected accelerometer for --sensor {sensor}, found {frame!r}")
     if serial is not None and not serial.strip():
         raise InputError(f"--serial: expected a serial number, found {serial!r}")
-    whole = readings if isinstance(readings, ReadingsTable) else read_table(Path(readings), sensor)
+    if isinstance(readings, str | os.PathLike):
+        whole = read_table(Path(readings), sensor)
+    else:
+        whole = readings if isinstance(readings, ReadingsTable) else table_of(np.asarray(readings))
     table = positions_of(whole, rows_per_position)
     nominal = nominal_of(table, **described)
     if grade is not None:
         grade_named(grade)
-    fitted, noise = _fitted(table, nominal, float(-scipy.special.ndtri(0.5 * BAD_CHANCE / len(table.values))))
+    fitted, noise = _fitted(table, nominal, _sigmas(BAD_CHANCE, table))
     fit: EllipsoidFit | None = None
     estimate: Estimate | None = None
     notes: tuple[str, ...] = ()
@@ -181,17 +192,23 @@ def calibrate_readings(
         refusal = (
             undetermined(nominal.to_si(whole.values), block=TRIAD) or fitted
         )  # counts the rows as they are written
-        misstated = None if len(refusal.null) else _misstated(nominal, sizes_seen(table.values, nominal.modulus))
-        names = tuple(f"{sensor}.{name.partition('.')[2]}" for name in TRIAD.names)
-        outcome = Outcome(reasons=(misstated or refusal.reason,), unobservable=names)
+        faces = None
+        if sensor == "accel" and len(refusal.null) and not recorded and len(table.values) >= FACES:
+            faces = _by_faces(table, nominal, noise, grade, terms)
+        if faces is not None:
+            estimate, outcome, notes = faces
+        else:
+            misstated = None if len(refusal.null) else _misstated(nominal, sizes_seen(table.values, nominal.modulus))
+            names = tuple(f"{sensor}.{name.partition('.')[2]}" for name in TRIAD.names)
+            outcome = Outcome(reasons=(misstated or refusal.reason,), unobservable=names)
     else:
         fit, estimate, notes = _estimated(fitted, noise, table, nominal, grade, terms)
-        remarks = (WAVED,) if recorded and sensor == "accel" else ()
-        outcome = Outcome(reasons=tuple(_reasons(table, nominal, fit)), remarks=remarks)
+        reasons, remarks = tuple(_reasons(table, nominal, fit)), tuple(_remarks(table, nominal, fit))
+        outcome = Outcome(reasons=reasons, remarks=remarks)
     parameters: tuple[Parameter, ...] = ()
-    has_u = fit is not None and fit.covariance is not None
+    has_u = fit is None or fit.covariance is not None
     if estimate is not None:
-        learned = learned_in(estimate)
+        learned, frame = learned_in(estimate), frame if fit is not None else "accelerometer"
         if frame != "accelerometer":
             estimate, _ = estimate_in(frame, estimate, _rests(table, nominal, np.zeros((3, 3))))
         named = replace(
@@ -199,7 +216,8 @@ def calibrate_readings(
             names=tuple(f"{sensor}.{name.partition('.')[2]}" for name in estimate.names),
             units=(nominal.result_unit,) * 3 + estimate.units[3:],
         )
-        parameters = parameters_of(named, np.arange(len(named.names)), {}, learned)
+        seen = np.flatnonzero(estimate.observable)
+        parameters = parameters_of(named, seen, {}, learned)
         parameters = parameters if has_u else tuple(replace(p, u=None, dof=None) for p in parameters)
     models: dict[str, Any] = dict.fromkeys(("accel", "gyro", "mag")) | {sensor: estimate and estimate.accel}
     site = replace(_site(nominal), gravity_is_unit=nominal.modulus_u is None)
@@ -215,10 +233,10 @@ def calibrate_readings(
     )
     calibration = Calibration(
         device=CalibratedDevice(serial=table.path.stem if serial is None else serial),
-        method="ellipsoid",
+        method="ellipsoid" if estimate is None else estimate.method,
         frame="accelerometer" if estimate is None else frame,
         parameters=parameters,
-        covariance=estimate.covariance if estimate is not None and has_u else None,
+        covariance=estimate.covariance[np.ix_(seen, seen)] if estimate is not None and has_u else None,
         **models,
         outcome=outcome,
         groups=() if estimate is None else estimate.groups,
@@ -274,55 +292,58 @@ def _estimated(
         return fit, estimate_of(fit, rests), (note,)
     if nominal.sensor == "mag" or terms == "linear" or fit.covariance is None:
         return fit, estimate_of(fit, rests), ()
-    chosen, origin = (grade, "") if grade is not None else guessed_grade(fit, rests)
-    usual, what = _usual(chosen), "quadratic and cubic terms, asymmetry and drift"
-    if table.stretch is not None:
-        usual = {name: size for name, size in usual.items() if variable_of(name) is None}
-        what = "quadratic and cubic terms and asymmetry"
+    grades = [_usual(name, table) for name in (GRADES if grade is None else [grade])]
+    what = "quadratic and cubic terms and asymmetry" + (" and drift" if table.stretch is None else "")
+    sizes = f"usual for the grade {grade}" if grade is not None else "usual for any grade (--grade states one)"
     note = (
-        f"{what} of the size usual for the grade {chosen} are in u{origin}; the values take them as nothing, and "
-        "--terms linear leaves them out"
+        f"{what} of the sizes {sizes} are in u, as far as the residuals allow for them; the values take them as "
+        "nothing, and --terms linear leaves them out"
     )
-    rests = replace(rests, usual=usual)
     bad = ~fit.used
     bad[list(fit.doubtful)] = True
-    if bad.any():  # by how much a residual may be off by the in-run instability and by what is left out
-        beyond, instability = left_out_of(rests), GRADES[chosen].noise.accel_instability
-        sigma = np.sqrt(instability**2 + ((beyond.leaves * beyond.usual) ** 2).sum(axis=1))
-        allowed = float(-scipy.special.ndtri(0.5 * BAD_CHANCE / len(table.values))) * sigma
+    if bad.any():  # by how much a residual may be off by what is left out
+        largest = {name: max(sizes.get(name, 0.0) for sizes in grades) for sizes in grades for name in sizes}
+        beyond, leaves = left_out_by_rests(replace(rests, usual=largest), fit.values)
+        allowed = _sigmas(BAD_CHANCE, table) * np.linalg.norm(leaves * beyond.usual, axis=1)
         whole, noise = _fitted(table, nominal, np.inf)
         if isinstance(whole, EllipsoidFit) and np.all(np.abs(whole.residual) <= np.where(bad, allowed, np.inf)):
-            fit, rests = whole, replace(_rests(table, nominal, noise), usual=usual)
-    return fit, estimate_of(fit, rests), (note,)
+            fit, rests = whole, _rests(table, nominal, noise)
+    estimate = with_groups(estimate_of(fit, rests), fit, rests, grades, by_residuals=table.stretch is None)
+    return fit, estimate, (note,)
 
 
-def _usual(grade: str) -> dict[str, float]:
-    """What a table may have beyond the linear model, and its usual size."""
-    return {name: size for name, size in usual_sizes(grade).items() if name in AT_REST}
+def _by_faces(
+    table: ReadingsTable, nominal: Nominal, noise: Array, grade: str | None, terms: Terms
+) -> tuple[Estimate, Outcome, tuple[str, ...]] | None:
+    """What positions give that determine bias and scale factor of each accelerometer and no angles, as six faces do, as
+    the method `joint` has them from six logs; None where they do not."""
+    chosen = grade or [*GRADES][-1]
+    rests, readings = _rests(table, nominal, noise), nominal.to_si(table.values)
+    if np.abs(rough_directions(readings)).max(axis=1).min() < UPRIGHT:
+        return None
+    middle = 0.5 * (readings.min(axis=0) + readings.max(axis=0))
+    usual = {} if terms == "linear" else prior_sizes(chosen)
+    covariance = rests.rests.accel_covariance + (LEAST_NOISE * nominal.modulus) ** 2 * np.eye(3)
+    known = replace(
+        rests,
+        rests=replace(rests.rests, accel_covariance=covariance),
+        usual=usual,
+        in_run={"accel": GRADES[chosen].noise.accel_instability},
+        start=dict(zip(TRIAD.names, middle.tolist(), strict=False)),
+    )
+    try:
+        estimate = with_common_tilt(joint(known), known)
+    except np.linalg.LinAlgError:
+        return None
+    of_rows = "" if table.covariance is None else " and the scatter within positions"
+    note = f"nothing checks the readings: u has their last digit{of_rows}, and what is usual for the grade {chosen}"
+    return estimate, verdict(estimate, known), (note,)
 
 
-def guessed_grade(fit: EllipsoidFit, rests: Observations) -> tuple[str, str]:
-    """The grade, and what it is guessed from, in words (module docstring)."""
-    best, *_, poorest = order = [*GRADES]
-
-    def chance_of_biases(grade: str) -> float:
-        return float(scipy.special.chdtr(3, (fit.values[:3] ** 2).sum() / GRADES[grade].accel.bias ** 2))
-
-    def chance_of_residuals(grade: str) -> float:
-        if fit.degrees == 0:
-            return 1.0
-        beyond = left_out_of(replace(rests, usual=_usual(grade)))
-        noise, left = GRADES[grade].noise.accel_instability ** 2, beyond.leaves * beyond.usual
-        of_groups = left.T @ left
-        trace = noise * fit.degrees + np.trace(of_groups)
-        square = noise**2 * fit.degrees + 2.0 * noise * np.trace(of_groups) + float((of_groups**2).sum())
-        degrees = trace**2 / square
-        return float(scipy.special.chdtrc(degrees, degrees * float((fit.residual[fit.used] ** 2).sum()) / trace))
-
-    by_biases = next((grade for grade in order[::-1] if chance_of_biases(grade) > CHANCE), best)
-    by_residuals = next((grade for grade in order if chance_of_residuals(grade) > CHANCE), poorest)
-    poorer, what = max((by_biases, "biases"), (by_residuals, "residuals"), key=lambda each: order.index(each[0]))
-    return poorer, f", guessed from the {what}; state another with --grade"
+def _usual(grade: str, table: ReadingsTable) -> dict[str, float]:
+    """What a table may have beyond the linear model, and its usual size; a recording has its drift in its residuals."""
+    names = [name for name in AT_REST if table.stretch is None or variable_of(name) is None]
+    return {name: size for name, size in prior_sizes(grade).items() if name in names}
 
 
 def _rests(table: ReadingsTable, nominal: Nominal, noise: Array) -> Observations:
@@ -346,30 +367,57 @@ def _reasons(table: ReadingsTable, nominal: Nominal, fit: EllipsoidFit) -> Itera
     if misstated is not None:
         yield misstated
         return
-
-    def named(which: Iterable[int]) -> str:
-        return " or ".join(f"{i + 1} (line {table.lines[i]})" for i in which)
-
     size, unit = engineering(nominal.result_unit, float(np.abs(fit.residual).max()))
     for i in np.flatnonzero(~fit.used).tolist():
         yield (
-            f"position {named([i])} does not fit: {fit.sigmas[i]:.1f} sigma, residual {fit.residual[i] / size:+.3g} "
-            f"{unit}; it was left out"
+            f"position {_named(table, [i])} does not fit: {fit.sigmas[i]:.1f} sigma, "
+            f"residual {fit.residual[i] / size:+.3g} {unit}; it was left out"
         )
     if fit.doubtful and fit.worst is not None:
         several = "; these positions do not tell which, so that none was left out" if len(fit.doubtful) > 1 else ""
-        yield f"position {named(sorted(fit.doubtful))} does not fit: {fit.worst.sigmas:.1f} sigma{several}"
-    rows = "positions" if table.stretch is None else "samples"
-    limit = (SCATTER_LIMIT[nominal.sensor] if table.stretch is None else RECORDED_LIMIT) * nominal.modulus
-    if fit.scatter > limit:
-        size, unit = engineering(nominal.result_unit, fit.scatter)
-        first, look = () if fit.worst is None else (fit.worst.position, *fit.worst.rivals), ""
-        if fit.worst is not None and len(first) <= NAMED and fit.worst.scatter < 0.5 * fit.scatter:
-            without = f"{fit.worst.scatter / size:.3g} {unit}"
-            look = f"; look first at position {named(sorted(first))}, without which it would be {without}"
-        yield f"the {rows} scatter by {fit.scatter / size:.3g} {unit}, more than {limit / size:.3g} {unit}{look}"
+        yield f"position {_named(table, sorted(fit.doubtful))} does not fit: {fit.worst.sigmas:.1f} sigma{several}"
+    if _limit(table, nominal, fit) * nominal.modulus < fit.scatter:
+        yield _scatter(table, nominal, fit)
     if not fit.converged:
         yield "the fit did not converge: the readings contradict the model"
+
+
+def _remarks(table: ReadingsTable, nominal: Nominal, fit: EllipsoidFit) -> Iterator[str]:
+    """What is to be known of a fit that may be accepted."""
+    if table.stretch is not None:
+        if nominal.sensor == "accel":
+            yield WAVED
+    elif SCATTER_SAID[nominal.sensor] < fit.scatter / nominal.modulus <= _limit(table, nominal, fit):
+        yield f"{_scatter(table, nominal, fit)}; u has it"
+
+
+def _limit(table: ReadingsTable, nominal: Nominal, fit: EllipsoidFit) -> float:
+    """The scatter, in parts of the modulus, above which there is no result."""
+    single = fit.worst is not None and fit.worst.sigmas > _sigmas(DOUBT_CHANCE, table)
+    return SCATTER_SAID[nominal.sensor] if single and table.stretch is None else SCATTER_LIMIT
+
+
+def _scatter(table: ReadingsTable, nominal: Nominal, fit: EllipsoidFit) -> str:
+    """That readings scatter by more than they should, and where to look first."""
+    size, unit = engineering(nominal.result_unit, fit.scatter)
+    first, look = () if fit.worst is None else (fit.worst.position, *fit.worst.rivals), ""
+    if fit.worst is not None and len(first) <= NAMED and fit.worst.scatter < 0.5 * fit.scatter:
+        without = f"{fit.worst.scatter / size:.3g} {unit}"
+        look = f"; look first at position {_named(table, sorted(first))}, without which it would be {without}"
+    rows = "positions" if table.stretch is None else "samples"
+    limits = (limit for limit in (SCATTER_LIMIT, SCATTER_SAID[nominal.sensor]) if limit * nominal.modulus < fit.scatter)
+    most = next(limits) * nominal.modulus / size
+    return f"the {rows} scatter by {fit.scatter / size:.3g} {unit}, more than {most:.3g} {unit}{look}"
+
+
+def _sigmas(chance: float, table: ReadingsTable) -> float:
+    """Beyond so many standard deviations chance puts one of the positions in this part of all tables."""
+    return float(-scipy.special.ndtri(0.5 * chance / len(table.values)))
+
+
+def _named(table: ReadingsTable, which: Iterable[int]) -> str:
+    """Positions by number and line."""
+    return " or ".join(f"{i + 1} (line {table.lines[i]})" for i in which)
 
 
 def _misstated(nominal: Nominal, seen: Array | None) -> str | None:

@@ -17,6 +17,7 @@ from typing import Any, TypeVar, get_args
 
 import numpy as np
 
+from tumble.arguments import checked
 from tumble.errors import InputError
 from tumble.files import FilePath
 from tumble.inference.estimate import GroupFinding, Outcome
@@ -59,6 +60,7 @@ class Run:
         return Path(self.session.name).name or self.session.name
 
 
+@checked
 def calibrate_launches(
     sessions: Sequence[Session | FilePath],
     *,

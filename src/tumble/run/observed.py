@@ -15,9 +15,17 @@ from typing import ClassVar
 
 import numpy as np
 
+from tumble.arguments import checked
 from tumble.brief import Judged
 from tumble.diagnosis.carried_vertical import sense_faults
-from tumble.diagnosis.channels import accelerometer_faults, channel_faults, dead_zones, mixed_rows, normalised
+from tumble.diagnosis.channels import (
+    accelerometer_faults,
+    channel_faults,
+    dead_zones,
+    high_passed,
+    mixed_rows,
+    normalised,
+)
 from tumble.diagnosis.verdict import no_rests
 from tumble.files import FilePath
 from tumble.inference.estimate import Judgement, Outcome
@@ -65,6 +73,8 @@ class Observed(Judged):
     gyro_bias_faults: tuple[str, ...] = ()
     recorded: str | None = None
     """When, ISO 8601, by the log's own times."""
+    notes: tuple[str, ...] = ()
+    """What is remarkable in the times of the log, in words."""
 
     @property
     def sha256(self) -> str:
@@ -93,10 +103,13 @@ class Observed(Judged):
         return self.reduction.rate
 
 
+MANY_LOST = 2
+"""Times the rests: so many of the accelerometers that are none by the gyros say that these are at fault."""
 LARGEST_SQUARED = 1e100
 """SI: of larger numbers sums of products are none."""
 
 
+@checked
 def inspect_session(
     session: Session | FilePath, *, progress: Progress = Log.chunks, tuning: Tuning = USUAL
 ) -> Observed:
@@ -125,7 +138,7 @@ def inspect_session(
     (4, ())
     """
     with ThreadPoolExecutor(max_workers=1) as beside:
-        return inspected(session_from(session), progress, beside, tuning)
+        return inspected(session_from(session).of_known_scales(), progress, beside, tuning)
 
 
 def inspected(session: Session, progress: Progress, beside: Executor, tuning: Tuning = USUAL) -> Observed:
@@ -141,6 +154,16 @@ def inspected(session: Session, progress: Progress, beside: Executor, tuning: Tu
     with np.errstate(over="ignore", invalid="ignore"):  # in a wrong unit, or of damaged samples
         reduction = without_blemishes(reduction)
         segmentation = find_rests(reduction, session.accel_block, session.gyro_block)
+        lost = ""
+        if session.log.gyro is not None and 0 < len(segmentation.rests) < reduction.tuning.level_attitudes:
+            by_accel = find_rests(reduction, session.accel_block, None)
+            more = len(by_accel.rests) - len(segmentation.rests)
+            if more > max(MANY_LOST * len(segmentation.rests), reduction.tuning.level_attitudes):
+                segmentation = by_accel
+                lost = (
+                    f"the gyros read another rate in {more} of {len(by_accel.rests)} rests of the accelerometers, and "
+                    "why cannot be told: look at the rests with `tumble inspect`"
+                )
         faults = faults or normalised(reduction, segmentation.rests, onto_body(session.accel_block.axes))
         segmentation = without_times(reduction, segmentation, session.excluded)
         segmentation = replace(segmentation, stated_rate=session.log.rate)
@@ -150,10 +173,14 @@ def inspected(session: Session, progress: Progress, beside: Executor, tuning: Tu
         trial = observations
         if trial is None and not faults:
             trial = _observed(session, reduction, find_rests(reduction, session.accel_block, None).rests)
+    of_gyros = list[str]()
     if trial is not None and not faults:
         faults = sense_faults(trial, session, reduction.rate)
-    of_gyros = list[str]()
-    if session.log.gyro is not None and not faults:
+        if faults or lost:
+            of_gyros = high_passed(reduction, segmentation.rests) or ([lost] if lost and not faults else [])
+        if of_gyros:
+            faults = sense_faults(trial.of_accelerometers(), session, reduction.rate)
+    if session.log.gyro is not None and not faults and not of_gyros:
         of_gyros = dead_zones(reduction, segmentation.rests, session.log.gyro)
     return Observed(
         session=session,
@@ -167,6 +194,7 @@ def inspected(session: Session, progress: Progress, beside: Executor, tuning: Tu
         gyro_faults=tuple(of_gyros),
         gyro_bias_faults=() if faults else segmentation.jumped(),
         recorded=log.recorded,
+        notes=log.notes,
     )
 
 
@@ -190,7 +218,7 @@ def observations_for_calibration(observed: Observed, *, biases_jump: bool = Fals
     if biases_jump and observed.gyro_bias_faults:
         reduction = without_jump(reduction, match, observed.segmentation.jump, observed.session.gyro_block)
     every = _observed_again(observed, reduction, match)
-    every = with_mended_samples(replace(every, notes=(*every.notes, *torn)))
+    every = with_mended_samples(replace(every, notes=(*observed.notes, *every.notes, *torn)))
     spoiled = observed.gyro_faults or (observed.gyro_bias_faults and not biases_jump)
     return every.of_accelerometers() if spoiled else every
 
@@ -203,7 +231,7 @@ def observations_in_parts(observed: Observed) -> tuple[Observations, IntArray] |
     reduction, whole, torn = matched
     match, numbers = in_parts(reduction, whole)
     parts = _observed_again(observed, reduction, match)
-    return held(with_mended_samples(replace(parts, notes=(*parts.notes, *torn)))), numbers
+    return held(with_mended_samples(replace(parts, notes=(*observed.notes, *parts.notes, *torn)))), numbers
 
 
 def _observed_again(observed: Observed, reduction: Reduction, match: Match) -> Observations:

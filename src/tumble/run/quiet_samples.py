@@ -6,19 +6,20 @@ A log is read once: its samples are kept while it is reduced, in memory while th
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import SpooledTemporaryFile
 from typing import Any, ClassVar
 
 import numpy as np
 
+from tumble.arguments import checked
 from tumble.brief import Brief
 from tumble.errors import InputError, SessionError
 from tumble.files import FilePath
 from tumble.recording.log import Chunk, Log, open_log
 from tumble.recording.session import Session
-from tumble.recording.session_file import SESSION_FILE, session_from, session_of
+from tumble.recording.session_file import SESSION_FILE, session_from, session_of, session_of_gyros
 from tumble.reduction.noise.allan_deviation import allan_deviation, pooled
 from tumble.reduction.noise.filter_values import FilterValue, filter_values
 from tumble.reduction.noise.wavelet_moments import Panel, identify
@@ -43,14 +44,16 @@ class QuietRecord:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
 class RecordedNoise(Brief):
-    """Allan deviations and noise coefficients of the accelerometers and of the gyros, the sample rate, Hz, and where
-    they are from in words."""
+    """Allan deviations and noise coefficients of the accelerometers and of the gyros, the sample rate, Hz, where they
+    are from in words, and sentences on what is not sure of them."""
 
-    json_fields: ClassVar = ("source", "rate", "panels", "filters")
+    json_fields: ClassVar = ("source", "rate", "panels", "filters", "doubt")
 
     panels: tuple[Panel, ...]
     rate: float
     source: str
+    doubt: str = ""
+    """What is not sure about the log, and what hangs on it."""
 
     @property
     def filters(self) -> list[FilterValue]:
@@ -58,6 +61,7 @@ class RecordedNoise(Brief):
         return filter_values(self.panels, self.rate)
 
 
+@checked
 def noise_of(*recordings: Session | FilePath, layout: Mapping[str, Any] | None = None) -> RecordedNoise:
     """Allan deviation and noise coefficients of every sensor at rest.
 
@@ -95,7 +99,8 @@ def noise_of(*recordings: Session | FilePath, layout: Mapping[str, Any] | None =
         raise InputError("noise: expected a recording, found none")
     several = f"{len(records)} records: " if len(records) > 1 else ""
     source = several + "; ".join(record.source for record in records)
-    return RecordedNoise(panels=noise_panels(records), rate=records[0].rate, source=source)
+    doubt = records[0].session.log.doubt
+    return RecordedNoise(panels=noise_panels(records), rate=records[0].rate, source=source, doubt=doubt)
 
 
 def noise_panels(records: Sequence[QuietRecord]) -> tuple[Panel, ...]:
@@ -105,7 +110,7 @@ def noise_panels(records: Sequence[QuietRecord]) -> tuple[Panel, ...]:
         ("accelerometers", "m/s^2", "accel", log.accel),
         ("gyros", "rad/s", "gyro", log.gyro),
     ):
-        if channels is not None:
+        if channels is not None and getattr(records[0], kind).size:
             deviation = pooled([allan_deviation(getattr(record, kind), record.rate) for record in records])
             noise, columns = identify(deviation), channels.columns
             panels.append(Panel(title=title, unit=unit, channels=columns, deviation=deviation, parameters=noise))
@@ -116,7 +121,7 @@ def is_session(path: Path) -> bool:
     """Whether a path is that of a session, and not of a log."""
     if not path.exists():
         raise InputError(f"{path}: expected a session folder or a log, found no such file")
-    return path.is_dir() or path.name == SESSION_FILE or path.suffix == ".toml"
+    return (path / SESSION_FILE).exists() or path.suffix == ".toml"
 
 
 def longest_rest(session: Session, *, progress: Progress = Log.chunks) -> QuietRecord:
@@ -150,15 +155,21 @@ def longest_rest(session: Session, *, progress: Progress = Log.chunks) -> QuietR
 
 
 def whole_log(file: Path, layout: Mapping[str, Any]) -> QuietRecord:
-    """All of a log file at rest, with `layout` as the table [log] of session.toml has it, less the file. Raises
-    InputError like a session would."""
+    """All of a log file at rest, with `layout` as the table [log] of session.toml has it, less the file; the
+    accelerometers may be missing. Raises InputError like a session would."""
     described = {"format": 1, "device": {"serial": file.name}, "log": {"file": str(file.resolve()), **layout}}
+    gyros_alone = "accel" not in layout and "gyro" in layout
     try:
-        session = session_of(described)
+        session = session_of_gyros(described) if gyros_alone else session_of(described)
     except SessionError as error:
         raise InputError(f"{file}: {str(error).split(': ', 1)[1]}; describe the log with the options") from None
     log = open_log(session)
-    return _record(session, np.concatenate(list(map(_samples, log.chunks()))), log.rate, f"all of {file.name}")
+    samples, source = np.concatenate(list(map(_samples, log.chunks()))), f"all of {file.name}"
+    if gyros_alone:
+        session = replace(session, log=replace(session.log, gyro=session.log.accel))
+        none = np.empty((len(samples), 0))
+        return QuietRecord(session=session, accel=none, gyro=samples, rate=log.rate, source=source)
+    return _record(session, samples, log.rate, source)
 
 
 def _samples(chunk: Chunk) -> Array:

@@ -141,6 +141,14 @@ class Nominal:
 # -------------------- reading the file --------------------
 
 
+def table_of(readings: Array) -> ReadingsTable:
+    """The table of readings (N, 3), each known to its last digit. Raises InputError for another shape."""
+    if readings.ndim != 2 or readings.shape[1] != 3:
+        raise InputError(f"--readings: expected an array (N, 3), a row per position, found the shape {readings.shape}")
+    rows = [",".join(map(repr, row)) for row in readings.tolist()]
+    return _parsed(Path("readings"), "\n".join(["x,y,z", *rows]), "accel")
+
+
 def read_table(path: Path, sensor: Sensor = "accel") -> ReadingsTable:
     """The readings of a CSV file; of a wider one the columns that are named as those of a kind of sensors. Raises
     InputError, one line that names the file, the line and the column, for anything but a header of names and rows of
@@ -148,13 +156,18 @@ def read_table(path: Path, sensor: Sensor = "accel") -> ReadingsTable:
     try:
         check_regular(path)
         content = path.read_bytes()
-        text = content.decode("utf-8-sig")
+        table = _parsed(path, content.decode("utf-8-sig"), sensor)
+        return replace(table, sha256=hashlib.sha256(content).hexdigest())
     except OSError as error:
         raise InputError(f"{path}: expected a table of readings, found: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise InputError(
             f"{path}: expected UTF-8 text, found {error.reason}; save the table as CSV in UTF-8"
         ) from error
+
+
+def _parsed(path: Path, text: str, sensor: Sensor) -> ReadingsTable:
+    """The table of a text."""
     reader = csv.reader(text.splitlines(), strict=True)
     try:
         rows = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
@@ -187,7 +200,7 @@ def read_table(path: Path, sensor: Sensor = "accel") -> ReadingsTable:
         columns=columns,
         values=np.array([[float(cell) for cell in row] for _, row in rows[1:]]),
         lines=tuple(line for line, _ in rows[1:]),
-        sha256=hashlib.sha256(content).hexdigest(),
+        sha256=hashlib.sha256(text.encode()).hexdigest(),
         steps=10.0 ** np.minimum(0, np.min(last, axis=0)),  # of whole numbers 1
     )
 

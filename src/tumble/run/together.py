@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tumble.arguments import checked
 from tumble.errors import InputError
 from tumble.files import FilePath
 from tumble.inference.estimate import Estimate, Outcome, OwnEstimate
@@ -39,6 +40,7 @@ SELDOM = 1e-3
 """Residuals are more than noise where chance alone would make them so large less often."""
 
 
+@checked
 def calibrate_together(
     sessions: Sequence[Session | FilePath],
     *,
@@ -79,7 +81,7 @@ def calibrate_together(
         raise InputError(f"sessions: expected two or more for one estimate, found {len(sessions)}")
     if frame == "case":
         raise InputError("frame: expected accelerometer, paper or symmetric of several sessions, found 'case'")
-    described = [session_from(session) for session in sessions]
+    described = [session_from(session).of_known_scales() for session in sessions]
     _check_alike(described)
     first, systematic = described[0], systematic_of(described[0])
     members: list[Member] = []

@@ -100,9 +100,9 @@ class Solver:
 class Compensator:
     """An instrument as what corrects its readings: blocks of sensors and the coefficients K (n, 15) of each, and what
     biases and scale factors change by per K of temperature (n,), `slopes`, and per K², `curvatures`, about the
-    `references` (n,), °C, by kind, where there are such; the sensors follow their thermometers with the time constant
-    `lag`, s. Lever arms (n, 3), m, need the motion: `tumble.use.corrector`. The `delays` (n,) of the accelerometers, s,
-    are not undone."""
+    `references` (n,), °C, by kind, where there are such; the sensors of a kind follow their thermometers with a time
+    constant, s, that stands in `lags`. Lever arms (n, 3), m, need the motion: `tumble.use.corrector`. The `delays` (n,)
+    of the accelerometers, s, are not undone."""
 
     accel: Block
     gyro: Block | None
@@ -113,7 +113,7 @@ class Compensator:
     levers: Array
     delays: Array
     references: Mapping[str, Array] = field(default_factory=dict)
-    lag: float = 0.0
+    lags: Mapping[str, float] = field(default_factory=dict)
 
     @staticmethod
     def of(
@@ -144,7 +144,7 @@ class Compensator:
             levers=instrument.levers(further),
             delays=instrument.delays(further),
             references=references,
-            lag=values.get("temperature.lag", 0.0),
+            lags={kind: values[f"{kind}.lag"] for kind in ("accel", "gyro") if f"{kind}.lag" in values},
         )
 
     @property

@@ -55,7 +55,7 @@ Terms = Literal["full", "linear"]
 Motion = Literal["lever", "delay", "single delay"]
 Variable = Literal["time", "temperature", "temperature²", "hysteresis", "launch", "lag"]
 """What the change of a parameter goes with: time from the mean of a session's rests, s, temperature from the reference,
-K, its square, the direction it came from, −1 … 1, or that a session is another one; the lag moves the temperatures."""
+K, its square, the direction it came from, −1 … 1, or that a session is another one; a lag moves the temperatures."""
 THERMAL: tuple[Variable, ...] = ("temperature", "temperature²")
 """Those of slopes and curvatures."""
 Regressors = Callable[[Block], Array]
@@ -78,7 +78,7 @@ class ParameterGroup:
     instruments of a grade, the prior where a parameter has one; a grade that is not there has the group only where a
     data sheet says so. `regressors` is None for bias, scale and axis angles, whose derivative `Block.jacobian` has, and
     where `motion` says how a turn sees the group, or where the group is the change of another, its `base`, with a
-    `variable`, or the lag, which has no base. `source` says where the usual size in MEMS instruments is from (those of
+    `variable`, or a lag, which has no base. `source` says where the usual size in MEMS instruments is from (those of
     tactical and navigation instruments are from data sheets, and never wider than that of a poorer grade)."""
 
     name: str
@@ -348,12 +348,15 @@ FURTHER: list[ParameterGroup] = [
     _change("gyro.bias", "hysteresis", _TURN_RATE, _grades(0.01, 0.5, 20.0, 50.0, DEGREE_PER_HOUR)),
     _change("accel.bias", "launch", _MASS, _grades(20.0, 100.0, 500.0, 2e3, MICRO_G)),
     _change("gyro.bias", "launch", _TURN_RATE, _grades(0.005, 0.5, 20.0, 100.0, DEGREE_PER_HOUR)),
-    replace(
-        _group(
-            "temperature.lag", "s", "lag of all sensors behind the thermometer", _once,
-            _HOUR, ((1.0, "s"),), _grades(200.0, 200.0, 200.0, 200.0),
-        ),
-        kind="accel", variable="lag",
+    *(
+        replace(
+            _group(
+                f"{kind}.lag", "s", f"lag of the {sensors} behind their thermometer", _once,
+                _HOUR, ((1.0, "s"),), _grades(150.0, 150.0, 150.0, 150.0),
+            ),
+            variable="lag",
+        )
+        for kind, sensors in (("accel", "accelerometers"), ("gyro", "gyros"))
     ),
 ]  # fmt: skip
 """The groups beyond the linear model, in the order of the calibration file."""
@@ -575,7 +578,7 @@ def prior_of(key: str, text: str) -> tuple[str, float]:
         raise ValueError(
             f"{key}: expected one of {known}, or accel_temperature, gyro_temperature, accel_curvature, gyro_curvature, "
             "accel_hysteresis, gyro_hysteresis, accel_drift, gyro_drift, "
-            "accel_launch, gyro_launch, temperature_lag"
+            "accel_launch, gyro_launch, accel_lag, gyro_lag"
         )
     try:
         bound = _nonlinearity(group, text)

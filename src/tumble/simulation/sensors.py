@@ -95,9 +95,9 @@ class SimulatedBlock:
             return out
         now: dict[Variable, Array] = {"time": (when - self.middle)[:, None]}
         if self.climate is not None and seconds is None:
-            now |= self.climate.variables(when, self.block.thermometer)
+            now |= self.climate.variables(when, self.block)
         elif self.climate is not None and seconds is not None:
-            now |= self.climate.means(when - 0.5 * seconds, when + 0.5 * seconds, self.block.thermometer)
+            now |= self.climate.means(when - 0.5 * seconds, when + 0.5 * seconds, self.block)
         for variable, change in self.changes.items():
             out = out + now[variable] * readings(self.block, change, force, rate)
         return out

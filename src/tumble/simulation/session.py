@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from tumble.arguments import checked
 from tumble.documents import json_of, text_of_document
 from tumble.errors import InputError
 from tumble.files import FilePath, nothing_left, whole_file
@@ -22,10 +23,9 @@ from tumble.sensors.model import Block
 from tumble.simulation.recording import Recording, record
 from tumble.simulation.scenario import NO_VIBRATION, Scenario, Vibration, itinerary, scenario_of
 from tumble.simulation.temperature_profile import (
-    LAG_NAME,
     REFERENCE_NAME,
     TemperatureProfile,
-    draw_lag,
+    draw_lags,
     draw_thermal,
     thermometer_columns,
 )
@@ -40,6 +40,7 @@ COUNTS: Mapping[str, tuple[str, float]] = {"a": ("acc_", 4096.0 / G_STANDARD), "
 TRUTH_FILE = "truth.json"
 
 
+@checked
 def simulate_session(
     folder: FilePath,
     setup: Setup,
@@ -70,7 +71,7 @@ def simulate_session(
         accel, gyro = temperature.blocks(scenario.accel, scenario.gyro)
         blocks = {"accel": accel, "gyro": gyro}
         thermal = draw_thermal(setup.further, setup.instrument, blocks, truth)
-        climate = temperature.climate(duration, draw_lag(setup.further, truth))
+        climate = temperature.climate(duration, draw_lags(setup.further, truth))
         truth_now = dict(scenario.truth) | thermal
         scenario = replace(scenario, accel=accel, gyro=gyro, truth=truth_now, climate=climate)
     return write_simulation(Path(folder), scenario, course, log_format=log_format)
@@ -106,7 +107,7 @@ def write_simulation(
     truth = {name: scenario.truth[name] for name in scenario.names}
     if (climate := scenario.climate) is not None:
         truth |= {REFERENCE_NAME: climate.reference - ZERO_CELSIUS}
-        truth |= {LAG_NAME: climate.lag} if climate.lag != 0.0 else {}
+        truth |= {f"{kind}.lag": lag for kind, lag in climate.lags.items()}
     try:
         with nothing_left(folder) as output:
             frame = pl.DataFrame(_columns_of(scenario, recording))  # SI; float64 survives in both formats

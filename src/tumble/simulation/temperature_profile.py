@@ -14,17 +14,18 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import get_args
 
 import numpy as np
 
 from tumble.errors import InputError
 from tumble.reduction.rests.thermometer import MOVED, Thermometers, followed
 from tumble.sensors.grades import GRADES
-from tumble.sensors.model import Block, thermometers_of
+from tumble.sensors.model import Block, SensorKind, thermometers_of
 from tumble.sensors.parameters import FURTHER, THERMAL, Variable, to_temperature
-from tumble.units import ZERO_CELSIUS, Array, IntArray
+from tumble.units import ZERO_CELSIUS, Array
 
 FINE = 0.1  # s, of the temperatures of the sensors
 NODES = 128
@@ -34,45 +35,47 @@ NODES = 128
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Climate:
     """Temperatures (·, T), K, of the thermometers at times (·,), s, from the start of the session, straight between
-    them; the temperature, K, at which the true parameters have their values; and the `lag` of the sensors behind their
-    thermometers, s. `span`, the middle and half the range, K, (T,) or of all, are those of a hysteresis."""
+    them; the temperature, K, at which the true parameters have their values; and the `lags` of the sensors behind their
+    thermometers, s, by kind. `span`, the middle and half the range, K, (T,) or of all, are those of a hysteresis."""
 
     time: Array
     kelvin: Array
     reference: float
-    lag: float = 0.0
+    lags: Mapping[str, float] = field(default_factory=dict)
     span: tuple[float | Array, float | Array] = (0.0, 1.0)
 
-    def variables(self, time: Array, thermometer: IntArray) -> dict[Variable, Array]:
-        """What parameters of sensors with these thermometers (n,) change with at times (N,), s: (N, n)."""
-        sensors = self.sensors(time)
+    def variables(self, time: Array, block: Block) -> dict[Variable, Array]:
+        """What parameters of the sensors (n,) of a block change with at times (N,), s: (N, n)."""
+        sensors = self.sensors(time, block.kind)
         x = (sensors - self.span[0]) / self.span[1]
         warmer = sensors - self.reference
         came = self.record.direction(np.zeros(len(time), dtype=np.int64), time)
         hysteresis = came * np.maximum(1.0 - x**2, 0.0)
         every: dict[Variable, Array] = {"temperature": warmer, "temperature²": warmer**2, "hysteresis": hysteresis}
-        return {variable: values[:, thermometer] for variable, values in every.items()}
+        return {variable: values[:, block.thermometer] for variable, values in every.items()}
 
-    def means(self, start: Array, stop: Array, thermometer: IntArray) -> dict[Variable, Array]:
+    def means(self, start: Array, stop: Array, block: Block) -> dict[Variable, Array]:
         """The means of the same from start to stop (N,), s."""
         nodes = start[:, None] + (stop - start)[:, None] * (np.arange(NODES) + 0.5) / NODES
-        every = self.variables(nodes.ravel(), thermometer)
+        every = self.variables(nodes.ravel(), block)
         return {variable: values.reshape(*nodes.shape, -1).mean(axis=1) for variable, values in every.items()}
 
     def thermometers(self, time: Array) -> Array:
         """Temperatures (N, T), K, that the thermometers read at times (N,), s."""
         return np.column_stack([np.interp(time, self.time, kelvin) for kelvin in self.kelvin.T])
 
-    def sensors(self, time: Array) -> Array:
-        """Temperatures (N, T), K, of the sensors with each thermometer at times (N,), s."""
+    def sensors(self, time: Array, kind: SensorKind) -> Array:
+        """Temperatures (N, T), K, of the sensors of a kind with each thermometer at times (N,), s."""
         fine, kelvin = self._sensors
-        return np.column_stack([np.interp(time, fine, each) for each in kelvin])
+        return np.column_stack([np.interp(time, fine, each) for each in kelvin[kind]])
 
     @cached_property
-    def _sensors(self) -> tuple[Array, Array]:
-        """Times, s, and temperatures (T, ·), K, of the sensors throughout."""
+    def _sensors(self) -> tuple[Array, dict[str, Array]]:
+        """Times, s, and temperatures (T, ·), K, of the sensors of each kind throughout."""
         fine = np.arange(self.time[0], self.time[-1] + FINE, FINE)
-        return fine, np.array([followed(kelvin, FINE, self.lag) for kelvin in self.thermometers(fine).T])
+        read = self.thermometers(fine).T
+        lags = {kind: self.lags.get(kind, 0.0) for kind in get_args(SensorKind)}
+        return fine, {kind: np.array([followed(each, FINE, lag) for each in read]) for kind, lag in lags.items()}
 
     @cached_property
     def record(self) -> Thermometers:
@@ -85,8 +88,6 @@ REFERENCE = 25.0
 """°C, at which the true parameters of simulated devices have their values."""
 REFERENCE_NAME = "temperature.reference"
 """What truth.json calls it."""
-LAG_NAME = "temperature.lag"
-"""And the lag of the sensors behind the thermometer."""
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)"
 _RISE = rf"([-+](?:\d+\.?\d*|\.\d+))@({_NUMBER})"
@@ -105,8 +106,8 @@ class TemperatureProfile:
     celsius: tuple[float, ...]
     heating: tuple[tuple[float, float], ...] = ((0.0, 600.0),)
 
-    def climate(self, duration: float, lag: float = 0.0) -> Climate:
-        """The temperatures of a session that lasts so long, s, with sensors that follow them with a lag, s."""
+    def climate(self, duration: float, lags: Mapping[str, float] | None = None) -> Climate:
+        """The temperatures of a session that lasts so long, s, whose sensors follow with `lags`, s, by kind."""
         celsius = np.array(self.celsius if len(self.celsius) > 1 else 2 * self.celsius)
         time = np.linspace(0.0, duration, len(celsius))
         rise, constant = np.array(self.heating).T
@@ -119,7 +120,7 @@ class TemperatureProfile:
             time=time,
             kelvin=kelvin,
             reference=REFERENCE + ZERO_CELSIUS,
-            lag=lag,
+            lags=lags or {},
             span=(0.5 * (low + high), np.maximum(0.5 * (high - low), MOVED)),
         )
 
@@ -171,10 +172,11 @@ def draw_thermal(
     return found
 
 
-def draw_lag(spreads: Mapping[str, float], rng: np.random.Generator) -> float:
-    """The lag of the sensors behind the thermometer, s, the size of a Gaussian number with the standard deviation of a
-    set-up; none where that has none."""
-    return abs(spreads[LAG_NAME] * float(rng.standard_normal())) if LAG_NAME in spreads else 0.0
+def draw_lags(spreads: Mapping[str, float], rng: np.random.Generator) -> dict[str, float]:
+    """The lags of the sensors behind the thermometer, s, by kind, the sizes of Gaussian numbers with the standard
+    deviations of a set-up; none where that has none."""
+    known = {kind: spreads[f"{kind}.lag"] for kind in get_args(SensorKind) if f"{kind}.lag" in spreads}
+    return {kind: abs(spread * float(rng.standard_normal())) for kind, spread in known.items()}
 
 
 def truth_at(

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from tumble.arguments import checked
 from tumble.errors import InputError, LogError
 from tumble.files import FilePath
 from tumble.recording.arrays import SI
@@ -97,6 +98,7 @@ class _Correction:
         return out | dict(zip(self.added, true.T, strict=False))
 
 
+@checked
 def apply_to_session(
     calibration: Calibration | FilePath, session: Session | FilePath, out: FilePath, *, force: bool = False
 ) -> dict[str, Any]:
@@ -170,8 +172,9 @@ def applied(calibration: Calibration | FilePath, session: Session | FilePath) ->
         reference = calibration.reference_temperature
         at = "the reference" if reference is None else f"{reference:.1f} °C"
         out.append(f"the session has no temperature: parameters are those at {at}")
-    elif compensator.warm and compensator.lag != 0.0:
-        out.append(f"sensors follow the thermometer with a lag of {compensator.lag:z.0f} s")
+    elif compensator.warm and any(compensator.lags.values()):
+        lags = ", ".join(f"{lag:z.0f} s ({kind})" for kind, lag in compensator.lags.items())
+        out.append(f"sensors follow the thermometer with a lag of {lags}")
     if any(group.variable == "hysteresis" for group in groups() if group.name in found):
         out.append("hysteresis over temperature is not applied: parameters are the mean of both ways")
     if any(group.variable == "time" for group in groups() if group.name in found):

@@ -34,6 +34,7 @@ from typing import Any, ClassVar
 import numpy as np
 from scipy.linalg import block_diag
 
+from tumble.arguments import checked
 from tumble.brief import Judged
 from tumble.errors import CalibrationError, InputError
 from tumble.files import FilePath
@@ -216,6 +217,7 @@ def beyond_limit(rests: Sequence[CheckedRest], limit: float | None) -> tuple[str
     )
 
 
+@checked
 def check_calibration(
     calibration: Calibration | FilePath,
     readings: Session | FilePath,

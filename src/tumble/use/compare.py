@@ -25,6 +25,7 @@ from typing import Any, ClassVar, Protocol, Self
 import numpy as np
 import scipy
 
+from tumble.arguments import checked
 from tumble.brief import Judged
 from tumble.errors import InputError
 from tumble.files import FilePath
@@ -171,6 +172,7 @@ class Comparison(Judged):
         return self.probability is not None and self.probability < LEAST_PROBABILITY
 
 
+@checked
 def compare_calibrations(first: Calibration | FilePath, second: Calibration | FilePath) -> Comparison:
     """Compare two calibrations parameter by parameter.
 

@@ -1,6 +1,6 @@
 """Correction of a stream of readings with the whole model of a calibration, sample by sample or in blocks.
 
-Each sample is corrected at the temperature of its sensors, which follow the thermometer with the calibration's lag.
+Each sample is corrected at the temperature of its sensors, which follow the thermometer with the calibration's lags.
 If accelerometers have lever arms and the rate is read, their specific force is transferred to the last one,
 
     f = f_p − ω̇ × r − ω × (ω × r),     ω̇ᵢ = (ωᵢ₊₁ − ωᵢ₋₁) / (tᵢ₊₁ − tᵢ₋₁)
@@ -12,11 +12,13 @@ in the wrong order, ω̇ is unknown and the sample is not transferred. The delay
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import exp, inf, nan
+from itertools import accumulate
+from math import exp, inf, isnan, nan
 
 import numpy as np
 import numpy.typing as npt
 
+from tumble.brief import Brief
 from tumble.errors import CalibrationError, InputError
 from tumble.files import FilePath
 from tumble.recording.arrays import check_kelvin
@@ -40,8 +42,8 @@ _ROWS = 1 << 12
 """Rows that are corrected at a time: intermediate results fit the cache of a core."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Corrected:
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
+class Corrected(Brief):
     """Corrected samples in the order in which they came, as views of memory that the next block overwrites.
 
     Attributes
@@ -55,7 +57,8 @@ class Corrected:
     flags : (N,) array
         Sum of 1, 2 and 4 for a temperature, a rate and a force outside of the calibrated range.
     temperature : (N, T) array
-        Temperatures of the sensors that follow each thermometer, K.
+        Temperatures of the sensors that follow each thermometer, K; where accelerometers and gyros have other lags
+        (N, 2 T), those of the accelerometers first.
     """
 
     time: Array
@@ -114,8 +117,14 @@ class Stream:
         zero: float = 0.0,
         latest: float = 0.0,
     ) -> None:
-        ranges, lag = ranges or Ranges(), compensator.lag if compensator.warm else 0.0
+        ranges = ranges or Ranges()
         self.gyros = gyros and compensator.gyro is not None
+        lags = [compensator.lags.get(kind, 0.0) for kind in ("accel", "gyro")[: 1 + self.gyros]]
+        lag, *others = dict.fromkeys(lags if compensator.warm else [0.0])
+        self._followers = None
+        if others:
+            self._followers = _Followers(np.repeat(lags, heat), interval, latest)
+            lag, thermometers, heat = 0.0, (thermometers[0], heat + thermometers[1]), 2 * heat
         self.moved = self.gyros and bool(np.any(compensator.levers))
         self.delay = int(self.moved)
         accel, rates = compensator.accelerometers, compensator.gyros if self.gyros else None
@@ -147,6 +156,8 @@ class Stream:
         self._held = 0
         _, warmth, clock, _ = self._state
         warmth[:, 0], warmth[:, 1], clock[:2] = self._start, nan, (-inf, 0.0)
+        if self._followers is not None:
+            self._followers.reset(self._start + self._settings[6])
 
     @property
     def dropped(self) -> int:
@@ -185,6 +196,8 @@ class Stream:
         """Correct more samples after `begun` ones of this call; return how many are ready."""
         absent = (*self._nothing[:3], self._lost)
         rows = tuple(other if each is None else each for each, other in zip(given, absent, strict=True))
+        if self._followers is not None:
+            rows = *rows[:3], self._followers.add(rows[3][: len(rows[0])], rows[2])
         out = self._out if not begun else tuple(each[begun:] for each in self._out)
         ready, self._held = advance(
             rows, self._sensors, self._settings, self._state, self._held, out, moved=self.moved, last=last
@@ -201,6 +214,57 @@ class Stream:
         time, flags, temperature = stamps[:, 0], stamps[:, 1], stamps[:, 2:]
         rates = rate if self.gyros else None
         return Corrected(time=time, force=force, rate=rates, flags=flags, temperature=temperature)
+
+
+class _Followers:
+    """Sensors that follow thermometers with time constants `lags` (C,), s, from block to block of a stream, over the
+    time from stamp to stamp, or the usual `interval` where that is none: `tumble.reduction.rests.thermometer`. Where
+    all have one lag the compiled loop follows by itself."""
+
+    def __init__(self, lags: Array, interval: float, latest: float) -> None:
+        self._lags, self._interval, self._latest = lags, interval, latest
+        self.reset(np.zeros(len(lags)))
+
+    def reset(self, start: Array) -> None:
+        """Begin another stream, in which `start` (C,) counts until the first reading."""
+        self._clock, self._now, self._behind = -inf, start, np.full(len(start), nan)
+
+    def add(self, read: Array, time: Array) -> Array:
+        """Temperatures (N, C) of what follows readings (N, T) at stamps (N,), none of a regular clock."""
+        out = np.tile(read, len(self._lags) // read.shape[1])
+        steps, taken = self._steps(time) if len(time) else (np.full(len(read), self._interval), slice(None))
+        now = out[taken]
+        if not len(now):
+            return out
+        last = np.maximum.accumulate(np.where(np.isnan(now), -1, np.arange(len(now))[:, None]), axis=0)
+        now = np.where(last < 0, self._now, np.take_along_axis(now, np.maximum(last, 0), axis=0))
+        before = np.vstack([self._now, now[:-1]])
+        for c, (lag, behind) in enumerate(zip(np.abs(self._lags).tolist(), self._behind.tolist(), strict=True)):
+            kept = np.exp(-steps / lag) if lag else np.zeros(len(steps))
+            driven = now[:, c] - kept * before[:, c] - (now[:, c] - before[:, c]) / steps * lag * (1.0 - kept)
+            if isnan(behind):
+                kept[0], driven[0], behind = 0.0, now[0, c], 0.0
+            pairs = zip(kept.tolist(), driven.tolist(), strict=True)
+            followed = list(accumulate(pairs, lambda y, pair: pair[1] + pair[0] * y, initial=behind))[1:]
+            self._behind[c] = followed[-1]
+            out[taken, c] = followed if self._lags[c] >= 0.0 else 2.0 * now[:, c] - followed
+        self._now = now[-1]
+        return out
+
+    def _steps(self, time: Array) -> tuple[Array, BoolArray]:
+        """The time (M,), s, since the sample before of those that are not late, and which these are (N,)."""
+        steps, taken = np.diff(time, prepend=self._clock), np.ones(len(time), dtype=bool)
+        if not np.all(steps > 0.0):
+            clock = self._clock
+            for i, t in enumerate(time.tolist()):
+                taken[i] = not clock - self._latest < t <= clock
+                steps[i] = t - clock
+                clock = t if taken[i] and t == t else clock
+            self._clock = clock
+        elif len(time):
+            self._clock = float(time[-1])
+        steps = steps[taken]
+        return np.where((steps > 0.0) & (steps < inf), steps, self._interval), taken
 
 
 class Corrector:

@@ -141,6 +141,11 @@ def residuals_in(calibration: Calibration, observations: Observations, sha256: s
         return float(scipy.special.ndtri(tail) if np.isinf(degrees) else scipy.special.stdtrit(degrees, tail))
 
     if calibration.provenance.log_sha256 == sha256:  # its own positions: each is left out
+        if any(source.name.startswith("prior.") for source in calibration.evidence.budget) and not calibration.groups:
+            raise InputError(
+                f"calibration of {calibration.serial!r}: expected one with all terms, found linear ones, whose u "
+                "does not tell its own positions from others; calibrate with --terms full, or record check positions"
+            )
         unlearned = _unlearned(calibration, names, J)
         left = 1.0 - np.maximum(by_parameters - unlearned - there.gravity_u**2, 0.0) / variance
         left = np.where(left > NOTHING_LEFT, left, np.nan)
@@ -190,7 +195,7 @@ def _length_and_derivative(
     block, reference = observations.accel_block, calibration.reference_temperature
     rests, celsius = observations.rests, None
     if rests.temperatures is not None:  # the sensors follow their thermometers with the lag of the calibration
-        kelvin = sensors_at(observations, rests.temperatures, calibration.compensator.lag)
+        kelvin = sensors_at(observations, rests.temperatures, calibration.compensator.lags.get(block.kind, 0.0))
         celsius = kelvin[:, block.thermometer] - ZERO_CELSIUS
     convention = Convention(frame=frame_of(calibration.frame), block=block)
     if calibration.outcome.unobservable:

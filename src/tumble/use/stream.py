@@ -16,6 +16,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from tumble.arguments import checked
 from tumble.errors import InputError
 from tumble.files import FilePath
 from tumble.methods.rest_chain import MovedBias, RestChain
@@ -231,6 +232,7 @@ class StreamCheck:
         )
 
 
+@checked
 def check_stream(
     calibration: Calibration | FilePath,
     listen: str,

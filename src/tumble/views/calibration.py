@@ -116,8 +116,12 @@ def calibration_blocks(
     if several:
         blocks += [launch_table(calibration, parameters, deviations=which) for which in (False, True)[: 1 + passport]]
     blocks.append(_session_table(calibration))
-    if calibration.method in ITERATED_METHODS and whole.iterations:
-        blocks += [iteration_table(calibration, parameters), WHAT_AN_INCREMENT_SAYS]
+    iterated = [c for c in (calibration, *others) if c.method in ITERATED_METHODS and c.evidence.iterations]
+    for each in iterated:
+        own = [p for p in each.parameters if each is not calibration and p.name in {q.name for q in parameters}]
+        blocks += [f"method {each.method}"] if others else []
+        blocks.append(iteration_table(each, own or parameters))
+    blocks += [WHAT_AN_INCREMENT_SAYS] if iterated else []
     blocks += [method_table(calibration, other, parameters) for other in others]
     lines = [] if truth is None else [_against_truth(calibration, truth)]
     if every:
@@ -317,12 +321,15 @@ def launch_table(
 
 
 def iteration_table(calibration: Calibration, parameters: Sequence[Parameter]) -> Table:
-    """What every iteration added to every parameter, of several launches the mean, beside the uncertainty."""
+    """What every iteration added to every parameter, of several launches the mean, the later ones also in % of the
+    first, as in the paper's Tables 1 to 3, beside the uncertainty."""
 
     def row(p: Parameter, size: float, unit: str) -> dict[str, str]:
-        steps = {
-            f"iteration {i}": f"{step[p.name] / size:.3g}" for i, step in enumerate(calibration.evidence.iterations, 1)
-        }
+        steps, first = dict[str, str](), calibration.evidence.iterations[0][p.name]
+        for i, step in enumerate(calibration.evidence.iterations, 1):
+            steps[f"iteration {i}"] = f"{step[p.name] / size:.3g}"
+            if i > 1:
+                steps[f"{i} in % of 1"] = f"{100.0 * abs(step[p.name] / first):.2g}" if first else ""
         return steps | {"u (k=1)": cells(p.value, p.u or 0.0, size)[1], "unit": unit}
 
     name = "mean increment of" if calibration.evidence.launches else "increment of"

@@ -90,6 +90,8 @@ def noise_blocks(noise: RecordedNoise, *, filters: bool = False) -> list[Block]:
             reasons.setdefault(v.why, []).append(v.filter)
         blocks.append(table(values, words=("filter", "parameter", "unit")))
         blocks += (f"{', '.join(dict.fromkeys(who))}: {why}." for why, who in reasons.items())
+    if noise.doubt:
+        blocks.append(f"doubt: {noise.doubt}")
     return blocks
 
 

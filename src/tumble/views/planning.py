@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from tumble.planning.plan import Plan, PlannedGroup, Requirement
+from tumble.planning.plan import Plan, PlannedGroup, Requirement, largest_errors
 from tumble.planning.setup import GROUPS, Setup, time_of
 from tumble.programme.sheet_words import clock, move_text, short_code
 from tumble.sensors.parameters import group_of, shown_in
@@ -37,7 +37,8 @@ def plan_blocks(plan: Plan, *, sources: bool = False) -> list[Block]:
     if plan.following:
         blocks.append(_following_table(plan))
     if plan.requirements:
-        blocks.append(table(map(_needs, plan.requirements), words=("parameters", "because")))
+        needs = (_needs(row, plan.setup) for row in plan.requirements)
+        blocks.append(table(needs, words=("parameters", "because")))
     return blocks
 
 
@@ -81,14 +82,16 @@ def _following_table(plan: Plan) -> Table:
     return table(rows, words=words)
 
 
-def _needs(row: Requirement) -> dict[str, str]:
-    """What a wanted accuracy needs."""
+def _needs(row: Requirement, setup: Setup) -> dict[str, str]:
+    """What a wanted accuracy needs, with the errors of a set-up."""
     cells = {"parameters": row.group, "wanted": in_unit(row.group, row.wanted), "as it is": in_unit(row.group, row.u)}
     cells |= dict.fromkeys(("table within", "mounting within", "rests of", "or positions"), "")
     if row.reason:
         return cells | {"table within": "no table", "because": row.reason.partition(": ")[2]}
-    for what, error in (("table within", row.table_error), ("mounting within", row.mounting_error)):
-        cells[what] = "any (±5°)" if error is None else f"±{error / DEGREE:.2f}°"
+    for what, error, largest in zip(
+        ("table within", "mounting within"), (row.table_error, row.mounting_error), largest_errors(setup), strict=True
+    ):
+        cells[what] = f"±{largest / DEGREE:.2f}° (any)" if error is None else f"±{error / DEGREE:.2f}°"
     cells["rests of"] = f"{row.rest:.3g} s" if math.isfinite(row.rest) else "–"
     cells["or positions"] = "" if row.positions is None else str(row.positions)
     return cells | {"because": ""}

@@ -18,7 +18,7 @@ def readings_blocks(result: ReadingsCalibration) -> list[Block]:
     """The verdict, parameters, positions, and what the fit says."""
     calibration, nominal, fit = result.calibration, result.nominal, result.fit
     blocks: list[Block] = [
-        f"{result.table.path.name} · {nominal.sensor} · method ellipsoid · frame {calibration.frame}",
+        f"{result.table.path.name} · {nominal.sensor} · method {calibration.method} · frame {calibration.frame}",
         calibration.outcome.verdict,
         *(f"remark: {remark}" for remark in calibration.outcome.remarks),
     ]
@@ -45,6 +45,8 @@ def readings_blocks(result: ReadingsCalibration) -> list[Block]:
                 f"{positions} positions for 9 parameters: a reading scatters by {fit.scatter / size:.3g} {unit}, "
                 f"estimated with {fit.degrees} degrees of freedom"
             )
+    elif calibration.parameters:
+        blocks.append(parameter_table(calibration, linear_parameters(calibration.parameters)))
     if calibration.prediction is not None:
         lines.append(predicted(calibration.prediction))
     return [*blocks, Items(items=(*lines, *calibration.provenance.notes))]

@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 
+from tumble.arguments import checked
 from tumble.errors import InputError, needs_extra
 from tumble.files import FilePath, ending_in, whole_file
 from tumble.programme.positions import Programme
@@ -31,6 +32,7 @@ def sheet_blocks(programme: Programme, *, rest: float = REST, rate: float = RATE
     return [title, table(listed, words=words), *(note for note in notes_of(programme))]
 
 
+@checked
 def write_sheet(
     path: FilePath,
     programme: Programme,

@@ -159,7 +159,7 @@ def _shown(task: Task, reduction: Reduction, until: float, excluded: tuple[Exclu
             if math.isfinite(s)
         ],
         "gains": remaining.tolist(),
-        "next": f"{', '.join(upwards)}: accelerometers to {100.0 * remaining[best]:.0f} % of u",
+        "next": f"{', '.join(upwards)}: accelerometers to {100.0 * remaining[best]:.0f} % of their uncertainty",
         "cause": cause,
         "unknowns": len(estimate.names),
         "seconds": time.thread_time() - began,

@@ -12,7 +12,7 @@ from tumble.bench.follow.wishes import Task
 from tumble.programme.positions import Programme
 from tumble.programme.sheet_words import move_text
 from tumble.reduction.rests.matching import POSITION_LIMIT, TURN_LIMIT
-from tumble.units import DEGREE, G_STANDARD, Array
+from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, Array
 
 STUCK_SECONDS = 1.0
 """A channel that repeats itself for so long, while others of its kind do not, is stuck."""
@@ -28,6 +28,14 @@ KNOCK_SECONDS = 5.0
 PUT_DOWN_BLOCKS = 7
 """Of the beginning and of the end of a rest, which are to agree."""
 PUT_DOWN_SIGMAS = 10.0
+LEFT_BY_THE_NEXT = ("wrong position", "wrong way", "wrong turn")
+"""Faults of a rest that is left out once the right position follows it."""
+
+
+UNIT_FACTOR = 2.0
+"""Accelerometers that read gravity wrong by more are in another unit than the session says."""
+UNIT_SHARE = 0.25
+"""So near to gravity they read in the unit that is asked about."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -46,6 +54,8 @@ class Fault:
         Which position in the course it concerns, from 0. None: the present one.
     choices
         Commands that answer it.
+    unit
+        The unit in which the accelerometers would read gravity, where another is stated.
     """
 
     kind: str
@@ -54,6 +64,7 @@ class Fault:
     stop: float
     place: int | None = None
     choices: tuple[str, ...] = ("again", "go_on")
+    unit: str = ""
 
     def is_like(self, other: Fault) -> bool:
         """Whether this is the same fault as another. The beginning of a rest may change by some blocks as it lasts."""
@@ -159,6 +170,38 @@ def faults_of_rests(task: Task, progress: Progress) -> Iterator[Fault]:
             )
             said += "; wait until it is steady, or go on: the change is then one more unknown"
             yield Fault(kind="temperature", said=said, start=since, stop=progress.now, choices=("go_on",))
+
+
+def another_unit(task: Task, progress: Progress) -> Iterator[Fault]:
+    """Ask about the unit of accelerometers that do not read gravity in the first rest."""
+    if not progress.groups:
+        return
+    rest, accel, gravity = progress.groups[0][-1], task.session.log.accel, task.session.site.gravity
+    length = float(np.linalg.norm(rest.force))
+    if gravity / UNIT_FACTOR < length < gravity * UNIT_FACTOR or not length:
+        return
+    stated = "m/s^2" if accel.raw else accel.unit_name
+    read = length / ACCEL_UNITS[stated].factor
+    rates = ((name, unit.factor) for name, unit in ACCEL_UNITS.items() if unit.kind == "rate")
+    unit = next((name for name, factor in rates if abs(read * factor / gravity - 1.0) < UNIT_SHARE), "")
+    said = f"at rest the accelerometers read {read:.3g} {stated}"
+    said += f": are they in {unit}?" if unit else ", which is not gravity: state their unit and scale in session.toml"
+    choices = ("unit", "go_on") if unit else ("go_on",)
+    yield Fault(kind="unit", said=said, start=rest.start, stop=rest.stop, choices=choices, unit=unit)
+
+
+def is_over(fault: Fault, task: Task, progress: Progress) -> bool:
+    """Whether a fault has passed: a good rest follows a gap, or the right position a wrong one."""
+    groups, programme = progress.groups, task.programme
+    if fault.kind == "gap":
+        last = groups[-1][-1] if groups else None
+        return last is not None and last.start > fault.start and progress.judged[-1].enough
+    if fault.kind not in LEFT_BY_THE_NEXT or programme is None:
+        return False
+    later = [group[-1] for group in groups if group[0].start > fault.stop]
+    expected = np.array([position.vertical_b for position in programme.positions])
+    wanted = expected if fault.place is None else expected[fault.place : fault.place + 1]
+    return any(float((wanted @ rest.vertical).max()) > np.cos(POSITION_LIMIT) for rest in later[:1])
 
 
 def _off_course(task: Task, programme: Programme, progress: Progress) -> Iterator[Fault]:

@@ -28,7 +28,7 @@ log = logging.getLogger(__name__)
 
 READ_SECONDS = 0.05
 SILENT_SECONDS = 2.0
-NOTHING_RECEIVED: Received = {"refused": 0, "why": "", "ended": False, "trouble": []}
+NOTHING_RECEIVED: Received = {"refused": 0, "why": "", "ended": False, "silent": False, "trouble": []}
 SYNC_SECONDS = 0.9
 KEPT_BYTES = 1 << 26
 """What is kept in memory while the disk takes nothing, at most."""
@@ -248,5 +248,6 @@ class Intake:
             "refused": self.lines.refused,
             "why": self.lines.last_refused,
             "ended": self.ended,
+            "silent": silent > SILENT_SECONDS or (self.source.trouble is not None and not self.ended),
             "trouble": trouble,
         }

@@ -20,6 +20,7 @@ from starlette.staticfiles import StaticFiles
 
 from tumble.bench.state import State
 from tumble.bench.station import STEP_SECONDS, Station
+from tumble.bench.web import connections
 from tumble.bench.web.access import HEADERS, Access
 from tumble.programme.sheet_pictures import picture
 
@@ -41,6 +42,7 @@ def app_of(station: Station, access: Access) -> Starlette:
     workers = ThreadPoolExecutor(_COMMANDS_AT_ONCE, thread_name_prefix="command")
     written: dict[tuple[int, bool], tuple[str, int]] = {}
     written_state: State = {}
+    onlookers = 0
 
     async def guarded(request: Request, call: Callable[[Request], Awaitable[Response]]) -> Response:
         refused = _refusal(request, access)
@@ -67,9 +69,21 @@ def app_of(station: Station, access: Access) -> Starlette:
         return written[since, may_command]
 
     async def events(request: Request) -> Response:
+        nonlocal onlookers
         may_command = access.knows(request.cookies.get(access.cookie))
+        if not may_command and onlookers >= connections.most_connections() // 2:
+            return _plain(503, "too many look on without the token that the server has printed")
+        onlookers += not may_command
 
         async def stream() -> AsyncIterator[str]:
+            nonlocal onlookers
+            try:
+                async for said in states():
+                    yield said
+            finally:
+                onlookers -= not may_command
+
+        async def states() -> AsyncIterator[str]:
             """States as they change; where none has for a second, a word that the server is here."""
             yield "retry: 500\n\n"
             before: State = {}

@@ -12,6 +12,9 @@ database from its first query to its last and waits for nobody.
 
 from __future__ import annotations
 
+import errno
+import os
+import shutil
 import sqlite3
 from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager, suppress
@@ -51,6 +54,8 @@ PATIENCE = 30.0
 WRITERS_LOCK = 7_848_652_101
 """The advisory lock of writers on PostgreSQL, a number of our own."""
 
+_NO_ROOM, _ROOM = ("disk I/O error", "database or disk is full"), 1 << 20
+"""What SQLite says where a disk has fewer bytes than so many, and elsewhere too."""
 _PLACE = "expected a file or postgresql://USER@HOST/NAME"
 _REFUSED = "a registry is added to, never changed"
 
@@ -98,14 +103,20 @@ LOGS = Table(  # a log stands behind one calibration alone
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Database:
-    """An open database. `name` is what messages call it: its file, or its URL without the password."""
+    """An open database. `name` is what messages call it: its file, or its URL without the password. `file`: that of
+    SQLite. A `new` one is there with the first that is written, and not before."""
 
     name: str
     engine: Engine
+    file: Path | None
+    new: bool
 
     @contextmanager
     def reading(self) -> Iterator[Rows]:
         """A transaction that sees one state of the database. Raises InputError, one line, where the database fails."""
+        if self.new:
+            with self.writing():
+                pass
         with self._transaction(**{} if _is_file(self.engine.url) else {"isolation_level": "REPEATABLE READ"}) as begun:
             try:
                 yield Rows(connection=begun)
@@ -118,8 +129,23 @@ class Database:
     @contextmanager
     def writing(self) -> Iterator[Rows]:
         """The transaction of the only writer, committed when the block ends without an error."""
-        with self._transaction(tumble_writes=True) as begun:
-            yield Rows(connection=begun)
+        made = False
+        try:
+            with self._transaction(tumble_writes=True) as begun:
+                made = self.new and not _has_tables(begun, self.name, create=True)
+                if made:
+                    _make_tables(begun)
+                yield Rows(connection=begun)
+        except BaseException:
+            self.engine.dispose()
+            if self.new and self.file is not None and self.file.is_file() and self.file.stat().st_size == 0:
+                self.file.unlink()
+            raise
+        if self.file is not None and not self.file.is_file():
+            raise InputError(f"{self.name}: expected the registry, found that it was removed meanwhile; try again")
+        if made and self.file is not None:  # readers do not wait for writers then; the file remembers it
+            with suppress(sqlite3.OperationalError), closing(self.engine.raw_connection()) as raw:
+                raw.cursor().execute("PRAGMA journal_mode = WAL")  # or the last of those that opened it at once does
 
     @contextmanager
     def _transaction(self, **options: Any) -> Iterator[Connection]:
@@ -202,23 +228,15 @@ def connected(place: str, create: bool) -> Database:
             raise InputError(f"{file}: expected a registry, found no such file; `tumble registry add` makes one")
         if new and not file.parent.is_dir():
             raise InputError(f"{file}: expected a folder for the registry, found no {file.parent}; make it first")
-    database = Database(name=name, engine=_engine(url, name))
+    engine = _engine(url, name)
     try:
-        with database.reading() as rows:
-            if _has_tables(rows.connection, name, create):
-                return database
-        with database.writing() as rows:  # of programs that open a new registry at once, the first makes them
-            if not _has_tables(rows.connection, name, create):
-                _make_tables(rows.connection)
-        if file is not None:  # readers do not wait for writers then; the file remembers it
-            with suppress(sqlite3.OperationalError), closing(database.engine.raw_connection()) as raw:
-                raw.cursor().execute("PRAGMA journal_mode = WAL")  # or the last of those that opened it at once does
+        if not new:
+            with Database(name=name, engine=engine, file=file, new=False).reading() as rows:
+                new = not _has_tables(rows.connection, name, create)
+        return Database(name=name, engine=engine, file=file, new=new)
     except BaseException:
-        database.engine.dispose()
-        if new and file is not None and file.is_file() and file.stat().st_size == 0:
-            file.unlink()
+        engine.dispose()
         raise
-    return database
 
 
 def _url(place: str) -> URL:
@@ -317,6 +335,9 @@ def in_one_line(name: str) -> Iterator[None]:
         yield
     except (DBAPIError, sqlite3.Error) as error:
         text = " ".join(str(getattr(error, "orig", error)).split())
-        busy = "database is locked" in text or "lock timeout" in text
-        reason = f"another writer has held it for {PATIENCE:.0f} s; try again" if busy else text
+        reason = text
+        if "database is locked" in text or "lock timeout" in text:
+            reason = f"another writer has held it for {PATIENCE:.0f} s; try again"
+        elif text in _NO_ROOM and shutil.disk_usage(Path(name).parent).free < _ROOM:
+            reason = os.strerror(errno.ENOSPC)
         raise InputError(f"{name}: the registry cannot be used: {reason}") from error

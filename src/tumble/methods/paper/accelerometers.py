@@ -125,6 +125,11 @@ def scalar_fit(readings: Array, verticals: Array, gravity: Array) -> SensorModel
     return triad_model(np.asarray(gravity)[..., None] * X[..., :3], X[..., 3:6], X[..., 6:])
 
 
+def by_modulus_nominal(readings: Array, nominal: Array, gravity: Array) -> SensorModel:
+    """Stages 1 and 2 at once, with the orientation of the programme."""
+    return scalar_fit(readings, np.broadcast_to(nominal, readings.shape), gravity)
+
+
 def by_modulus(readings: Array, nominal: Array, gravity: Array) -> SensorModel:
     """Stages 1 and 2 at once, with the estimated orientation: the programme's `nominal` is not used."""
     del nominal

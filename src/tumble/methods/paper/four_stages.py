@@ -13,7 +13,9 @@ pass over the same data, with the turns integrated about the gyro model of the p
 The covariance is that of the data, propagated by the derivative of the passes with respect to every mean reading, turn,
 gravity and start value, by central differences, chained. If the residuals need more than the noise within rests and
 turns, scatter between rests and of turns is estimated from them. The error of the last pass by its method is the
-difference from where further passes would lead; there the residuals are taken, too.
+difference from where further passes would lead; there the residuals are taken, too. What instruments usually have
+beyond bias, scale factor and axis angles is in the result as nothing within its size, and in the covariance, by the
+same derivative (`tumble.diagnosis.linear_model`).
 
 Source: Vodicheva & Parysheva 2019; the turntable method, §2 to §6.
 """
@@ -21,17 +23,25 @@ Source: Vodicheva & Parysheva 2019; the turntable method, §2 to §6.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 
 import numpy as np
 
+from tumble.diagnosis.linear_model import by_joint, left_out_by_passes, with_left_out
 from tumble.earth import earth_rate
 from tumble.errors import InputError, ProgrammeError, SessionError
-from tumble.inference.estimate import Estimate
+from tumble.inference.estimate import Estimate, Fit
+from tumble.inference.sources import UncertaintyBudget, source
 from tumble.methods.least_squares import Residuals, scatter_of, solved, unexplained
-from tumble.methods.paper.accelerometers import by_modulus, by_vector, check_for_modulus, check_for_vector
+from tumble.methods.paper.accelerometers import (
+    by_modulus,
+    by_modulus_nominal,
+    by_vector,
+    check_for_modulus,
+    check_for_vector,
+)
 from tumble.methods.paper.gyros import (
     STANDING,
     RecordedTurn,
@@ -70,6 +80,7 @@ class PaperMethod:
 
 SEQUENTIAL = PaperMethod(name="sequential", accelerometers=by_vector, check=check_for_vector)
 SCALAR = PaperMethod(name="scalar", accelerometers=by_modulus, check=check_for_modulus)
+SCALAR_NOMINAL = PaperMethod(name="scalar-nominal", accelerometers=by_modulus_nominal, check=check_for_modulus)
 
 
 def sequential(observations: Observations, iterations: int = 2) -> Estimate:
@@ -81,6 +92,11 @@ def scalar(observations: Observations, iterations: int = 2) -> Estimate:
     """Estimate of the paper's method with the scalar method on all rests, in the estimated orientation. Raises as
     `iterated`."""
     return iterated(observations, SCALAR, iterations)
+
+
+def scalar_nominal(observations: Observations, iterations: int = 2) -> Estimate:
+    """The same in the orientation of the programme, which the paper compares it with. Raises as `iterated`."""
+    return iterated(observations, SCALAR_NOMINAL, iterations)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -376,6 +392,12 @@ class _SessionData:
 _GROUPS = {"accelerometers": ("m/s^2", 1), "gyro rests": ("rad/s", 1), "gyro turns": ("rad", 2)}
 """Groups of residuals: the unit of the scatter they judge, on top of the noise within rests and turns, and how many a
 rest or a turn has."""
+_SOURCES = {
+    "accelerometers": ("accel.noise", "accel.scatter"),
+    "gyro rests": ("gyro.noise", "gyro.scatter"),
+    "gyro turns": ("turn.gyro.noise", "turn.scatter"),
+}
+"""The sources of uncertainty that their noise and their scatter are."""
 
 
 def _estimate(launch: _SessionData, values: Array, derivative: Array, increments: tuple[Array, ...]) -> Estimate:
@@ -411,14 +433,17 @@ def _estimate(launch: _SessionData, values: Array, derivative: Array, increments
     counted = [t.turn for series in launch.course.series for t in series if t.counts]
     if counted:
         turn_sigmas[counted] = outliers.pop("gyro turns")
-    noise = derivative @ launch.covariance(scatter) @ derivative.T
     accel, *gyro = launch.blocks
-    return Estimate(
+    budget = _budget(launch, derivative, scatter, fits, limit - values)
+    variances = np.diagonal(budget.covariances, axis1=1, axis2=2)
+    known = np.array([np.inf if each.dof is None else each.dof for each in budget.sources])
+    by_scatter = (variances**2 / known[:, None]).sum(axis=0)
+    estimate = Estimate(
         method=launch.method.name,
         names=launch.names,
         units=units_of(launch.names),
         values=values,
-        covariance=noise + np.outer(limit - values, limit - values),
+        covariance=budget.covariances.sum(axis=0),
         observable=np.ones(len(values), dtype=bool),
         null=np.empty((0, len(values))),
         accel=accel.model(values[:9]),
@@ -429,7 +454,40 @@ def _estimate(launch: _SessionData, values: Array, derivative: Array, increments
         increments=increments,
         fits=fits,
         converged=converged,
+        degrees=np.divide(  # Welch, Satterthwaite
+            variances.sum(axis=0) ** 2, by_scatter, out=np.full(len(values), np.inf), where=by_scatter > 0.0
+        ),
+        budget=budget,
     )
+    observations = launch.observations
+    if not observations.usual:
+        return estimate
+    beside = by_joint(observations)
+    estimate = replace(estimate, linearised=None if beside is None or not converged else beside.linearised)
+    found = left_out_by_passes(observations, derivative, beside)
+    return with_left_out(estimate, found, observations.site.gravity)
+
+
+def _budget(
+    launch: _SessionData, derivative: Array, scatter: Mapping[str, float], fits: Mapping[str, Fit], left: Array
+) -> UncertaintyBudget:
+    """The covariance of values by source, with their derivative (m, d) with respect to the data, and what the passes
+    have left (m,) of them."""
+    noise, every = launch.covariance({}), UncertaintyBudget(sources=(), covariances=np.empty((0, *[len(left)] * 2)))
+    for name, kind in launch.kinds.items():
+        of_kind, unit = derivative[:, kind], _GROUPS[name][0]
+        if not of_kind.size:
+            continue
+        of_noise, of_scatter = _SOURCES[name]
+        usual = float(np.sqrt(np.median(np.diag(noise)[kind])))
+        every = every.beside(source(of_noise, usual, unit), of_kind @ noise[kind, kind] @ of_kind.T)
+        more = derivative @ (launch.covariance({name: scatter[name]}) - noise) @ derivative.T
+        every = every.beside(source(of_scatter, scatter[name], unit, fits[name].degrees), more)
+    every = every.beside(
+        source("gravity", float(np.sqrt(noise[-1, -1])), "m/s^2"),
+        noise[-1, -1] * np.outer(derivative[:, -1], derivative[:, -1]),
+    )
+    return every.beside(source("passes"), np.outer(left, left))
 
 
 def _limit(launch: _SessionData, values: Array, turned: _Turned | None, u: Array) -> tuple[Array, bool]:

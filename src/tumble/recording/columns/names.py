@@ -239,6 +239,7 @@ def _words(name: str) -> list[str]:
         words += [token] if whole else re.split(r"(?<=[a-z])(?=[A-Z])", token)
     words = [word.lower() for word in words if word]
     said = [word for word in words if word != "axis"]
+    said = said[:-1] if said[-1:] == ["cal"] else said  # of Shimmer: in a unit
     return said if len(said) > 1 else words
 
 

@@ -41,12 +41,13 @@ _SCATTER = 0.02  # of gravity, of a sample at rest
 _NOISE = 0.5  # logarithm of the noise of one axis over that of another
 _STEADY = 0.25  # what gyros differ by at rest, over what they do in all
 _COUNTED = 2.0  # −2 ln of the chance that a unit is a count of data sheets; with powers of two a sixth fit by chance
+_RARE = 2.2  # −2 ln of 1 : 3, as rare counts are to common ones in `scales`
 _NO_SCALE = 16.0  # in no unit, and in no counts
 _CARRIED = 18.0  # gyros that turn the accelerometers' vector wholly, against some that do not at all
 _AMID = 1.5  # three columns that are some of two threes
 _BIAS = 0.5  # of gyros, a factor of e of their mean vector over what they do in all
 _MOST = 9.0  # of a single deviation: three standard ones
-_LIMIT = 4.0  # of accelerometers
+_LIMIT = _COUNTED + _RARE + 1.0  # of accelerometers: rare counts, and one standard deviation
 _NO_GYROS = 16.0  # a log of three more sensors without gyros
 _BEFORE, _BETWEEN, _ASKEW, _LATER = 1.0, 4.0, 6.0, 8.0
 """What it costs that gyros stand before the accelerometers, three columns between the two, one or two, others before
@@ -75,12 +76,14 @@ class IdentifiedColumns:
 
     columns: Columns
     rivals: str = ""
+    near: bool = False
+    """Whether the next one is too near to be sure."""
 
     def said(self, named: Collection[str] = ()) -> list[str]:
         """What was told, but for kinds of sensors that are `named`, and what else it may be, in sentences."""
         told = {kind: s for kind, s in self.columns.triads.items() if kind not in named}
         guesses = [f"{kind}: columns {', '.join(s.columns)}, by their numbers (a guess)" for kind, s in told.items()]
-        return [*guesses, self.rivals] if guesses else []
+        return [*guesses, *filter(None, [self.rivals])] if guesses else []
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -121,10 +124,12 @@ def columns_by_data(names: Sequence[str], read: Array) -> IdentifiedColumns:
     further = [(rival.cost - best.cost, rival.said(names)) for rival in rivals if rival is not None]
     further.append((_LIMIT - best.of_accel, "no accelerometers at all"))
     listed = ", ".join(f"{said} (cost +{cost:.1f})" for cost, said in sorted(further))
-    doubt = "; too near to be sure: state --accel, --gyro" if min(further)[0] < _APART else ""
+    near = min(further)[0] < _APART
+    doubt = "; too near to be sure: state --accel, --gyro" if near else ""
     return IdentifiedColumns(
         columns=Columns(time=time, time_unit=None, triads=triads),
         rivals=f"columns: next would be {listed}; +{_APART:g} is 20 times less likely{doubt}",
+        near=near,
     )
 
 
@@ -207,11 +212,11 @@ def _cost_of_accelerometers(columns: Array, quiet: BoolArray, *, fused: bool) ->
             continue
         uneven = float(lengths.std()) / length
         scale = min(
-            (np.log(length / c.value) / NEAR) ** 2 + (0.0 if c.unit else _COUNTED + (not c.common))
+            (np.log(length / c.value) / NEAR) ** 2 + (0.0 if c.unit else _COUNTED + _RARE * (not c.common))
             for c in CANDIDATES[ACCEL]
             if c.unit or whole
         )
-        scale = scale if scale < _MOST + _COUNTED + 1.0 else np.inf if fused else _NO_SCALE
+        scale = scale if scale < _MOST + _COUNTED + _RARE else np.inf if fused else _NO_SCALE
         sphere = 2.0 * np.log(min(1.0, max(uneven, _LENGTH / 5.0) * length / max(spread, 1e-300)))
         zero = free * float(np.abs(centre).max()) / (_ZERO * length)
         shaken = float(np.linalg.norm(scatter)) / (_SCATTER * length)

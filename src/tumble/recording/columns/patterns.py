@@ -58,6 +58,8 @@ SENSOR_WORDS: Mapping[str, re.Pattern[str]] = {
     GYRO: re.compile(r"gyr|angular|dreh|гиро|角速度|陀螺", re.IGNORECASE),
 }
 """Words for sensors in the names of files, and of rows."""
+WITHOUT_GRAVITY = re.compile(r"lin|user|free|world|without|ohne|\bno[_ ]?g|_no_g", re.IGNORECASE)
+"""Words for accelerations that a filter has taken gravity off, in the names of files and columns."""
 
 ALL_UNITS = frozenset(text for units in UNITS.values() for text in units if text != "t")
 
@@ -189,6 +191,7 @@ def sensor_kind(name: str, unit: str) -> str | None:
 # -------------------- words of other languages, and of instruments --------------------
 
 _WORDS: tuple[tuple[str, str], ...] = (
+    # ~ are further letters of a word, but for an axis at its end
     # units first: they stand in brackets or behind a comma
     (r"м\s*/\s*с\s*(\^?2|²|\*\*2)|м\s*/\s*с\s*/\s*с|米/秒\^?[2²]", "m/s^2"),
     (r"(град|°|гр)\.?\s*/\s*(с(ек)?\b|s)|度/秒", "deg/s"),
@@ -198,20 +201,20 @@ _WORDS: tuple[tuple[str, str], ...] = (
     (r"\bмс\b|毫秒", "ms"),
     (r"(?<=[\[(,])\s*с(ек)?\.?\s*(?=[\])]|$)|(?<=[\[(])秒(?=[\])])", "s"),
     # what is measured
-    (r"угл\w*\.?[\s_]*скор\w*|кутов\w*[\s_]*швидк\w*|гироскоп\w*|гіроскоп\w*|\bдус\b", " gyro "),
+    (r"угл~\.?[\s_]*скор~|кутов~[\s_]*швидк~|гироскоп~|гіроскоп~|\bдус\b", " gyro "),
     (r"角速度|陀螺仪?|角速率", " gyro "),
-    (r"winkelgeschw\w*|winkelrate|drehrate\w*|drehgeschw\w*|gyroskop\w*|kreisel\w*", " gyro "),
-    (r"(?<![^\W_])dreh(?![^\W_])", " gyro "),
+    (r"winkelgeschw~|winkelrate|drehrate~|drehgeschw~|gyroskop~|kreisel~", " gyro "),
+    (r"(?<![^\W_])dreh(?=[xyz]?(?![^\W_]))", " gyro "),
     (r"vitesse[\s_]*angulaire|velocidad[\s_]*angular|rate[\s_]*of[\s_]*turn|rotation[\s_]*rate", " gyro "),
     (r"(?<![^\W_])giro(sc[oó]pio?s?|scop[ei])?(?![^\W_\d]{2})", " gyro "),
-    (r"ускор\w*|акселер\w*|прискор\w*|кажущ\w*", " acc "),
+    (r"ускор~|акселер~|прискор~|кажущ~", " acc "),
     (r"加速度计?|比力", " acc "),
-    (r"beschl(eunigung\w*)?", " acc "),
+    (r"beschl(eunigung~)?", " acc "),
     (r"acc?el[eé]rom[eè]t(ro|re)s?|accelerazion[ei]|acc[eé]l[eé]ration", " acc "),
     (r"(?<![^\W_])acel(eraci[oó]n|era[cç][aã]o|er[oô]metros?)?(?![^\W_\d]{2})", " acc "),
-    (r"магнит\w*|магніт\w*|磁场|磁力|地磁|magnetfeld\w*", " mag "),
-    (r"температур\w*|温度|temperatur(?!e)", " temperature "),
-    (r"\bврем\w*|\bчас\b|时间戳?|\bzeit(stempel)?\b|\btemps\b|\btiempo\b|系统时间", " time "),
+    (r"магнит~|магніт~|磁场|磁力|地磁|magnetfeld~", " mag "),
+    (r"температур~|温度|temperatur(?!e)", " temperature "),
+    (r"\bврем~|\bчас\b|时间戳?|\bzeit(stempel)?\b|\btemps\b|\btiempo\b|系统时间", " time "),
     (r"\bпо\b|\bоси\b|\bосі\b|\bвісь\b|\bось\b|\bachse\b|轴", " "),
     (r"(?<![а-яіїєё])[хХ](?![а-яіїєё])", "x"),
     (r"(?<![а-яіїєё])[уУ](?![а-яіїєё])", "y"),
@@ -221,13 +224,21 @@ _PER_SECOND = (
     (re.compile(r"(?<=[a-z][XYZ])RadPerSec$"), " radps"),
     (re.compile(r"(?<=[a-z][XYZ])MicroT$"), " ut"),
     (re.compile(r"[ _]times[ _]g$"), " [g]"),
+    (re.compile(r"^(.*gyro?s?(?:_?[xyzXYZ])?_)(rad|deg)(?=[_\[]|$)"), r"\1\2ps"),  # a rate, as PX4 writes it
     (re.compile(r"^scaledAccel([XYZ])$"), r"accel \1 [g]"),  # of MicroStrain
     (re.compile(r"^scaledGyro([XYZ])$"), r"gyro \1 [rad/s]"),
-    (re.compile(r"(?<![a-z])rad(ian)?s?[_ ]per[_ ]s(ec(ond)?)?$", re.IGNORECASE), "radps"),
-    (re.compile(r"(?<![a-z])deg(ree)?s?[_ ]per[_ ]s(ec(ond)?)?$", re.IGNORECASE), "degps"),
-    (re.compile(r"(?<![a-z])m(et(er|re)s?)?[_ ]per[_ ]s(ec(ond)?)?[_ ]?(2|squared)$", re.IGNORECASE), "mps2"),
+    (re.compile(r"(?<![a-z])rad(ian)?s?[_ ]per[_ ]s(ec(ond)?)?(?=$|[\])])", re.IGNORECASE), "radps"),
+    (re.compile(r"(?<![a-z])deg(ree)?s?[_ ]per[_ ]s(ec(ond)?)?(?=$|[\])])", re.IGNORECASE), "degps"),
+    (
+        re.compile(r"(?<![a-z])m(et(er|re)s?)?[_ ]per[_ ]s(ec(ond)?)?[_ ]?(2|squared)(?=$|[\])])", re.IGNORECASE),
+        "mps2",
+    ),
 )
-_PATTERNS = (*((re.compile(pattern, re.IGNORECASE), word) for pattern, word in _WORDS), *_PER_SECOND)
+_LETTERS = r"[^\W\d_]*?(?=[xyz]?(?![^\W\d_]))"
+_PATTERNS = (
+    *((re.compile(pattern.replace("~", _LETTERS), re.IGNORECASE), word) for pattern, word in _WORDS),
+    *_PER_SECOND,
+)
 
 
 def in_words_of_the_table(name: str) -> str:

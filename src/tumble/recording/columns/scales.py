@@ -46,7 +46,7 @@ class KnownScale:
 
     @property
     def said(self) -> str:
-        return self.unit or f"{self.value:.6g} counts"
+        return self.unit or (f"{self.value:.6g} counts" if self.value != 1.0 else "counts")
 
 
 _SHARES: Mapping[str, Mapping[str, tuple[float, float]]] = {

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
+from traceback import walk_tb
 
 import numpy as np
 import polars as pl
@@ -177,7 +178,8 @@ def _rows(path: Path, message: Message) -> Iterator[pl.DataFrame]:
 
 @contextmanager
 def _intact(path: Path) -> Iterator[None]:
-    """Whatever a reader's library says of a damaged recording, then or while its rows are read, becomes one line."""
+    """Whatever a reader's library says of a damaged recording, then or while its rows are read, becomes one line. An
+    error of this program is none of the file, and goes on as it is."""
     try:
         yield
     except InputError:
@@ -185,12 +187,21 @@ def _intact(path: Path) -> Iterator[None]:
     except OSError as error:
         raise InputError(f"{path}: expected a readable file, found: {error.strerror or error}") from None
     except Exception as error:  # each reader's library has errors of its own, and struct.error, IndexError and more
-        of_python = isinstance(error, TypeError | AttributeError | LookupError | AssertionError)
+        of_python = isinstance(error, TypeError | AttributeError | NameError | LookupError | AssertionError)
+        if of_python and not isinstance(error, LookupError) and _by_this_program(error):
+            raise
         said = type(error).__name__ if of_python else " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{path}: expected an intact recording, found it damaged or incomplete: {said}") from None
 
 
-def as_log(path: Path, accel: Message, gyro: Message | None, thermometers: Sequence[Message] = ()) -> None:
+def _by_this_program(error: Exception) -> bool:
+    """Whether an error was raised in a module of this program, or by what it called next: a field that a message does
+    not have."""
+    modules = [str(frame.f_globals.get("__name__")) for frame, _ in walk_tb(error.__traceback__)]
+    return any(name.startswith("tumble.recording.formats.") for name in modules[-2:])
+
+
+def as_log(path: Path, accel: Message, gyro: Message | None = None, thermometers: Sequence[Message] = ()) -> None:
     """Write the rows of a message with accelerometers, and where its gyros are in another one those of both, into a
     Parquet file, whole or not at all.
 

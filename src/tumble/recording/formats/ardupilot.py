@@ -1,5 +1,6 @@
 """ArduPilot flight logs (.bin, or as text, .log): the messages IMU (accelerometers and gyros of an instance), and ACC
-and GYR (raw, at the sensors' own rate), an entry for each instance.
+and GYR (raw, at the sensors' own rate), an entry for each instance. Before ArduPilot 4.1 the instance is in the name:
+IMU, IMU2 and IMU3, ACC1 and GYR1 to ACC3 and GYR3.
 
 ArduPilot subtracts its own offsets and divides by its own scales before it logs: they are to be reset before recording.
 """
@@ -24,6 +25,7 @@ from tumble.recording.session import AutopilotSensor
 NOTHING = "no messages IMU or ACC; set bit 'IMU' of LOG_BITMASK and record again"
 
 _PARAMETER = "PARM"
+_TIME = "TimeUS"
 _NAMED_INSIDE = 3  # INS_ACC3_ID, but INS4_ACC_ID
 _SECOND = 1e-6  # times are in µs
 _REMARK = (
@@ -34,6 +36,11 @@ _TEMPERATURE = "temperature"
 _ACCEL = {f"accel_{a}": f"Acc{a.upper()}" for a in AXES}
 _GYRO = {f"gyro_{a}": f"Gyr{a.upper()}" for a in AXES}
 _FIELDS = {"IMU": _ACCEL | _GYRO, "ACC": _ACCEL, "GYR": _GYRO}
+_INSTANCES = {
+    **{kind: (kind, 0) for kind in _FIELDS},
+    **{f"{kind}{number}": (kind, number - 1) for kind in _FIELDS for number in (1, 2, 3)},
+}
+"""Kind and instance by the name of a message; where it has a field I, that is the instance."""
 
 
 def messages(path: Path) -> list[Message]:
@@ -47,19 +54,27 @@ def messages(path: Path) -> list[Message]:
             stack.enter_context(redirect_stderr(nowhere))
         log = DFReader_binary(str(path)) if path.suffix.lower() == ".bin" else DFReader_text(str(path))
         try:
-            while (message := log.recv_match(type=[*_FIELDS, _PARAMETER])) is not None:
-                kind = message.get_type()
-                if kind == _PARAMETER:
+            while (message := log.recv_match(type=[*_INSTANCES, _PARAMETER])) is not None:
+                name = message.get_type()
+                if name == _PARAMETER:
                     ids |= {message.Name: int(message.Value)} if message.Name.endswith("_ID") else {}
                     continue
-                taken = getattr(message, "SampleUS", message.TimeUS)
-                temperature = [getattr(message, "T", math.nan)] if kind == "IMU" else []
-                reading = [taken, *(getattr(message, field) for field in _FIELDS[kind].values()), *temperature]
-                kept.setdefault((kind, int(message.I)), []).append(reading)
+                kind, instance = _INSTANCES[name]
+                fields, named = _FIELDS[kind].values(), {*message.get_fieldnames()}
+                if not {_TIME, *fields} <= named:
+                    continue
+                taken = message.SampleUS if "SampleUS" in named else message.TimeUS
+                instance = int(message.I) if "I" in named else instance
+                temperature = [message.T if "T" in named else math.nan] if kind == "IMU" else []
+                reading = [taken, *(getattr(message, field) for field in fields), *temperature]
+                kept.setdefault((kind, instance), []).append(reading)
         finally:
             log.close()
     origin = min((rows[0][0] for rows in kept.values()), default=0.0)
-    return [_message(kind, instance, np.array(rows), origin, ids) for (kind, instance), rows in sorted(kept.items())]
+    return [
+        _message(kind, instance, np.array(rows, dtype=float), origin, ids)
+        for (kind, instance), rows in sorted(kept.items())
+    ]
 
 
 def _message(kind: str, instance: int, rows: Any, origin: float, ids: Mapping[str, int]) -> Message:

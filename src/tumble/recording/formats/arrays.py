@@ -8,11 +8,15 @@ length make a table, of which the sensors are taken by name, else by their numbe
 from __future__ import annotations
 
 import math
+import struct
+import zipfile
+import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import h5py
 import numpy as np
@@ -26,7 +30,7 @@ from tumble.recording.columns.names import Columns as Known
 from tumble.recording.columns.numbers import columns_by_data, grows
 from tumble.recording.formats import TIME, Message
 from tumble.recording.rows.gaps import is_reading
-from tumble.recording.text.pieces import LARGEST_RATIO, SMALL_BYTES
+from tumble.recording.text.pieces import check_unpacked, largest_unpacked
 from tumble.units import TIME_UNITS, Array
 
 NOTHING = "no arrays named as accelerometers are, such as acc_x or accel (m, 3)"
@@ -35,6 +39,8 @@ _ROWS = 1 << 15
 _SHORTEST = 10
 _WIDEST = 32
 _WHOLE = slice(0, 1 << 21)
+_MATLAB_HEADER, _MATLAB_PACKED = 128, 15
+_PIECE_BYTES = 1 << 20
 Shape = tuple[int, ...]
 Read = Callable[[Any], Any]
 
@@ -138,6 +144,7 @@ def _arrays(path: Path) -> dict[str, tuple[Shape, Read]]:
     """Arrays of numbers by their paths: shape, and how to read a part of them."""
     if path.suffix.lower() in (".npy", ".npz"):
         try:
+            check_unpacked(path, _bytes_of_numpy(path))
             with path.open("rb") as stream:
                 read = np.load(stream, allow_pickle=False)
                 named = dict(read) if isinstance(read, np.lib.npyio.NpzFile) else {path.stem: read}
@@ -150,11 +157,53 @@ def _arrays(path: Path) -> dict[str, tuple[Shape, Read]]:
             ) from None
         return dict(_nested(named))
     if path.suffix.lower() == ".mat" and not h5py.is_hdf5(path):
+        check_unpacked(path, _bytes_of_matlab(path))
         try:
             return dict(_nested(loadmat(path, simplify_cells=True)))
         except (MatReadError, ValueError) as error:
             raise ValueError(f"not a MATLAB file: {error}") from None
     return _datasets(path)
+
+
+def _bytes_of_numpy(path: Path) -> int:
+    """How many bytes the arrays of a file of NumPy have, by what is stated before each; 0 of what is no such file."""
+    if not zipfile.is_zipfile(path):
+        with path.open("rb") as stream:
+            return _bytes_of_array(stream)
+    with zipfile.ZipFile(path) as archive:
+        found = sum(member.file_size for member in archive.infolist())
+        for member in archive.infolist():
+            with archive.open(member) as stream:
+                found = max(found, _bytes_of_array(stream))
+    return found
+
+
+def _bytes_of_array(stream: IO[bytes]) -> int:
+    if stream.read(len(np.lib.format.MAGIC_PREFIX)) != np.lib.format.MAGIC_PREFIX:
+        return 0
+    first, _ = stream.read(2)
+    read = np.lib.format.read_array_header_1_0 if first == 1 else np.lib.format.read_array_header_2_0
+    shape, _, kind = read(stream)
+    return math.prod(shape) * kind.itemsize
+
+
+def _bytes_of_matlab(path: Path) -> int:
+    """How many bytes come out of the packed elements of a MATLAB file of version 5; they are counted as far as such a
+    file may be unpacked."""
+    found, limit = 0, largest_unpacked(path)
+    with path.open("rb") as stream:
+        order = {b"IM": "<", b"MI": ">"}.get(stream.read(_MATLAB_HEADER)[-2:])
+        while order is not None and len(tag := stream.read(8)) == 8 and found <= limit:
+            kind, size = struct.unpack(order + "II", tag)
+            if kind != _MATLAB_PACKED:
+                stream.seek(size, 1)
+                continue
+            unpack, packed = zlib.decompressobj(), stream.read(size)
+            with suppress(zlib.error):  # of which the reader will say what it is
+                while packed and found <= limit:
+                    found += len(unpack.decompress(packed, _PIECE_BYTES))
+                    packed = unpack.unconsumed_tail
+    return found
 
 
 def _nested(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, tuple[Shape, Read]]]:
@@ -180,22 +229,16 @@ def _stacked(samples: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 def _datasets(path: Path) -> dict[str, tuple[Shape, Read]]:
     """The arrays of an HDF5 file."""
-    found: dict[str, tuple[Shape, Read]] = {}
+    found: dict[str, tuple[Shape, Read, int]] = {}
 
     def visit(name: str, item: Any) -> None:
         if isinstance(item, h5py.Dataset) and item.dtype.kind in "fiu":
-            found[name] = (item.shape, partial(_read, path, name))
+            found[name] = (item.shape, partial(_read, path, name), item.dtype.itemsize)
 
     with h5py.File(path) as file:
         file.visititems(visit)
-    limit = max(LARGEST_RATIO * path.stat().st_size, SMALL_BYTES)
-    for name, (shape, _) in found.items():
-        if math.prod(shape) > limit:
-            raise InputError(
-                f"{path}: expected readings, found {name!r} of {' by '.join(map(str, shape))} numbers, of which "
-                "the file holds next to none; write what was recorded"
-            )
-    return found
+    check_unpacked(path, sum(math.prod(shape) * size for shape, _, size in found.values()))
+    return {name: (shape, read) for name, (shape, read, _) in found.items()}
 
 
 def _read(path: Path, name: str, part: Any) -> Any:

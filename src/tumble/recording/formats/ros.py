@@ -9,6 +9,7 @@ other: sensors whose first readings are all exactly zero are taken as absent.
 from __future__ import annotations
 
 import re
+import struct
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import islice
 from operator import attrgetter
@@ -22,6 +23,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from tumble.recording.columns.names import thermometer
 from tumble.recording.formats import AXES, TIME, Message, triads_of
+from tumble.recording.text.pieces import check_unpacked
 
 NOTHING = "no topic of type sensor_msgs/Imu"
 
@@ -36,10 +38,13 @@ _FIELDS: Mapping[str, Mapping[str, tuple[str, float]]] = {
 """Columns of each type of message: its field, and how many of the unit of the column are one of its."""
 _ROWS = 1 << 15
 _LOOK = 100
+_MCAP, _MCAP_CHUNK, _BAG = b"\x89MCAP0\r\n", 6, b"#ROSBAG V2.0\n"
 
 
 def messages(path: Path) -> list[Message]:
     """Topics with inertial sensors."""
+    for file in sorted(path.iterdir()) if path.is_dir() else [path]:
+        check_unpacked(file, _bytes_of_chunks(file))
     with _opened(path) as bag:
         filled = [(c.topic, c.msgtype, c.msgcount) for c in bag.connections if c.msgtype in _FIELDS and c.msgcount]
     origin = min((next(_stamped(path, topic))[0] for topic, _, _ in filled), default=0)
@@ -48,6 +53,27 @@ def messages(path: Path) -> list[Message]:
 
 def _opened(path: Path) -> AnyReader:
     return AnyReader([path], default_typestore=get_typestore(Stores.LATEST))
+
+
+def _bytes_of_chunks(path: Path) -> int:
+    """How many bytes the chunks of an MCAP file or of a bag of ROS 1 are said to unpack to; 0 of another file."""
+    found = 0
+    with path.open("rb") as stream:
+        if stream.read(len(_MCAP)) == _MCAP:
+            while len(record := stream.read(9)) == 9:
+                kind, size = struct.unpack("<BQ", record)
+                begin = stream.tell()
+                found += int.from_bytes(stream.read(24)[16:], "little") if kind == _MCAP_CHUNK else 0
+                stream.seek(begin + size)
+            return found
+        stream.seek(0)
+        if stream.read(len(_BAG)) == _BAG:
+            while size := stream.read(4):
+                header = stream.read(int.from_bytes(size, "little"))
+                stated = header.find(b"size=") + 5 if b"op=\x05" in header else len(header)
+                found += int.from_bytes(header[stated : stated + 4], "little")
+                stream.seek(int.from_bytes(stream.read(4), "little"), 1)
+    return found
 
 
 def _message(path: Path, origin: int, topic: str, kind: str, count: int) -> Message:

@@ -7,10 +7,11 @@ A lost sample is a row that is not there, one that cannot be read, or one with a
   linearly in time between its sound neighbours.
 * More are left out, and the samples go on behind them. A rest does not mind. A turn that was not recorded as a whole
   cannot be integrated: its `Gap` is not `integrable`, and `observations` leaves the turn out.
+* Those before the first sound row and behind the last one are left out.
 
 A row that has no time of its own is left out (`timed_rows`), and is a missing one unless the next row follows in time.
 In a log without times a row is a sample whatever it holds; where it may have been none, the gap is not integrable.
-Everything is reported as `Gap`; more gaps than a fiftieth of the rows are an error.
+Everything is reported as `Gap`.
 
 Nothing depends on how the stream is cut: rows that cannot be judged before the next table are held back.
 """
@@ -36,8 +37,8 @@ _BRIDGED_SAMPLES = 5
 SHARE = 2e-2
 FREE = 3
 MOST = 100_000
-"""A gap of so many samples is bridged; in a file there may be as many gaps as 2 % of its rows and 3, and never more
-than 100 000."""
+"""A gap of so many samples is bridged, however many there are, to 100 000: what each adds to the angle of a turn is in
+its scatter. Rows without a time of their own are at most 2 % of a file's and 3."""
 REGULAR_HINT = "if the rows are equally spaced whatever their time stamps say, put regular = true in [log]"
 _SHORTEST_TIME = 2.0
 _LARGEST = 1e30
@@ -127,11 +128,13 @@ class LogRows:
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Grid:
     """Times of rows that are equally spaced: the first, s, and the interval, s. Rows are counted, or, where their
-    stamps are times of the grid that were `rounded`, have the time that is nearest to their stamp."""
+    stamps are times of the grid that were `rounded`, have the time that is nearest to their stamp. `jitter`, s, is what
+    stamps were off that were spread over bursts."""
 
     start: float
     interval: float
     rounded: bool = False
+    jitter: float = 0.0
 
     def nearest(self, time: Array) -> Array:
         """The times of the grid that are nearest to times, s."""
@@ -165,32 +168,49 @@ class Bridge:
 
     def samples(self, stream: Iterator[LogRows]) -> Iterator[tuple[Array, Array, tuple[Array, ...]]]:
         """Times, intervals, s, and numbers of all samples, those of lost ones interpolated."""
-        count, start = 0, 0.0
+        behind, start = 0, 0.0
         for new in stream:
-            count += len(new.time)
             if not len(new.time):  # nothing has come of a log that grows
                 yield new.time, new.time, new.values
                 continue
             rows = new if self.held is None else self.held.followed_by(new)
             lost = rows.lost()
-            if self.last is None:
+            if self.last is None and lost.any():
+                rows, lost = self._from_first_sound(rows, lost)
+            if self.last is None and len(rows.time):
                 start = float(rows.time[0])
-                if lost[0]:
-                    raise self._unsound(rows, "a finite number in the first row", "remove the row")
             sound = len(lost) - int(np.argmin(lost[::-1])) if not lost.all() else 0
             held = rows.part(slice(sound, sound + _BRIDGED_SAMPLES + 1))
             self.held = held if len(held.time) else None
+            behind = len(lost) - sound if sound else behind + len(new.time)
             if sound:
                 yield self._repaired(rows.part(slice(0, sound)), lost[:sound])
         # what can be said of a file only when it has ended
-        if self.held is not None:
-            raise self._unsound(self.held, "finite numbers up to the last row", "remove the rows from here on")
         if self.last is None:
             raise LogError(f"{self.source.path}: expected a log, found no rows; the file is empty")
         length = float(self.last.time[0]) - start + self.interval
         if length < _SHORTEST_TIME * (1.0 - 1e-9):
             raise LogError(f"{self.source.path}: expected at least {_SHORTEST_TIME:g} s, found {length:.6g} s")
-        self._check_few(FREE + math.floor(SHARE * count), f"{count} rows ({SHARE:.0%} and {FREE})")
+        if self.held is not None:
+            self._leave_out(self.held, behind, math.nan)
+
+    def _from_first_sound(self, rows: LogRows, lost: BoolArray) -> tuple[LogRows, BoolArray]:
+        """Rows from the first sound one on; what is text or empty there shows that the file is another."""
+        first = len(lost) if lost.all() else int(np.argmin(lost))
+        if int(rows.numbers[0]) in rows.unread:
+            raise unread_error(self.source, rows.unread[int(rows.numbers[0])])
+        if first:
+            stop = float(rows.time[first]) if first < len(lost) else math.nan
+            self._leave_out(rows.part(slice(0, first)), first, stop)
+        return rows.part(slice(first, None)), lost[first:]
+
+    def _leave_out(self, lost: LogRows, samples: int, stop: float) -> None:
+        """Report lost samples, of which these are the first, before or behind all others."""
+        unread = [u.what for u in lost.unread.values()][:1]
+        what = unread or [f"{value} in '{column}'" for column, value in self._not_finite(lost)[:1]]
+        row, time = int(lost.numbers[0]), float(lost.time[0])
+        gap = Gap(file=self.file, row=row, time=time, samples=samples, what=what[0], stop=stop, integrable=False)
+        self.gaps.append(gap)
 
     def _repaired(self, rows: LogRows, lost: BoolArray) -> tuple[Array, Array, tuple[Array, ...]]:
         """Samples of rows of which the last is sound, as is the row before them, which went out already, or is none:
@@ -252,7 +272,11 @@ class Bridge:
         self.found += 1
         self.first = self.first or gap
         self.gaps.append(gap)
-        self._check_few(MOST, "a file")
+        if self.found > MOST:
+            raise LogError(
+                f"{self.source.place(self.first.row)}: expected at most {MOST} gaps in a file, found more, the first "
+                f"here ({self.first.what}); record again"
+            )
 
     def _not_finite(self, rows: LogRows) -> list[tuple[str, float]]:
         """Columns with numbers that are not finite, and the first such number of each."""
@@ -260,21 +284,3 @@ class Bridge:
         bad = ~is_reading(numbers)
         columns = [column for column in self.spec.columns if column != self.spec.time]
         return [(columns[j], float(numbers[np.argmax(bad[:, j]), j])) for j in np.flatnonzero(bad.any(axis=0))]
-
-    def _unsound(self, rows: LogRows, expected: str, advice: str) -> LogError:
-        """A message about the first of lost rows, where it cannot be bridged."""
-        number = int(rows.numbers[0])
-        unread = rows.unread.get(number)
-        if unread is not None:
-            return unread_error(self.source, unread)
-        column, value = self._not_finite(rows)[0]
-        return LogError(f"{self.source.place(number, column)}: expected {expected}, found {value}; {advice}")
-
-    def _check_few(self, allowed: int, where: str) -> None:
-        """Raises LogError where there are more gaps than allowed."""
-        if self.first is not None and self.found > allowed:
-            advice = f"{REGULAR_HINT}, else record again" if self.spec.time is not None else "record again"
-            raise LogError(
-                f"{self.source.place(self.first.row)}: expected at most {allowed} gaps in {where}, "
-                f"found {self.found}, the first here ({self.first.what}); {advice}"
-            )

@@ -1,14 +1,18 @@
 """The rows of a file that have a time of their own, in the order of time.
 
-A row is left out whose time cannot be read, or is that of the row before; that leaps beyond the next one, where this
-follows the row before; or that falls back, to or before the time of one that was kept. If as many intervals pass as
-rows are left out, the stamps were wrong, and what is missing is bridged. Else the clock was set back, or rows are there
-twice: nobody knows what time passed, and no turn is known there.
+A row is left out whose time cannot be read, or is that of the row before; that leaps, alone or with the rows behind it,
+beyond a row that follows the one before them; or that falls back, to or before the time of one that was kept. If as
+many intervals pass as rows are left out, the stamps were wrong, and what is missing is bridged. Else the clock was set
+back, or rows are there twice: nobody knows what time passed, and no turn is known there.
 
 Stamps may be too coarse or too late to be times of rows at all: rows that are said to be regular are counted, and lie
 on the straight line through all stamps. Or stamps are rounded, to thousandths of a second or to 32 bits, and otherwise
 right: then they say which time of the line each row has, lost rows included. For increments that matters: their sum
 over 35 s, divided by a duration that is 0.5 ms off, is wrong by 14 ppm of gravity, where a mean of rates is not.
+
+A driver that reads a buffer of samples at once knows when it has read it, and spreads the samples over the time since
+it did so before. Their intervals are equal within a burst and change from one to the next, by as much as the reading is
+late; the sensor's own clock does not. Where the stamps of a file stay about a straight line, rows lie on it.
 """
 
 from __future__ import annotations
@@ -41,6 +45,8 @@ from tumble.units import Array, BoolArray
 _HALF_DAY = 43200.0  # s: a clock that falls by more has passed midnight
 _PASSED = 0.5
 """Of an interval: so far from the time of the rows between, the time that has passed is another one."""
+_TOGETHER = 20
+"""Rows that leap together at most: of more, those that fall back behind them are the wrong ones."""
 _FINEST = 9
 """Decimals that stamps may be rounded to, in their unit."""
 _COARSEST = 0.25
@@ -48,24 +54,43 @@ _COARSEST = 0.25
 _OFF = 0.6
 """Of the step they are rounded to: stamps further from the straight line are not rounded times of it."""
 _ROUNDING = 4.0 * np.finfo(float).eps
+_UNEVEN = 3e-3
+"""Of an interval: intervals of bursts that differ by less do no harm."""
+_WITHIN = 0.05
+"""Of the scatter of intervals: what neighbours in a burst differ by, at the median."""
+_DIGITS, _OF_ROUNDING = 6, 4
+"""Different intervals, in parts of one to so many decimals, that even rows have whose stamps are rounded."""
+_ABOUT_LINE = 40
+"""Bursts, over which the mean distance of stamps from a straight line is taken."""
+_STAYS, _LATE = 0.3, 0.5
+"""Of an interval, and of the scatter about that mean: how far it may be from the line, less than a lost sample."""
+_FAST = 2.0
+"""Times that mean: the scatter about it, where intervals jitter and the clock does not wander."""
 
 
 def check_head(source: LogSource, spec: LogSpec, time: Array) -> Array:
     """The first times of a file without those that cannot be read, are repeated, leap or fall back, if they are few."""
     read = np.flatnonzero(is_reading(time))
     number = read[~leaping(time[read], -math.inf, 0.0)]
-    kept = number[~_no_later(time[number], -math.inf)]
-    if len(read) - len(kept) > FREE + SHARE * len(time) or len(kept) < 2:
+    late = _no_later(time[number], -math.inf)
+    kept = number[~late]
+    again = np.count_nonzero(late[1:] & (np.diff(time[number]) == 0.0))
+    few = len(read) - len(kept) - again <= FREE + SHARE * len(time) and 2 * again < len(read)
+    if not few or len(kept) < 2:
         check_time(source, spec, np.arange(1, len(time) + 1), time)
     return np.asarray(time[kept])
 
 
 def leaping(time: Array, before: float, step: float) -> BoolArray:
-    """Which of times (m,) leap, by more than a step, beyond the next one, though this follows the row `before`."""
+    """Which of times (m,) leap, by more than a step, beyond one that follows the row `before` them."""
     found = np.zeros(len(time), dtype=bool)
-    former = np.concatenate([[before], time])[: len(time) - 1]
-    here, after = time[:-1], time[1:]
-    found[:-1] = (here > after) & (after > former) & (here - former > step)
+    for stop in (np.flatnonzero(time[1:] < time[:-1]) + 1).tolist():
+        beyond = time[max(0, stop - _TOGETHER - 1) : stop] > time[stop]
+        start = stop - (len(beyond) if beyond.all() else int(np.argmin(beyond[::-1])))
+        former = time[start - 1] if start else before
+        most = _TOGETHER if former > -math.inf else 1  # of the first rows of a file none says which are wrong
+        if stop - start <= most and former < time[stop] and time[start] - former > step:
+            found[start:stop] = True
     return found
 
 
@@ -92,7 +117,7 @@ def rows_of(
         first += table.height
     if sieve.held is not None:
         yield sieve.judged(sieve.held, last=True)
-    if sieve.left_out > FREE + SHARE * (first - 1):
+    if sieve.left_out - sieve.repeated > FREE + SHARE * (first - 1) or 2 * sieve.repeated >= first - 1:
         raise sieve.too_many(first - 1)
 
 
@@ -100,8 +125,8 @@ def rows_of(
 class _Sieve:
     """Leaves out the rows of a file that have no time of their own. `count`: rows that went out; `last`: the time of
     the last of them; `shift`: what midnights have added to a clock, s; `held`: the last rows, of which only the next
-    one tells whether they leap or fall back; `falls`: of rows
-    that do how many there are, the first, the time before it and its own, s."""
+    ones tell whether they leap or fall back; `falls`: of rows that do how many there are, the first, the time before it
+    and its own, s."""
 
     source: LogSource
     spec: LogSpec
@@ -115,6 +140,7 @@ class _Sieve:
     held: LogRows | None = None
     falls: list[tuple[int, int, float, float]] = field(default_factory=list)
     left_out: int = 0
+    repeated: int = 0
     first: Gap | None = None
 
     def kept(self, rows: LogRows) -> LogRows:
@@ -150,24 +176,25 @@ class _Sieve:
             rows = replace(rows, time=time + 2.0 * _HALF_DAY * passed)
         if self.on_grid:
             rows = replace(rows, time=self.grid.nearest(rows.time))
-        free = self.held is None and len(rows.time) > 1 and rows.time[0] > self.last
-        steps = np.diff(rows.time)
-        if free and steps.min() > 0.0 and steps[-1] <= JUMP * self.grid.interval:
+        steps = np.diff(rows.time, prepend=self.last)
+        free = self.held is None and len(steps) > _TOGETHER and steps.min() > 0.0
+        if free and steps[-_TOGETHER:].max() <= JUMP * self.grid.interval:
             return rows
         return self.judged(rows if self.held is None else self.held.followed_by(rows), last=False)
 
     def judged(self, rows: LogRows, *, last: bool) -> LogRows:
-        """Without single rows that leap and without rows that are no later than one before them. Unless they are the
-        `last` of the file, a last row that may leap is held back, and so are rows at the end that are no later."""
+        """Without rows that leap and without rows that are no later than one before them. Unless they are the `last` of
+        the file, rows at the end that may leap are held back, and so are those that are no later."""
         step, unsure = JUMP * self.grid.interval, None
         leaps = leaping(rows.time, self.last, step)
-        former = np.concatenate([[self.last], rows.time])[-2:]
-        if len(rows.time) and not last and former[1] - former[0] > step:
-            unsure, rows, leaps = rows.part(slice(-1, None)), rows.part(slice(0, -1)), leaps[:-1]
         for at in np.flatnonzero(leaps).tolist():
-            before = float(rows.time[at - 1]) if at else self.last
-            self._leave_out(int(rows.numbers[at]), "a time stamp beyond that of the next row", before)
+            before = rows.time[:at][~leaps[:at]][-1:].tolist() or [self.last]
+            self._leave_out(int(rows.numbers[at]), "a time stamp beyond that of a row behind it", before[0])
         rows = rows.part(~leaps) if leaps.any() else rows
+        far = np.diff(rows.time, prepend=self.last)[-_TOGETHER:] > step
+        if far.any() and not last:
+            first = len(rows.time) - len(far) + int(np.argmax(far))
+            unsure, rows = rows.part(slice(first, None)), rows.part(slice(0, first))
         late = _no_later(rows.time, self.last)
         sound = np.flatnonzero(~late)
         end = int(sound[-1]) + 1 if len(sound) else 0
@@ -192,6 +219,7 @@ class _Sieve:
             self.falls.append((len(rows), rows[0], before, float(time[0])))
         if not falls or abs(passed - len(rows) - 1.0) < _PASSED:
             what = "a time stamp before that of the row before" if falls else "the time stamp of the row before"
+            self.repeated += 0 if falls else len(rows)
             for row in rows:
                 self._leave_out(row, what, before)
             return
@@ -277,6 +305,27 @@ def rounded_grid(source: LogSource, spec: LogSpec, interval: float) -> Grid | No
         return None
     off = (np.abs(time - grid.nearest(time)).max(initial=0.0) for time in _stamps(source, spec))
     return grid if max(off) <= _OFF * step else None
+
+
+def burst_grid(source: LogSource, spec: LogSpec, head: Array) -> Grid | None:
+    """The grid of rows whose stamps are spread evenly over bursts; None where those of the head (m,), s, are not, or
+    where stamps do not stay about one straight line."""
+    steps = np.diff(head)
+    interval, scatter, changes = float(np.median(steps)), float(np.std(steps)), np.abs(np.diff(steps))
+    different = len(np.unique(np.round(steps / interval, _DIGITS)))
+    if scatter <= _UNEVEN * interval or np.median(changes) > _WITHIN * scatter or different <= _OF_ROUNDING:
+        return None
+    bursts = 1 + int(np.count_nonzero(changes > _WITHIN * scatter))
+    window = _ABOUT_LINE * math.ceil(len(head) / bursts)
+    grid, time = regular_grid(source, spec), np.concatenate(list(_stamps(source, spec)))
+    off = time - grid.start - grid.interval * np.arange(len(time))
+    windows = len(off) // window
+    if windows < 2 or not is_reading(time).all():
+        return None
+    parts = off[: windows * window].reshape(windows, -1)
+    means, jitter = parts.mean(axis=1), float(parts.std(axis=1).mean())
+    stays = np.abs(means).max() <= _STAYS * grid.interval + _LATE * jitter
+    return replace(grid, jitter=jitter) if stays and jitter > _FAST * means.std() else None
 
 
 class _StampLine:

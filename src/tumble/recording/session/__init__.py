@@ -96,7 +96,8 @@ class Channels:
     SI = (raw − offset) / scale · unit.factor, divided by the sample's interval if unit.kind is "increment".
     `unit_name` is the unit as the file has it. For raw units (count, V) `unit` is that of `scale_per`;
     for the others scale is 1 and offset 0. `axes` (n, 3): nominal sensing directions in the body frame,
-    unit vectors. `range`: full scale in m/s² or rad/s, the smallest of the sensors'."""
+    unit vectors. `range`: full scale in m/s² or rad/s, the smallest of the sensors'. `scale_stated`: whether it is
+    known what counts are worth; where it is not, scale is 1."""
 
     columns: tuple[str, ...]
     unit: Unit
@@ -105,6 +106,7 @@ class Channels:
     offset: Array
     axes: Array
     range: float | None
+    scale_stated: bool = True
 
     @property
     def raw(self) -> bool:
@@ -193,6 +195,8 @@ class LogSpec:
     """In its unit, which is that of the site's field too."""
     clock: bool = False
     regular: bool = False
+    doubt: str = ""
+    """What is not sure about the log, and what hangs on it."""
     dialect: Dialect | None = None
     clock_u: float | None = None
     reference_clock: ReferenceClock | None = None
@@ -388,6 +392,14 @@ class Session(Brief):
         if self.log.gyro is None:
             return None
         return Block(kind="gyro", axes=self.log.gyro.axes, thermometers=() if known is None else known.gyro)
+
+    def of_known_scales(self) -> Session:
+        """The session without its gyros where nobody states what their counts are worth."""
+        known = self.log.temperature
+        if self.log.gyro is None or self.log.gyro.scale_stated:
+            return self
+        log = replace(self.log, gyro=None, temperature=None if known is None else replace(known, gyro=()))
+        return replace(self, log=log)
 
     def check_new(self, out: Path, *, force: bool) -> None:
         """Raises InputError where a file that is to be written exists, unless by `force`, and where it is one that the

@@ -58,6 +58,7 @@ class SensorsTable(SessionTable):
 
     UNITS: ClassVar[Mapping[str, Unit]]
     SCALE_PER: ClassVar[tuple[str, ...]]  # the first is the default
+    SCALE_NEEDED: ClassVar[bool] = True
 
     columns: list[str] = Field(min_length=3, description="a list of at least three column names")
     unit: str = Field(description="the name of a unit, a string")
@@ -89,12 +90,12 @@ class SensorsTable(SessionTable):
             for key in ("scale", "scale_per", "offset"):
                 if getattr(self, key) is not None:
                     raise ValueError(f'{key}: expected only with unit "count" or "V", found unit "{self.unit}"')
-        elif self.scale is None:
+        elif self.scale is None and self.SCALE_NEEDED:
             raise ValueError(f'scale: expected the nominal output per unit for unit "{self.unit}", found none')
         else:
             check_known(self.scale_per or self.SCALE_PER[0], self.SCALE_PER, "scale_per")
             check_one_per_column(len(self.columns), scale=self.scale, offset=self.offset)
-            if not np.all(self.scale):
+            if self.scale is not None and not np.all(self.scale):
                 raise ValueError(f"scale: expected numbers other than zero, found {as_written(self.scale)}")
         self._check_axes()
         return self
@@ -130,6 +131,7 @@ class SensorsTable(SessionTable):
             offset=self.per_sensor(self.offset, 0.0),
             axes=self.directions(),
             range=full_scale,
+            scale_stated=self.UNITS[self.unit].kind != "raw" or self.scale is not None,
         )
 
 
@@ -150,9 +152,10 @@ class AccelTable(SensorsTable):
 
 
 class GyroTable(SensorsTable):
-    """[log.gyro]"""
+    """[log.gyro], whose counts may be of an unknown scale: rests alone do not show it."""
 
     UNITS = GYRO_UNITS
+    SCALE_NEEDED = False
     SCALE_PER = ("rad/s", "deg/s", "rad", "deg", "arcsec")
 
 
@@ -240,6 +243,7 @@ class LogTable(SessionTable):
     time_unit: Annotated[str, one_of([*TIME_UNITS, CLOCK])] | None = key(f"one of {', '.join([*TIME_UNITS, CLOCK])}")
     rate_hz: float | None = key("a positive number", gt=0)
     regular: bool | None = key("true or false")
+    doubt: str | None = key("a sentence")
     clock_ppm_u: float | None = key("a number that is not negative", ge=0)
     delimiter: Annotated[str, one_of(DELIMITERS)] | None = key("a character, or a blank for one or more blanks")
     decimal: Annotated[str, one_of(".,")] | None = key('"." or ","')
@@ -307,6 +311,7 @@ class LogTable(SessionTable):
             magnetometer=None if self.magnetometer is None else self.magnetometer.channels(),
             clock=self.time_unit == CLOCK,
             regular=bool(self.regular),
+            doubt=self.doubt or "",
             dialect=Dialect(**dialect) if dialect else None,
             clock_u=None if self.clock_ppm_u is None else 1e-6 * self.clock_ppm_u,
             reference_clock=self.reference_clock,

@@ -18,7 +18,8 @@ from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from typing import Any
 
-LINE_BYTES = 1 << 20
+LINE_BYTES = 1 << 18
+"""The longest line of a log: what reads its values takes four hundred times as much memory."""
 FIRST_ROWS = 5
 """By which it is found out whether a name is missing."""
 BLANKS = " "
@@ -40,9 +41,20 @@ _CLOCK = re.compile(
     r"(\d{1,4}[-./]\d{1,2}[-./]\d{1,4}[T ]?)?\s*"
     r"(\d{1,2}:\d{2}(:\d{2}([.,:]\d+)?)?\s*([AaPp]\.?[Mm]\.?)?\s*(Z|[+-]\d\d:?\d\d)?)?"
 )
-JOINED = r"(\d{4})[_-](\d{1,2})[_-](\d{1,2})[_-](\d{1,2})[_-](\d{2})[_-](\d{2})([.]\d+)?"
-"""A date with a time of day of which all parts are joined alike: 2026_06_15_18_21_44.62."""
-_JOINED = re.compile(JOINED)
+JOINED = (
+    r"(\d{4})[_-]?(\d{2})[_-]?(\d{2})[_ T-](\d{2})[_:-]?(\d{2})[_:-]?(\d{2})(?:[._-](\d+))?",
+    r"(\d{4})[_-](\d{1,2})[_-](\d{1,2})[_-](\d{1,2})[_-](\d{2})[_-](\d{2})(?:[._-](\d+))?",
+)
+"""A date with a time of day whose parts are joined alike or not at all: 2026_6_15_18_21_44.62, 20260615 182144."""
+_JOINED = re.compile("|".join(JOINED))
+MONTHS = "jan", "feb", "m[aä]r|mrz", "apr", "ma[iy]", "jun", "jul", "aug", "sep", "o[ck]t", "nov", "de[cz]"
+"""How the names of months begin in English and German."""
+NAMED_MONTH = (
+    r"(?i)(?P<day>\d{{1,2}})[-/. ](?:{0})[a-zä]*[-/. ](?P<year>\d{{4}})",
+    r"(?i)(?:{0})[a-zä]*\.? (?P<day>\d{{1,2}}),? (?P<year>\d{{4}})",
+)
+"""A date whose month has a name: 15-Jun-2026, Jun 15, 2026."""
+_NAMED_MONTH = [re.compile(date.format("|".join(MONTHS))) for date in NAMED_MONTH]
 
 
 _PLAIN, _BEYOND_PLAIN = 4096, re.compile('["\r\n\0]')
@@ -108,7 +120,9 @@ class Top:
 
 def is_clock(cell: str) -> bool:
     """Whether a cell is a time of day or a date with one."""
-    return bool(_CLOCK.fullmatch(cell) if ":" in cell else _JOINED.fullmatch(cell))
+    for date in _NAMED_MONTH if ":" in cell else ():
+        cell = date.sub("1.1.2000", cell)
+    return bool(_JOINED.fullmatch(cell) or (":" in cell and _CLOCK.fullmatch(cell)))
 
 
 # -------------------- what stands above the numbers --------------------
@@ -133,9 +147,11 @@ def top_of(lines: tuple[str, ...], dialect: Dialect) -> Top | None:
     below = [dialect.cells(lines[i]) for i, columns in rows.items() if i >= first and columns == width][:FIRST_ROWS]
     named = {i: n for i, line in enumerate(above) if (n := _names(dialect.cells(line), below, dialect)) is not None}
     names, used = tuple(str(i + 1) for i in range(width)), set[int]()
-    if named and dialect.header:
-        plain = [i for i, n in named.items() if sum(map(dialect.is_number, n)) < _LEAST_NUMBERS]
-        at = max(plain or named)  # else a row with much text in it stands below the names
+    plain = [i for i, n in named.items() if sum(map(dialect.is_number, n)) < _LEAST_NUMBERS]
+    at = max(plain or named, default=-1) if dialect.header else -1  # a row with much text may stand below the names
+    if at >= 0 and any(line.strip() for line in above[at + 1 :]) and not _tells(named[at]):  # words of a start
+        at = max((i for i in plain if _tells(named[i])), default=-1)
+    if at >= 0:
         names, used = named[at], {at}
         if at - 1 in named and _are_units(names):
             at, units = at - 1, names
@@ -156,7 +172,7 @@ def _names(cells: Sequence[str], rows: Sequence[Sequence[str]], dialect: Dialect
     names = names_of_rows([cell.strip().strip('"') for cell in cells], rows)
     if len(names) != len(rows[0]) or not names[1] or sum(map(bool, names)) < _LEAST_NUMBERS:
         return None
-    return None if sum(map(dialect.is_number, names)) > len(names) // 2 else names
+    return None if 2 * sum(map(dialect.is_number, names)) > sum(map(bool, names)) else names
 
 
 def _grouped(names: tuple[str, ...], above: Sequence[str]) -> tuple[str, ...] | None:
@@ -212,6 +228,14 @@ _COUNTS = re.compile(
 """Names of columns that number rows."""
 
 
+def _tells(names: Sequence[str]) -> bool:
+    """Whether names say what columns are."""
+    from tumble.recording.columns.names import columns_by_name
+
+    found = columns_by_name(names)
+    return bool(found.triads) or found.time is not None
+
+
 def _are_units(names: Sequence[str]) -> bool:
     """Whether all that stands in a line are units."""
     from tumble.recording.columns.patterns import is_unit
@@ -239,11 +263,11 @@ def head_lines(stream: io.BufferedIOBase) -> tuple[str, ...]:
 
 def encoding_of(seen: bytes) -> str:
     """The encoding of text by its first bytes."""
-    for bom, name in _BOMS.items():
-        if seen.startswith(bom):
-            return name
     zeros = [seen[k:4096:2].count(0) for k in (0, 1)]
-    if max(zeros) > len(seen[:4096]) // 4:
+    for bom, name in _BOMS.items():
+        if seen.startswith(bom) and (name == "utf-8" or any(zeros)):  # else what a serial line began with
+            return name
+    if max(zeros) > len(seen[:4096]) // 4 and min(zeros) < max(zeros) // 8:  # else memory that was never written
         return "utf-16-le" if zeros[1] > zeros[0] else "utf-16-be"
     for name, words in _ENCODINGS.items():
         try:

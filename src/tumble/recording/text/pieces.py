@@ -40,10 +40,8 @@ def opened(path: Path, encoding: str = "utf-8") -> io.BufferedIOBase:
     stream: io.BufferedIOBase
     if ending in (".gz", ".zst"):
         packed, damaged, stated = _gzip(path) if ending == ".gz" else _zstandard(path)
-        limit = largest_unpacked(path)
-        if stated > limit:
-            raise _too_large(path, limit, f"{_megabytes(stated)} stated")
-        stream = io.BufferedReader(_Limited(packed, damaged, path, limit))
+        check_unpacked(path, stated)
+        stream = io.BufferedReader(_Limited(packed, damaged, path, largest_unpacked(path)))
     else:
         stream = path.open("rb")
     return stream if encoding == "utf-8" else _Recoded(stream, encoding)
@@ -107,11 +105,14 @@ def whole_lines(stream: io.BufferedIOBase, path: Path) -> Iterator[bytes]:
         # the line behind may go on, or be the last before blank ones
         first = max(0, stop - LINE_BYTES)
         end = buffer.rfind(b"\n", 0, first + len(buffer[first:stop].rstrip())) + 1
+        line = 0
+        while line < end and (line := buffer.rfind(b"\n", line, line + LINE_BYTES) + 1):
+            pass
+        rest = buffer[end:stop]
+        if line < end or len(rest) > LINE_BYTES:
+            raise LogError(f"{path}: expected lines of numbers, found one of more than {LINE_BYTES} bytes")
         if end:
             yield buffer[:end]
-        rest = buffer[end:stop]
-        if len(rest) > LINE_BYTES:
-            raise LogError(f"{path}: expected lines of numbers, found one of more than {LINE_BYTES} bytes")
         held, size = len(rest), _PIECE_BYTES
         buffer[:held] = rest
     rest = buffer[:held]
@@ -124,8 +125,14 @@ def whole_lines(stream: io.BufferedIOBase, path: Path) -> Iterator[bytes]:
 
 
 def largest_unpacked(path: Path) -> int:
-    """How many bytes may come out of an archive of this size."""
+    """How many bytes may come out of a packed file."""
     return max(LARGEST_RATIO * path.stat().st_size, SMALL_BYTES)
+
+
+def check_unpacked(path: Path, size: int) -> None:
+    """Raise LogError where so many bytes are said to come out of a file, and no readings are packed so."""
+    if size > largest_unpacked(path):
+        raise _too_large(path, largest_unpacked(path), _megabytes(size))
 
 
 class _Limited(io.RawIOBase):
@@ -155,8 +162,8 @@ class _Limited(io.RawIOBase):
 
 def _too_large(path: Path, limit: int, found: str) -> LogError:
     return LogError(
-        f"{path}: expected readings, of which an archive of {_megabytes(path.stat().st_size)} holds at most "
-        f"{_megabytes(limit)}, found {found}; if it is a log, unpack it and name the file in it"
+        f"{path}: expected readings, of which a packed file of {_megabytes(path.stat().st_size)} holds at most "
+        f"{_megabytes(limit)}, found {found}; if they are readings, unpack them"
     )
 
 

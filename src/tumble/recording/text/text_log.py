@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
-from itertools import chain, islice
+from itertools import chain, islice, product
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +29,8 @@ from tumble.recording.text.dialect import (
     FIRST_ROWS,
     JOINED,
     LINE_BYTES,
+    MONTHS,
+    NAMED_MONTH,
     Dialect,
     head_lines,
     names_of_rows,
@@ -259,8 +261,14 @@ def seconds_of(text: pl.Series, day: int) -> pl.Series:
 
 
 def _parted(text: pl.Series) -> pl.Series:
-    """Dates and times whose parts are all joined alike as ISO 8601 has them."""
-    return text.str.replace(f'^\\s*"?{JOINED}', "${1}-${2}-${3}T${4}:${5}:${6}${7}")
+    """Dates and times whose parts are all joined alike, or whose month has a name, as ISO 8601 has them."""
+    for joined in JOINED:
+        text = text.str.replace(f'^\\s*"?{joined}("?)$', "${1}-${2}-${3}T${4}:${5}:${6}.${7}${8}")
+    text = text.str.replace(r'\.("?)$', "${1}")
+    if re.search("[A-Za-z]{3}", next((cell for cell in text if cell), "")):
+        for (number, month), date in product(enumerate(MONTHS, 1), NAMED_MONTH):
+            text = text.str.replace(date.format(month), f"${{year}}-{number}-${{day}}")
+    return text
 
 
 def _days(text: pl.Series) -> pl.Series:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from tumble.arguments import checked
 from tumble.brief import Brief
 from tumble.errors import InputError
 from tumble.reduction import kernels as _kernels
@@ -40,6 +41,7 @@ class AllanDeviation(Brief):
     counts: tuple[int, ...]
 
 
+@checked
 def allan_deviation(samples: Array, rate: float) -> AllanDeviation:
     """Overlapping Allan deviation of samples (m,) or (m, c) taken at a constant `rate` (Hz), at four averaging
     times an octave up to a quarter of the record. One channel is worked on at a time.

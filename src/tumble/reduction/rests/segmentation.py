@@ -258,8 +258,10 @@ class _RestSearch:
         if level is None or not np.any(level.step):
             return whole
         time = dict(zip((f.file for f in self.files), goes_with[1], strict=True))
-        after = next(r for r in whole.rests if float(time[r.file][(r.first + r.last) // 2]) > level.step_at)
-        return replace(whole, jump=LevelJump(file=after.file, time=after.start, step=level.step))
+        later = [r for r in whole.rests if float(time[r.file][(r.first + r.last) // 2]) > level.step_at]
+        if not later:  # only what is too short for a rest has the other level
+            return whole
+        return replace(whole, jump=LevelJump(file=later[0].file, time=later[0].start, step=level.step))
 
     def _still(
         self, rates: list[Array], calm: list[BoolArray], quiet: list[BoolArray]

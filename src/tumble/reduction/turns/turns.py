@@ -5,6 +5,14 @@ Left out and named are turns of which the gyros do not say where they have led. 
 and −2^k: a gyro that reads this in a turn turned faster than it can say. Turns of gyros in physical units, whose
 converter is not known, are judged by whether they fit. And a reading of more than half a turn from sample to sample is
 no reading: what a turn by more is cannot be told from one the other way round.
+
+A device that sways in the hand leaves a rest from another attitude than the mean one its accelerometers read, and
+arrives at another one. Its turns are therefore from mean to mean: the samples of a rest from t₀ to t₁ count with the
+weight w = (t − t₀)/(t₁ − t₀) in the turn that follows and with 1 − w in the one before, since
+
+    α(t₁) − mean α = ∫ w α̇ dt,    mean v(after) − mean v(before) = ∫ w v̇ dt                            (w = 1 between)
+
+to first order in the sway α. Where the device lies still, that would only add the noise of the rests.
 """
 
 from __future__ import annotations
@@ -26,6 +34,7 @@ from tumble.reduction.noise.rounding import Rounding
 from tumble.reduction.rests.blemishes import NO_BAD_SAMPLES, BadSamples, bad_samples_of_turns
 from tumble.reduction.rests.rests import Rests
 from tumble.reduction.rests.segmentation import RestSpan, unrecorded
+from tumble.reduction.rests.sway import FOURTH_DIFFERENCES, Sway
 from tumble.reduction.turns.array_motion import read_by
 from tumble.reduction.turns.moments import BlockCompensation, Compensation, Pieces, integrate, moments_of
 from tumble.rotation import onto_body
@@ -35,8 +44,6 @@ from tumble.units import Array, IntArray
 PATH_STEPS = 32
 VELOCITY_FLOOR = 1e-8  # m/s
 VELOCITY_STEP = 0.02  # of the velocity times the cube of the angle of a step: what the integration errs by
-FOURTH_DIFFERENCES = 70.0
-"""Variance of the fourth differences, 1 −4 6 −4 1, of independent samples, in parts of theirs."""
 BEYOND_NOISE = 9.0
 """Times the variance by noise: where independent samples would make no more, nothing is said of them."""
 TURN_FLOOR = 1e-10  # rad: no mean and no turn is taken to be better known, a simulation without noise included
@@ -95,13 +102,15 @@ class TurnReadings:
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TurnSamples:
     """Where the samples of the turns are: turn k is samples start[k] … stop[k] − 1 of `samples`, the `bad` ones among
-    them replaced; those of further sessions are `others`, after so many turns."""
+    them replaced; those of further sessions are `others`, after so many turns. Of a device that sways the weight of
+    the samples rises over the first `ramps[k, 0]` of them and falls over the last `ramps[k, 1]`."""
 
     samples: MotionSamples
     start: IntArray
     stop: IntArray
     bad: BadSamples = NO_BAD_SAMPLES
     others: tuple[tuple[int, TurnSamples], ...] = ()
+    ramps: IntArray | None = None
     _kept: list[Pieces] = field(default_factory=list, repr=False)
 
     @property
@@ -143,6 +152,11 @@ class TurnSamples:
         for turn, first, at, end in parts:
             into = slice(done, done + end - first)
             rates[into], forces[into], intervals[into] = self.samples.read(first, end)
+            if self.ramps is not None:
+                rise, fall = np.maximum(self.ramps[turn], 1)
+                at_sample = np.arange(at, end) + 0.5
+                weight = np.minimum((at_sample - self.start[turn]) / rise, (self.stop[turn] - at_sample) / fall)
+                intervals[done + at - first : done + end - first] *= np.minimum(weight, 1.0)
             bad = slice(*np.searchsorted(self.bad.at, [first, end]))
             places = done + self.bad.at[bad] - first
             rates[places], forces[places] = np.hsplit(self.bad.values[bad], 2)
@@ -166,9 +180,11 @@ def reduced_turns(
     accel_noise: tuple[Block, ColouredNoise],
     gyro_noise: tuple[Block, ColouredNoise],
     rounded: Mapping[str, Rounding],
+    sway: Sway | None = None,
 ) -> tuple[Turns, TurnSamples]:
     """The turns between consecutive rests, those that were recorded as a whole, integrated with nominal gyros. Samples
-    that are `rounded` err as `Rounding.of_integrals` has it."""
+    that are `rounded` err as `Rounding.of_integrals` has it; of a device that sways turns are from mean attitude to
+    mean attitude."""
     whole = [
         i
         for i, (before, after) in enumerate(pairwise(spans))
@@ -188,6 +204,13 @@ def reduced_turns(
     least = _least_off(reduction, rests)
     bad = bad_samples_of_turns(stored, start, stop, (file_start, file_stop), reduction.rate, least, reduction.tuning)
     samples = TurnSamples(samples=stored, start=start, stop=stop, bad=bad)
+    if sway is not None:
+        beside = np.array(
+            [[f.size * (span.last - span.first) for span in each] for f, each in zip(files, ends, strict=True)]
+        )
+        ramps = beside.reshape(-1, 2) * (duration > 0.0)[:, None]  # not between the parts of a rest
+        duration = duration + 0.5 * (ramps / reduction.rate).sum(axis=1)
+        samples = replace(samples, start=start - ramps[:, 0], stop=stop + ramps[:, 1], ramps=ramps)
     moments = integrate(samples.pieces(), len(first), linear_compensation(gyro, gyro.nominal(), accel, accel.nominal()))
     long = np.maximum(duration, block_seconds)
     of_forces, of_rates = (
@@ -198,7 +221,9 @@ def reduced_turns(
         """Covariance (3, 3), in the body, of a mean."""
         return _in_body(block, noise.covariance_of_mean(seconds / block_seconds))
 
-    density = np.array([T * of_mean(gyro, of_gyro, T) for T in long]).reshape(-1, 3, 3)
+    density = np.array([T * of_mean(gyro, of_gyro, T) if sway is None else sway.density for T in long]).reshape(
+        -1, 3, 3
+    )
     density += of_rates / long[:, None, None]
     velocity = np.array([T**2 * np.trace(of_mean(accel, of_accel, T)) / 3.0 for T in long])
     velocity += np.trace(of_forces, axis1=1, axis2=2) / 3.0
@@ -283,14 +308,20 @@ def turn_readings(
     integral, covariance = np.zeros((len(turns), gyro.size)), _by_rounding(samples, gyro, rounded)
     for k, (i, j, T) in enumerate(zip(turns.first, turns.last, turns.duration, strict=True)):
         blocks, between = reduction.by_file[spans[i].file], slice(spans[i].last, spans[j].first)
-        integral[k] = reduction.clock_rate * np.diff(blocks.edges)[between] @ blocks.gyro.means[between]
+        seconds = reduction.clock_rate * np.diff(blocks.edges)
+        if samples.ramps is not None and samples.ramps[k].any():
+            between, ends = slice(spans[i].first, spans[j].last), [spans[i].start, spans[i].stop]
+            middle = 0.5 * (blocks.edges[1:] + blocks.edges[:-1])
+            seconds *= np.interp(middle, [*ends, spans[j].start, spans[j].stop], [0.0, 1.0, 1.0, 0.0])
+        integral[k] = seconds[between] @ blocks.gyro.means[between]
         covariance[k] += T**2 * noise.covariance_of_mean(max(T / reduction.block_seconds, 1.0))
     return TurnReadings(integral=integral, covariance=covariance + TURN_FLOOR**2 * np.eye(gyro.size))
 
 
 def _carried(samples: TurnSamples, density: Array) -> Array:
-    """∫ C N Cᵀ dt (K, 3, 3), rad², of the turns and the density N (K, 3, 3), rad²/s, of their gyro noise, by the
-    trapezoidal rule over PATH_STEPS steps a piece."""
+    """∫ C N Cᵀ w dt (K, 3, 3), rad², of the turns and the density N (K, 3, 3), rad²/s, of their gyro noise, by the
+    trapezoidal rule over PATH_STEPS steps a piece. Of a device that sways w in place of w² lets neighbouring turns be
+    independent, which have the noise of the rest between them in common."""
     C = np.broadcast_to(np.eye(3), density.shape).copy()
     out = np.zeros_like(density)
     nominal = linear_compensation(_BODY, _BODY.nominal(), _BODY, _BODY.nominal())

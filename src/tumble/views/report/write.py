@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from tumble.arguments import checked
 from tumble.errors import InputError
 from tumble.files import FilePath, ending_in, whole_file
 from tumble.result.calibration import Calibration, calibration_of, text_and_name
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from tumble.views.report.document import ReportedFile
 
 
+@checked
 def write_report(calibrations: Calibration | FilePath | Sequence[Calibration | FilePath], out: FilePath) -> list[str]:
     """Write the report of a calibration, or of several of one device, as a page of HTML that prints well.
 

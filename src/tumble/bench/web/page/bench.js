@@ -46,7 +46,7 @@ function now() {
   say(of("fault"), wrong ? fault.said : "");
   show(of("fault"), Boolean(wrong));
   const less = result ? missed(result.parameters, state.wanted).length : state.screen === "done" && state.missed && state.missed.length;
-  of("now").className = `now ${result && !result.accepted ? "fault" : !result && stopped ? "stopped" : less ? "missed" : result ? "done" : state.screen}`;
+  of("now").className = `now ${result && !result.accepted ? "fault" : !result && (stopped || state.received.silent) ? "stopped" : less ? "missed" : result ? "done" : state.screen}`;
   show(of("target"), Boolean(position) && !result);
   ghost(of("target"), position && state.screen !== "rest" ? position.ghost : null);
   if (position && of("picture").getAttribute("src") !== position.picture) {
@@ -82,19 +82,19 @@ function figures() {
   } else if (state.screen === "rest") {
     say(of("big"), rest.nothing_more ? "enough" : rest.left === null ? "…" : clock(rest.left));
     details(of("details"), [
-      ["u of the mean", rest.u === null ? "…" : `${number(rest.u)} µg of ${number(rest.wanted)} µg`],
+      ["uncertainty of the mean", rest.u === null ? "…" : `${number(rest.u)} µg of ${number(rest.wanted)} µg`],
       ["gyros", rest.gyro_u === null ? "" : `${number(rest.gyro_u)} °/h of ${number(rest.gyro_wanted)} °/h`],
       ["drift", `${number(rest.drift)} µg${rest.settling ? ": still settling" : ""}`],
       ["temperature", degrees],
       ["at rest", clock(rest.seconds)],
-      ["", rest.left === null && rest.seconds > 20 ? "u falls too slowly to say when: still settling, or noisier than its grade" : ""],
+      ["", rest.left === null && rest.seconds > 20 ? "the uncertainty falls too slowly to say when: still settling, or noisier than its grade" : ""],
       ["", rest.nothing_more ? "longer gives nothing" : ""],
     ]);
   } else if (state.screen === "turn") {
     say(of("big"), turn.done === null ? "" : `${turn.done.toFixed(0)}°`.replace("-", "−"));
     const scale = turn.full_scale === null ? "" : ` of ${number(turn.full_scale)} °/s`;
     details(of("details"), [
-      ["move", state.position ? state.position.move : "any"],
+      ["move", state.position ? state.position.move : "as you like"],
       ["rate", turn.rate === null ? "" : `${turn.rate.toFixed(1)} °/s${scale}`],
       ["best", !state.position && state.estimate ? state.estimate.next : ""],
       ["note", state.early],
@@ -108,7 +108,7 @@ function figures() {
 function estimate() {
   const found = state.estimate;
   const busy = state.estimating ? " …" : "";
-  say(of("estimated"), (found ? `Estimate from ${found.rests} rests${found.enough ? ": all wanted u reached" : ""}` : "No estimate yet") + busy);
+  say(of("estimated"), (found ? `Estimate from ${found.rests} rests${found.enough ? ": all that is wanted is reached" : ""}` : "No estimate yet") + busy);
   const { groups: bars, residuals: left, next, cause } = found || { groups: [], residuals: [], next: "", cause: "" };
   groups(of("groups"), bars);
   residuals(of("residuals"), left);
@@ -120,8 +120,10 @@ function estimate() {
 function finish() {
   const { result } = state;
   show(of("finish"), Boolean(result));
+  show(of("numbers"), Boolean(result));
   if (!result) return;
-  say(of("result"), verdict());
+  for (const element of document.querySelectorAll("#finish .accepted")) show(element, result.accepted);
+  of("changes").replaceChildren(...result.before_and_after.map((line) => made("li", line)));
   say(of("registered"), result.registered);
   const wished = result.parameters.filter((each) => each.group in state.wanted);
   const further = result.parameters.filter((each) => !(each.group in state.wanted));

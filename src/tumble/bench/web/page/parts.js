@@ -68,7 +68,7 @@ function bar(group, found) {
   const width = Math.min(100, Math.max(2, 50 + 25 * ratio));
   const box = made("div", "", "bar");
   box.setAttribute("role", "meter");
-  box.setAttribute("aria-label", `${group.group}: u over the wanted u`);
+  box.setAttribute("aria-label", `${group.group}: uncertainty over what is wanted`);
   box.setAttribute("aria-valuemin", "0");
   box.setAttribute("aria-valuemax", "100");
   box.setAttribute("aria-valuenow", String(Math.round(width)));
@@ -92,7 +92,7 @@ export function missed(rows, wanted) {
 /** What was calibrated, a row a parameter: value and u as `tumble calibrate` prints them, and the u that was wanted. */
 export function parameters(table, rows, wanted) {
   const head = made("tr");
-  head.append(...["parameter", "value", "u (k=1)", "unit", "wanted u", ""].map((text) => made("th", text)));
+  head.append(...["parameter", "value", "uncertainty", "unit", "wanted", ""].map((text) => made("th", text)));
   table.replaceChildren(made("thead"), made("tbody"));
   table.children[0].append(head);
   table.children[1].append(...rows.map((each) => {
@@ -175,7 +175,7 @@ export class Trace {
     const axes = [{ stroke, grid }, { label: unit, size: 64, stroke, grid }];
     this.data = [[], [], [], []];
     this.plot = new window.uPlot(
-      { title, width: this.width(), height: 170, series, axes, scales: { x: { time: false } }, cursor: { show: false }, legend: { show: false } },
+      { title, width: this.width(), height: 170, series, axes, scales: { x: { time: false } }, cursor: { show: false }, legend: { live: false } },
       this.data, box);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.plot.redraw());
     new ResizeObserver(() => this.plot.setSize({ width: this.width(), height: 170 })).observe(box);

@@ -1,0 +1,118 @@
+"""The session that is made of a log beside it, and found again by the content of the log.
+
+`made.json` in its folder says of which log it was made, with what was stated, by which version, and which files came.
+The same log with the same statements has the session that it had, corrected by hand or not; with others it is made
+anew, unless it was corrected by hand.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import secrets
+import shutil
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+from tumble import __version__
+from tumble.drafting.containers import files_of
+from tumble.drafting.new_session import Given, written_session
+from tumble.errors import InputError
+from tumble.files import nothing_left, whole_file
+from tumble.recording.log_source import readable
+from tumble.recording.session_file import SESSION_FILE
+from tumble.run.observed import Progress
+
+MADE = "made.json"
+_RESULT = "calibration.json"
+
+
+@contextmanager
+def session_of_log(
+    log: Path, given: Given, progress: Progress
+) -> Iterator[tuple[Path, str, Sequence[str], Sequence[str]]]:
+    """The folder of the session of a log, whether it was there before, how each part of it came about, and faults that
+    a look at it found, in sentences.
+
+    It is made where there is none, and is there no more, or as it was before, where the block fails. Raises InputError
+    for a log that cannot be read, and where a session that was corrected by hand would be made anew."""
+    log = log if log.name else log.resolve()
+    stem = re.sub(r"[*?\[\]]", "", log.name)
+    for ending in (".gz", ".zst"):
+        stem = stem.removesuffix(ending)
+    stem = Path(stem).stem or "log"
+    given = replace(given, serial=given.serial or stem)
+    digest, stated = _digest(log), {key: value for key, value in asdict(given).items() if value}
+    content = {"log_sha256": digest, "given": json.loads(json.dumps(stated)), "version": __version__}
+    folder = next((f for f in sorted(log.parent.glob("*-session")) if _made(f).get("log_sha256") == digest), None)
+    state = ""
+    if folder is not None:
+        made = _made(folder)
+        edited = made.get("session_sha256") != _sha256(folder / SESSION_FILE)
+        if made.get("given") == content["given"] and (edited or made.get("version") == __version__):
+            by_hand = ", corrected by hand" if edited else ""
+            yield folder, f"{folder / SESSION_FILE}: the session made of this log before{by_hand}", [], []
+            return
+        if edited:
+            raise InputError(
+                f"{folder}: expected the options with which the session of this log was made, found others, and the "
+                f"session corrected by hand; calibrate it as it is (tumble calibrate {folder}), or remove it"
+            )
+        state = f"{folder}: the session made of this log before, with other options or by another version: anew; "
+    else:
+        folder = log.with_name(f"{stem}-session")
+        folder = folder if not folder.exists() else log.with_name(f"{stem}-{digest[:8]}-session")
+    with _put_aside(folder), nothing_left(folder) as output:
+        draft, faults = written_session(output, log, given, progress)
+        content["session_sha256"] = _sha256(folder / SESSION_FILE)
+        content["files"] = [file.name for file in output.written]
+        with whole_file(output.new_file(MADE)) as temporary:
+            temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        yield folder, f"{state}kept in {folder / SESSION_FILE}", draft.said, faults
+
+
+@contextmanager
+def _put_aside(folder: Path) -> Iterator[None]:
+    """The folder of a session away while it is made anew: what was made before goes with the old one at the end, other
+    files come back, and all of it where the block fails."""
+    if not folder.exists():
+        yield
+        return
+    aside = folder.with_name(f".{folder.name}.{secrets.token_hex(4)}")
+    folder.rename(aside)
+    try:
+        yield
+    except BaseException:
+        aside.rename(folder)
+        raise
+    old = {*_made(aside).get("files", []), MADE, _RESULT}
+    for file in aside.iterdir():
+        if file.name not in old and not (folder / file.name).exists():
+            file.rename(folder / file.name)
+    shutil.rmtree(aside)
+
+
+def _made(folder: Path) -> dict[str, Any]:
+    """What the folder of a session says of how it was made; nothing where it does not."""
+    with suppress(OSError, ValueError):
+        made = json.loads((folder / MADE).read_bytes()) if (folder / SESSION_FILE).is_file() else {}
+        return made if isinstance(made, dict) else {}
+    return {}
+
+
+def _digest(log: Path) -> str:
+    """The SHA-256 of the content of a log, of several files that of all, in their order."""
+    digest = hashlib.sha256()
+    for file in files_of(log):
+        for part in sorted(p for p in file.rglob("*") if p.is_file()) if file.is_dir() else [file]:
+            with readable(part), part.open("rb", buffering=0) as stream:
+                hashlib.file_digest(stream, lambda: digest)
+    return digest.hexdigest()
+
+
+def _sha256(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()

@@ -1,0 +1,85 @@
+"""The session made of a log is found by the content of the log, and made anew where other things are stated."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import polars as pl
+import pytest
+
+from tests.support.shared import session
+from tumble.drafting.made_session import session_of_log
+from tumble.drafting.new_session import Given
+from tumble.errors import InputError
+from tumble.planning.setup import Setup
+from tumble.recording.log import Log
+from tumble.recording.session_file import read_session
+
+GIVEN = Given(latitude=50.0)
+
+
+@pytest.fixture
+def logs(tmp_path: Path) -> Path:
+    """A folder with two flights whose names are alike to the last dot but one."""
+    table = pl.read_parquet(session(Setup.of(grade="mems", positions=12), seed=4) / "log.parquet")
+    table.write_csv(tmp_path / "flight-1.2.csv")
+    table.head(table.height // 2).write_csv(tmp_path / "flight-1.3.csv")
+    return tmp_path
+
+
+def made(log: Path, given: Given = GIVEN) -> tuple[Path, str]:
+    with session_of_log(log, given, Log.chunks) as (folder, state, _, _):
+        return folder, state
+
+
+def test_each_log_has_a_session_of_its_own_and_finds_it_again(logs: Path) -> None:
+    first, second = made(logs / "flight-1.2.csv")[0], made(logs / "flight-1.3.csv")[0]
+    assert [f.name for f in (first, second)] == ["flight-1.2-session", "flight-1.3-session"]
+    before = (first / "session.toml").read_bytes()
+    (logs / "flight-1.2.csv").rename(logs / "renamed.csv")
+    (logs / "flight-1.2.csv").write_bytes((logs / "renamed.csv").read_bytes())
+    folder, said = made(logs / "renamed.csv", replace(GIVEN, serial="flight-1.2"))
+    assert folder == first
+    assert said == f"{first / 'session.toml'}: the session made of this log before"
+    assert (first / "session.toml").read_bytes() == before
+
+
+def test_another_log_of_the_same_name_has_another_session(logs: Path) -> None:
+    first = made(logs / "flight-1.2.csv")[0]
+    (logs / "flight-1.3.csv").replace(logs / "flight-1.2.csv")
+    second = made(logs / "flight-1.2.csv")[0]
+    assert second != first
+    assert (read_session(first).device.serial, read_session(second).device.serial) == ("flight-1.2", "flight-1.2")
+    assert len(list(logs.glob("*-session"))) == 2
+
+
+def test_other_statements_make_it_anew_and_keep_what_was_put_there(logs: Path) -> None:
+    folder, _ = made(logs / "flight-1.2.csv")
+    (folder / "notes.txt").write_text("mine", encoding="utf-8")
+    (folder / "calibration.json").write_text("{}", encoding="utf-8")
+    again, said = made(logs / "flight-1.2.csv", Given(latitude=40.0))
+    assert again == folder
+    assert "with other options or by another version: anew; kept in" in said
+    assert "latitude_deg = 40.0" in (folder / "session.toml").read_text(encoding="utf-8")
+    assert {f.name for f in folder.iterdir()} == {"session.toml", "made.json", "notes.txt"}
+    assert [f.name for f in logs.iterdir() if f.name.startswith(".")] == []
+
+
+def test_a_session_that_fails_to_be_made_anew_is_as_it_was(logs: Path) -> None:
+    folder, _ = made(logs / "flight-1.2.csv")
+    before = {f.name: f.read_bytes() for f in folder.iterdir()}
+    with pytest.raises(InputError, match="accel: expected names of columns"):
+        made(logs / "flight-1.2.csv", replace(GIVEN, accel=("1", "2", "99")))
+    assert {f.name: f.read_bytes() for f in folder.iterdir()} == before
+    assert [f.name for f in logs.iterdir() if f.name.startswith(".")] == []
+
+
+def test_what_was_corrected_by_hand_is_used_and_never_replaced(logs: Path) -> None:
+    folder, _ = made(logs / "flight-1.2.csv")
+    text = (folder / "session.toml").read_text(encoding="utf-8").replace("latitude_deg = 50.0", "latitude_deg = 51.0")
+    (folder / "session.toml").write_text(text, encoding="utf-8")
+    assert made(logs / "flight-1.2.csv")[1].endswith("before, corrected by hand")
+    with pytest.raises(InputError, match="corrected by hand; calibrate it as it is"):
+        made(logs / "flight-1.2.csv", Given(latitude=40.0))
+    assert (folder / "session.toml").read_text(encoding="utf-8") == text
