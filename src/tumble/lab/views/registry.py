@@ -128,7 +128,7 @@ def record_blocks(record: Record, calibration: Calibration, verdict: Verdict | N
     said = ["no verdict: no limits were in force for this type and check when the record was added"]
     if verdict is not None:
         over = f", {verdict.over}" if verdict.over else ""
-        said = [RULE, RISK, *verdict.reasons, f"verdict: {verdict.result}{over}.{verdict.whole_risk}"]
+        said = [RULE, f"{RISK}.{verdict.whole_risk}", *verdict.reasons, f"verdict: {verdict.result}{over}"]
     return ["\n".join(lines), parameters, Items(items=tuple(said))]
 
 
