@@ -23,6 +23,7 @@ from tumble.result.uncertainty_budget import shares_by_group, shares_of_priors, 
 from tumble.run.calibrate import Method
 from tumble.run.launches import Run, mean_of_launches
 from tumble.sensors.frames import Frame
+from tumble.sensors.parameters import Terms
 from tumble.views.calibration import calibration_blocks
 from tumble.views.render.terminal import text_of
 from tumble.views.uncertainty_budget import budget_section
@@ -96,12 +97,13 @@ def test_every_line_is_as_in_ea_4_02(whole: Calibration, session: Path) -> None:
     assert_as_in_ea_4_02(calibrate(session, method="ellipsoid"))
 
 
-def test_of_launches(tmp_path: Path) -> None:
+@pytest.mark.parametrize("terms", ["full", "linear"])
+def test_of_launches(tmp_path: Path, terms: Terms) -> None:
     """By the sources of its launches, from launch to launch with its degrees of freedom. What priors and gravity
     contribute does not average out, noise does."""
     setup = Setup.of(grade="mems", positions=12)
     folders = [simulate_session(tmp_path / f"{i}", setup, seed=1, launch=i) for i in (1, 2, 3)]
-    runs = [Run(session=read_session(folder), calibration=calibrate(folder)) for folder in folders]
+    runs = [Run(session=read_session(folder), calibration=calibrate(folder, terms=terms)) for folder in folders]
     mean = mean_of_launches(runs)
     assert_whole(mean)
     assert_as_in_ea_4_02(mean)
@@ -129,13 +131,14 @@ def test_of_launches_each_source_is_what_their_mean_varies_by(tmp_path: Path) ->
     assert C is not None
     u, rng = np.sqrt(np.diag(C)), np.random.default_rng(9)
     root = u[:, None] * np.linalg.cholesky(C / np.outer(u, u))
-    between = {"launches"}
-    within = {source.name for source in runs[0].calibration.evidence.budget} - {"gravity", "clock"}
+    between, budgets = {"launches"}, [run.calibration.evidence.budget for run in runs]
+    alone = [tuple(each for each in budget if not each.name.startswith("prior.")) for budget in budgets]
+    within = {source.name for source in alone[0]} - {"gravity", "clock"}
     for sources, noise in ((within, 1.0), (between, 1e-3)):
         errors, variances = [], []
         for _ in range(500):
             drawn = []
-            for run in runs:
+            for run, budget in zip(runs, alone, strict=True):
                 off = root @ rng.standard_normal(len(u)) if noise == 1.0 else 3.0 * u * rng.standard_normal(len(u))
                 made = run.calibration
                 parameters = tuple(
@@ -144,12 +147,13 @@ def test_of_launches_each_source_is_what_their_mean_varies_by(tmp_path: Path) ->
                 )
                 assert made.provenance.site is not None
                 site = replace(made.provenance.site, gravity_u=0.0)
-                drawn.append(with_fields(made, parameters=parameters, covariance=noise**2 * C, site=site))
+                fields = {"parameters": parameters, "covariance": noise**2 * C, "site": site, "budget": budget}
+                drawn.append(with_fields(made, **fields))
             again = [replace(run, calibration=each) for run, each in zip(runs, drawn, strict=True)]
             mean = mean_of_launches(again)
-            budget = [each.contributions for each in mean.evidence.budget if each.name in sources]
+            shown = [each.contributions for each in mean.evidence.budget if each.name in sources]
             errors.append([mean[name].value for name in names])
-            variances.append([sum(each.get(name, 0.0) ** 2 for each in budget) for name in names])
+            variances.append([sum(each.get(name, 0.0) ** 2 for each in shown) for name in names])
         ratio = np.sqrt(np.mean(np.square(errors), axis=0) / np.mean(variances, axis=0))
         assert np.median(ratio) == pytest.approx(1.0, abs=0.05), sources
         assert np.all(np.abs(ratio - 1.0) < 0.15), sources
