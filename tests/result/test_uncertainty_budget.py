@@ -23,7 +23,7 @@ from tumble.result.uncertainty_budget import shares_by_group, shares_of_priors, 
 from tumble.run.calibrate import Method
 from tumble.run.launches import Run, mean_of_launches
 from tumble.sensors.frames import Frame
-from tumble.sensors.parameters import Terms
+from tumble.sensors.parameters import Terms, beyond_linear
 from tumble.views.calibration import calibration_blocks
 from tumble.views.render.terminal import text_of
 from tumble.views.uncertainty_budget import budget_section
@@ -214,6 +214,17 @@ def test_priors_err_by_what_the_budget_says(whole: Calibration) -> None:
     of_cubic = np.linalg.norm([changes[f"accel.cubic.{axis}"] for axis in "xyz"], axis=0)
     stated = {each.name: each for each in whole.evidence.budget}["prior.accel.cubic"].contributions
     assert of_cubic == pytest.approx([stated.get(name, 0.0) for name in whole], rel=1e-9)
+
+
+def test_priors_err_by_no_more_than_u(whole: Calibration) -> None:
+    """What is left of the variance of a linear parameter, in every frame, is that of a difference from another session
+    of the device."""
+    for made in (whole, whole.in_frame("paper")):
+        assert made.covariance is not None
+        changes = by_priors(made.parameters, made.covariance, made.evidence.budget)
+        shared = np.sum(np.square(list(changes.values())), axis=0)
+        linear = [not beyond_linear(name) for name in made]
+        assert np.all(shared[linear] < np.diag(made.covariance)[linear])
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,8 @@ The uncertainty of gravity, where both used the same stated gravity with the sam
 of the accelerometers; that of the time base, where both of one device state the same one, in those of the gyros. Where
 both know a property of the device by a prior alone, or in part, they err alike by what it truly is: an estimate with
 the covariance C follows the mean of a prior of variance s² by C s⁻², of which one standard deviation changes it by C/s.
-Where s was found with the estimate, what the prior of a group changes is as large as the uncertainty budget says.
+Where s was found with the estimate, what the prior of a group changes is as large as the uncertainty budget says, and
+without a budget s is at least u.
 With g₁ and g₂ what one standard uncertainty of such a source changes in either,
 
     C(first − second) = C₁ + C₂ − Σ (g₁ g₂ᵀ + g₂ g₁ᵀ)
@@ -60,7 +61,7 @@ def by_priors(
     if covariance is None:
         return {}
     changes = {
-        p.name: covariance[:, i] / p.prior
+        p.name: covariance[:, i] / max(p.prior, p.u or 0.0)
         for i, p in enumerate(parameters)
         if p.prior is not None and is_of_device(p.name)
     }
