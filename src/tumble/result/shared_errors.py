@@ -4,8 +4,9 @@ The uncertainty of gravity, where both used the same stated gravity with the sam
 of the accelerometers; that of the time base, where both of one device state the same one, in those of the gyros. Where
 both know a property of the device by a prior alone, or in part, they err alike by what it truly is: an estimate with
 the covariance C follows the mean of a prior of variance s² by C s⁻², of which one standard deviation changes it by C/s.
-Where s was found with the estimate, what the prior of a group changes is as large as the uncertainty budget says, and
-without a budget s is at least u.
+Where s was found with the estimate, what the prior of a group changes is as large as the uncertainty budget says.
+Without a budget all s are larger by one factor, the least with which all these changes together are within C: the
+largest eigenvalue of S⁻¹ C S⁻¹ over the parameters with priors, S = diag(s), is at most 1.
 With g₁ and g₂ what one standard uncertainty of such a source changes in either,
 
     C(first − second) = C₁ + C₂ − Σ (g₁ g₂ᵀ + g₂ g₁ᵀ)
@@ -60,11 +61,12 @@ def by_priors(
     The squares over a group are together what its prior contributes by the uncertainty budget, where there is one."""
     if covariance is None:
         return {}
-    changes = {
-        p.name: covariance[:, i] / max(p.prior, p.u or 0.0)
-        for i, p in enumerate(parameters)
-        if p.prior is not None and is_of_device(p.name)
-    }
+    priors = {i: p.prior for i, p in enumerate(parameters) if p.prior is not None and is_of_device(p.name)}
+    if not priors:
+        return {}
+    at, s = list(priors), np.array(list(priors.values()))
+    widened = np.sqrt(max(np.linalg.eigvalsh(covariance[np.ix_(at, at)] / np.outer(s, s))[-1], 1.0))
+    changes = {parameters[i].name: covariance[:, i] / (widened * size) for i, size in priors.items()}
     contributions = {each.name.removeprefix("prior."): each.contributions for each in budget}
     for group in {group_name(name) for name in changes} & set(contributions):
         members = [name for name in changes if group_name(name) == group]
