@@ -71,7 +71,7 @@ class _Names(dict[str, Any]):
 def _check(function: str, given: Mapping[str, Any], hints: Mapping[str, Any]) -> None:
     for name, value in given.items():
         if name in hints and not _fits(value, hints[name]):
-            shown = repr(value) if isinstance(value, str | int | float) else f"{type(value).__name__}"
+            shown = repr(value) if isinstance(value, str | int | float | tuple | list) else f"{type(value).__name__}"
             raise InputError(
                 f"--{name.replace('_', '-')}: expected {' or '.join(dict.fromkeys(_in_words(hints[name])))}, found "
                 f"{shown[:_SHOWN]}; see help(tumble.{function})"

@@ -800,9 +800,9 @@ def test_the_six_faces_of_imucal_are_advised_to_stand_between_them(data: Path, t
 
 @pytest.mark.parametrize("grade", ["mems", "consumer"])
 def test_every_advised_turn_shows_more_of_the_gyros_until_all_is_seen(tmp_path: Path, grade: str) -> None:
-    """The rests of programme `nine`, a file each: no turn was recorded. Gyros that see the Earth's rate would know a
+    """The rests of programme `cube-14`, a file each: no turn was recorded. Gyros that see the Earth's rate would know a
     little of their scale factors from it, more or less of it with the noise."""
-    time, accel, gyro, rests = _recorded([position.attitude for position in programme("nine").positions], grade, 1)
+    time, accel, gyro, rests = _recorded([position.attitude for position in programme("cube-14").positions], grade, 1)
     inside = [(time > start) & (time <= stop) for start, stop in rests]
     parts: list[Part] = [(time[rows], accel[rows], gyro[rows]) for rows in inside]
     before = _unseen(_estimated(_written(parts, tmp_path / "session")), "gyro")

@@ -381,7 +381,7 @@ CASES: dict[str, Case] = {
     "cut last line": Case(write=d.cut, noted=("the last line is cut",)),
     "stamps repeated": Case(write=d.blemished(d.repeated), noted=("the time stamp of the row before",)),
     "stamps out of line": Case(
-        write=d.blemished(d.out_of_line), within=2.0, noted=("before that of the row before", "beyond that of the next")
+        write=d.blemished(d.out_of_line), within=2.0, noted=("before that of the row before", "beyond that of a row behind it")
     ),
     "clock set back in a turn": Case(write=d.set_back_in_a_turn, within=3.0, noted=("the clock falls back in it",)),
     "rows twice": Case(write=d.blemished(d.doubled), noted=("the time stamp of the row before",)),
@@ -640,7 +640,7 @@ def test_columns_that_are_stated_are_those_of_the_log(log: pl.DataFrame, tmp_pat
 
 def test_a_log_is_calibrated_with_its_columns_stated(log: pl.DataFrame, tmp_path: Path) -> None:
     file = tmp_path / d.without_names(log, tmp_path)
-    words = ["--accel", "2,3,4", "--gyro", "5,6,7", "--time", "1", "--latitude", LATITUDE]
+    words = ["--accel", "2,3,4", "--gyro", "5,6,7", "--time", "1", "--latitude", LATITUDE, "--all"]
     result = CliRunner().invoke(main, ["calibrate", str(file), *words])
     assert result.exit_code == 0, result.stderr
     assert "gyro: 5, 6, 7, as stated" in result.stderr

@@ -128,10 +128,10 @@ def test_a_time_base_that_is_not_stated_is_that_of_a_crystal_and_said(tmp_path: 
     assert (unsaid[name].u or 0.0) ** 2 == pytest.approx((exact[name].u or 0.0) ** 2 + 30e-6**2)
     assert unsaid["accel.scale.x"].u == pytest.approx(exact["accel.scale.x"].u)
     assert (exact.provenance.clock_u, unsaid.provenance.clock_u) == (0.0, 30e-6)
-    said = [note for note in unsaid.provenance.notes if "time base" in note]
+    said = [note for note in unsaid.provenance.assumptions if "time base" in note]
     assert len(said) == 1
     assert "30 ppm" in said[0]
-    assert not any("time base" in note for note in exact.provenance.notes)
+    assert not any("time base" in note for note in exact.provenance.assumptions)
 
 
 def test_readings_in_memory_have_a_time_base() -> None:
