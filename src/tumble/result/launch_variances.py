@@ -29,6 +29,8 @@ from tumble.units import Array
 
 UNLIKE = 1e-3
 """Probability by chance below which a device is more unstable than its type."""
+_NOT_OWN = ("gravity", "clock", "type", "launches")
+"""Sources that are no scatter of the estimate in one launch."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -58,17 +60,31 @@ def launch_variances(calibration: Calibration) -> LaunchVariances | None:
     count = len(calibration.evidence.launches)
     if count < 2:
         return None
-    own = [{p.name: (p.u or 0.0) ** 2 for p in launch.parameters} for launch in calibration.evidence.launches]
+    u2 = [{p.name: (p.u or 0.0) ** 2 for p in launch.parameters} for launch in calibration.evidence.launches]
+    known = bool(calibration.evidence.budget)
     return LaunchVariances(
         serial=calibration.serial,
         logs=frozenset(launch.log_sha256 for launch in calibration.evidence.launches),
         degrees=count - 1,
         variances={
-            p.name: (p.run_to_run**2, sum(each[p.name] for each in own) / count)
+            p.name: (
+                p.run_to_run**2,
+                count * own_variance(calibration, p.name) if known else sum(each[p.name] for each in u2) / count,
+            )
             for p in calibration.parameters
-            if p.run_to_run is not None and all(p.name in each for each in own)
+            if p.run_to_run is not None and all(p.name in each for each in u2)
         },
     )
+
+
+def own_variance(calibration: Calibration, name: str) -> float:
+    """Variance of a parameter, SI, without what all launches of a device have in common, gravity, the time base and
+    priors, and without changes from launch to launch; the whole where there is no budget."""
+    budget = calibration.evidence.budget
+    if not budget:
+        return (calibration[name].u or 0.0) ** 2
+    own = (s for s in budget if s.name not in _NOT_OWN and not s.name.startswith("prior."))
+    return sum(source.contributions.get(name, 0.0) ** 2 for source in own)
 
 
 def stands_alone(calibration: Calibration) -> bool:
@@ -85,8 +101,8 @@ def variances_between(calibrations: Sequence[Calibration]) -> LaunchVariances | 
     if count < 2:
         return None
     names = [name for name in calibrations[0] if all(name in each for each in calibrations)]
-    values, covariances = at_temperature(calibrations, names, calibrations[-1].temperature)
-    between, noise = np.var(values, axis=0, ddof=1), np.diagonal(covariances, axis1=1, axis2=2).mean(axis=0)
+    between = np.var(at_temperature(calibrations, names, calibrations[-1].temperature)[0], axis=0, ddof=1)
+    noise = np.mean([[own_variance(each, name) for name in names] for each in calibrations], axis=0)
     return LaunchVariances(
         serial=calibrations[0].serial,
         logs=frozenset(each.provenance.log_sha256 or "" for each in calibrations),

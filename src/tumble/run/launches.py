@@ -31,7 +31,7 @@ from tumble.recording.session_file import session_from
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import by_gravity, degrees_of_mean, shared_gravity, welch_satterthwaite
 from tumble.result.evidence import Evidence
-from tumble.result.launch_variances import LaunchVariances, at_temperature, pooled, variance_of_type
+from tumble.result.launch_variances import LaunchVariances, at_temperature, own_variance, pooled, variance_of_type
 from tumble.result.parts import CalibratedTemperature, Parameter, SourceContributions, learned_fraction
 from tumble.result.shared_errors import by_priors, is_of_device
 from tumble.result.uncertainty_budget import contributions_of
@@ -287,7 +287,7 @@ def _instability(
     others = [each for each in alike if not each.logs & set(digests)]
     instability, unlike, model = [], [], launches[0].model
     for name, s2 in zip(names, np.var(values, axis=0, ddof=1).tolist(), strict=True):
-        noise = float(np.mean([(launch[name].u or 0.0) ** 2 for launch in launches]))
+        noise = float(np.mean([own_variance(launch, name) for launch in launches]))
         both = pooled(s2, len(launches) - 1.0, variance_of_type(others, name, noise))
         unlike += [name] if both is None else []
         instability.append((s2, len(launches) - 1.0) if both is None else both)
