@@ -381,7 +381,9 @@ CASES: dict[str, Case] = {
     "cut last line": Case(write=d.cut, noted=("the last line is cut",)),
     "stamps repeated": Case(write=d.blemished(d.repeated), noted=("the time stamp of the row before",)),
     "stamps out of line": Case(
-        write=d.blemished(d.out_of_line), within=2.0, noted=("before that of the row before", "beyond that of a row behind it")
+        write=d.blemished(d.out_of_line),
+        within=2.0,
+        noted=("before that of the row before", "beyond that of a row behind it"),
     ),
     "clock set back in a turn": Case(write=d.set_back_in_a_turn, within=3.0, noted=("the clock falls back in it",)),
     "rows twice": Case(write=d.blemished(d.doubled), noted=("the time stamp of the row before",)),

@@ -161,8 +161,8 @@ def test_a_type_narrows_what_only_priors_say_and_its_budget_is_the_covariance(
     assert "type" in {each.name for each in made.budget.sources}
     z = (made.values - np.array([truth[name] for name in made.names])) / made.u
     assert np.sqrt(np.mean(z[:21] ** 2)) < 1.6
-    quadratic = [i for i, name in enumerate(made.names) if name.startswith("accel.quadratic.")]
-    assert np.all(made.u[quadratic] < 0.85 * estimate.u[quadratic])
+    of_type = [i for i, name in enumerate(made.names) if name.startswith(("accel.lever.", "gyro.g_sensitivity."))]
+    assert np.all(made.u[of_type] < 0.9 * estimate.u[of_type])
     assert np.all(made.u < 1.02 * estimate.u)
 
 
@@ -223,7 +223,7 @@ def test_a_plan_has_the_type_in_the_place_of_what_is_usual() -> None:
 
 
 def test_a_plan_expects_the_u_that_calibrate_has_of_a_unit_of_the_type(units: list[Estimated], prior: Prior) -> None:
-    setup, made = Setup.of(grade="mems", programme="cube-14", terms="full"), []
+    setup, made = Setup.of(grade="mems", programme="cube-14", rest=10.0, terms="full"), []
     for number in range(20, 25):
         scenario = scenario_of(setup, np.random.default_rng(number))
         truth = {**units[number - 20][2]}
@@ -233,7 +233,7 @@ def test_a_plan_expects_the_u_that_calibrate_has_of_a_unit_of_the_type(units: li
     for group, places in positions_by_group(made[0].names).items():
         u = np.sqrt(np.mean([each.u[places] ** 2 for each in made]))
         assert 0.7 < planned.rms(group) / u < 1.3, group
-    for group in ("accel.bias", "accel.quadratic", "accel.asymmetry", "accel.lever"):
+    for group in ("gyro.asymmetry", "accel.lever", "accel.single_delay"):
         assert planned.rms(group) < 0.85 * usual.rms(group)
 
 

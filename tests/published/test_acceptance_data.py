@@ -214,7 +214,13 @@ def test_ln100_is_refused_by_the_names_of_what_two_rests_cannot_say(ln100: Path,
 def ferraris_session(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     file = data / "imucal-ferraris" / "example_ferraris_session.csv"
     folder = tmp_path_factory.mktemp("ferraris") / "session"
-    return session(folder, [file], "rate_hz = 102.4\nclock_ppm_u = 30", "latitude_deg = 49.57\nheight_m = 280.0", *IN_SI_AND_DEGREES)
+    return session(
+        folder,
+        [file],
+        "rate_hz = 102.4\nclock_ppm_u = 30",
+        "latitude_deg = 49.57\nheight_m = 280.0",
+        *IN_SI_AND_DEGREES,
+    )
 
 
 @pytest.fixture(scope="module")

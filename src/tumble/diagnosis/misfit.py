@@ -231,11 +231,35 @@ def _of_session(
         elif group.name not in known:
             remarks.append(((group.concerns,), said))
     remarks += [(cause.concerned, f"probable cause: {cause.sentence}") for cause in named if cause not in harmful]
+    reasons += _restless(linearised)
     return Misfit(
         reasons=tuple(reasons),
         remarks=tuple(remarks),
         causes=tuple(name for cause in named for name in (cause.name, *cause.rivals)),
     )
+
+
+def _restless(linearised: Linearised) -> list[Said]:
+    """Kinds of sensors whose biases change from one rest to the next by more than MANY times the noise of a rest.
+
+    A process of the in-run bias may then have taken what is no bias: a wander or a warm-up is smooth, and changes by
+    σ_b √(2 − 2 e^{−Δt/τ}) from rest to rest, a few times the noise at most. Turns are judged by the verticals of the
+    accelerometers, so that scale factors and axes of the gyros are spoilt with them."""
+    rests, components, out = linearised.problem.observations.rests, linearised.components, list[Said]()
+    interval = float(np.median(np.diff(0.5 * (rests.start + rests.stop)))) if len(rests) > 1 else 0.0
+    for block in linearised.problem.instrument.blocks:
+        kind, covariance = block.kind, getattr(rests, f"{block.kind}_covariance")
+        noise = float(np.sqrt(np.median(np.trace(covariance, axis1=1, axis2=2)) / block.size))
+        size, time = getattr(components, f"{kind}_in_run"), getattr(components, f"{kind}_time")
+        change = float(size * np.sqrt(-2.0 * np.expm1(-interval / time))) if time > 0.0 else 0.0
+        if change > max(MANY * noise, NOTHING[kind]):
+            sentence = (
+                f"biases of the {WORDS[kind]} change by {sized(change, UNITS[kind])} from one rest to the next, "
+                f"{change / noise:.2g} times the noise of a rest: something is there that the model does not have; "
+                "look at the rests with `tumble inspect`"
+            )
+            out.append(((kind, *(OF_TURNS if kind == "accel" else ())), sentence))
+    return out
 
 
 def damaging(cause: Cause) -> Said:

@@ -21,8 +21,10 @@ C W_iᵀW_i C, and the parts add up to C. A prior of size s of parameter j is W 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -114,7 +116,8 @@ def stated(setup: Setup, *, gyros: bool = True, prior: Prior | None = None) -> B
     if not setup.programme.ordered:  # the mean over orders
         return _mean([stated(each, gyros=gyros, prior=prior) for each in _in_some_orders(setup)])
     course = itinerary_of(setup).as_logged(setup.ramp, USUAL.margin_of(setup.rest))
-    seen, by_type = expected(view(course, setup, gyros=gyros)), None
+    seen, by_type = view(course, setup, gyros=gyros), None
+    seen = expected(replace(seen, components=_with_drifts(seen, setup.further)))
     if prior is not None:
         problem = seen.problem
         known = prior.places(problem.instrument.names)
@@ -251,6 +254,25 @@ def components_of(noise: NoiseModel) -> Components:
     return Components(
         accel_in_run=noise.accel_instability, gyro_in_run=noise.gyro_instability, accel_time=time, gyro_time=time
     )
+
+
+def _with_drifts(seen: Linearised, further: Mapping[str, float]) -> Components:
+    """The in-run biases of sensors that drift too, for which the estimate has no group: its process takes it.
+
+    A line d t over a session of length T has the variance σ₁² = (d T)²/12, and from rest to rest changes by d Δt, as a
+    process with τ₁ = 2 σ₁²/(d² Δt) does. Variances add up, and so do those of the changes, 2 σ² Δt/τ."""
+    rests, components = seen.problem.observations.rests, seen.components
+    middle = 0.5 * (rests.start + rests.stop)
+    length, interval = float(np.ptp(middle)), float(np.median(np.diff(middle))) if len(middle) > 1 else 0.0
+    for kind in ("accel", "gyro"):
+        drift, size = further.get(f"{kind}.bias.drift", 0.0), getattr(components, f"{kind}_in_run")
+        if drift == 0.0 or f"{kind}.bias.drift" in seen.problem.observations.usual:
+            continue
+        changes = size**2 / getattr(components, f"{kind}_time") + 0.5 * drift**2 * interval
+        square = size**2 + (drift * length) ** 2 / 12.0
+        changed: dict[str, Any] = {f"{kind}_in_run": math.sqrt(square), f"{kind}_time": square / changes}
+        components = replace(components, **changed)
+    return components
 
 
 def view(course: Itinerary, setup: Setup, *, gyros: bool) -> Linearised:
