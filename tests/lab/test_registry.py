@@ -25,6 +25,7 @@ from tests.support.registry_writer import write_all
 from tumble.errors import InputError
 from tumble.inference.estimate import Outcome
 from tumble.lab.registry import database
+from tumble.lab.registry.records import State
 from tumble.lab.registry.registry import Registry, open_registry
 from tumble.recording.session import Circumstances
 from tumble.result.calibration import calibration_of
@@ -174,8 +175,26 @@ def test_launches_of_a_device_and_of_its_type_have_their_degrees_of_freedom(regi
     assert known[1].logs == {digest(f"B-{i}") for i in (1, 2, 3)}
     assert registry.launches(serial="B") == known[1:]
     for which in ({"serial": "C"}, {"model": "unheard of"}):
-        with pytest.raises(InputError, match="expected calibrations of several launches in the registry, found none"):
+        with pytest.raises(InputError, match="expected several launches of one device in the registry, found none"):
             registry.launches(**which)
+
+
+def test_launches_that_were_added_one_by_one_pool(registry: Registry) -> None:
+    """Those of one device between two adjustments, by their scatter, beside those of several launches."""
+    name, bias = "accel.bias.x", (1.0, 3.0, 8.0, 10.0, 12.0)
+    for i, value in enumerate(bias):
+        state: State = "as-left" if i == 2 else "unchanged"
+        when = datetime(2025, 1 + i, 1, tzinfo=UTC)
+        added(registry, serial="A", log=f"A{i}", values={name: value}, state=state, performed=when)
+    added(registry, serial="B", log="B", values={name: 7.0})
+    first, second = registry.launches(serial="A")
+    assert (first.degrees, second.degrees) == (1, 2)
+    assert first.variances[name] == pytest.approx((2.0, 1e-10))
+    assert second.variances[name] == pytest.approx((4.0, 1e-10))
+    assert first.logs == {digest("A0"), digest("A1")}
+    assert registry.launches(model="BCHE-501") == (first, second)
+    with pytest.raises(InputError, match="device 'B': expected several launches of one device"):
+        registry.launches(serial="B")
 
 
 def test_of_a_calibration_with_bad_gyros_the_accelerometers_are_registered(registry: Registry) -> None:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from datetime import UTC, date, datetime
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -18,6 +20,7 @@ from tumble.lab.conformity import judge, judge_value
 from tumble.lab.limits import Limits, months_later, parse_limits, read_limits
 from tumble.lab.registry.registry import Registry, open_registry
 from tumble.lab.views.registry import due_table
+from tumble.result.coverage import expanded_of
 from tumble.result.parts import Parameter
 from tumble.units import ARCSEC, DEGREE_PER_HOUR, G_STANDARD
 
@@ -66,6 +69,58 @@ def test_the_verdict_is_whether_the_interval_of_the_value_is_within_the_limits(
         conditional = "conditional pass" if low <= value <= high else "conditional fail"
         assert verdict == ("pass" if all(inside) else conditional if any(inside) else "fail")
     assert verdict.endswith("pass") == (low <= value <= high)
+
+
+@pytest.mark.parametrize("dof", [None, 3.0, 30.0])
+@pytest.mark.parametrize(
+    ("off", "result", "risk"),
+    [
+        (-1.0, "pass", 0.02275),  # the guard band w = U
+        (0.0, "conditional pass", 0.5),
+        (1.0, "conditional fail", 0.02275),
+    ],
+)
+def test_the_risk_at_a_limit_and_at_its_guard_band(dof: float | None, off: float, result: str, risk: float) -> None:
+    """JCGM 106:2012, 9.3.2: one half at the limit, whatever u is, and by the definition of U one half of 4.55 % a guard
+    band beside it."""
+    U = expanded_of(1e-4, dof)
+    assert U is not None
+    one_sided = parse_limits('format = 1\n[incoming]\n"accel.bias.x" = { max = "1 m/s^2" }\n', None, "limits.toml")
+    value = Parameter(name="accel.bias.x", value=1.0 + (off * (1.0 + 1e-9)) * U, u=1e-4, unit="m/s^2", dof=dof)
+    verdict = judge(one_sided, "incoming", [replace(value, value=1.0) if off == 0.0 else value])
+    assert verdict is not None
+    assert verdict.result in (result, "fail" if result == "conditional fail" else result)
+    assert verdict.judgements[0].risk == pytest.approx(risk, rel=1e-3)
+    assert verdict.risk == verdict.judgements[0].risk
+
+
+def test_the_risk_is_how_often_a_value_is_on_the_other_side() -> None:
+    """Between two limits 2.2 u apart, by 200,000 true values drawn about each value."""
+    drawn = np.random.default_rng(1).standard_t(7.0, 200_000)
+    both = parse_limits('format = 1\n[incoming]\n"gyro.scale" = { min = "0 ppm", max = "220 ppm" }\n', None, "l.toml")
+    for value in (-2e-4, -0.5e-4, 0.3e-4, 1.1e-4, 4e-4):
+        verdict = judge(both, "incoming", [Parameter(name="gyro.scale.x", value=value, u=1e-4, unit="1", dof=7.0)])
+        assert verdict is not None
+        inside = float(np.mean((value + 1e-4 * drawn >= 0.0) & (value + 1e-4 * drawn <= 2.2e-4)))
+        wrong = 1.0 - inside if verdict.result.endswith("pass") else inside
+        assert verdict.judgements[0].risk == pytest.approx(wrong, abs=4.5e-3)
+
+
+def test_the_risk_of_a_whole_is_a_bound_on_that_of_its_values() -> None:
+    """That all are inside is wrong if one is outside; that not all are, only if none is."""
+    pair = parse_limits('format = 1\n[incoming]\n"accel.bias" = "1 m/s^2"\n', None, "limits.toml")
+
+    def at(*values: float) -> list[Parameter]:
+        return [
+            Parameter(name=f"accel.bias.{axis}", value=v, u=0.1, unit="m/s^2")
+            for axis, v in zip("xyz", values, strict=True)
+        ]
+
+    for values, bound in (((0.9, 0.95, 0.0), sum), ((1.1, 1.2, 0.0), min)):
+        verdict = judge(pair, "incoming", at(*values))
+        assert verdict is not None
+        risks = [j.risk for j in verdict.judgements if bound is sum or not j.result.endswith("pass")]
+        assert verdict.risk == pytest.approx(bound(risk for risk in risks if risk is not None))
 
 
 def test_without_an_uncertainty_nothing_is_decided() -> None:

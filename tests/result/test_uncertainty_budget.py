@@ -3,6 +3,7 @@ the file; and its sentence says what helps."""
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import get_args
@@ -12,14 +13,17 @@ import pytest
 from click.testing import CliRunner
 
 from tests.support.calibrated import with_fields
-from tumble import Setup, calibrate, calibrate_launches, read_calibration, read_session, simulate_session
+from tumble import Setup, calibrate, read_calibration, read_session, simulate_session
 from tumble.cli import main
+from tumble.earth import EARTH_RATE
 from tumble.errors import CalibrationError
 from tumble.result.calibration import Calibration
-from tumble.result.uncertainty_budget import shares_by_group, what_would_help
+from tumble.result.shared_errors import by_priors
+from tumble.result.uncertainty_budget import shares_by_group, shares_of_priors, what_would_help
 from tumble.run.calibrate import Method
 from tumble.run.launches import Run, mean_of_launches
 from tumble.sensors.frames import Frame
+from tumble.sensors.parameters import Terms, beyond_linear
 from tumble.views.calibration import calibration_blocks
 from tumble.views.render.terminal import text_of
 from tumble.views.uncertainty_budget import budget_section
@@ -66,16 +70,49 @@ def test_of_the_ellipsoid_method(session: Path) -> None:
 @pytest.mark.parametrize("method", ["sequential", "scalar"])
 def test_of_the_methods_of_the_paper(tmp_path: Path, method: Method) -> None:
     folder = simulate_session(tmp_path / "s", Setup.of(programme="rough-table"), seed=2)
-    assert_whole(calibrate(folder, method=method))
+    calibration = calibrate(folder, method=method)
+    assert_whole(calibration)
+    assert_as_in_ea_4_02(calibration)
 
 
-def test_of_launches(tmp_path: Path) -> None:
-    """Within launches, from launch to launch with its degrees of freedom, and what they have in common."""
+def assert_as_in_ea_4_02(calibration: Calibration) -> None:
+    """Every line of every parameter has an estimate, u, unit, distribution and sensitivity, of which the contribution
+    is the product; the reference standards are among them."""
+    assert calibration.provenance.site is not None
+    for parameter in calibration.parameters:
+        lines = {line.name: line for line in calibration.uncertainty_budget(parameter.name)}
+        for line in lines.values():
+            assert line.u is not None
+            assert line.unit
+            assert line.distribution in ("normal", "t", "rectangular")
+            assert line.contribution == pytest.approx(line.sensitivity * line.u, rel=1e-12)
+        assert lines["gravity"].estimate == calibration.provenance.site.gravity
+        if parameter.name.startswith("gyro"):
+            assert lines["earth"].estimate == EARTH_RATE
+            assert lines["clock"].unit == "1"
+
+
+def test_every_line_is_as_in_ea_4_02(whole: Calibration, session: Path) -> None:
+    assert_as_in_ea_4_02(whole)
+    assert_as_in_ea_4_02(calibrate(session, method="ellipsoid"))
+
+
+@pytest.mark.parametrize("terms", ["full", "linear"])
+def test_of_launches(tmp_path: Path, terms: Terms) -> None:
+    """By the sources of its launches, from launch to launch with its degrees of freedom. What priors and gravity
+    contribute does not average out, noise does."""
     setup = Setup.of(grade="mems", positions=12)
     folders = [simulate_session(tmp_path / f"{i}", setup, seed=1, launch=i) for i in (1, 2, 3)]
-    mean = calibrate_launches(folders)
+    runs = [Run(session=read_session(folder), calibration=calibrate(folder, terms=terms)) for folder in folders]
+    mean = mean_of_launches(runs)
     assert_whole(mean)
+    assert_as_in_ea_4_02(mean)
     by_name = {source.name: source for source in mean.evidence.budget}
+    for source, averaged in (("accel.noise", 3.0), ("prior.accel.cubic", 1.0)):
+        each = [{s.name: s for s in run.calibration.evidence.budget}[source] for run in runs]
+        rms = np.sqrt(np.mean([one.contributions["accel.scale.x"] ** 2 for one in each]))
+        assert by_name[source].contributions["accel.scale.x"] == pytest.approx(rms / np.sqrt(averaged), rel=0.05)
+        assert by_name[source].u == pytest.approx(np.sqrt(np.mean([(one.u or 0.0) ** 2 for one in each])))
     assert by_name["launches"].dof == 2.0
     between = by_name["launches"].contributions
     assert between
@@ -94,11 +131,14 @@ def test_of_launches_each_source_is_what_their_mean_varies_by(tmp_path: Path) ->
     assert C is not None
     u, rng = np.sqrt(np.diag(C)), np.random.default_rng(9)
     root = u[:, None] * np.linalg.cholesky(C / np.outer(u, u))
-    for source, noise in (("within launches", 1.0), ("launches", 1e-3)):
+    between, budgets = {"launches"}, [run.calibration.evidence.budget for run in runs]
+    alone = [tuple(each for each in budget if not each.name.startswith("prior.")) for budget in budgets]
+    within = {source.name for source in alone[0]} - {"gravity", "clock"}
+    for sources, noise in ((within, 1.0), (between, 1e-3)):
         errors, variances = [], []
         for _ in range(500):
             drawn = []
-            for run in runs:
+            for run, budget in zip(runs, alone, strict=True):
                 off = root @ rng.standard_normal(len(u)) if noise == 1.0 else 3.0 * u * rng.standard_normal(len(u))
                 made = run.calibration
                 parameters = tuple(
@@ -107,15 +147,16 @@ def test_of_launches_each_source_is_what_their_mean_varies_by(tmp_path: Path) ->
                 )
                 assert made.provenance.site is not None
                 site = replace(made.provenance.site, gravity_u=0.0)
-                drawn.append(with_fields(made, parameters=parameters, covariance=noise**2 * C, site=site))
+                fields = {"parameters": parameters, "covariance": noise**2 * C, "site": site, "budget": budget}
+                drawn.append(with_fields(made, **fields))
             again = [replace(run, calibration=each) for run, each in zip(runs, drawn, strict=True)]
             mean = mean_of_launches(again)
-            budget = next(each for each in mean.evidence.budget if each.name == source)
+            shown = [each.contributions for each in mean.evidence.budget if each.name in sources]
             errors.append([mean[name].value for name in names])
-            variances.append([budget.contributions.get(name, 0.0) ** 2 for name in names])
+            variances.append([sum(each.get(name, 0.0) ** 2 for each in shown) for name in names])
         ratio = np.sqrt(np.mean(np.square(errors), axis=0) / np.mean(variances, axis=0))
-        assert np.median(ratio) == pytest.approx(1.0, abs=0.05), source
-        assert np.all(np.abs(ratio - 1.0) < 0.15), source
+        assert np.median(ratio) == pytest.approx(1.0, abs=0.05), sources
+        assert np.all(np.abs(ratio - 1.0) < 0.15), sources
 
 
 def test_type_b_of_gravity_and_time_base(tmp_path: Path) -> None:
@@ -165,6 +206,43 @@ def test_longer_rests_are_said_to_help_where_noise_is_all(whole: Calibration) ->
 def test_shares_by_group_are_whole(whole: Calibration) -> None:
     for share in shares_by_group(whole).values():
         assert share.sum() == pytest.approx(1.0)
+
+
+def test_priors_err_by_what_the_budget_says(whole: Calibration) -> None:
+    """Where the size of a group was found with the estimate, too."""
+    changes = by_priors(whole.parameters, whole.covariance, whole.evidence.budget)
+    of_cubic = np.linalg.norm([changes[f"accel.cubic.{axis}"] for axis in "xyz"], axis=0)
+    stated = {each.name: each for each in whole.evidence.budget}["prior.accel.cubic"].contributions
+    assert of_cubic == pytest.approx([stated.get(name, 0.0) for name in whole], rel=1e-9)
+
+
+def test_priors_err_by_no_more_than_u(whole: Calibration) -> None:
+    """What is left of the variance of a linear parameter, in every frame, is that of a difference from another session
+    of the device."""
+    for made in (whole, whole.in_frame("paper")):
+        assert made.covariance is not None
+        changes = by_priors(made.parameters, made.covariance, made.evidence.budget)
+        shared = np.sum(np.square(list(changes.values())), axis=0)
+        linear = [not beyond_linear(name) for name in made]
+        assert np.all(shared[linear] < np.diag(made.covariance)[linear])
+
+
+@pytest.mark.parametrize(
+    ("device", "basis"),
+    [("", "guessed grade mems"), ('grade = "mems"', "stated grade mems"), ("", "data sheet")],
+)
+def test_what_the_sizes_of_priors_rest_on(session: Path, tmp_path: Path, device: str, basis: str) -> None:
+    """With its share of u²: a guessed grade, one that is stated, or a data sheet."""
+    text = (session / "session.toml").read_text().replace("[device]", f"[device]\n{device}", 1)
+    text += '[device.prior]\n"accel_cubic" = "100 µg/g³"\n' * (basis == "data sheet")
+    shutil.copytree(session, tmp_path / "s")
+    (tmp_path / "s" / "session.toml").write_text(text)
+    made = calibrate(tmp_path / "s")
+    shares = shares_of_priors(made)
+    assert basis in shares
+    lines = [line for line in made.uncertainty_budget("accel.scale.x") if line.basis == basis]
+    assert 0.0 < shares[basis]["accel.scale"] < 1.0
+    assert "prior.accel.cubic" in {line.name for line in lines}
 
 
 def test_the_command_shows_it(session: Path, whole: Calibration, tmp_path: Path) -> None:

@@ -11,13 +11,14 @@ import pytest
 from click.testing import CliRunner
 
 from tests.support.calibrated import with_fields
+from tests.support.linear_instrument import stated_linear
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.planning.setup import Setup
 from tumble.recording.session_file import read_session
 from tumble.result.calibration import read_calibration
 from tumble.result.coverage import expanded
-from tumble.result.launch_variances import LaunchVariances
+from tumble.result.launch_variances import LaunchVariances, own_variance
 from tumble.result.parts import CalibratedTemperature, Parameter
 from tumble.run.calibrate import calibrate
 from tumble.run.launches import Run, mean_of_launches
@@ -47,8 +48,9 @@ def test_the_mean_and_the_run_to_run_deviation_are_those_of_the_launches(runs: l
     assert [launch.session for launch in mean.evidence.launches] == ["launch1", "launch2", "launch3"]
 
 
-def test_the_mean_agrees_with_the_truth_within_its_uncertainty(runs: list[Run], folders: list[Path]) -> None:
-    mean = mean_of_launches(runs)
+def test_the_mean_agrees_with_the_truth_within_its_uncertainty(folders: list[Path]) -> None:
+    sessions = [stated_linear(folder) for folder in folders]
+    mean = mean_of_launches([Run(session=s, calibration=calibrate(s, terms="linear")) for s in sessions])
     truth = json.loads((folders[0] / "truth.json").read_text())
     z = np.array([(p.value - truth[p.name]) / p.u for p in mean.parameters if p.u])
     assert len(z) == 21
@@ -69,6 +71,15 @@ def test_the_uncertainty_of_gravity_does_not_average_out(runs: list[Run]) -> Non
         u = mean[f"accel.scale.{axis}"].u
         assert u is not None
         assert u == pytest.approx(1e-3 / runs[0].session.site.gravity, rel=0.02)
+
+
+def test_what_launches_have_in_common_is_no_scatter_of_a_launch(runs: list[Run]) -> None:
+    """Of a variance that priors have, little is left: what noise and scatter contribute."""
+    made = runs[0].calibration
+    u, own = made["accel.bias.x"].u, own_variance(made, "accel.bias.x")
+    of_noise = {line.name: line.contribution for line in made.uncertainty_budget("accel.bias.x")}
+    assert u is not None
+    assert of_noise["accel.noise"] ** 2 < own < 0.1 * u**2
 
 
 def test_launches_of_another_device_or_the_same_log_twice_are_refused(runs: list[Run], tmp_path: Path) -> None:

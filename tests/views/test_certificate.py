@@ -31,6 +31,7 @@ from tumble.result.calibration import read_calibration
 from tumble.result.coverage import expanded
 from tumble.result.further import left_by_matrix
 from tumble.result.parts import Launch, Parameter
+from tumble.result.uncertainty_budget import shares_of_priors
 from tumble.run.calibrate import calibrate
 from tumble.run.observed import inspect_session
 from tumble.simulation.session import simulate_session
@@ -136,11 +137,28 @@ def test_a_certificate_says_what_it_is_asked_for(made: Path, ending: str) -> Non
         "Agreed beforehand: order 4711.",
         "ILAC-G8:09/2019",
         "conditional pass",
+        "JCGM 106:2012, 9.3.2",
+        "Risk of the verdict “conditional pass” as a whole: at most 16 %.",
         "relates only to the item",
         "head of the laboratory",
         "End of the certificate 2026-0042",
     ):
         assert wanted in said, wanted
+
+
+def test_it_names_what_priors_rest_on_with_its_share_of_the_variance(tmp_path: Path) -> None:
+    session = simulate_session(tmp_path / "s", Setup.of(grade="mems", positions=12), seed=1)
+    made = calibrate(session)
+    files(tmp_path)
+    plain = CERTIFICATE.replace('limits = "limits.toml"\n', "").replace('as_found = "before.json"\n', "")
+    days = "begin = 2025-03-02\nend = 2025-03-03\n"
+    (tmp_path / "certificate.toml").write_text(days + plain.replace("as-left", "unchanged"), "utf-8")
+    made.write(tmp_path / "c.json", force=True)
+    write_certificate(tmp_path / "c.json", tmp_path / "c.html", tmp_path / "certificate.toml")
+    shares = shares_of_priors(made)["guessed grade mems"]
+    said = Page.of(tmp_path / "c.html").whole
+    assert "not measured, but what instruments of the kind usually have, by the guessed grade mems: " in said
+    assert f"{100.0 * shares['accel.scale']:.0f} % of accel.scale" in said
 
 
 def test_the_number_is_on_every_page_and_the_first_one_is_the_customers(made: Path) -> None:

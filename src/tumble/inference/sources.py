@@ -36,7 +36,7 @@ WORDS: Mapping[str, tuple[str, Evaluation]] = {
     "gyro.noise": ("noise of the gyros within rests", "A"),
     "turn.gyro.noise": ("noise of the gyros in turns", "A"),
     "turn.accel.noise": ("noise of the accelerometers in turns", "A"),
-    "earth": ("rate of the Earth where the latitude is not known", "B"),
+    "earth": ("rate of the Earth in the axes of the site", "B"),
     "attitude": ("attitudes of the programme", "B"),
     "accel.scatter": ("scatter of the accelerometers from rest to rest", "A"),
     "gyro.scatter": ("scatter of the gyros from rest to rest", "A"),
@@ -51,10 +51,8 @@ WORDS: Mapping[str, tuple[str, Evaluation]] = {
     "passes": ("what further passes of the method would change", "B"),
     "fit": ("noise and scatter, by the residuals of the fit", "A"),
     "mag.fit": ("noise and scatter of the magnetometer, by the residuals of its fit", "A"),
-    "within launches": ("what each launch knows of itself", "A"),
     "launches": ("changes from launch to launch", "A"),
     "gravity": ("gravity of the site", "B"),
-    "priors": ("usual sizes of groups, in common", "B"),
     "prior": ("what was known beforehand of all parameters together", "B"),
     "prior.linear": ("limits of bias, scale factor and axis angles", "B"),
     "arrays": ("readings of the array in motion", "A"),
@@ -72,7 +70,8 @@ WORDS: Mapping[str, tuple[str, Evaluation]] = {
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Source:
     """A source of uncertainty: its name and words, type A or B, its standard uncertainty with SI unit, None where it is
-    of several quantities, and degrees of freedom behind that, None where they are many."""
+    of several quantities, degrees of freedom behind that, None where they are many, and, of the prior of a group, what
+    its size rests on."""
 
     name: str
     words: str
@@ -80,6 +79,13 @@ class Source:
     u: float | None = None
     unit: str = ""
     dof: float | None = None
+    basis: str = ""
+
+    @property
+    def distribution(self) -> str:
+        """The distribution of its error: rectangular of rounding, Student's t where u has degrees of freedom, else
+        normal."""
+        return "rectangular" if self.name == "rounding" else "normal" if self.dof is None else "t"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

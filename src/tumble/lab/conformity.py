@@ -12,7 +12,17 @@ Over temperature a bias or a scale factor is the whole sum θ + θ₁ (T − T�
 it is nearest to failing. What was not measured passes nowhere: beyond the range of the rests there is no U. Other
 parameters are the same at all temperatures.
 
-Source: ILAC-G8:09/2019, 4.2.3 (guard band w = U on either side of a limit, JCGM 106:2012, 8.3).
+The risk of a statement is the probability that it is wrong, of a true value that the calibration alone tells of:
+Student's t with ν degrees of freedom about the value, scaled by u. With F its distribution function,
+
+    p = F((high − value)/u) − F((low − value)/u)
+
+is the probability of conformity; a value that is said to be inside is outside with the risk 1 − p, one that is said to
+be outside is inside with the risk p. After "pass" 1 − p is at most 2.3 % for each limit. That all values are inside is
+wrong with at most the sum of the risks; that not all are, with at most the least of those that are said to be outside.
+
+Source: ILAC-G8:09/2019, 4.2.3 (guard band w = U on either side of a limit, JCGM 106:2012, 8.3); JCGM 106:2012, 7.4
+(probability of conformity), 9.3.2 (specific risk).
 """
 
 from __future__ import annotations
@@ -20,28 +30,38 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import ClassVar, Literal, get_args
 
 import numpy as np
+import scipy
 
 from tumble.lab.limits import OCCASIONS, Limits, Occasion
 from tumble.result.accepted import accepted_kinds, accepted_part
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import expanded, expanded_of
-from tumble.result.parts import Parameter
+from tumble.result.parts import Parameter, stated_factor
 from tumble.result.temperature_curves import changing, curve, measured_range
 from tumble.sensors.parameters import FURTHER, group_name, group_of, meant_by
+from tumble.units import two_digits
 
 RULE = (
     "decision rule: pass where the value is inside its limits by at least U (95.45 %), conditional pass where it is "
     "inside by less, conditional fail where it is outside by no more than U, fail where it is outside by more (guard "
     "band w = U: ILAC-G8:09/2019, 4.2.3)"
 )
+RISK = (
+    "risk: the probability that the statement on a value is wrong, that it is outside where it is said to be inside, "
+    "or inside where it is said to be outside, as far as this calibration tells (JCGM 106:2012, 9.3.2)"
+)
 Result = Literal["fail", "undecided", "conditional fail", "conditional pass", "pass"]
 RESULTS: tuple[Result, ...] = get_args(Result)
 """The worst first; undecided is what has no value or no U, or was not measured at all temperatures."""
 _OF_A_VALUE: tuple[Result, ...] = ("fail", "conditional fail", "conditional pass")
+_INSIDE, _OUTSIDE = ("pass", "conditional pass"), ("fail", "conditional fail")
 
+LEAST_RISK = 1e-4
+"""A smaller risk is not stated: it is one of a model of distributions far from their middle."""
 STEP = 0.25
 """K, between the temperatures at which a parameter is judged."""
 SLACK = 1.0
@@ -52,9 +72,9 @@ CHANGING = {group.base for group in FURTHER if group.variable == "temperature"}
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LimitJudgement:
-    """A parameter (SI) against its limits; `expanded` is U. A parameter that was not determined has no value. Over
-    temperature it is that `at` the temperature, °C, where it is worst; `beyond` says that not all temperatures were
-    measured."""
+    """A parameter (SI) against its limits; `expanded` is U, `risk` the probability that the result is wrong. A
+    parameter that was not determined has no value. Over temperature it is that `at` the temperature, °C, where it is
+    worst; `beyond` says that not all temperatures were measured."""
 
     name: str
     unit: str
@@ -63,6 +83,7 @@ class LimitJudgement:
     low: float
     high: float
     result: Result
+    risk: float | None = None
     at: float | None = None
     beyond: bool = False
 
@@ -77,7 +98,7 @@ class Verdict:
     """Every parameter that has a limit, judged in the frame of the limits; over the `temperatures`, °C, between which
     these hold, and what of them was not measured, in words."""
 
-    json_fields: ClassVar = ("occasion", "frame", "result", "reasons", "judgements")
+    json_fields: ClassVar = ("occasion", "frame", "result", "risk", "reasons", "judgements")
 
     occasion: Occasion
     frame: str
@@ -99,6 +120,22 @@ class Verdict:
     def result(self) -> Result:
         """The worst of the results."""
         return min((j.result for j in self.judgements), key=RESULTS.index)
+
+    @property
+    def risk(self) -> float | None:
+        """The largest probability that the result is wrong; None where it is undecided."""
+        risks = {j.name: j.risk for j in self.judgements if j.risk is not None}
+        if self.result in _INSIDE:
+            return min(sum(risks.values()), 1.0)
+        outside = [j.risk for j in self.judgements if j.result in _OUTSIDE and j.risk is not None]
+        return min(outside, default=None)
+
+    @property
+    def whole_risk(self) -> str:
+        """The risk as a sentence after others; nothing where the result is undecided."""
+        if self.risk is None:
+            return ""
+        return f" Risk of the verdict “{self.result}” as a whole: at most {in_percent(max(self.risk, LEAST_RISK))}."
 
     @property
     def reasons(self) -> list[str]:
@@ -142,15 +179,19 @@ def judge(
     by_key = limits.checks.get(occasion)
     if not by_key:
         return None
-    values = [(p.name, p.unit, p.value, expanded(p)) for p in parameters if limits.of(p.name, occasion) is not None]
+    values = [
+        (p.name, p.unit, p.value, expanded(p), p.dof) for p in parameters if limits.of(p.name, occasion) is not None
+    ]
     named = [*unobservable, *(p.name for p in parameters)]
     missing = [name for name in unobservable if limits.of(name, occasion) is not None]
     missing += [key for key in by_key if not any(meant_by(key, name) for name in named)]
     judged = []
-    for name, unit, value, U in [*values, *((name, group_of(name).unit, None, None) for name in missing)]:
+    for name, unit, value, U, dof in [*values, *((name, group_of(name).unit, None, None, None) for name in missing)]:
         low, high = limits.of(name, occasion) or (-math.inf, math.inf)
-        result = _result(value, U, low, high)
-        judged.append(LimitJudgement(name=name, unit=unit, value=value, expanded=U, low=low, high=high, result=result))
+        judgement = LimitJudgement(
+            name=name, unit=unit, value=value, expanded=U, low=low, high=high, result=_result(value, U, low, high)
+        )
+        judged.append(replace(judgement, risk=_risk(judgement, dof)))
     return Verdict(occasion=occasion, frame=limits.frame, judgements=tuple(judged))
 
 
@@ -167,6 +208,26 @@ def _result(value: float | None, U: float | None, low: float, high: float) -> Re
     if inside >= 0.0:
         return "pass" if inside >= U else "conditional pass"
     return "conditional fail" if inside >= -U else "fail"
+
+
+def _risk(judgement: LimitJudgement, dof: float | None) -> float | None:
+    """The probability that a judgement of a value, whose u has so many degrees of freedom, is wrong; None without U."""
+    k, value, U = stated_factor(dof), judgement.value, judgement.expanded
+    if k is None or value is None or U is None or judgement.result == "undecided":
+        return None
+    below, above = judgement.low - value, judgement.high - value
+    if U == 0.0:
+        return 0.0
+    of_t = partial(scipy.special.stdtr, math.inf if dof is None else dof)
+    outside = float(of_t(below * k / U) + of_t(-above * k / U))
+    return outside if judgement.result in _INSIDE else max(1.0 - outside, 0.0)
+
+
+def in_percent(risk: float | None) -> str:
+    """A risk in per cent, to two digits; nothing where there is none."""
+    if risk is None:
+        return ""
+    return f"< {100.0 * LEAST_RISK:g} %" if risk < LEAST_RISK else f"{two_digits(100.0 * risk)} %"
 
 
 # -------------------- over temperature --------------------
@@ -191,7 +252,7 @@ def over_temperature(verdict: Verdict, calibration: Calibration, limits: Limits)
             if judgement.name in known and measured is not None and reached:
                 judgement = _worst(judgement, calibration, max(low, measured.low), min(high, measured.high))
             if (unmeasured or judgement.name not in known) and judgement.result in ("pass", "conditional pass"):
-                judgement = replace(judgement, result="undecided", beyond=True)
+                judgement = replace(judgement, result="undecided", risk=None, beyond=True)
         judged.append(judgement)
     return replace(verdict, judgements=tuple(judged), temperatures=limits.temperatures, unmeasured=unmeasured)
 
@@ -205,7 +266,8 @@ def _worst(judgement: LimitJudgement, calibration: Calibration, low: float, high
     i = int(np.argmin(inside + U if np.any(inside < -U) else inside if np.any(inside < 0.0) else inside - U))
     value, U_there = float(found.value[i]), None if found.expanded is None else float(U[i])
     result = _result(value, U_there, judgement.low, judgement.high)
-    return replace(judgement, value=value, expanded=U_there, result=result, at=float(at[i]))
+    judgement = replace(judgement, value=value, expanded=U_there, result=result, at=float(at[i]))
+    return replace(judgement, risk=None if found.degrees is None else _risk(judgement, float(found.degrees[i])))
 
 
 def _celsius(value: float) -> str:

@@ -31,7 +31,7 @@ from tumble.export import Target
 from tumble.export.exported import UNITS, Exported, example, models, not_held, origin, shown
 from tumble.files import FilePath
 from tumble.lab.certificate import RELATES, STATES, Certificate, Party, check_certificate, judged_by, read_certificate
-from tumble.lab.conformity import RULE, Verdict, verdicts
+from tumble.lab.conformity import RISK, RULE, Verdict, verdicts
 from tumble.lab.scope import statement_of_scope, within_scope
 from tumble.result.calibration import Calibration, read_calibration
 from tumble.result.coverage import PROBABILITY, degrees_of_freedom
@@ -249,7 +249,7 @@ def _results(
             "name": _text(f"{verdict.occasion} check against acceptance limits"),
             "description": _text(certificate.agreed and f"limits and decision rule as agreed: {certificate.agreed}"),
             "norm": "ILAC-G8:09/2019",
-            "declaration": _text(RULE),
+            "declaration": _text(f"{RULE}. {RISK}.{verdict.whole_risk}"),
             "conformity": _CONFORMITY.get(verdict.result),
         }
         for verdict in judged

@@ -17,7 +17,7 @@ from tumble.documents import check_regular
 from tumble.errors import InputError
 from tumble.files import FilePath, ending_in
 from tumble.lab.certificate import RELATES, Certificate, Party, check_certificate, judged_by, read_certificate
-from tumble.lab.conformity import RESULTS, RULE, LimitJudgement, Result, Verdict, verdicts
+from tumble.lab.conformity import RESULTS, RISK, RULE, LimitJudgement, Result, Verdict, in_percent, verdicts
 from tumble.lab.limits import Limits, limits_of
 from tumble.lab.scope import statement_of_scope, within_scope
 from tumble.lab.views.registry import TONES
@@ -25,6 +25,7 @@ from tumble.result.calibration import Calibration, read_calibration
 from tumble.result.coverage import expanded
 from tumble.result.further import remarks
 from tumble.result.parts import Parameter
+from tumble.result.uncertainty_budget import shares_of_priors
 from tumble.views.blocks import Block, Document, Letterhead, Part, Section, Signature, Table, Text, section
 from tumble.views.numbers import (
     NONE,
@@ -33,6 +34,7 @@ from tumble.views.numbers import (
     device_name,
     factor,
     limit_cell,
+    percent,
     quantity_table,
     to_digits_of,
     units_of_values,
@@ -49,12 +51,13 @@ from tumble.views.report.document import (
 )
 from tumble.views.report.result import Cells, value_blocks, verdict_blocks
 from tumble.views.report.write import sources_of, write_document
+from tumble.views.uncertainty_budget import SHOWN
 
 OVER_TEMPERATURE = (
     "Biases and scale factors are judged at the temperature where they are worst, with U there; other parameters are "
     "the same at all temperatures. Beyond what was measured nothing passes."
 )
-_RULE = f"{RULE[0].upper()}{RULE[1:]}."
+_RULE = f"{RULE[0].upper()}{RULE[1:]}. {RISK[0].upper()}{RISK[1:]}."
 _CHECKS = {"incoming": "Incoming inspection", "periodic": "Periodic check"}
 _FOR_THE_OPERATOR = ("[", "`", "--", "tumble ", "let ")
 """What only speaks to those who run the program has one of these: keys, commands, options, advice."""
@@ -127,7 +130,7 @@ def limits_section(acceptance: Limits, checks: Sequence[Verdict]) -> Section:
     for verdict in checks:
         reasons = f" ({'; '.join(verdict.reasons)})" if verdict.reasons else ""
         over = f", {verdict.over}" if verdict.over else ""
-        sentence = f"{_CHECKS[verdict.occasion]}: {verdict.result}{over}{reasons}."
+        sentence = f"{_CHECKS[verdict.occasion]}: {verdict.result}{over}{reasons}.{verdict.whole_risk}"
         blocks.append(Text(text=sentence, tone=TONES[verdict.result]))
         blocks += [OVER_TEMPERATURE] if verdict.temperatures is not None else []
         blocks.append(_judgement_table(verdict))
@@ -140,7 +143,7 @@ def _judgement_table(verdict: Verdict) -> Table:
     def row(j: LimitJudgement, size: float, unit: str) -> dict[str, str]:
         value, U = cells(j.value, j.expanded, size)
         row = {"low": limit_cell(j.low, size), "value": value, "U": U, "high": limit_cell(j.high, size)}
-        row |= {"unit": unit, "verdict": j.result}
+        row |= {"unit": unit, "verdict": j.result, "risk": in_percent(j.risk)}
         if verdict.temperatures is not None:
             row["at °C"] = "" if j.at is None else f"{j.at:.1f}"
         return row
@@ -223,7 +226,7 @@ def certificate_of(
         facts=tuple(facts),
         created=calibration.provenance.created or "",
         parts=(Part(title="", sections=tuple(each for each in made if each is not None), customer=1),),
-        statements=_statements(certificate, scope, judged=acceptance is not None),
+        statements=_statements(certificate, calibration, scope, checks if acceptance is not None else None),
         signatures=tuple(Signature(name=person.name, role=person.role or "") for person in certificate.person),
         closing=f"End of the certificate {certificate.number}",
         number=certificate.number,
@@ -275,7 +278,7 @@ def _cells(as_found: Calibration | None, checks: Sequence[Verdict], scope: Mappi
             j = judged.get(p.name)
             low, high = (math.nan, math.nan) if j is None else (j.low, j.high)
             row |= {"lowest": limit_cell(low, size), "highest": limit_cell(high, size)}
-            row["verdict"] = NONE if j is None else j.result
+            row |= {"verdict": NONE if j is None else j.result, "risk": in_percent(None if j is None else j.risk)}
         return row | ({"scope": scope.get(p.name, "")} if scope else {})
 
     return shown
@@ -300,11 +303,29 @@ def letterhead(laboratory: Party) -> Letterhead:
     return Letterhead(name=laboratory.name, lines=tuple(lines), logo=picture, logo_type=kind)
 
 
-def _statements(certificate: Certificate, scope: Mapping[str, str], *, judged: bool) -> tuple[str, ...]:
-    """What stands above the signatures: by which rule limits were `judged`, traceability, the `scope` of the
-    accreditation, remarks, and what it all relates to."""
+def _statements(
+    certificate: Certificate, calibration: Calibration, scope: Mapping[str, str], checks: Sequence[Verdict] | None
+) -> tuple[str, ...]:
+    """What stands above the signatures: by which rule the `checks` were judged, what priors rest on, traceability, the
+    `scope` of the accreditation, remarks, and what it all relates to."""
     agreed = f" Agreed beforehand: {certificate.agreed}." if certificate.agreed else ""
-    rule = f"{_RULE}{agreed}" if judged else ""
+    rule = "" if checks is None else f"{_RULE}{agreed}{''.join(check.whole_risk for check in checks)}"
     traced = f"Traceability: {'; '.join(certificate.traceability)}." if certificate.traceability else ""
     within = f"{statement_of_scope(scope)}." if certificate.laboratory.scope else ""
-    return tuple(each for each in (rule, traced, within, *certificate.remarks, RELATES) if each)
+    priors = statement_of_priors(calibration)
+    return tuple(each for each in (rule, priors, traced, within, *certificate.remarks, RELATES) if each)
+
+
+def statement_of_priors(calibration: Calibration) -> str:
+    """What the sizes of priors rest on, and their share of u² by group of parameters; nothing without any."""
+    clauses = []
+    for basis, shares in shares_of_priors(calibration).items():
+        known = sorted(((share, group) for group, share in shares.items() if share >= SHOWN), reverse=True)
+        if known:
+            clauses.append(f"by the {basis}: {', '.join(f'{percent(share)} of {group}' for share, group in known)}")
+    return (
+        "Part of u² (mean over the parameters of a group) is not measured, but what instruments of the kind usually "
+        f"have, {'; '.join(clauses)}."
+        if clauses
+        else ""
+    )

@@ -101,6 +101,8 @@ class Observations(Brief):
     """Whether no time in the log says that samples are missing."""
     usual: Mapping[str, float] = field(default_factory=dict)
     """Standard deviations, SI, of the groups of parameters beyond the linear model over instruments like this one."""
+    size_basis: Mapping[str, str] = field(default_factory=dict)
+    """By group, what its usual size rests on, in words."""
     too_small: Mapping[str, float] = field(default_factory=dict)
     """By group, the factor of the order of which its usual size may be too small: by where it is from."""
     in_run: Mapping[str, float] = field(default_factory=dict)

@@ -15,20 +15,27 @@ with the degrees of freedom of s_p², the only part of s² that was estimated (G
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
+import numpy as np
 import scipy
 
 from tumble.result.calibration import Calibration
+from tumble.result.correction import reference_of_parameter
+from tumble.result.parts import CalibratedTemperature
+from tumble.sensors.parameters import to_temperature
+from tumble.units import Array
 
 UNLIKE = 1e-3
 """Probability by chance below which a device is more unstable than its type."""
+_NOT_OWN = ("gravity", "clock", "type", "launches")
+"""Sources that are no scatter of the estimate in one launch."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LaunchVariances:
-    """Variances from launch to launch of the launches behind one calibration.
+    """Variances from launch to launch of the launches behind one calibration, or of several of a device.
 
     Attributes
     ----------
@@ -53,17 +60,71 @@ def launch_variances(calibration: Calibration) -> LaunchVariances | None:
     count = len(calibration.evidence.launches)
     if count < 2:
         return None
-    own = [{p.name: (p.u or 0.0) ** 2 for p in launch.parameters} for launch in calibration.evidence.launches]
+    u2 = [{p.name: (p.u or 0.0) ** 2 for p in launch.parameters} for launch in calibration.evidence.launches]
+    known = bool(calibration.evidence.budget)
     return LaunchVariances(
         serial=calibration.serial,
         logs=frozenset(launch.log_sha256 for launch in calibration.evidence.launches),
         degrees=count - 1,
         variances={
-            p.name: (p.run_to_run**2, sum(each[p.name] for each in own) / count)
+            p.name: (
+                p.run_to_run**2,
+                count * own_variance(calibration, p.name) if known else sum(each[p.name] for each in u2) / count,
+            )
             for p in calibration.parameters
-            if p.run_to_run is not None and all(p.name in each for each in own)
+            if p.run_to_run is not None and all(p.name in each for each in u2)
         },
     )
+
+
+def own_variance(calibration: Calibration, name: str) -> float:
+    """Variance of a parameter, SI, without what all launches of a device have in common, gravity, the time base and
+    priors, and without changes from launch to launch; the whole where there is no budget."""
+    budget = calibration.evidence.budget
+    if not budget:
+        return (calibration[name].u or 0.0) ** 2
+    own = (s for s in budget if s.name not in _NOT_OWN and not s.name.startswith("prior."))
+    return sum(source.contributions.get(name, 0.0) ** 2 for source in own)
+
+
+def stands_alone(calibration: Calibration) -> bool:
+    """Whether a calibration is of one launch and rests on no other calibration."""
+    provenance, evidence = calibration.provenance, calibration.evidence
+    several = evidence.launches or evidence.together
+    return not several and provenance.prior is None and provenance.calibrated_log_sha256 is None
+
+
+def variances_between(calibrations: Sequence[Calibration]) -> LaunchVariances | None:
+    """The variances of calibrations of one launch each, at the reference temperatures of the last; None of fewer than
+    two. Those that are far apart in time contain what drifts in between."""
+    count = len(calibrations)
+    if count < 2:
+        return None
+    names = [name for name in calibrations[0] if all(name in each for each in calibrations)]
+    between = np.var(at_temperature(calibrations, names, calibrations[-1].temperature)[0], axis=0, ddof=1)
+    noise = np.mean([[own_variance(each, name) for name in names] for each in calibrations], axis=0)
+    return LaunchVariances(
+        serial=calibrations[0].serial,
+        logs=frozenset(each.provenance.log_sha256 or "" for each in calibrations),
+        degrees=count - 1,
+        variances=dict(zip(names, zip(between.tolist(), noise.tolist(), strict=True), strict=True)),
+    )
+
+
+def at_temperature(
+    launches: Sequence[Calibration], names: Sequence[str], temperature: CalibratedTemperature
+) -> tuple[Array, Array]:
+    """Values (L, m) and covariances (L, m, m) of launches at the reference temperatures of another result."""
+    values, covariances = [], []
+    for launch in launches:
+        move, C = np.eye(len(names)), launch.covariance_of(names)
+        if temperature.reference is not None:
+            there = replace(launch, temperature=temperature)
+            warmer = [reference_of_parameter(there, name) - reference_of_parameter(launch, name) for name in names]
+            move = to_temperature(names, np.array(warmer))
+        values.append(move @ [launch[n].value for n in names])
+        covariances.append(move @ (np.zeros_like(move) if C is None else C) @ move.T)
+    return np.array(values), np.array(covariances)
 
 
 def variance_of_type(launches: Iterable[LaunchVariances], name: str, noise: float) -> tuple[float, float]:

@@ -4,6 +4,9 @@ The uncertainty of gravity, where both used the same stated gravity with the sam
 of the accelerometers; that of the time base, where both of one device state the same one, in those of the gyros. Where
 both know a property of the device by a prior alone, or in part, they err alike by what it truly is: an estimate with
 the covariance C follows the mean of a prior of variance s² by C s⁻², of which one standard deviation changes it by C/s.
+Where s was found with the estimate, what the prior of a group changes is as large as the uncertainty budget says.
+Without a budget all s are larger by one factor, the least with which all these changes together are within C: the
+largest eigenvalue of S⁻¹ C S⁻¹ over the parameters with priors, S = diag(s), is at most 1.
 With g₁ and g₂ what one standard uncertainty of such a source changes in either,
 
     C(first − second) = C₁ + C₂ − Σ (g₁ g₂ᵀ + g₂ g₁ᵀ)
@@ -18,8 +21,8 @@ import numpy as np
 from tumble.inference.sources import by_time_base, clocked
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import by_gravity, shared_gravity
-from tumble.result.parts import Parameter
-from tumble.sensors.parameters import Variable, variable_of
+from tumble.result.parts import Parameter, SourceContributions
+from tumble.sensors.parameters import Variable, group_name, variable_of
 from tumble.units import Array
 
 GRAVITY, TIME_BASE, PRIORS = "gravity", "the time base", "what only priors say"
@@ -40,7 +43,9 @@ def shared_errors(first: Calibration, second: Calibration) -> dict[str, tuple[Ar
     if first.serial == second.serial and shared_time_base(first.provenance.clock_u, second.provenance.clock_u):
         found[TIME_BASE] = (of_time_base(first)[:, None], of_time_base(second)[:, None])
     if first.serial == second.serial:
-        by_ours, by_theirs = (by_priors(each.parameters, each.covariance) for each in (first, second))
+        by_ours, by_theirs = (
+            by_priors(each.parameters, each.covariance, each.evidence.budget) for each in (first, second)
+        )
         names = [name for name in by_ours if name in by_theirs]
         if names:
             ours, theirs = (np.stack([each[name] for name in names], axis=1) for each in (by_ours, by_theirs))
@@ -48,17 +53,33 @@ def shared_errors(first: Calibration, second: Calibration) -> dict[str, tuple[Ar
     return {source: changes for source, changes in found.items() if changes[0].any() and changes[1].any()}
 
 
-def by_priors(parameters: Sequence[Parameter], covariance: Array | None) -> dict[str, Array]:
+def by_priors(
+    parameters: Sequence[Parameter], covariance: Array | None, budget: Sequence[SourceContributions] = ()
+) -> dict[str, Array]:
     """Change (m,) of parameters, as far as their covariance (m, m) has it, where what a prior is of is one standard
-    deviation of it off its mean: by the name of the parameter that has this prior, if it is a property of the
-    device."""
+    deviation of it off its mean: by the name of the parameter that has this prior, if it is a property of the device.
+    The squares over a group are together what its prior contributes by the uncertainty budget, where there is one."""
     if covariance is None:
         return {}
-    return {
-        p.name: covariance[:, i] / p.prior
-        for i, p in enumerate(parameters)
-        if p.prior is not None and variable_of(p.name) not in _OF_A_SESSION
-    }
+    priors = {i: p.prior for i, p in enumerate(parameters) if p.prior is not None and is_of_device(p.name)}
+    if not priors:
+        return {}
+    at, s = list(priors), np.array(list(priors.values()))
+    widened = np.sqrt(max(np.linalg.eigvalsh(covariance[np.ix_(at, at)] / np.outer(s, s))[-1], 1.0))
+    changes = {parameters[i].name: covariance[:, i] / (widened * size) for i, size in priors.items()}
+    contributions = {each.name.removeprefix("prior."): each.contributions for each in budget}
+    for group in {group_name(name) for name in changes} & set(contributions):
+        members = [name for name in changes if group_name(name) == group]
+        size = np.linalg.norm([changes[name] for name in members], axis=0)
+        stated = np.array([contributions[group].get(p.name, 0.0) for p in parameters])
+        ratio = np.divide(stated, size, out=np.zeros_like(size), where=size > 0.0)
+        changes |= {name: changes[name] * ratio for name in members}
+    return changes
+
+
+def is_of_device(parameter: str) -> bool:
+    """Whether a parameter or group is a property of the device and not of one session."""
+    return variable_of(parameter) not in _OF_A_SESSION
 
 
 def shared_time_base(first: float, second: float) -> bool:

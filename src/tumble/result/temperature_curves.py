@@ -83,13 +83,14 @@ def changing(calibration: Calibration) -> tuple[str, ...]:
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Curve:
     """A parameter (N,) over temperatures (N,), °C, and its expanded uncertainty U (N,), both SI; U is None where the
-    calibration has no covariance, or somewhere too few degrees of freedom for a U."""
+    calibration has no covariance, or somewhere too few degrees of freedom for a U; `degrees` (N,) are these."""
 
     name: str
     unit: str
     temperature: Array
     value: Array
     expanded: Array | None
+    degrees: Array | None = None
 
 
 def curve(calibration: Calibration, name: str, temperature: Array) -> Curve:
@@ -101,7 +102,7 @@ def curve(calibration: Calibration, name: str, temperature: Array) -> Curve:
     warmer = temperature - reference_of_parameter(calibration, name)
     P = np.stack([warmer**d for d, _ in known], axis=1)
     own = [i for _, i in known]
-    parameters, expanded = [calibration.parameters[i] for i in own], None
+    parameters, expanded, degrees = [calibration.parameters[i] for i in own], None, None
     if calibration.covariance is not None:
         # Welch–Satterthwaite (JCGM 100:2008, G.4.1). Parameters that go against each other have a sum known better than
         # they are, to which it does not apply: a sum has at least the degrees of freedom of the parameter that has
@@ -112,7 +113,8 @@ def curve(calibration: Calibration, name: str, temperature: Array) -> Curve:
         spread = (P**2 * np.diag(S)) ** 2 @ per_degree
         degrees = np.divide(u2**2, spread, out=np.full(len(u2), math.inf), where=spread > 0.0)
         least = min((p.dof for p in parameters if p.dof is not None), default=math.inf)
-        factors = [k for k in map(stated_factor, np.maximum(degrees, least).tolist()) if k is not None]
+        degrees = np.maximum(degrees, least)
+        factors = [k for k in map(stated_factor, degrees.tolist()) if k is not None]
         expanded = np.array(factors) * np.sqrt(u2) if len(factors) == len(u2) else None
     return Curve(
         name=name,
@@ -120,6 +122,7 @@ def curve(calibration: Calibration, name: str, temperature: Array) -> Curve:
         temperature=temperature,
         value=P @ np.array([p.value for p in parameters]),
         expanded=expanded,
+        degrees=degrees,
     )
 
 

@@ -1,8 +1,10 @@
 """The uncertainty budget of a calibration: by source what every u is made of, and what would make it smaller.
 
-u² = Σ c_s² u_s² over independent sources, as EA-4/02 lists them: the standard uncertainty u_s of the source, the
-sensitivity |c_s| = contribution/u_s, the contribution |c_s| u_s and its share of u². A source of several quantities,
-such as the limits of all biases, scale factors and angles, has contributions and no single u_s.
+u² = Σ c_s² u_s² over independent sources, as EA-4/02 lists them: the estimate x_s of the input quantity, its standard
+uncertainty u_s and distribution, the sensitivity |c_s| = contribution/u_s, the contribution |c_s| u_s and its share of
+u². The reference standards, gravity, the Earth's rate and the time base, have a line even where they contribute
+nothing. All other input quantities are errors, whose estimate is 0. A source of several quantities, such as the limits
+of all biases, scale factors and angles, enters as one correction of the parameter: u_s is its contribution, c_s is 1.
 
 Source: EA-4/02 M:2022, section 4; JCGM 100:2008 (GUM), 5.1 and G.4.
 """
@@ -10,16 +12,17 @@ Source: EA-4/02 M:2022, section 4; JCGM 100:2008 (GUM), 5.1 and G.4.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from math import sqrt
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tumble.earth import EARTH_RATE
 from tumble.errors import CalibrationError
-from tumble.inference.sources import Source, UncertaintyBudget
+from tumble.inference.sources import Source, UncertaintyBudget, source
 from tumble.result.parts import SourceContributions
-from tumble.sensors.parameters import beyond_linear, group_name
+from tumble.sensors.parameters import beyond_linear, group_name, sensor_kind
 from tumble.units import Array
 
 if TYPE_CHECKING:
@@ -31,41 +34,58 @@ ROUNDING = 1e-15
 """Of a variance: less is none."""
 HELPS = 1.02
 """A mean u that becomes smaller by less than this factor does not."""
+REFERENCES: Mapping[str, tuple[str, ...]] = {
+    "accel": ("gravity",),
+    "gyro": ("gravity", "earth", "clock"),
+    "mag": (),
+}
+"""The reference standards that the sensors of a kind are compared with."""
 _OF_RESTS = ("accel.noise", "gyro.noise")
 _REMEDIES: Mapping[str, tuple[str, ...]] = {
     "rests four times as long": _OF_RESTS,
     "four times as many rests and turns": (
         *_OF_RESTS,
-        *("turn.gyro.noise", "turn.accel.noise", "fit", "launches", "within launches"),
+        *("turn.gyro.noise", "turn.accel.noise", "fit", "launches"),
         *("accel.scatter", "gyro.scatter", "turn.scatter", "velocity.scatter", "apart.scatter"),
         *("jumps.scatter", "aliased.scatter", "aliased_apart.scatter", "accel.in_run", "gyro.in_run"),
     ),
     "half the u of gravity": ("gravity",),
     "half the u of the time base": ("clock",),
-    "half the usual sizes, as by a data sheet": ("prior.", "priors"),
+    "half the usual sizes, as by a data sheet": ("prior.",),
 }
 """What takes three quarters off the variances of sources; a name that ends in a point stands for all that begin so."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BudgetLine(Source):
-    """What a source has in the u of a parameter, SI: `contribution` u_i, its `share` of u², and the `sensitivity`
-    |c_i|, contribution over the u of the source, None where that is of several quantities."""
+    """What a source has in the u of a parameter, SI: the `estimate` of its input quantity, the `sensitivity` |c_i|, the
+    `contribution` |c_i| u_i and its `share` of u²."""
 
+    estimate: float
+    sensitivity: float
     contribution: float
     share: float
-    sensitivity: float | None
+
+    @staticmethod
+    def of(each: Source, *, estimate: float, sensitivity: float, contribution: float, share: float) -> BudgetLine:
+        """The line of a source."""
+        return BudgetLine(
+            **_as_source(each), estimate=estimate, sensitivity=sensitivity, contribution=contribution, share=share
+        )
 
 
-def contributions_of(budget: UncertaintyBudget | None, names: Sequence[str]) -> tuple[SourceContributions, ...]:
-    """The sources of a budget with what they have in the u of its parameters, which are these."""
+def contributions_of(
+    budget: UncertaintyBudget | None, names: Sequence[str], basis: Mapping[str, str] | None = None
+) -> tuple[SourceContributions, ...]:
+    """The sources of a budget with what they have in the u of its parameters, which are these; `basis` says by group
+    what the size of its prior rests on."""
     if budget is None:
         return ()
     variances = np.diagonal(budget.covariances, axis1=1, axis2=2)
     variances = np.where(variances > ROUNDING * variances.sum(axis=0), variances, 0.0)
     return tuple(
         SourceContributions(
-            **_as_source(each),
+            **_as_source(replace(each, basis=(basis or {}).get(each.name.removeprefix("prior."), each.basis))),
             contributions={
                 n: sqrt(variance) for n, variance in zip(names, own.tolist(), strict=True) if variance > 0.0
             },
@@ -87,17 +107,34 @@ def uncertainty_budget(calibration: Calibration, name: str) -> tuple[BudgetLine,
             f"calibration of {calibration.serial}: expected one with its budget, found one that was turned into the "
             f"frame {calibration.frame!r}, or made by hand; calibrate again with this --frame"
         )
-    lines = [
-        BudgetLine(
-            **_as_source(each),
-            contribution=each.contributions[name],
-            share=(each.contributions[name] / (parameter.u or np.inf)) ** 2,
-            sensitivity=each.contributions[name] / each.u if each.u else None,
+    site, lines = calibration.provenance.site, list[BudgetLine]()
+    estimates = {"earth": EARTH_RATE, "gravity": 0.0 if site is None else site.gravity}
+    for each in with_references(calibration):
+        contribution = each.contributions.get(name, 0.0)
+        if contribution == 0.0 and each.name not in REFERENCES[sensor_kind(name)]:
+            continue
+        line = BudgetLine.of(
+            replace(each, u=contribution, unit=parameter.unit) if each.u is None else each,
+            estimate=0.0 if each.u is None else estimates.get(each.name, 0.0),
+            sensitivity=contribution / each.u if each.u else float(each.u is None),
+            contribution=contribution,
+            share=(contribution / (parameter.u or np.inf)) ** 2,
         )
-        for each in calibration.evidence.budget
-        if name in each.contributions
-    ]
+        lines.append(line)
     return tuple(sorted(lines, key=lambda line: -line.contribution))
+
+
+def with_references(calibration: Calibration) -> tuple[SourceContributions, ...]:
+    """The budget, and after it the reference standards that have nothing in the u of any parameter."""
+    site, budget = calibration.provenance.site, calibration.evidence.budget
+    standards = (
+        source("gravity", 0.0 if site is None else site.gravity_u, "m/s^2"),
+        source("earth", 0.0, "rad/s"),
+        source("clock", calibration.provenance.clock_u, "1"),
+    )
+    compared = {name for kind in {sensor_kind(name) for name in calibration} for name in REFERENCES[kind]}
+    missing = (each for each in standards if each.name in compared - {known.name for known in budget})
+    return (*budget, *(SourceContributions(**_as_source(each), contributions={}) for each in missing))
 
 
 def shares_by_group(calibration: Calibration) -> dict[str, Array]:
@@ -109,6 +146,18 @@ def shares_by_group(calibration: Calibration) -> dict[str, Array]:
             groups.setdefault(group_name(name), []).append(i)
     whole = np.maximum(variances.sum(axis=0), 1e-300)
     return {group: (variances[:, own] / whole[own]).mean(axis=1) for group, own in groups.items()}
+
+
+def shares_of_priors(calibration: Calibration) -> dict[str, dict[str, float]]:
+    """What the sizes of priors rest on, such as a data sheet or a guessed grade or other units of the type, each with
+    the mean share of u² by group of the linear model that rests on it."""
+    shares, found = shares_by_group(calibration), dict[str, dict[str, float]]()
+    for s, each in enumerate(calibration.evidence.budget):
+        basis = "other units of the type" if each.name == "type" else each.basis
+        for group, share in shares.items() if basis else ():
+            of_basis = found.setdefault(basis, {})
+            of_basis[group] = of_basis.get(group, 0.0) + float(share[s])
+    return found
 
 
 def what_would_help(calibration: Calibration) -> str:

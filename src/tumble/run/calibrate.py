@@ -263,9 +263,11 @@ def with_grade(session: Session, observations: Observations) -> Observations:
     usual = prior_sizes(grade, sheet)
     said = f"what is not bias, scale or axis angle is taken to be of the size usual for the grade {grade}"
     origin = f", guessed from {guessed_from}; state another as [device] grade" if guessed_from else ""
+    of_grade = f"{'guessed' if guessed_from else 'stated'} grade {grade}"
     return replace(
         observations,
         usual=usual,
+        size_basis={name: "data sheet" if name in sheet else of_grade for name in usual},
         too_small=size_factors(grade, usual, sheet, guessed=bool(guessed_from)),
         in_run={"accel": noise.accel_instability, "gyro": noise.gyro_instability},
         notes=(*observations.notes, said + origin),

@@ -111,7 +111,7 @@ def result_of(
             hyperparameters=estimate.hyperparameters,
             integral=estimate.integral,
             process_bias=estimate.process_bias if frame == "accelerometer" else (),
-            budget=contributions_of(estimate.budget, estimate.names),
+            budget=contributions_of(estimate.budget, estimate.names, observations.size_basis),
             iterations=tuple({estimate.names[i]: float(step[i]) for i in seen} for step in estimate.increments),
         ),
         provenance=replace(

@@ -23,18 +23,17 @@ from tumble.files import FilePath
 from tumble.inference.estimate import GroupFinding, Outcome
 from tumble.inference.prediction import Prediction, prediction
 from tumble.inference.prior import Prior
-from tumble.inference.sources import UncertaintyBudget, by_time_base, clocked, source
+from tumble.inference.sources import Source, UncertaintyBudget, by_time_base, clocked, source
 from tumble.methods.ellipsoid_fit import TRIAD
 from tumble.recording.log import Log
 from tumble.recording.session import AirConditions, Circumstances, Session
 from tumble.recording.session_file import session_from
 from tumble.result.calibration import Calibration
-from tumble.result.correction import reference_of_parameter
-from tumble.result.coverage import by_gravity, degrees_of_mean, shared_gravity
+from tumble.result.coverage import by_gravity, degrees_of_mean, shared_gravity, welch_satterthwaite
 from tumble.result.evidence import Evidence
-from tumble.result.launch_variances import LaunchVariances, pooled, variance_of_type
-from tumble.result.parts import CalibratedTemperature, Parameter, learned_fraction
-from tumble.result.shared_errors import by_priors
+from tumble.result.launch_variances import LaunchVariances, at_temperature, own_variance, pooled, variance_of_type
+from tumble.result.parts import CalibratedTemperature, Parameter, SourceContributions, learned_fraction
+from tumble.result.shared_errors import by_priors, is_of_device
 from tumble.result.uncertainty_budget import contributions_of
 from tumble.run.calibrate import DEFAULT_METHOD, Method, calibrate, provenance_of
 from tumble.run.magnetometer import NAMES
@@ -42,7 +41,7 @@ from tumble.run.observed import Progress
 from tumble.sensors.frames import Convention, Frame, frame_of
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block, SensorModel
-from tumble.sensors.parameters import Terms, Variable, group_name, positions_by_group, to_temperature
+from tumble.sensors.parameters import Terms, Variable, beyond_linear, group_name, positions_by_group
 from tumble.units import Array
 
 _Any = TypeVar("_Any")
@@ -131,19 +130,17 @@ def mean_of_launches(runs: Sequence[Run], *, alike: Sequence[LaunchVariances] = 
     check_recordings([(r.session.name, d, _means(r.calibration)) for r, d in zip(runs, digests, strict=True)])
     names = [name for name in first if all(name in launch for launch in launches)]
     temperature = _mean_temperature(launches)
-    values, covariances = _at_temperature(launches, names, temperature)
+    values, covariances = at_temperature(launches, names, temperature)
     clock_u = min(run.session.log.time_base_u for run in runs)
     common = _common_errors(launches, names, covariances, by_time_base(names, clocked(clock_u, session.log.increments)))
     instability, pooled_with = _instability(launches, names, values, digests, alike)
     parameters, covariance, of_launches = _mean_parameters(launches, names, values, covariances, common, instability)
     mean, of_common, site = values.mean(axis=0), common.all_launches, first.provenance.site
-    budget = UncertaintyBudget(sources=(source("within launches"),), covariances=of_launches[None])
-    for each_source, of_source in (
-        (source("launches", dof=None if alike else count - 1.0), covariance - of_launches - of_common),
-        (source("gravity", None if site is None else site.gravity_u, "m/s^2"), common.gravity),
-        (source("clock", clock_u, "1"), common.clock),
-        (source("priors"), of_common - common.gravity - common.clock),
-    ):
+    between = (source("launches", dof=None if alike else count - 1.0), covariance - of_launches - of_common)
+    of_gravity = (source("gravity", None if site is None else site.gravity_u, "m/s^2"), common.gravity)
+    of_clock = (source("clock", clock_u, "1"), common.clock)
+    budget = _by_source(launches, names, common, of_launches)
+    for each_source, of_source in (between, of_gravity, of_clock):
         budget = budget.beside(each_source, of_source)
     by_name, sources = dict(zip(names, mean.tolist(), strict=True)), [launch.provenance for launch in launches]
     return Calibration(
@@ -202,30 +199,19 @@ def _mean_temperature(launches: Sequence[Calibration]) -> CalibratedTemperature:
     )
 
 
-def _at_temperature(
-    launches: Sequence[Calibration], names: Sequence[str], temperature: CalibratedTemperature
-) -> tuple[Array, Array]:
-    """Values (L, m) and covariances (L, m, m) of the launches at the reference temperatures of the mean."""
-    values, covariances = [], []
-    for launch in launches:
-        move, C = np.eye(len(names)), launch.covariance_of(names)
-        if temperature.reference is not None:
-            there = replace(launch, temperature=temperature)
-            warmer = [reference_of_parameter(there, name) - reference_of_parameter(launch, name) for name in names]
-            move = to_temperature(names, np.array(warmer))
-        values.append(move @ [launch[n].value for n in names])
-        covariances.append(move @ (np.zeros_like(move) if C is None else C) @ move.T)
-    return np.array(values), np.array(covariances)
-
-
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class CommonErrors:
-    """Covariances (m, m) of errors that all launches have in common: of gravity, of the time base, and (L, m, m) of
-    the priors."""
+    """Covariances (m, m) of errors that all launches have in common: of gravity, of the time base, and by group
+    (L, m, m) of the priors."""
 
     gravity: Array
     clock: Array
-    priors: Array
+    of_groups: Mapping[str, Array]
+
+    @property
+    def priors(self) -> Array:
+        """Covariances (L, m, m) of the errors of all priors."""
+        return np.asarray(sum(self.of_groups.values(), np.zeros((1, *self.gravity.shape))))
 
     @property
     def all_launches(self) -> Array:
@@ -242,11 +228,51 @@ def _common_errors(
     gravity = np.zeros(len(names))
     if all(shared_gravity(site, launch.provenance.site) for launch in launches):
         gravity = np.mean([by_gravity(own, C, site) for own, C in zip(members, covariances, strict=True)], axis=0)
-    priors = [
-        sum((np.outer(each, each) for each in by_priors(own, C).values()), np.zeros_like(C))
-        for own, C in zip(members, covariances, strict=True)
-    ]
-    return CommonErrors(gravity=np.outer(gravity, gravity), clock=np.outer(by_clock, by_clock), priors=np.array(priors))
+    of_groups: dict[str, Array] = {}
+    for i, (own, C, launch) in enumerate(zip(members, covariances, launches, strict=True)):
+        changes = [
+            (group_name(name), np.outer(each, each)) for name, each in by_priors(own, C, launch.evidence.budget).items()
+        ]
+        known = {group for group, _ in changes}
+        for each in launch.evidence.budget:  # of groups that are in u alone, as with linear terms
+            prior, _, group = each.name.partition(".")
+            if prior == "prior" and beyond_linear(group) and group not in known and is_of_device(group):
+                changes.append((group, np.diag([each.contributions.get(name, 0.0) ** 2 for name in names])))
+        for group, square in changes:
+            of_groups.setdefault(group, np.zeros_like(covariances))[i] += square
+    of_gravity, of_clock = np.outer(gravity, gravity), np.outer(by_clock, by_clock)
+    return CommonErrors(gravity=of_gravity, clock=of_clock, of_groups=of_groups)
+
+
+def _by_source(
+    launches: Sequence[Calibration], names: Sequence[str], common: CommonErrors, of_launches: Array
+) -> UncertaintyBudget:
+    """The budget of the mean by the sources of its launches: each has of the variances in `of_launches` (m, m) the
+    share that it has of the sum of those of the launches, and of a prior beside it what is common to all. Its standard
+    uncertainty is the root mean square over the launches, with the degrees of freedom of that."""
+    every: dict[str, list[SourceContributions]] = {}
+    for each in (each for launch in launches for each in launch.evidence.budget):
+        every.setdefault(each.name, []).append(each)
+    apart = {"clock", *(("gravity",) if common.gravity.any() else ())}
+    variances, sources, shared = list[Array](), list[Source](), list[Array]()
+    for name, members in every.items():
+        if name in apart:
+            continue
+        of_prior = common.of_groups.get(name.removeprefix("prior."), np.zeros((1, *of_launches.shape)))
+        whole = np.array([[each.contributions.get(n, 0.0) ** 2 for n in names] for each in members]).sum(axis=0)
+        variances.append((whole - np.diagonal(of_prior, axis1=1, axis2=2).sum(axis=0)).clip(0.0))
+        shared.append(of_prior.mean(axis=0))
+        u, dof = [each.u or 0.0 for each in members], None
+        if all(each.dof is not None for each in members):
+            dof = welch_satterthwaite((size**2, each.dof) for size, each in zip(u, members, strict=True))
+        rms = None if members[0].u is None else float(np.sqrt(np.mean(np.square(u))))
+        sources.append(replace(source(name, rms, members[0].unit, dof), basis=members[0].basis))
+    total = np.sum(variances, axis=0) if variances else np.zeros(len(names))
+    budget, own = UncertaintyBudget(sources=(), covariances=np.empty((0, *of_launches.shape))), np.diag(of_launches)
+    for of_source, variance, in_common in zip(sources, variances, shared, strict=True):
+        share = np.divide(variance, total, out=np.zeros_like(total), where=total > 0.0)
+        budget = budget.beside(of_source, np.diag(share * own) + in_common)
+    return budget
 
 
 def _instability(
@@ -261,7 +287,7 @@ def _instability(
     others = [each for each in alike if not each.logs & set(digests)]
     instability, unlike, model = [], [], launches[0].model
     for name, s2 in zip(names, np.var(values, axis=0, ddof=1).tolist(), strict=True):
-        noise = float(np.mean([(launch[name].u or 0.0) ** 2 for launch in launches]))
+        noise = float(np.mean([own_variance(launch, name) for launch in launches]))
         both = pooled(s2, len(launches) - 1.0, variance_of_type(others, name, noise))
         unlike += [name] if both is None else []
         instability.append((s2, len(launches) - 1.0) if both is None else both)

@@ -10,10 +10,10 @@ import numpy as np
 
 from tumble.inference.sources import Source
 from tumble.result.calibration import Calibration
-from tumble.result.uncertainty_budget import shares_by_group, what_would_help
-from tumble.sensors.parameters import beyond_linear, shown_in
+from tumble.result.uncertainty_budget import REFERENCES, BudgetLine, shares_by_group, what_would_help, with_references
+from tumble.sensors.parameters import beyond_linear, sensor_kind, shown_in
 from tumble.views.blocks import Block, Figure, Section, Table, section, table
-from tumble.views.numbers import percent, shown_units, significant
+from tumble.views.numbers import cells, percent, shown_units, significant
 from tumble.views.render.pictures import COLOURS, FAINT, PAGE, drawn
 
 if TYPE_CHECKING:
@@ -40,13 +40,16 @@ def budget_blocks(calibration: Calibration, *, every: bool = False) -> list[Bloc
 
 def share_table(calibration: Calibration) -> Table:
     """Sources with type, standard uncertainty and degrees of freedom, and their mean shares in u² of the parameters of
-    each group, the largest first."""
-    shares, budget, rows = shares_by_group(calibration), calibration.evidence.budget, []
+    each group, the largest first; the reference standards however small."""
+    shares, budget, rows = shares_by_group(calibration), with_references(calibration), []
+    missing = np.zeros(len(budget) - len(calibration.evidence.budget))
+    shares = {group: np.append(share, missing) for group, share in shares.items()}
     every = np.array(list(shares.values()))
     order = np.argsort(-every.mean(axis=0)).tolist()
-    small = [s for s in order if every[:, s].max() < SHOWN]
+    standards = {name for names in REFERENCES.values() for name in names}
+    small = [s for s in order if every[:, s].max() < SHOWN and budget[s].name not in standards]
     for s in (s for s in order if s not in small):
-        row = {"source": budget[s].words, "type": budget[s].type, **_size(budget[s]), "dof": _degrees(budget[s].dof)}
+        row = {"source": _words(budget[s]), "type": budget[s].type, **_size(budget[s]), "dof": _degrees(budget[s].dof)}
         rows.append(row | {group: percent(float(share[s])) for group, share in shares.items()})
     if small:
         together = {group: percent(float(share[small].sum())) for group, share in shares.items()}
@@ -56,25 +59,48 @@ def share_table(calibration: Calibration) -> Table:
 
 
 def parameter_budget(calibration: Calibration, name: str) -> Table:
-    """The budget of a parameter as EA-4/02 has it: source, type, standard uncertainty, sensitivity, contribution, share
-    of u² and degrees of freedom."""
+    """The budget of a parameter as EA-4/02 has it: input quantity, type, estimate, standard uncertainty, distribution,
+    sensitivity, contribution, share of u² and degrees of freedom. What contributes little is one line, but for the
+    reference standards."""
     parameter, lines, rows = calibration[name], calibration.uncertainty_budget(name), []
     size, unit = shown_units(calibration.parameters)[name]
-    u, contribution = parameter.u or 0.0, f"contribution, {unit}"
-    for line in (each for each in lines if each.share >= SHOWN):
-        row = {"source": line.words, "type": line.type, **_size(line)}
-        row |= {"sensitivity": "" if line.sensitivity is None else _two(line.sensitivity)}
-        row |= {contribution: _two(line.contribution / size), "share": percent(line.share)}
-        rows.append(row | {"dof": _degrees(line.dof)})
-    without = {"type": "", "u": "", "unit": "", "sensitivity": ""}
-    small = [each.share for each in lines if each.share < SHOWN]
-    if small:
-        rest = {contribution: _two(math.sqrt(sum(small)) * u / size), "share": percent(sum(small)), "dof": ""}
-        rows.append({"source": REST} | without | rest)
-    whole = {contribution: _two(u / size), "share": percent(1.0), "dof": _degrees(parameter.dof)}
-    rows.append({"source": "together"} | without | whole)
-    caption = f"Uncertainty budget of {name}; the sensitivity is in {parameter.unit} over the unit of the source, SI."
-    return table(rows, words=("source", "type", "unit"), dense=True, caption=caption)
+    kept = [each for each in lines if each.share >= SHOWN or each.name in REFERENCES[sensor_kind(name)]]
+    small = sum(each.share for each in lines if each not in kept)
+    if small > 0.0:
+        little = math.sqrt(small) * (parameter.u or 0.0)
+        others = Source(name=REST, words=REST, type="B", u=little, unit=parameter.unit)
+        kept.append(BudgetLine.of(others, estimate=0.0, sensitivity=1.0, contribution=little, share=small))
+    for line in kept:
+        own, in_unit = _unit_of(line)
+        if line.estimate != 0.0:
+            own, in_unit = 1.0, line.unit.replace("^2", "²")
+        elif line.unit == parameter.unit and line.sensitivity == 1.0:
+            own, in_unit = size, unit
+        u = line.u or 0.0
+        estimate, of_estimate = cells(line.estimate, u, own) if u else (significant(line.estimate, 7), "0")
+        if line.estimate == 0.0:
+            estimate, of_estimate = "0", _two(u / own)
+        rows.append(
+            {
+                "input quantity": _words(line),
+                "type": "" if line.name == REST else line.type,
+                "estimate": estimate,
+                "u": of_estimate,
+                "unit": in_unit,
+                "distribution": line.distribution,
+                "sensitivity": _two(line.sensitivity * own / size),
+                "contribution": _two(line.contribution / size),
+                "share": percent(line.share),
+                "dof": _degrees(line.dof),
+            }
+        )
+    value, whole_u = cells(parameter.value, parameter.u, size)
+    distribution = "normal" if parameter.dof is None else "t"
+    whole = {"estimate": value, "u": whole_u, "unit": unit, "distribution": distribution, "sensitivity": ""}
+    whole |= {"contribution": whole_u, "share": percent(1.0), "dof": _degrees(parameter.dof)}
+    rows.append({"input quantity": name, "type": ""} | whole)
+    caption = f"Uncertainty budget of {name}; contributions in {unit}, sensitivities in {unit} over the unit."
+    return table(rows, words=("input quantity", "type", "unit", "distribution"), dense=True, caption=caption)
 
 
 def _two(value: float) -> str:
@@ -91,21 +117,31 @@ def _size(source: Source) -> dict[str, str]:
     it is of several quantities."""
     if source.u is None:
         return {"u": "", "unit": ""}
-    size, shown = shown_in(source.name.removeprefix("prior."), source.unit, source.u)
-    return {"u": _two(source.u / size), "unit": "" if shown == "1" else shown}
+    size, shown = _unit_of(source)
+    return {"u": _two(source.u / size), "unit": shown}
+
+
+def _unit_of(source: Source) -> tuple[float, str]:
+    """The unit in which the standard uncertainty of a source is shown: its size in SI, and its name."""
+    size, shown = shown_in(source.name.removeprefix("prior."), source.unit, source.u or 0.0)
+    return size, "" if shown == "1" else shown
+
+
+def _words(source: Source) -> str:
+    """The words of a source, with what the size of a prior rests on."""
+    return f"{source.words}, by the {source.basis}" if source.basis else source.words
 
 
 def budget_section(calibration: Calibration, name: str = "") -> Section | None:
     """The budget on a page: the shares of all sources and, as a figure of this `name`, a bar of each parameter of the
-    linear model by source; none without a budget."""
+    linear model by source, and its table; nothing without a budget."""
     if not calibration.evidence.budget:
         return None
     if not name:
         return section("Uncertainty budget", share_table(calibration))
     said = "Bars: share of the largest sources in u² of every parameter of the linear model."
-    return section(
-        "Uncertainty budget", Figure(svg=_bars(calibration, name), caption=said), *budget_blocks(calibration)
-    )
+    bars = Figure(svg=_bars(calibration, name), caption=said)
+    return section("Uncertainty budget", bars, *budget_blocks(calibration, every=True))
 
 
 def _bars(calibration: Calibration, name: str) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -24,7 +25,7 @@ from tumble.lab.limits import Limits, Occasion, read_limits
 from tumble.lab.registry.records import Due, Forecast, LimitsRecord, Record, State
 from tumble.result.accepted import accepted_part
 from tumble.result.calibration import Calibration, calibration_of, text_and_name
-from tumble.result.launch_variances import LaunchVariances, launch_variances
+from tumble.result.launch_variances import LaunchVariances, launch_variances, stands_alone, variances_between
 
 if TYPE_CHECKING:
     from tumble.inference.prior import Prior
@@ -274,13 +275,23 @@ class Registry:
         """The launches behind all calibrations of a device, or of a type, in a frame, for `check_calibration` and
         `calibrate_launches`; those that cannot be taken to the frame are left out.
 
-        Raises InputError where no calibration is of several launches."""
-        records = self.records(serial) if serial is not None else self.records()
-        found = map(launch_variances, self._in_frame((r for r in records if serial or r.model == model), frame))
-        known = tuple(each for each in found if each is not None)
+        Calibrations of one launch each are launches of their device, too, if they are by one method and it was not
+        adjusted between them. Raises InputError where no device has two launches."""
+        found, single = list[LaunchVariances | None](), dict[tuple[str, int, str], list[Calibration]]()
+        adjusted = Counter[str]()
+        for record in self.records(serial):
+            adjusted[record.serial] += record.state == "as-left"
+            if serial is None and record.model != model:
+                continue
+            for calibration in self._in_frame((record,), frame):
+                if stands_alone(calibration):
+                    stretch = (record.serial, adjusted[record.serial], record.method)
+                    single.setdefault(stretch, []).append(calibration)
+                found.append(launch_variances(calibration))
+        known = tuple(each for each in (*found, *map(variances_between, single.values())) if each is not None)
         if not known:
             which = f"type {model!r}" if serial is None else f"device {serial!r}"
-            raise InputError(f"{which}: expected calibrations of several launches in the registry, found none")
+            raise InputError(f"{which}: expected several launches of one device in the registry, found none")
         return known
 
     def prior(self, model: str, *, without: str | None = None) -> Prior:

@@ -255,7 +255,8 @@ def _sources(calibration: Calibration) -> dict[Hashable, Array]:
     """Changes (m,) of the parameters with one standard uncertainty of each source of error that another calibration of
     the device shares if it has the same: the stated gravity, the time base, what priors are of."""
     parameters, covariance, site = calibration.parameters, calibration.covariance, calibration.provenance.site
-    sources: dict[Hashable, Array] = {("prior", name): g for name, g in by_priors(parameters, covariance).items()}
+    changes = by_priors(parameters, covariance, calibration.evidence.budget)
+    sources: dict[Hashable, Array] = {("prior", name): g for name, g in changes.items()}
     if site is not None and site.gravity_u > 0.0:
         sources["gravity", site.gravity, site.gravity_u] = by_gravity(parameters, covariance, site)
     if calibration.provenance.clock_u > 0.0:

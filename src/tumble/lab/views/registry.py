@@ -7,7 +7,7 @@ from collections.abc import Collection, Container, Iterable, Mapping, Sequence
 from datetime import date
 from typing import TYPE_CHECKING
 
-from tumble.lab.conformity import RULE, Result, Verdict
+from tumble.lab.conformity import RISK, RULE, Result, Verdict, in_percent
 from tumble.lab.registry.records import Due, LimitsRecord, Record
 from tumble.lab.registry.registry import logs_of
 from tumble.result.calibration import Calibration
@@ -82,7 +82,7 @@ def limits_blocks(limits: LimitsRecord) -> list[Block]:
     """Limits as they were given."""
     named = "" if limits.systematic is None else " · systematic values kept with them"
     head = f"limits {limits.number} · type {limits.model} · in force from {day_of(limits.added)}{named}"
-    return [head, Items(items=(limits.file.rstrip(),)), RULE]
+    return [head, Items(items=(limits.file.rstrip(),)), RULE, RISK]
 
 
 def due_table(items: Iterable[Due]) -> Table:
@@ -121,13 +121,14 @@ def record_blocks(record: Record, calibration: Calibration, verdict: Verdict | N
         if judged:
             low, high = (math.nan, math.nan) if judgement is None else (judgement.low, judgement.high)
             cells |= {"lowest": limit_cell(low, size), "highest": limit_cell(high, size)}
+            cells["risk"] = in_percent(None if judgement is None else judgement.risk)
         return cells | {"unit": unit} | ({"verdict": judgement.result if judgement else ""} if judged else {})
 
     parameters = quantity_table(shown, shown_units(shown), row, words=("verdict",), caption=_counted(further))
     said = ["no verdict: no limits were in force for this type and check when the record was added"]
     if verdict is not None:
         over = f", {verdict.over}" if verdict.over else ""
-        said = [RULE, *verdict.reasons, f"verdict: {verdict.result}{over}"]
+        said = [RULE, f"{RISK}.{verdict.whole_risk}", *verdict.reasons, f"verdict: {verdict.result}{over}"]
     return ["\n".join(lines), parameters, Items(items=tuple(said))]
 
 
