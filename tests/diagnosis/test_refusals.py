@@ -870,7 +870,7 @@ def test_without_a_place_gravity_is_remarked_and_nothing_refused(
     assert calibrate(folder).exit_code == 0
     outcome = json.loads((folder / "calibration.json").read_text(encoding="utf-8"))["outcome"]
     (said,) = [remark for remark in outcome["remarks"] if "with a standard uncertainty of" in remark]
-    assert said.endswith("give latitude_deg or gravity in [site]")
+    assert said.endswith("state latitude_deg and height_m in [site] (--latitude, --height), or gravity")
     assert outcome["reasons"] == []
 
 

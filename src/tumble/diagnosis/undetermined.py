@@ -163,8 +163,8 @@ def gravity_wanted(site: Site) -> tuple[str, ...]:
         return ()
     return (
         f"gravity is {site.gravity:.5f} m/s^2 with a standard uncertainty of {site.gravity_u:.2g} m/s^2: all scale "
-        f"factors of the accelerometers together are known to {100.0 * relative:.2g} % only, which u contains; give "
-        "latitude_deg or gravity in [site]",
+        f"factors of the accelerometers together are known to {100.0 * relative:.2g} % only, which u contains; state "
+        "latitude_deg and height_m in [site] (--latitude, --height), or gravity",
     )
 
 
