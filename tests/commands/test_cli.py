@@ -173,7 +173,7 @@ def test_no_argument_at_all_shows_the_commands() -> None:
         (["calibrate", "few", "--iterations", "3"], "expected none with the method 'joint'"),
         (["calibrate", ""], "expected a path, found an empty one"),
         (["calibrate", "none"], "none: expected a session folder or its session.toml, found no such file or folder"),
-        (["calibrate", "."], "session.toml: expected a session folder with a session.toml, found none; of a log `tumble new`"),
+        (["calibrate", "."], "session.toml: expected a session folder with a session.toml, found none; of a log"),
         (["inspect", "few/log.parquet"], "expected a session folder or its session.toml, found another file"),
         (["calibrate", "one", "two"], "--out: expected a file for the result of several sessions, found none"),
         (["calibrate", "one", "one", "--out", "x.json"], "holds the same recording as one"),

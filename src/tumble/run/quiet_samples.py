@@ -118,7 +118,7 @@ def moved(record: QuietRecord) -> str:
     if angle < TURNED:
         return ""
     return (
-        f"the device was turned by up to {angle / DEGREE:.0f}° in {record.source}, and these numbers are not its noise: "
+        f"the device was turned by up to {angle / DEGREE:.0f}° in {record.source}: these numbers are not its noise; "
         "give a log at rest, or the folder of its session (tumble calibrate, tumble new), of which the longest rest is "
         "taken"
     )
