@@ -24,6 +24,7 @@ import pytest
 import tomli_w
 from click.testing import CliRunner, Result
 
+import tumble
 from tests.support.shared import session
 from tumble.cli import main
 from tumble.errors import ProgrammeError
@@ -860,6 +861,13 @@ def test_an_estimate_that_breaks_down_is_a_refusal(
 
     monkeypatch.setattr("tumble.run.calibrate.METHODS", {"joint": broken})
     assert reason(hand, tmp_path / "session").startswith("the estimate broke down (SVD did not converge)")
+
+
+def test_what_a_few_rests_miss_of_the_gyros_turns_would_show(tmp_path: Path) -> None:
+    folder = tumble.simulate_session(tmp_path / "few", Setup.of(grade="mems", positions=3), seed=3)
+    (said,) = tumble.calibrate(folder).outcome.reasons
+    assert "; rests that would help, the most helpful first: " in said
+    assert said.endswith("; turns about other axes would show the others")
 
 
 @pytest.mark.parametrize("site", [{}, {"gravity": 9.81, "gravity_u": 0.05}])

@@ -198,9 +198,14 @@ def _most_helpful(estimate: Estimate, observations: Observations, unseen: Array)
     most = np.max([np.linalg.norm(rows @ unseen.T, axis=0) for rows in further.values()], axis=0)
     shown = np.linalg.norm(own.reshape(-1, unseen.shape[1]) @ unseen.T, axis=0) >= most
     helpful, others = most_telling(unseen[~shown], further)
+    other = (
+        "turns about other axes would show the others"  # of the gyros, which no rest shows
+        if of_accel.any() and observations.gyro_block is not None and estimate.method == "joint"
+        else f"the others no further {what} would show to the method {estimate.method}"
+    )
     return _and(
         f"{what} that would help, the most helpful first: {', '.join(helpful)}" if helpful else "",
-        f"the others no further {what} would show to the method {estimate.method}" if others else "",
+        other if others else "",
         f"the {what} there are would show {'the others' if helpful or others else 'it'} if they were quieter: let the "
         "device lie still, on something firm, for longer"
         if shown.any()
