@@ -92,8 +92,8 @@ def one_attitude(observations: Observations) -> str:
         return ""
     counted = "1 rest" if len(up) == 1 else f"all {len(up)} rests"
     return (
-        f"the device lay in one attitude ({counted}), which calibrates nothing: put it down in others too (`tumble "
-        "programme` lists them); the noise of a recording at rest is told by `tumble noise`"
+        f"the device lay in one attitude ({counted}), which calibrates nothing: put it down in others too, 5 s in "
+        "each (`tumble programme` lists them); the noise of a recording at rest is told by `tumble noise`"
     )
 
 
