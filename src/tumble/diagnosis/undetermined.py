@@ -49,9 +49,10 @@ def undetermined(
     well as u says."""
     reasons, remarks = list[Said](), list[Said]()
     if missing:
-        helpful = _most_helpful(estimate, observations, estimate.null)
+        alone = one_attitude(observations)
+        helpful = "" if alone else _most_helpful(estimate, observations, estimate.null)
         unseen = f"not observable in this session: {listed(missing)}"
-        reasons.append((groups_of(missing), _and(one_attitude(observations), unseen, helpful)))
+        reasons.append((groups_of(missing), _and(alone, unseen, helpful)))
     combinations, known, refused = _weak(estimate, observations, {sensor_kind(name) for name in missing})
     if len(known):
         largest, weak = [_largest_of(combination) for combination in combinations], list[str]()
