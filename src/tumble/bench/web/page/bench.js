@@ -171,7 +171,8 @@ function update(next) {
   estimate();
   finish();
   buttons();
-  say(of("message"), Date.now() < noted.until ? noted.text : state.message);
+  const repeated = state.result && verdict().toLowerCase().startsWith(state.message); // the headline has it
+  say(of("message"), Date.now() < noted.until ? noted.text : repeated ? "" : state.message);
   accel.add(state.trace.t, state.trace.a, state.trace.anew);
   gyro.add(state.trace.t, state.trace.g, state.trace.anew);
   const heard = `${state.screen} ${state.headline}`;
