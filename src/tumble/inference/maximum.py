@@ -266,6 +266,8 @@ def maximum(
             step = np.zeros(len(phi))
             step[free] = np.linalg.solve(B[np.ix_(free, free)], best.gradient[free])
             gain = 0.5 * float(best.gradient @ step)
+            if not np.isfinite(gain):
+                raise np.linalg.LinAlgError("a step over what the model does not know of itself is not finite")
             if gain < enough:
                 break
             step *= min(1.0, radius / float(np.abs(step).max()))
