@@ -105,7 +105,7 @@ def observations_of(session: Session) -> Observations | None:
         print(f"{session.device.serial}: {'; '.join(seen.reasons)}", file=sys.stderr)
         return None
     stated = replace(session, device=replace(session.device, grade=GRADE))
-    return with_grade(stated, seen, "full")
+    return with_grade(stated, seen)
 
 
 def seen_of(source: str, chip: str, observations: Observations, group: str) -> Seen | None:

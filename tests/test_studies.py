@@ -24,6 +24,7 @@ ANSWERS = {
     "bench_interruptions.py": "on when the bench is killed? No.",
     "array_sessions.py": "Is any session of the board refused, or a chip of it? No.",
     "aliased_turns.py": "Does u contain what instantaneous samples do to jerky turns? Yes",
+    "chip_priors.py": "Are the accel.quadratic terms of these chips as small as the table has them? No",
     "choice_of_positions.py": "lead to the paper's nine? Yes, up to signs",
     "coverage_of_limits.py": "Does a device at its limit pass in 2.5 % at most? Yes",
     "cube_accessories.py": "The plate biases and scale factors; a wedge, a vee or a nest the angles",
@@ -54,7 +55,7 @@ ANSWERS = {
     "which_method_when.py": "Which method, when? joint wherever there are gyros and turns",
 }
 """What the last line of a study says."""
-ON_RECORDINGS = {"array_sessions.py"}
+ON_RECORDINGS = {"array_sessions.py", "chip_priors.py"}
 """Studies that want the recordings."""
 FALLS_SHORT = {
     "metropolis.py": "u agrees with a sampler within 8 %, not 5 %: root mean square 2 %",

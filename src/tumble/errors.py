@@ -69,7 +69,10 @@ def needs_extra(what: str, extra: str, *libraries: str) -> Iterator[None]:
         library = (error.name or "").partition(".")[0]
         if library not in libraries:
             raise
-        raise MissingExtraError(f"{what} needs {library}; install it with: pip install 'tumble[{extra}]'") from error
+        raise MissingExtraError(
+            f"{what} needs {library}; install it with: pip install 'tumble[{extra}]', or in the folder of its source: "
+            f"pip install '.[{extra}]'"
+        ) from error
 
 
 def did_you_mean(name: str, known: Iterable[str], *, alike: float = 0.6) -> str:

@@ -226,7 +226,7 @@ def test_another_unit_is_asked_about_in_the_first_rest(
     monkeypatch.setattr(bench.unit, "line", line)
     bench.until(lambda: bench.screen == "fault")
     assert bench.said.startswith("at rest the accelerometers read ")
-    assert bench.said.endswith(f" m/s^2: are they in {unit}?")
+    assert bench.said.endswith(f" m/s²: are they in {unit}?")
     assert answers(bench)["unit"]["label"] == f"Yes, in {unit}"
     assert primary(bench) == ["unit"]
     assert bench.station.command("unit") == f"the accelerometers are in {unit}; what is recorded is read anew"

@@ -24,6 +24,7 @@ import pytest
 import tomli_w
 from click.testing import CliRunner, Result
 
+import tumble
 from tests.support.shared import session
 from tumble.cli import main
 from tumble.errors import ProgrammeError
@@ -862,6 +863,13 @@ def test_an_estimate_that_breaks_down_is_a_refusal(
     assert reason(hand, tmp_path / "session").startswith("the estimate broke down (SVD did not converge)")
 
 
+def test_what_a_few_rests_miss_of_the_gyros_turns_would_show(tmp_path: Path) -> None:
+    folder = tumble.simulate_session(tmp_path / "few", Setup.of(grade="mems", positions=3), seed=3)
+    (said,) = tumble.calibrate(folder).outcome.reasons
+    assert "; rests that would help, the most helpful first: " in said
+    assert said.endswith("; turns about other axes would show the others")
+
+
 @pytest.mark.parametrize("site", [{}, {"gravity": 9.81, "gravity_u": 0.05}])
 def test_without_a_place_gravity_is_remarked_and_nothing_refused(
     hand: Recording, tmp_path: Path, site: dict[str, float]
@@ -870,7 +878,7 @@ def test_without_a_place_gravity_is_remarked_and_nothing_refused(
     assert calibrate(folder).exit_code == 0
     outcome = json.loads((folder / "calibration.json").read_text(encoding="utf-8"))["outcome"]
     (said,) = [remark for remark in outcome["remarks"] if "with a standard uncertainty of" in remark]
-    assert said.endswith("give latitude_deg or gravity in [site]")
+    assert said.endswith("state latitude_deg and height_m in [site] (--latitude, --height), or gravity")
     assert outcome["reasons"] == []
 
 

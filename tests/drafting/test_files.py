@@ -38,7 +38,11 @@ def rows() -> Array:
         ("a.xlsx", b"PK\x03\x04" + 90 * b"x", "an archive or a workbook; unpack it, or save its sheets as CSV"),
         ("log.csv", b"version https://git-lfs.github.com/spec/v1\noid sha256:00", "a pointer of Git LFS to it; fetch"),
         ("log.parquet", b"version https://git-lfs.github.com/spec/v1\noid sha256:00", "a pointer of Git LFS to it"),
-        ("log.csv", gzip.compress(b"t,ax,ay,az\n" + 99 * b"0,1,2,3\n"), "compressed by gzip under another name"),
+        (
+            "log.csv",
+            gzip.compress(b"t,ax,ay,az\n" + 99 * b"0,1,2,3\n", mtime=0),
+            "compressed by gzip under another name",
+        ),
         ("log.txt", b"SQLite format 3\0" + 99 * b"\0", "a database; export its readings as CSV"),
         ("imu.csv", b"\x7fELF\2\1\1" + 99 * b"\0", "a program"),
         ("imu.csv", b"\x89PNG\r\n\x1a\n" + 99 * b"\1", "an image"),

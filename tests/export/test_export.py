@@ -101,6 +101,14 @@ def test_what_a_target_does_not_take_or_lacks_is_refused() -> None:
         export_calibration(calibration(), "../targets/inav")
 
 
+def test_of_a_folder_its_calibration_is_named(tmp_path: Path) -> None:
+    file = tmp_path / "calibration.json"
+    calibration().write(file)
+    result = CliRunner().invoke(main, ["export", str(tmp_path), "--to", "px4", "-o", str(tmp_path / "imu.params")])
+    assert result.exit_code == 2
+    assert f"expected a file, found a folder; its calibration is {file}" in result.stderr
+
+
 def test_the_command_writes_the_file_and_says_what_is_lost(tmp_path: Path) -> None:
     calibration().write(tmp_path / "c.json")
     words = ["export", str(tmp_path / "c.json"), "--to", "px4", "-o", str(tmp_path / "imu.params")]

@@ -377,4 +377,7 @@ def test_without_the_extra_it_is_named(module: str, tmp_path: Path) -> None:
         "except tumble.MissingExtraError as error: print(error)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout == f"the registry needs {module}; install it with: pip install 'tumble[lab]'\n"
+    assert done.stdout == (
+        f"the registry needs {module}; install it with: pip install 'tumble[lab]', or in the folder of its source: "
+        "pip install '.[lab]'\n"
+    )

@@ -373,7 +373,7 @@ def test_other_encoding_is_told(tmp_path: Path) -> None:
     ("given", "said"),
     [
         ("", "session.toml: expected a session folder with a session.toml, found none"),
-        ("nowhere", "expected a session folder with a session.toml, found no such folder"),
+        ("nowhere", "nowhere: expected a session folder or its session.toml, found no such file or folder"),
         ("session.toml", "session.toml: expected a session folder with a session.toml, found none"),
         ("log.csv", "log.csv: expected a session folder or its session.toml, found another file"),
     ],

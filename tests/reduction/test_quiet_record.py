@@ -16,7 +16,7 @@ from tumble.errors import InputError
 from tumble.planning.setup import Setup
 from tumble.recording.session_file import read_session
 from tumble.reduction.noise.wavelet_moments import Panel
-from tumble.run.quiet_samples import longest_rest, noise_panels, whole_log
+from tumble.run.quiet_samples import longest_rest, noise_of, noise_panels, whole_log
 from tumble.sensors.grades import GRADES
 from tumble.units import DEGREE
 
@@ -58,6 +58,18 @@ def test_all_of_a_log_is_taken_in_the_units_of_the_options(tmp_path: Path) -> No
     record = whole_log(tmp_path / "still.csv", layout)
     np.testing.assert_allclose(record.gyro[:, 0], columns["p"] * DEGREE, rtol=1e-15)
     np.testing.assert_allclose(record.accel[:, 2], columns["c"] * 9.80665e-3, rtol=1e-15)
+
+
+def test_a_log_of_turns_is_said_to_be_no_record_of_noise(tmp_path: Path) -> None:
+    noise = np.random.default_rng(1).normal(size=(4000, 3))
+    layout = {"rate_hz": 100.0, "accel": {"columns": ["a", "b", "c"], "unit": "mg"}}
+    for name, turned in (("still", 0), ("turned", 2000)):
+        accel = noise + np.array([0.0, 0.0, 1000.0])
+        accel[4000 - turned :] = noise[:turned] + np.array([1000.0, 0.0, 0.0])
+        pl.DataFrame(accel, schema=["a", "b", "c"]).write_csv(tmp_path / f"{name}.csv")
+    assert noise_of(tmp_path / "still.csv", layout=layout).doubt == ""
+    said = noise_of(tmp_path / "turned.csv", layout=layout).doubt
+    assert said.startswith("the device was turned by up to 90° in all of turned.csv: these numbers are not")
 
 
 def test_a_log_of_which_nothing_is_known_is_refused_with_what_to_state(tmp_path: Path) -> None:

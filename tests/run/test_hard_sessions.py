@@ -288,7 +288,8 @@ def test_without_a_place_everything_is_given_with_gravity_in_u(hand: Recorded) -
     made = tumble.calibrate(accel=hand.accel, gyro=hand.gyro, time=hand.time)
     assert made.outcome.verdict == "accepted with scatter"
     (said,) = made.outcome.remarks
-    assert "give latitude_deg or gravity in [site]" in said
+    assert said.endswith("state latitude_deg and height_m in [site] (--latitude, --height), or gravity")
+    assert not any("gravity" in sentence for sentence in made.provenance.assumptions)
     assert made.outcome.gyro.verdict == "accepted"
     scales = [made[f"accel.scale.{axis}"].u or 0.0 for axis in "xyz"]
     assert 0.0030 < min(scales) < max(scales) < 0.0034

@@ -622,7 +622,10 @@ def test_without_the_extra_one_line_says_what_to_install(
     for name in [n for n in sys.modules if n.split(".")[0] == "matplotlib"]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(MissingExtraError, match=r"^a figure needs matplotlib; .*pip install 'tumble\[lab\]'$"):
+    with pytest.raises(
+        MissingExtraError,
+        match=r"^a figure needs matplotlib; .*pip install 'tumble\[lab\]', .*pip install '\.\[lab\]'$",
+    ):
         write_report([file], tmp_path / "report.html")
 
 

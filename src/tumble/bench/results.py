@@ -102,13 +102,13 @@ def report_of(folder: Path, stopped: threading.Event) -> str:
     return REPORT_FILE
 
 
-def exported(folder: Path, to: str) -> str:
-    """Export a calibration into a file beside it, and return the name of that."""
-    content = export_calibration(folder / CALIBRATION_FILE, to).content
+def exported(folder: Path, to: str) -> tuple[str, str]:
+    """Export a calibration into a file beside it, and return the name of that and the worst that it cannot hold."""
+    made = export_calibration(folder / CALIBRATION_FILE, to)
     name = f"export-{to}{target(to).ending}"
     with whole_file(folder / name) as temporary:
-        temporary.write_bytes(content)
-    return name
+        temporary.write_bytes(made.content)
+    return name, next(iter(made.losses), "")
 
 
 def registered(folder: Path, place: str | None, stopped: threading.Event) -> str:

@@ -84,7 +84,7 @@ class Station:
             "resume": lambda _: self._resume(),
             "calibrate": lambda _: self._calibrate(),
             "report": lambda _: self._written(results.report_of(self.folder, self._stop)),
-            "export": lambda to: self._written(results.exported(self.folder, to)),
+            "export": lambda to: self._written(*results.exported(self.folder, to)),
             "register": lambda _: self._register(),
             "next_unit": self._next_unit,
         }
@@ -291,10 +291,10 @@ class Station:
             self._result = {**self._result, "registered": said}
         return said
 
-    def _written(self, name: str) -> str:
+    def _written(self, name: str, loss: str = "") -> str:
         if self._result is not None:
             self._result = {**self._result, "files": list(dict.fromkeys([*self._result["files"], name]))}
-        return f"written: {name}"
+        return f"written: {name}" + (f"; {loss}" if loss else "")
 
     # -------------------- what is fetched beside the state --------------------
 

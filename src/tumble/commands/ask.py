@@ -29,6 +29,9 @@ class _NamedPath(click.Path):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         if value == "":
             self.fail("expected a path, found an empty one", param, ctx)
+        inside = Path(value) / "calibration.json"
+        if not self.dir_okay and "\0" not in str(value) and inside.is_file():
+            self.fail(f"expected a file, found a folder; its calibration is {inside}", param, ctx)
         return super().convert(value, param, ctx)
 
 

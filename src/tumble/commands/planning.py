@@ -31,13 +31,15 @@ def programme(
     name: str | None, attitudes: tuple[str, ...], rest: float, turn_rate: float, out: Path | None, **sheet: str | None
 ) -> None:
     """The operator's sheet of a built-in programme NAME or of a list of attitudes."""
-    from tumble.programme.positions import programme_of
+    from tumble.programme.positions import programme_of, programmes
     from tumble.units import DEGREE
     from tumble.views.render.terminal import print_blocks
     from tumble.views.sheet import sheet_blocks, write_sheet
 
     if (name is None) == (not attitudes):
-        raise InputError("expected either the NAME of a programme or --attitude for each position")
+        raise InputError(
+            f"expected either the NAME of a programme ({', '.join(programmes())}) or --attitude for each position"
+        )
     listed = programme_of(attitudes if name is None else name)
     blocks = sheet_blocks(listed, rest=rest, rate=turn_rate * DEGREE)
     if out is not None:

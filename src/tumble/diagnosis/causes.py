@@ -35,7 +35,7 @@ from tumble.rotation import skew
 from tumble.sensors.instrument import functions
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import PAIRS, PRODUCTS, RATE, positions_by_group
-from tumble.units import DEGREE, G_STANDARD, Array, IntArray
+from tumble.units import DEGREE, G_STANDARD, Array, IntArray, two_digits
 
 MEMORIES = (10.0, 60.0, 300.0)
 """Time constants of a memory that are tried, s."""
@@ -435,7 +435,7 @@ def quantisation(session: LinearisedSession, s: int) -> Iterator[Cause]:
             yield Cause(
                 name="quantisation",
                 concerns=kind,
-                sentence=f"steps of the {WORDS[kind]} of {step / scale:.2g} {unit} that the noise does not cover, "
-                f"{rounding.noise[worst] / step:.2g} of one: the mean of a rest errs by up to {error / scale:.2g} "
-                f"{unit}; log with more digits, or use a smaller range",
+                sentence=f"steps of the {WORDS[kind]} of {two_digits(step / scale)} {unit}, which the noise, "
+                f"{two_digits(rounding.noise[worst] / step)} of a step, does not cover: the mean of a rest errs by up "
+                f"to {two_digits(error / scale)} {unit}; log with more digits, or use a smaller range",
             )

@@ -49,9 +49,10 @@ def undetermined(
     well as u says."""
     reasons, remarks = list[Said](), list[Said]()
     if missing:
-        helpful = _most_helpful(estimate, observations, estimate.null)
+        alone = one_attitude(observations)
+        helpful = "" if alone else _most_helpful(estimate, observations, estimate.null)
         unseen = f"not observable in this session: {listed(missing)}"
-        reasons.append((groups_of(missing), _and(one_attitude(observations), unseen, helpful)))
+        reasons.append((groups_of(missing), _and(alone, unseen, helpful)))
     combinations, known, refused = _weak(estimate, observations, {sensor_kind(name) for name in missing})
     if len(known):
         largest, weak = [_largest_of(combination) for combination in combinations], list[str]()
@@ -92,8 +93,8 @@ def one_attitude(observations: Observations) -> str:
         return ""
     counted = "1 rest" if len(up) == 1 else f"all {len(up)} rests"
     return (
-        f"the device lay in one attitude ({counted}), which calibrates nothing: put it down in others too (`tumble "
-        "programme` lists them); the noise of a recording at rest is told by `tumble noise`"
+        f"the device lay in one attitude ({counted}), which calibrates nothing: put it down in others too, 5 s in "
+        "each (`tumble programme` lists them); the noise of a recording at rest is told by `tumble noise`"
     )
 
 
@@ -163,8 +164,8 @@ def gravity_wanted(site: Site) -> tuple[str, ...]:
         return ()
     return (
         f"gravity is {site.gravity:.5f} m/s^2 with a standard uncertainty of {site.gravity_u:.2g} m/s^2: all scale "
-        f"factors of the accelerometers together are known to {100.0 * relative:.2g} % only, which u contains; give "
-        "latitude_deg or gravity in [site]",
+        f"factors of the accelerometers together are known to {100.0 * relative:.2g} % only, which u contains; state "
+        "latitude_deg and height_m in [site] (--latitude, --height), or gravity",
     )
 
 
@@ -198,9 +199,14 @@ def _most_helpful(estimate: Estimate, observations: Observations, unseen: Array)
     most = np.max([np.linalg.norm(rows @ unseen.T, axis=0) for rows in further.values()], axis=0)
     shown = np.linalg.norm(own.reshape(-1, unseen.shape[1]) @ unseen.T, axis=0) >= most
     helpful, others = most_telling(unseen[~shown], further)
+    other = (
+        "turns about other axes would show the others"  # of the gyros, which no rest shows
+        if of_accel.any() and observations.gyro_block is not None and estimate.method == "joint"
+        else f"the others no further {what} would show to the method {estimate.method}"
+    )
     return _and(
         f"{what} that would help, the most helpful first: {', '.join(helpful)}" if helpful else "",
-        f"the others no further {what} would show to the method {estimate.method}" if others else "",
+        other if others else "",
         f"the {what} there are would show {'the others' if helpful or others else 'it'} if they were quieter: let the "
         "device lie still, on something firm, for longer"
         if shown.any()

@@ -157,7 +157,7 @@ def no_rests(segmentation: Segmentation) -> Outcome:
     reason += "".join(f"; {said}" for said in segmentation.passed_over())
     if segmentation.rejected:
         longest = max(segmentation.rejected, key=lambda r: r.stop - r.start)
-        reason += f"; the longest quiet stretch, {longest.start:.1f}–{longest.stop:.1f} s, is none: {longest.reason}"
+        reason += f"; the longest quiet stretch, {longest.start:z.1f}–{longest.stop:z.1f} s, is none: {longest.reason}"
     advice = (
         "put it down in nine or more positions (`tumble programme` shows them); of accelerometers that were slowly "
         "waved through all attitudes `tumble ellipsoid LOG` makes what can be made; `tumble inspect` shows what was "

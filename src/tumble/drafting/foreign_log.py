@@ -213,7 +213,7 @@ class ForeignLog:
         if rows < _FEWEST_ROWS and alone:
             raise InputError(
                 f"{self.files[0]}: expected a recording, found a table of {rows} rows; a table of mean readings, a row "
-                "a position, is for `tumble ellipsoid`"
+                f"a position, is calibrated by `tumble ellipsoid {self.files[0].name}`"
             )
         if ACCEL in self.columns.triads or (gyros_suffice and GYRO in self.columns.triads):
             return

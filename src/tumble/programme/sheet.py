@@ -57,6 +57,7 @@ def _cell(scene: str, lines: tuple[str, str, str]) -> str:
 _STYLE = """
 @page { size: A4; margin: 11mm 12mm 11mm 16mm }
 body { font: 9pt/1.3 Helvetica, Arial, sans-serif; color: #111; max-width: 182mm; margin: 0 auto }
+@media screen { body { padding: 6mm } }
 h1 { font-size: 15pt; margin: 0 }
 p { margin: 0 }
 .form { display: flex; gap: 4mm; margin: 1mm 0 2mm }

@@ -47,8 +47,14 @@ def read_session(folder: FilePath) -> Session:
             "a session, and so does `tumble calibrate` with --latitude"
         )
     if "\0" not in str(path) and not path.exists():
-        found = "none" if path.parent.is_dir() else "no such folder"
-        raise SessionError(f"{path}: expected a session folder with a {SESSION_FILE}, found {found}")
+        if not path.parent.is_dir():
+            raise SessionError(
+                f"{given}: expected a session folder or its {SESSION_FILE}, found no such file or folder"
+            )
+        raise SessionError(
+            f"{path}: expected a session folder with a {SESSION_FILE}, found none; of a log `tumble new` makes a "
+            "session, and so does `tumble calibrate LOG` with --latitude"
+        )
     content = toml_of(text_of_document(path, SessionError), str(path), SessionError)
     return _complete(validated(SessionDocument, content, str(path), SessionError).si(path.parent), str(path))
 

@@ -364,11 +364,6 @@ def assumptions(session: Session) -> tuple[str, ...]:
             f"the height is not stated: gravity is that of sea level to {mm}, as of 1000 m, which is in the u of "
             "accel.scale; state height_m in [site] (--height), or gravity"
         )
-    elif site.assumed == "place":
-        out.append(
-            f"neither place nor gravity is stated: gravity is the standard one to {mm}, which is in the u of "
-            "accel.scale; state latitude_deg and height_m in [site] (--latitude, --height), or gravity"
-        )
     elif site.assumed == "digits" and site.gravity_u:
         out.append(
             f"gravity is taken to its last digit, {mm}, which is in the u of accel.scale; state gravity_u in [site]"

@@ -24,10 +24,12 @@ from tumble.reduction.noise.allan_deviation import allan_deviation, pooled
 from tumble.reduction.noise.filter_values import FilterValue, filter_values
 from tumble.reduction.noise.wavelet_moments import Panel, identify
 from tumble.run.observed import Progress, inspect_session
-from tumble.units import Array
+from tumble.units import DEGREE, G_STANDARD, Array
 
 _IN_MEMORY_BYTES = 1 << 26
 _MARGIN = 1e-9  # s, of the ends of a rest
+BLOCKS, TURNED = 100, 10.0 * DEGREE
+"""Of how many parts of a record the vertical is compared, and by how much, rad, it may differ at rest."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -99,8 +101,27 @@ def noise_of(*recordings: Session | FilePath, layout: Mapping[str, Any] | None =
         raise InputError("noise: expected a recording, found none")
     several = f"{len(records)} records: " if len(records) > 1 else ""
     source = several + "; ".join(record.source for record in records)
-    doubt = records[0].session.log.doubt
+    doubts = dict.fromkeys([records[0].session.log.doubt, *map(moved, records)])
+    doubt = "; ".join(filter(None, doubts))
     return RecordedNoise(panels=noise_panels(records), rate=records[0].rate, source=source, doubt=doubt)
+
+
+def moved(record: QuietRecord) -> str:
+    """That the device was turned during a record, which is then no record of noise; nothing where it lay still."""
+    if record.accel.shape[1] != 3:
+        return ""
+    means = np.array([part.mean(axis=0) for part in np.array_split(record.accel, min(BLOCKS, len(record.accel)))])
+    lengths = np.linalg.norm(means, axis=1)
+    if not lengths.min() > 0.5 * G_STANDARD:
+        return ""
+    angle = float(np.arccos(np.clip((means @ means[0] / (lengths * lengths[0])).min(), -1.0, 1.0)))
+    if angle < TURNED:
+        return ""
+    return (
+        f"the device was turned by up to {angle / DEGREE:.0f}° in {record.source}: these numbers are not its noise; "
+        "give a log at rest, or the folder of its session (tumble calibrate, tumble new), of which the longest rest is "
+        "taken"
+    )
 
 
 def noise_panels(records: Sequence[QuietRecord]) -> tuple[Panel, ...]:

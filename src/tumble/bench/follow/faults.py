@@ -184,7 +184,7 @@ def another_unit(task: Task, progress: Progress) -> Iterator[Fault]:
     read = length / ACCEL_UNITS[stated].factor
     rates = ((name, unit.factor) for name, unit in ACCEL_UNITS.items() if unit.kind == "rate")
     unit = next((name for name, factor in rates if abs(read * factor / gravity - 1.0) < UNIT_SHARE), "")
-    said = f"at rest the accelerometers read {read:.3g} {stated}"
+    said = f"at rest the accelerometers read {read:.3g} {stated.replace('^2', '²')}"
     said += f": are they in {unit}?" if unit else ", which is not gravity: state their unit and scale in session.toml"
     choices = ("unit", "go_on") if unit else ("go_on",)
     yield Fault(kind="unit", said=said, start=rest.start, stop=rest.stop, choices=choices, unit=unit)

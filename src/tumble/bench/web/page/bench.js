@@ -23,7 +23,7 @@ function show(element, wanted) {
 function header() {
   const { unit, received, rest, session } = state;
   say(of("serial"), unit.serial);
-  const parts = [rest && `${rest.number}${rest.of ? ` of ${rest.of}` : ""}`, state.to_go && `${about(state.to_go)} to go`, session];
+  const parts = [rest && `position ${rest.number}${rest.of ? ` of ${rest.of}` : ""}`, state.to_go && `${about(state.to_go)} to go`, session];
   say(of("count"), parts.filter(Boolean).join(" · "));
   const faults = [[received.lost, "lost"], [received.refused, "refused"]];
   const said = faults.filter(([count]) => count).map(([count, what]) => `${count} ${what}`).join(", ");
@@ -42,6 +42,7 @@ function now() {
   const ended = verdict();
   const stopped = hasStopped();
   say(of("headline"), ended || (state.calibrating ? "Calibrating …" : stopped ? "Recording has stopped" : state.headline));
+  of("headline").classList.toggle("long", of("headline").textContent.length > 60);
   const wrong = fault && !ended && !stopped && !state.calibrating;
   say(of("fault"), wrong ? fault.said : "");
   show(of("fault"), Boolean(wrong));
@@ -170,7 +171,8 @@ function update(next) {
   estimate();
   finish();
   buttons();
-  say(of("message"), Date.now() < noted.until ? noted.text : state.message);
+  const repeated = state.result && verdict().toLowerCase().startsWith(state.message); // the headline has it
+  say(of("message"), Date.now() < noted.until ? noted.text : repeated ? "" : state.message);
   accel.add(state.trace.t, state.trace.a, state.trace.anew);
   gyro.add(state.trace.t, state.trace.g, state.trace.anew);
   const heard = `${state.screen} ${state.headline}`;

@@ -155,7 +155,8 @@ export function sphere(box, data) {
     }
     for (const direction of data.taken) mark(picture, direction, side, x, 4.5, "#17692f", "#17692f");
   }
-  box.replaceChildren(picture);
+  const words = best < 0 ? "green: taken; rings: directions still open" : "green: taken; rings: the larger, the more a rest there gains; violet: the most";
+  box.replaceChildren(picture, made("p", words, "legend"));
 }
 
 function mark(picture, [dx, dy, dz], side, x, radius, fill, stroke) {
@@ -172,7 +173,7 @@ export class Trace {
     const grid = { stroke: "#88888855" };
     const colours = ["--trace-x", "--trace-y", "--trace-z"].map((name) => () => getComputedStyle(box).getPropertyValue(name));
     const series = [{}, ...["x", "y", "z"].map((name, i) => ({ label: name, stroke: colours[i], width: 1.5 }))];
-    const axes = [{ stroke, grid }, { label: unit, size: 64, stroke, grid }];
+    const axes = [{ stroke, grid, values: (_, marks) => marks.map((mark) => `${mark} s`) }, { label: unit, size: 64, stroke, grid }];
     this.data = [[], [], [], []];
     this.plot = new window.uPlot(
       { title, width: this.width(), height: 170, series, axes, scales: { x: { time: false } }, cursor: { show: false }, legend: { live: false } },
@@ -187,8 +188,17 @@ export class Trace {
     if (anew) this.data = [[], [], [], []];
     if (!channels.length && !anew) return;
     if (channels.length) this.data = this.data.map((old, i) => old.concat(i ? channels[i - 1] : time).slice(-600));
-    this.plot.setData(this.data);
+    this.plot.setData(broken(this.data));
   }
+}
+
+/** The channels with the line broken where samples did not arrive. */
+function broken([time, ...channels]) {
+  const steps = time.slice(1).map((t, i) => t - time[i]);
+  const longest = Math.max(1, 5 * [...steps].sort((a, b) => a - b)[Math.floor(steps.length / 2)]);
+  const gaps = steps.flatMap((step, i) => (step > longest ? [i + 1] : []));
+  const split = (values, between) => gaps.reduceRight((parts, at) => parts.toSpliced(at, 0, between(at)), values);
+  return [split(time, (at) => (time[at - 1] + time[at]) / 2), ...channels.map((values) => split(values, () => null))];
 }
 
 /** A short tone: high for good, low for bad. */
