@@ -50,6 +50,7 @@ from tumble.reduction.turns.turns import (
     linear_compensation,
     reduced_turns,
     turn_readings,
+    unread_velocities,
 )
 from tumble.rotation import onto_body
 from tumble.sensors.model import Block, SensorModel
@@ -173,6 +174,13 @@ class Observations(Brief):
         turns = replace(self, turn_samples=samples).turns_about(gyro.nominal())
         turns = replace(turns, aliased=aliased_rotations(samples, turns.covariance))
         return replace(self, turns=turns, turn_samples=samples)
+
+    def with_blows(self) -> Observations:
+        """The same with what blows in the turns may hide in the covariances of the velocities."""
+        if self.turns is None or self.turn_samples is None:
+            return self
+        blows = unread_velocities(self.turn_samples)[:, None, None] * np.eye(3)
+        return replace(self, turns=replace(self.turns, velocity_covariance=self.turns.velocity_covariance + blows))
 
     def turns_about(self, gyro: SensorModel) -> Turns:
         """The turns integrated about a gyro model: its effect on the rotation is exact, and M and B are the

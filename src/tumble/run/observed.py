@@ -218,7 +218,7 @@ def observations_for_calibration(observed: Observed, *, biases_jump: bool = Fals
     if biases_jump and observed.gyro_bias_faults:
         reduction = without_jump(reduction, match, observed.segmentation.jump, observed.session.gyro_block)
     every = _observed_again(observed, reduction, match)
-    every = with_mended_samples(replace(every, notes=(*observed.notes, *every.notes, *torn)))
+    every = with_mended_samples(replace(every, notes=(*observed.notes, *every.notes, *torn))).with_blows()
     spoiled = observed.gyro_faults or (observed.gyro_bias_faults and not biases_jump)
     return every.of_accelerometers() if spoiled else every
 
@@ -231,7 +231,8 @@ def observations_in_parts(observed: Observed) -> tuple[Observations, IntArray] |
     reduction, whole, torn = matched
     match, numbers = in_parts(reduction, whole)
     parts = _observed_again(observed, reduction, match)
-    return held(with_mended_samples(replace(parts, notes=(*observed.notes, *parts.notes, *torn)))), numbers
+    parts = with_mended_samples(replace(parts, notes=(*observed.notes, *parts.notes, *torn))).with_blows()
+    return held(parts), numbers
 
 
 def _observed_again(observed: Observed, reduction: Reduction, match: Match) -> Observations:

@@ -39,7 +39,7 @@ from tumble.reduction.turns.array_motion import read_by
 from tumble.reduction.turns.moments import BlockCompensation, Compensation, Pieces, integrate, moments_of
 from tumble.rotation import onto_body
 from tumble.sensors.model import Block, SensorModel
-from tumble.units import Array, IntArray
+from tumble.units import G_STANDARD, Array, IntArray
 
 PATH_STEPS = 32
 VELOCITY_FLOOR = 1e-8  # m/s
@@ -51,6 +51,8 @@ BATCH_SAMPLES = 2**17
 """Of turns, that are in memory at a time: 7 MB."""
 KEPT_SAMPLES = 2**19
 """So few of turns are gathered once and stay in memory: 29 MB."""
+BLOW = 2.0 * G_STANDARD
+"""m/s²: the smallest full scale of accelerometers. Beyond it a sample may hide that a sensor was at its end."""
 AHEAD = 2
 """Samples kept ahead of every piece of a turn, which the first step wants."""
 CONVERTERS = 2.0 ** np.arange(11, 32)
@@ -288,6 +290,20 @@ def aliased_rotations(samples: TurnSamples, covariance: Array) -> Array:
     variance, noise = rotations_of_independent(samples), np.trace(covariance, axis1=1, axis2=2) / 3.0
     aliased = len(noise) > 0 and np.median(variance / noise) > BEYOND_NOISE
     return variance if aliased else np.zeros_like(variance)
+
+
+def unread_velocities(samples: TurnSamples) -> Array:
+    """Variance an axis (K,), m²/s², of the velocities by blows: (∫ (|f| − BLOW) dt)² over samples beyond BLOW.
+
+    A device that is put down hard stops within a sample or two. In them a sensor may be at the end of its range, which
+    their mean does not show, and what is not linear in it at 10 g is not what it is at 1 g: a blow says nothing of
+    quadratic and cubic terms at rest."""
+    out = np.zeros(len(samples.lengths))
+    for pieces in samples.pieces():
+        beyond = np.maximum(np.linalg.norm(pieces.forces, axis=1) - BLOW, 0.0) * pieces.intervals
+        for turn, start, stop in zip(pieces.turn, pieces.start, pieces.stop, strict=True):
+            out[turn] += beyond[start:stop].sum()
+    return out**2
 
 
 def _in_body(block: Block, covariance: Array) -> Array:
