@@ -409,7 +409,7 @@ def test_gravity_comes_from_latitude_and_height_else(tmp_path: Path) -> None:
     assert (site.latitude, site.height, site.gravity_u) == (0.0, 0.0, 3e-4)
     anywhere = read(tmp_path, {"site": {"latitude_deg": 0}}).site
     assert anywhere.gravity == site.gravity
-    assert anywhere.gravity_u == 3e-3  # of 1000 m
+    assert anywhere.gravity_u == 4e-3  # of 1300 m
     site = read(tmp_path, {"site": {"latitude_deg": -90, "height_m": 100, "gravity_u": 1e-5}}).site
     assert site.gravity == pytest.approx(9.8321849378 - 100 * 3.086e-6, abs=3e-7)
     assert site.latitude == pytest.approx(-math.pi / 2)

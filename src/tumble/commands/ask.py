@@ -162,7 +162,7 @@ def registry_place(**settings: Any) -> _Option:
 
 REGISTRY = registry_place()
 GRAVITY = option("--gravity", "Measured gravity, m/s²; default: normal gravity.", type=float)
-HEIGHT = option("--height", "Of the place, m over the sea; unstated, 1000 m are in u.", type=float, metavar="M")
+HEIGHT = option("--height", "Of the place, m over the sea; unstated, 1300 m are in u.", type=float, metavar="M")
 LATITUDE = option("--latitude", "Of the place, ° north.", type=float, metavar="DEGREES")
 SERIAL = option("--serial", "Serial number of the device; default: the name of FOLDER or LOG.", metavar="NUMBER")
 SAMPLE_RATE = "--sample-rate", "Samples per second"

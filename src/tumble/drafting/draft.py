@@ -97,7 +97,7 @@ def session_text(draft: Draft, folder: Path, programme: str | None, *, named: bo
         "# latitude_deg = 0.0   # of the place; without it the Earth's rate and local gravity are unknown"
         if latitude is None
         else _line("latitude_deg", latitude),
-        "# height_m = 0.0       # without it, 1000 m are in the uncertainty of gravity"
+        "# height_m = 0.0       # without it, 1300 m are in the uncertainty of gravity"
         if height is None
         else _line("height_m", height),
         "# gravity = 9.80665    # m/s², where it was measured; gravity_u is its standard uncertainty",

@@ -39,7 +39,7 @@ class SensorArrays(TypedDict, total=False):
     temperature : array_like, shape (N,), or mapping of str to array_like
         Temperature, K; if the sensors have several thermometers, those of "accel" and "gyro", (N,) or (N, n).
     latitude, height : float
-        Geodetic latitude, rad, and height, m; where no height is given, 1000 m are in the uncertainty of gravity.
+        Geodetic latitude, rad, and height, m; where no height is given, 1300 m are in the uncertainty of gravity.
     gravity, gravity_u : float
         Gravity and its standard uncertainty, m/s²; by default normal gravity.
     accel_axes, gyro_axes : array_like, shape (n, 3)

@@ -361,7 +361,7 @@ def assumptions(session: Session) -> tuple[str, ...]:
     mm = f"{1e3 * site.gravity_u:.2g} mm/s²"
     if site.assumed == "height":
         out.append(
-            f"the height is not stated: gravity is that of sea level to {mm}, as of 1000 m, which is in the u of "
+            f"the height is not stated: gravity is that of sea level to {mm}, as of 1300 m, which is in the u of "
             "accel.scale; state height_m in [site] (--height), or gravity"
         )
     elif site.assumed == "digits" and site.gravity_u:

@@ -37,8 +37,8 @@ LEAST_GRAVITY_U = 1e-15
 """m/s²: a smaller uncertainty than no gravimeter reaches is zero, or a mistake."""
 UNKNOWN_SITE_GRAVITY_U = 0.03
 """Standard uncertainty of standard gravity as a value of local gravity at an unknown place on Earth, m/s²."""
-UNKNOWN_HEIGHT_GRAVITY_U = 3e-3
-"""Standard uncertainty of normal gravity where the height of the place is not known, m/s²: that of 1000 m."""
+UNKNOWN_HEIGHT_GRAVITY_U = 4e-3
+"""Standard uncertainty of normal gravity where the height of the place is not known, m/s²: that of 1300 m."""
 
 _FIELD_ON_EARTH = (1.5e-5, 8e-5)  # T, at the ground: 22 to 67 µT, and magnetic rock
 
