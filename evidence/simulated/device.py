@@ -29,7 +29,8 @@ FINE = 8
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Grade:
-    """Standard deviations over devices, densities of white noise (m/s²/√Hz, rad/s/√Hz) and sizes of in-run biases."""
+    """Standard deviations over devices, densities of white noise (m/s²/√Hz, rad/s/√Hz) and sizes of in-run biases. The
+    terms beyond the linear model of MEMS have the sizes that were found in real chips (studies/chip_priors.py)."""
 
     accel: tuple[float, float, float]  # bias, scale factor, axes
     gyro: tuple[float, float, float]
@@ -53,17 +54,17 @@ GRADES = {
     ),
     "tactical": Grade(
         accel=(2e-2, 5e-4, 5e-4), gyro=(5.0 * HOUR, 5e-4, 5e-4), white=(3e-4, 0.1 * DEG / 60.0),
-        quadratic=100e-6 * G0, cubic=30e-6 * G0, asymmetry=(100e-6, 100e-6), g_sensitivity=5.0 * HOUR, lever=0.03,
+        quadratic=50e-6 * G0, cubic=30e-6 * G0, asymmetry=(50e-6, 100e-6), g_sensitivity=5.0 * HOUR, lever=0.03,
         delay=3e-3, single_delay=100e-6, per_kelvin=(50e-6 * G0, 1.0 * HOUR), in_run=(5e-5, 0.2 * HOUR),
     ),
     "mems": Grade(
         accel=(5e-2, 6e-3, 4e-3), gyro=(1e-2, 6e-3, 4e-3), white=(1.5e-3, 0.01 * DEG),
-        quadratic=500e-6 * G0, cubic=100e-6 * G0, asymmetry=(500e-6, 500e-6), g_sensitivity=0.1 * DEG, lever=0.005,
+        quadratic=50e-6 * G0, cubic=100e-6 * G0, asymmetry=(50e-6, 100e-6), g_sensitivity=30.0 * HOUR, lever=0.005,
         delay=5e-3, single_delay=300e-6, per_kelvin=(300e-6 * G0, 80.0 * HOUR), in_run=(3e-4, 5.0 * HOUR),
     ),
     "consumer": Grade(
         accel=(0.3, 1.5e-2, 1e-2), gyro=(2e-2, 2e-2, 1e-2), white=(3e-3, 0.03 * DEG),
-        quadratic=1e-3 * G0, cubic=300e-6 * G0, asymmetry=(1e-3, 1e-3), g_sensitivity=0.2 * DEG, lever=0.01,
+        quadratic=50e-6 * G0, cubic=100e-6 * G0, asymmetry=(50e-6, 100e-6), g_sensitivity=30.0 * HOUR, lever=0.01,
         delay=5e-3, single_delay=500e-6, per_kelvin=(1e-3 * G0, 200.0 * HOUR), in_run=(1e-3, 20.0 * HOUR),
     ),
 }  # fmt: skip

@@ -301,12 +301,12 @@ def _groups_beyond_usual(estimate: Estimate) -> Iterator[tuple[tuple[str], tuple
     sizes = {h.name: h for h in estimate.hyperparameters}
     by_kind = dict[str, dict[str, str]]()
     for finding in estimate.groups:
-        group, size = group_of(finding.name), sizes.get(finding.name)
-        if size is None or group.variable == "time":
+        group, size, widened = group_of(finding.name), sizes.get(finding.name), finding.prior_widened
+        if group.variable == "time":
             continue
-        if size.low > LARGER or finding.prior_widened > WIDENED:
+        if (widened if size is None else size.low) > LARGER or widened > WIDENED:
             unit, name = shown_in(group.name, group.unit, finding.prior)
-            times, usual = max(size.value, finding.prior_widened), two_digits(finding.prior / unit)
+            times, usual = max(0.0 if size is None else size.value, widened), two_digits(finding.prior / unit)
             said = f"{group.words} (about {times:.2g} times the usual {usual} {name})".replace(" °", "°")
             by_kind.setdefault(group.kind, {})[group.name] = said
     for kind, groups in by_kind.items():
