@@ -2,13 +2,15 @@
 
 Every session of a chip is estimated with one group free (its size is the limit beyond which a value is impossible) and
 all others as the grade has them. That gives x_i and covariance C_i of the group's parameters, everything else
-eliminated with flat or usual priors. A chip's parameters are the same in all its sessions, so their information adds:
+eliminated with flat or usual priors. A chip's parameters c are the same in all its sessions; what a session adds of its
+own, such as a strain of the board in its fixture, has a standard deviation t. With V_i = C_i + t² I a chip has
 
-    C_c⁻¹ = Σ_i C_i⁻¹,    x_c = C_c Σ_i C_i⁻¹ x_i
+    A = Σ_i V_i⁻¹,    ĉ = A⁻¹ Σ_i V_i⁻¹ x_i
 
-With parameters that are normal of standard deviation s from chip to chip, the restricted log-likelihood of s is
+and with parameters that are normal of standard deviation s from chip to chip the restricted log-likelihood is
 
-    ℓ(s) = −½ Σ_c [ln det(C_c + s² I) + x_cᵀ (C_c + s² I)⁻¹ x_c]
+    ℓ(s, t) = −½ Σ_c [Σ_i ln det V_i + ln det A + Σ_i (x_i − ĉ)ᵀ V_i⁻¹ (x_i − ĉ)
+                      + ln det (A⁻¹ + s² I) + ĉᵀ (A⁻¹ + s² I)⁻¹ ĉ],    ℓ(s) = max over t of ℓ(s, t)
 
 The table has the s of the maximum, and in brackets where ℓ is 1.92 below it (95 %), for each source and for all; "at
 most" stands where zero is within. Beside it stands the size that the table of parameters has for MEMS.
@@ -61,6 +63,8 @@ FREE = 100.0
 """Times the usual size: as good as flat."""
 DROP = 1.92
 """Of ℓ at the ends of a 95 % interval: half the quantile of χ² with one degree of freedom."""
+BETWEEN = np.concatenate([[0.0], np.geomspace(0.1, 100.0, 31)])
+"""Scatters between sessions that are tried, in units of the usual size."""
 SIZES = np.concatenate([[0.0], np.geomspace(1e-3, 1e3, 601)])
 """Sizes that are tried, in units of the usual one."""
 
@@ -126,31 +130,32 @@ def seen_of(source: str, chip: str, observations: Observations, group: str) -> S
     )
 
 
-def chips_of(every: Sequence[Seen]) -> Iterator[Seen]:
-    """The sessions of each chip as one."""
-    for chip in dict.fromkeys(seen.chip for seen in every):
-        of = [seen for seen in every if seen.chip == chip]
-        information = [np.linalg.inv(seen.covariance) for seen in of]
-        covariance = np.linalg.inv(np.sum(information, axis=0))
-        weighted = np.sum([each @ seen.values for each, seen in zip(information, of, strict=True)], axis=0)
-        yield Seen(source=of[0].source, chip=chip, values=covariance @ weighted, covariance=covariance)
+def restricted_likelihood(every: Sequence[Seen]) -> Array:
+    """ℓ of each of SIZES, at the likeliest scatter between sessions for each."""
+    chips = [[seen for seen in every if seen.chip == chip] for chip in dict.fromkeys(seen.chip for seen in every)]
+    scatters = BETWEEN if any(len(of) > 1 for of in chips) else BETWEEN[:1]
+    return np.max([sum(_of_chip(of, t) for of in chips) for t in scatters], axis=0)
 
 
-def restricted_likelihood(chips: Sequence[Seen]) -> Array:
-    """ℓ of each of SIZES."""
-    out = np.zeros(len(SIZES))
-    for chip in chips:
-        eigenvalues, vectors = np.linalg.eigh(chip.covariance)
-        variances = eigenvalues + SIZES[:, None] ** 2
-        out -= 0.5 * (np.log(variances) + (vectors.T @ chip.values) ** 2 / variances).sum(axis=1)
-    return out
+def _of_chip(sessions: Sequence[Seen], t: float) -> Array:
+    """ℓ(s, t) of a chip for each s of SIZES."""
+    V = [seen.covariance + t**2 * np.eye(len(seen.values)) for seen in sessions]
+    weights = [np.linalg.inv(each) for each in V]
+    A = np.sum(weights, axis=0)
+    c = np.linalg.solve(A, np.sum([W @ seen.values for W, seen in zip(weights, sessions, strict=True)], axis=0))
+    off = [seen.values - c for seen in sessions]
+    within = sum(np.linalg.slogdet(each)[1] for each in V) + np.linalg.slogdet(A)[1]
+    within += sum(float(e @ W @ e) for e, W in zip(off, weights, strict=True))
+    eigenvalues, vectors = np.linalg.eigh(np.linalg.inv(A))
+    variances = eigenvalues + SIZES[:, None] ** 2
+    return -0.5 * (within + (np.log(variances) + (vectors.T @ c) ** 2 / variances).sum(axis=1))
 
 
 def size_of(every: Sequence[Seen], factor: float) -> str:
     """The size of the maximum with its interval, times `factor`."""
     if not every:
         return "–"
-    likelihood = restricted_likelihood(list(chips_of(every)))
+    likelihood = restricted_likelihood(every)
     within = np.flatnonzero(likelihood > likelihood.max() - DROP)
     low, best, high = (factor * SIZES[at] for at in (within[0], likelihood.argmax(), within[-1]))
     return f"at most {high:.3g}" if low == 0.0 else f"{best:.3g} [{low:.3g}, {high:.3g}]"
