@@ -118,7 +118,10 @@ def seen_of(source: str, chip: str, observations: Observations, group: str) -> S
     if group.startswith("gyro") and observations.turns is None:
         return None
     free = replace(observations, usual={**observations.usual, group: FREE * usual})
-    found = joint(free, intervals=False)
+    try:
+        found = joint(free, intervals=False)
+    except np.linalg.LinAlgError:  # the data contradict the model
+        return None
     places = positions_by_group(found.names).get(group, [])
     if not found.converged or not places:
         return None
