@@ -139,7 +139,7 @@ class Stranger:
         (
             lambda: tumble.calibrate_launches("x"),
             r"sessions: expected several, each Session or a path, found 'x'",
-        ),  # type: ignore[arg-type]
+        ),
         (lambda: tumble.noise_of(np.zeros((9, 3))), r"recordings: expected .*, found ndarray"),  # type: ignore[arg-type]
         (lambda: tumble.calibrate("x", without=3), "without: expected several, each a whole"),  # type: ignore[arg-type]
         (
@@ -178,7 +178,7 @@ HELD = [tumble.Comparison, tumble.Corrected, tumble.Exported, tumble.FieldCheck,
 @pytest.mark.parametrize("held", [*HELD, tumble.Programme, tumble.Session, tumble.Setup, tumble.types.RecordedNoise])
 def test_what_a_user_holds_shows_itself_in_a_line_and_in_a_table(held: type) -> None:
     names = [each.name for each in fields(held) if each.repr]
-    shown = object.__new__(held)
+    shown: Any = object.__new__(held)
     for name in names:
         object.__setattr__(shown, name, np.zeros((1000, 3)) if name == names[0] else "<script>" * 10)
     assert repr(shown).startswith(f"{held.__name__}({names[0]}=array(1000, 3)")

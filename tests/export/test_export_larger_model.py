@@ -97,7 +97,9 @@ def test_tables_hold_prior_learned_k_and_degrees_of_freedom() -> None:
         assert np.isnan(content["parameter_prior"].ravel()[i]) == (p.prior is None)
 
 
-HELD = dict.fromkeys(("c", "csv-thermal", "json"), ("bias.t1", "bias.t2", "scale.t1", "scale.t2"))
+HELD: dict[str, tuple[str, ...]] = dict.fromkeys(
+    ("c", "csv-thermal", "json"), ("bias.t1", "bias.t2", "scale.t1", "scale.t2")
+)
 HELD |= dict.fromkeys(("px4-thermal", "ardupilot-thermal"), ("bias.t1", "bias.t2"))
 """Changes with temperature that a target holds."""
 

@@ -100,7 +100,7 @@ def off(scenario: Scenario, observations: Observations) -> Array:
     estimate = joint(observations)
     assert observations.rests.temperature is not None
     truth = truth_at(
-        scenario.truth | {REFERENCE_NAME: REFERENCE}, float(observations.rests.temperature.mean()) - 273.15
+        {**scenario.truth, REFERENCE_NAME: REFERENCE}, float(observations.rests.temperature.mean()) - 273.15
     )
     return np.array([(estimate.values[i] - truth[n]) / estimate.u[i] for i, n in enumerate(estimate.names[:21])])
 

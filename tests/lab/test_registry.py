@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import multiprocessing
+import shutil
 import sqlite3
 import subprocess
 import sys
@@ -285,7 +286,7 @@ def test_of_a_new_registry_nothing_is_left_where_nothing_was_added(
     with pytest.raises(InputError, match="expected limits"), open_registry(place, create=True) as registry:
         registry.set_limits("M", tmp_path / "limits.toml")
     monkeypatch.setattr(database, "_make_tables", full)
-    monkeypatch.setattr(database.shutil, "disk_usage", lambda _: SimpleNamespace(free=4096))
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=4096))
     with (
         pytest.raises(InputError, match="cannot be used: No space left"),
         open_registry(place, create=True) as registry,

@@ -163,7 +163,7 @@ def test_a_linear_instrument_is_accepted_by_all_of_them(tmp_path: Path) -> None:
     setup = Setup.of(grade="navigation", sample_rate=20.0)
     folder = simulate_session(tmp_path / "linear", setup, seed=3)
     for method in ("sequential", "scalar", "ellipsoid"):
-        assert calibrate(folder, method=method).outcome.verdict == "accepted"  # type: ignore[arg-type]
+        assert calibrate(folder, method=method).outcome.verdict == "accepted"
     session = read_session(folder)
     sheet = {"accel.quadratic": 1e-12, "accel.cubic": 1e-12, "accel.asymmetry": 1e-12}
     stated = replace(session, device=replace(session.device, prior=sheet))

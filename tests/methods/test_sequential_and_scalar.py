@@ -177,7 +177,7 @@ def test_the_orientation_of_the_programme_costs_the_scalar_method_its_first_pass
             left = pipeline(seen, iterations=1).values[:9] - values[:9]
             errors.setdefault(pipeline, []).append(left / SIZES[:9])
         last = [pipeline(seen, iterations=6).values / SIZES for pipeline in (scalar_nominal, scalar)]
-        np.testing.assert_allclose(*last, atol=1e-5)
+        np.testing.assert_allclose(last[0], last[1], atol=1e-5)
     nominal, estimated = (np.sqrt(np.mean(np.square(each))) for each in errors.values())
     assert 0.01 < nominal < 0.15
     assert estimated < 0.03 * nominal

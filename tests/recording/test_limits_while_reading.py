@@ -26,6 +26,9 @@ from tumble.errors import InputError, SessionError
 from tumble.files import whole_file
 from tumble.recording.session_file import read_session
 
+COLUMNS = ("t", "ax", "ay", "az", "gx", "gy", "gz")
+HUGE = b"{'descr': '<f8', 'fortran_order': False, 'shape': (68719476736, 3)}\n"
+
 
 def write_parquet(path: Path) -> None:
     pl.DataFrame({c: np.zeros(4_000_000) for c in COLUMNS}).write_parquet(path, row_group_size=1 << 24)
@@ -39,7 +42,7 @@ def write_mcap(path: Path) -> None:
         channel = writer.register_channel("/said", "cdr", schema)
         for _ in range(4):
             writer.add_message(channel, 0, b"\0" * (1 << 26), 0)
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
 
 
 def write_bag(path: Path) -> None:
@@ -52,14 +55,12 @@ def write_bag(path: Path) -> None:
 
 PACKED: dict[str, Callable[[Path], object]] = {
     "a.parquet": write_parquet,
-    "a.npz": lambda path: np.savez_compressed(path, **{c: np.zeros(4_000_000) for c in COLUMNS}),
+    "a.npz": lambda path: np.savez_compressed(path, *[np.zeros(4_000_000) for _ in COLUMNS]),
     "a.npy": lambda path: path.write_bytes(np.lib.format.magic(1, 0) + struct.pack("<H", len(HUGE)) + HUGE),
     "a.mat": lambda path: savemat(path, {c: np.zeros(4_000_000) for c in COLUMNS}, do_compression=True),
     "a.mcap": write_mcap,
     "a.bag": write_bag,
 }
-COLUMNS = ("t", "ax", "ay", "az", "gx", "gy", "gz")
-HUGE = b"{'descr': '<f8', 'fortran_order': False, 'shape': (68719476736, 3)}\n"
 
 
 @pytest.mark.parametrize("name", PACKED)

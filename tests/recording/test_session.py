@@ -395,7 +395,8 @@ def test_session_is_read_from_its_folder_and_from_its_file(tmp_path: Path) -> No
 
 def test_gravity_of_the_file_is_known_to_its_last_digit_unless_its_uncertainty_is_given(tmp_path: Path) -> None:
     site = read(tmp_path, {"site": {"latitude_deg": 56.84, "gravity": 9.81594}}).site
-    assert (site.gravity, site.gravity_u) == (9.81594, pytest.approx(1e-5 / 12**0.5))
+    assert site.gravity == 9.81594
+    assert site.gravity_u == pytest.approx(1e-5 / 12**0.5)
     computed = read(tmp_path, {"site": {"gravity": 9.815943216842}}).site
     assert computed.gravity_u == 0.0
     site = read(tmp_path, {"site": {"gravity": 9.81594, "gravity_u": 2e-6}}).site

@@ -49,6 +49,7 @@ def test_the_formula_with_its_numbers_corrects_as_the_library_does(axes: Array |
     accel, gyro = read(instrument, values, force, rate)
     warm = None if celsius is None else np.full(len(accel), celsius + ZERO_CELSIUS)
     found_f, found_w = made.apply(accel, gyro, temperature=warm)
+    assert found_w is not None
     content = json.loads(export_calibration(made, "json").content)["correction"]
     f = by_formula(content["accel"], accel, celsius=celsius)
     np.testing.assert_allclose(f, found_f, rtol=0.0, atol=1e-9)

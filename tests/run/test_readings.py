@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -612,7 +613,7 @@ def on_faces(values: Array, rng: np.random.Generator, tilt: float) -> Array:
 def test_six_faces_give_bias_and_scale_factor_of_each_axis(tmp_path: Path) -> None:
     values = np.array([0.3, -0.1, 0.2, 0.01, -0.01, 0.02, 0.0, 0.0, 0.0])
     seen = 16384.0 / G_STANDARD * on_faces(values, np.random.default_rng(1), 0.02)
-    options = {"unit": "count", "scale": [16384.0], "gravity": 9.81, "gravity_u": 0.0}
+    options: dict[str, Any] = {"unit": "count", "scale": [16384.0], "gravity": 9.81, "gravity_u": 0.0}
     found = calibrate_readings(written(tmp_path, np.round(seen)), **options).calibration
     assert found.outcome.accel.accepted
     assert "as six faces give them" in found.outcome.remarks[0]
