@@ -123,15 +123,15 @@ def grades() -> str:
 
 
 def groups() -> str:
-    """The groups of parameters beyond the linear model, with their usual sizes."""
+    """The groups of parameters beyond the linear model, with their usual sizes and where those of MEMS are from."""
     from tumble.sensors.grades import GRADES
     from tumble.sensors.parameters import FURTHER
 
     rows = [
-        [f"`{group.name}`", group.words, f"`{group.unit}`", *(usual(group, grade) for grade in GRADES)]
+        [f"`{group.name}`", group.words, f"`{group.unit}`", *(usual(group, grade) for grade in GRADES), group.source]
         for group in FURTHER
     ]
-    return table(["group", "meaning", "SI unit", *GRADES], rows)
+    return table(["group", "meaning", "SI unit", *GRADES, "source of mems, consumer"], rows)
 
 
 def usual(group: Any, grade: str) -> str:

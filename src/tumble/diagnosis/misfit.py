@@ -29,7 +29,7 @@ from tumble.diagnosis.lost_samples import (
 from tumble.diagnosis.projection import Remaining, SumOfSquares, standing_out
 from tumble.inference.estimate import Estimate, HyperparameterEstimate
 from tumble.inference.likelihood import Linearised, SessionSpan
-from tumble.inference.noise_components import REST_MODES, SCATTER, Components
+from tumble.inference.noise_components import REST_MODES, SCATTER, Components, typical_noise
 from tumble.reduction.observations import Observations
 from tumble.sensors.parameters import group_of, shown_in
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, two_digits
@@ -89,8 +89,7 @@ class Group:
         covariances = {"accel": rests.accel_covariance, "gyro": rests.gyro_covariance}
         if turns is not None:
             covariances |= {"turn": turns.covariance, "velocity": turns.velocity_covariance}
-        covariance = covariances[self.name]
-        return float(np.sqrt(np.median(np.trace(covariance, axis1=1, axis2=2) / covariance.shape[1])))
+        return typical_noise(covariances[self.name])
 
     def chance(self, linearised: Linearised, alone: Remaining, part: SessionSpan) -> float:
         """Probability that chance alone makes the residuals of a session as large as they are beside the noise within
@@ -242,14 +241,13 @@ def _of_session(
 def _restless(linearised: Linearised) -> list[Said]:
     """Kinds of sensors whose biases change from one rest to the next by more than MANY times the noise of a rest.
 
-    A process of the in-run bias may then have taken what is no bias: a wander or a warm-up is smooth, and changes by
-    σ_b √(2 − 2 e^{−Δt/τ}) from rest to rest, a few times the noise at most. Turns are judged by the verticals of the
-    accelerometers, so that scale factors and axes of the gyros are spoilt with them."""
+    The in-run bias changes by σ_b √(2 − 2 e^{−Δt/τ}) from rest to rest. A device that wanders or warms up changes by a
+    few times its noise; where it is more, the process has taken an error that is no bias. The turns are compared with
+    the verticals that the accelerometers see, so that theirs spoils the scale factors and axes of the gyros too."""
     rests, components, out = linearised.problem.observations.rests, linearised.components, list[Said]()
     interval = float(np.median(np.diff(0.5 * (rests.start + rests.stop)))) if len(rests) > 1 else 0.0
     for block in linearised.problem.instrument.blocks:
-        kind, covariance = block.kind, getattr(rests, f"{block.kind}_covariance")
-        noise = float(np.sqrt(np.median(np.trace(covariance, axis1=1, axis2=2)) / block.size))
+        kind, noise = block.kind, typical_noise(getattr(rests, f"{block.kind}_covariance"))
         size, time = getattr(components, f"{kind}_in_run"), getattr(components, f"{kind}_time")
         change = float(size * np.sqrt(-2.0 * np.expm1(-interval / time))) if time > 0.0 else 0.0
         if change > max(MANY * noise, NOTHING[kind]):

@@ -29,7 +29,15 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from tumble.inference.likelihood import Problem
-from tumble.inference.noise_components import CORRELATION_TIME, OF_TURNS, SCATTER, SCATTER_WORDS, Components, Noise
+from tumble.inference.noise_components import (
+    CORRELATION_TIME,
+    OF_TURNS,
+    SCATTER,
+    SCATTER_WORDS,
+    Components,
+    Noise,
+    typical_noise,
+)
 from tumble.inference.variables import at_two_temperatures, both_ways
 from tumble.sensors.parameters import poorer, prior_sizes, variable_of
 from tumble.units import Array, BoolArray
@@ -174,14 +182,13 @@ def table(problem: Problem, noise: Noise, seen: BoolArray) -> Hyperparameters:
     covariances = (rests.accel_covariance, rests.gyro_covariance) if len(rests) > 1 else ()
     for block, covariance in zip(blocks, covariances, strict=False):
         kind, words = block.kind, "accelerometers" if block.kind == "accel" else "gyros"
-        noise_u = float(np.sqrt(np.median(np.trace(covariance, axis1=1, axis2=2)) / block.size))
         entries.append(
             Hyperparameter(
                 name=f"{kind}_in_run",
                 unit=SCATTER_WORDS[kind][0],
                 words=f"in-run bias of the {words}",
                 place="in-run",
-                usual=observations.in_run.get(kind, noise_u),
+                usual=observations.in_run.get(kind, typical_noise(covariance)),
                 within=IN_RUN_WITHIN,
                 members=slice(first, first + block.size),
             )

@@ -33,7 +33,7 @@ from tumble.inference.lag import maximum_with_lags
 from tumble.inference.likelihood import NO_PRIOR, Linearised, Prior, Problem, instruments_of
 from tumble.inference.linearisation import at_reference
 from tumble.inference.maximum import MAX_ITERATIONS, Maximum, without_outliers
-from tumble.inference.noise_components import SCATTER, Components
+from tumble.inference.noise_components import SCATTER, Components, typical_noise
 from tumble.inference.prediction import prediction
 from tumble.inference.sources import UncertaintyBudget, common_covariances, source
 from tumble.inference.start import start_of
@@ -146,8 +146,7 @@ def _budget(fitted: Maximum, shown: Posterior, common: Mapping[str, Array]) -> U
     sizes = dict[str, tuple[float, str, float | None]]()
     for kind, covariance in (("accel", rests.accel_covariance), ("gyro", rests.gyro_covariance)):
         if covariance.shape[1]:
-            mean_square = float(np.median(np.trace(covariance, axis1=1, axis2=2))) / covariance.shape[1]
-            sizes[f"{kind}.noise"] = np.sqrt(mean_square), "m/s^2" if kind == "accel" else "rad/s", None
+            sizes[f"{kind}.noise"] = typical_noise(covariance), "m/s^2" if kind == "accel" else "rad/s", None
     if len(noise.turn):
         rotation, velocity = (float(np.sqrt(np.median(each**2))) for each in problem.noise_of_turns)
         sizes |= {"turn.gyro.noise": (rotation, "rad", None), "turn.accel.noise": (velocity, "m/s", None)}

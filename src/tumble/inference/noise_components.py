@@ -33,6 +33,11 @@ CORRELATION_TIME = 300.0
 REST_MODES = {name: SCATTER_WORDS[name][1] for name in SCATTER[:2]}
 
 
+def typical_noise(covariance: Array) -> float:
+    """Standard deviation of a component of the median row, of covariances (N, n, n)."""
+    return float(np.sqrt(np.median(np.trace(covariance, axis1=1, axis2=2)) / covariance.shape[1]))
+
+
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Components:
     """Components of variance beside the noise within rests, as standard deviations: of the readings at rest of the
