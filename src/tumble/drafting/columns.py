@@ -18,7 +18,7 @@ import polars as pl
 from tumble.drafting.containers import NAMED, NoLogError, check_format, check_is_text
 from tumble.drafting.dialects import as_table
 from tumble.drafting.foreign_log import LONGEST, SAMPLE_ROWS, ForeignLog, Stated, samples_in
-from tumble.drafting.repairs import nanoseconds_of
+from tumble.drafting.repairs import nanoseconds_of, with_signs
 from tumble.drafting.sensors_apart import are_sensors_apart, of_sensors_apart
 from tumble.drafting.several_sensors import split_by_header, split_by_sensor
 from tumble.drafting.times import times_of_column
@@ -152,9 +152,11 @@ def _by_data(log: ForeignLog) -> ForeignLog:
     known, names, numeric = log.columns, list(log.names), _numeric(log)
     taken = {column for sensors in known.triads.values() for column in sensors.columns} | {known.time}
     free = [name for name in numeric if name not in taken and not is_no_sensor(name)]
-    read = log.read(free) if len(free) >= 3 else np.empty((0, len(free)))
-    every = np.full((samples_in(read), len(names)), np.nan)
-    every[:, [names.index(name) for name in free]] = read[: len(every)]
+    read = with_signs(log.read(free)) if len(free) >= 3 else np.empty((0, len(free)))
+    read = read[: samples_in(read)]
+    read = read[np.isfinite(read).any(axis=1)]  # without rows of others
+    every = np.full((len(read), len(names)), np.nan)
+    every[:, [names.index(name) for name in free]] = read
     told = columns_by_data(names, every)
     if ACCEL not in told.columns.triads:
         return log

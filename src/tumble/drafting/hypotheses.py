@@ -67,9 +67,10 @@ _RATE_RANGE = math.log(RATES_OF_LOGS[1] / RATES_OF_LOGS[0])
 """The range of the logarithm of a rate of which nothing is known."""
 _ODDS: Mapping[tuple[str | None, str | None], float] = {
     ("m/s^2", "rad/s"): 3.0, ("g", "deg/s"): 3.0, ("mg", "mdeg/s"): 5.0, ("m/s", "rad"): 30.0, ("m/s", "deg"): 30.0,
-    ("m/s", "arcsec"): 30.0, ("cm/s^2", None): 5.0, (None, None): 30.0,
+    ("m/s", "arcsec"): 30.0, ("cm/s^2", None): 5.0, ("mg", None): 15.0, (None, None): 30.0,
 }  # fmt: skip
-"""How much more often units of accelerometers and gyros come together than by themselves; None are counts."""
+"""How much more often units of accelerometers and gyros come together than by themselves; None are counts, which for
+some accelerometers are mg."""
 COUNTS = KnownScale(value=1.0, shares=(1.0, 1.0))
 """Of gyros that nothing turned, whatever they are worth."""
 _ZERO = 0.1
@@ -290,7 +291,7 @@ def ranked(shown: Evidence, draft: Draft, widths: Widths = WIDTHS) -> list[Hypot
         gyros = [*([(COUNTS, -2.0 * math.log(counted))] if counted else []), *units]
     if with_accel and draft.whole[ACCEL] and shown.length < _FEWEST_COUNTS:
         accels = [(accel, assumed) for accel, assumed in accels if accel.unit is not None] or accels
-    stated = with_accel and draft.unit(ACCEL) is not None
+    stated = with_accel and ACCEL_UNITS[draft.unit(ACCEL) or "count"].kind != "raw"
     samples = float(np.median(shown.samples)) if shown.rests else np.inf
     out = []
     for profile in shown.profiles or (None,):

@@ -193,7 +193,7 @@ def _time(log: ForeignLog, rate: float | None) -> tuple[list[str], bool, list[Me
                 tick = 1e-7
             elif any(first < middle < last for first, last in _DAYS) and _SHORTEST < step * _DAY < _LONGEST:
                 tick = _DAY if step < _SHORTEST else None
-    overflow = None if log.clock is not None else overflow_of(log.read([column])[:, 0])
+    overflow = overflow_of(log.read([column])[:, 0])
     if overflow is not None:
         said = f"time: column {column!r} starts anew at {overflow:.10g}: that much is added where it does"
         mends.append((said, partial(_grown, column=column, overflow=overflow)))
@@ -246,6 +246,11 @@ def _wrapped(columns: Array) -> bool:
 def _unwrapped(columns: Array) -> Array:
     """What numbers of 16 bits read without their sign were."""
     return np.where(columns >= 32768.0, columns - 65536.0, columns)
+
+
+def with_signs(columns: Array) -> Array:
+    """Columns (m, n) of which those of 16 bits that were read without their sign have it."""
+    return np.column_stack([_unwrapped(c) if _wrapped(c) else c for c in columns.T]) if columns.size else columns
 
 
 # -------------------- positions without turns between them --------------------

@@ -75,7 +75,7 @@ def log_of_recording(
     said += [remark for remark in dict.fromkeys(m.remark for m in taken) if remark]
     columns = Columns(
         time=TIME if accel.timed else None,
-        time_unit=None,
+        time_unit="s" if accel.timed else None,
         triads=triads,
         temperatures=temperatures or tuple(t for m in thermometers for t in m.temperatures),
     )

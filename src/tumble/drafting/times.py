@@ -44,7 +44,7 @@ UNUSUAL = 0.03
 _TICKS, _COUNTS = 0.02, 0.4
 """Share of whole numbers without a unit that are ticks of a clock, and of those growing by one that count samples."""
 _UNITS_IN_ORDER = {"s": 0.0, "ms": 0.5, "us": 1.0, "ns": 1.5}
-_UNLIKELY_RATE, _UNLIKELY_SPAN = 5.0, 8.0
+_UNLIKELY_RATE, _UNLIKELY_SPAN = 5.0, 8.0  # in a log that is shorter than any, or counts seconds
 _SHARE, _FREE = 2e-2, 3
 _PAUSES, _PAUSE = 2e-3, 10.0
 _LONGEST_DELAY = 0.1  # of the log: what is longer is a pause
@@ -183,7 +183,7 @@ def grows_mostly(values: Array) -> bool:
     return bool(steps[steps > 0.0].sum() > _SHORTEST and np.mean(steps < 0.0) <= _ANEW)
 
 
-_OVERFLOWS = (65.536, 65536.0, 2.0**24, 2.0**32 / 1e6, 2.0**32 / 1e3, 2.0**32)
+_OVERFLOWS = (3600.0, 65.536, 65536.0, 2.0**24, 2.0**32 / 1e6, 2.0**32 / 1e3, 2.0**32)
 _MOST_OVERFLOWS = 10_000
 _LATE = 50  # samples that may be lost where a counter starts anew
 _MOST_RECORDINGS, _SHORTEST_RECORDING = 50, 50
@@ -198,7 +198,7 @@ def overflow_of(values: Array) -> float | None:
     span = float(np.ptp(values)) if len(values) else 0.0
     if not len(falls) or len(falls) > _MOST_OVERFLOWS:
         return None
-    usual = float(np.median(steps))
+    usual = float(steps[steps >= 0.0].mean())
     for number in _OVERFLOWS:
         after = steps[falls] + number
         if span < number and ((after > 0.0) & (after < _LATE * usual)).all():
@@ -232,8 +232,8 @@ def _units(stamps: Stamps, step: float) -> tuple[dict[str, float], str, list[str
     rates = {name: 1.0 / (step * size) for name, size in TIME_UNITS.items()}
     costs = {name: cost for name, cost in _UNITS_IN_ORDER.items() if _SLOWEST <= rates[name] <= RATES_OF_LOGS[1]}
     for name in costs:
-        short = not counts and (high - low) * TIME_UNITS[name] < _SHORTEST_LOG
-        costs[name] += _UNLIKELY_RATE * (not 10.0 <= rates[name] <= 2000.0) + _UNLIKELY_SPAN * short
+        unlikely = (high - low) * TIME_UNITS[name] < _SHORTEST_LOG or (counts and rates[name] < RATES_OF_LOGS[0])
+        costs[name] += _UNLIKELY_RATE * (not 10.0 <= rates[name] <= 2000.0) + _UNLIKELY_SPAN * unlikely
     dated = [name for name in costs if CENTURY[0] < low * TIME_UNITS[name] and high * TIME_UNITS[name] < CENTURY[1]]
     if dated and (rates[dated[0]] > _SLOW or min(costs.values()) >= _UNLIKELY_RATE):
         return {dated[0]: 0.0}, _BY_DATES, []

@@ -60,6 +60,8 @@ many of them tell."""
 
 _MOVED = 0.01
 """Of gravity: what each accelerometer of a body that is never at rest scatters by, at least."""
+_ABOUT_GRAVITY, _SHAKEN = 0.12, 0.4
+"""Of gravity: what the median length of means over a block is off for a body that flies or walks, and their spread."""
 _ONE_WAY = 0.05
 """Of the steps of a sensor half fall, whatever it is of: 1 of 20 and less by chance once in 50,000 times."""
 
@@ -170,7 +172,8 @@ def _hypotheses(names: Sequence[str], read: Array, columns: Sequence[int]) -> li
 
 def _of_gravity_alone(names: Sequence[str], read: Array, columns: Sequence[int]) -> dict[str, Sensors]:
     """Sensors of a log that is never at rest, and has three or six columns beside times and constants: accelerometers
-    are the three, in a unit, whose median length is that of gravity, gyros the others; none where that is not clear."""
+    are the three, in a unit, whose length is about that of gravity most of the time, gyros the others; none where that
+    is not clear."""
     filled = [j for j in columns if np.isfinite(read[:, j]).mean() > 0.5]
     varying = [j for j in filled if np.nanstd(read[:, j]) > 0.0]
     runs = [tuple(varying[k : k + 3]) for k in range(0, len(varying), 3)]
@@ -178,13 +181,14 @@ def _of_gravity_alone(names: Sequence[str], read: Array, columns: Sequence[int])
         return {}
     if not all(_are_one_sensor([names[j] for j in run]) for run in runs) or _attitudes(read, varying):
         return {}
-    lengths = [float(np.nanmedian(np.linalg.norm(read[:, run], axis=1))) for run in runs]
     units = [c.value for c in CANDIDATES[ACCEL] if c.unit is not None and not c.increment]
-    least = [float(np.nanstd(read[:, run], axis=0).min()) for run in runs]
-    like = [
-        scatter > _MOVED * length and min(abs(np.log(length / unit)) for unit in units) < NEAR
-        for scatter, length in zip(least, lengths, strict=True)
-    ]
+    like = []
+    for run in runs:
+        lengths = np.linalg.norm(_means(read[:, run])[0], axis=1)
+        length, spread = float(np.nanmedian(lengths)), float(np.nanstd(lengths))
+        moved = float(np.nanstd(read[:, run], axis=0).min()) > _MOVED * length
+        near = min(abs(np.log(length / unit)) for unit in units) < _ABOUT_GRAVITY
+        like.append(moved and near and spread < _SHAKEN * length)
     if like.count(True) != 1:
         return {}
     in_order_of = sorted(range(len(runs)), key=lambda k: not like[k])

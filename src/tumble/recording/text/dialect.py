@@ -39,7 +39,7 @@ _POINT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?nan|[+-]?inf", 
 _COMMA = re.compile(r"[+-]?(\d+|\d*,\d+)([eE][+-]?\d+)?|[+-]?nan|[+-]?inf", re.IGNORECASE)
 _CLOCK = re.compile(
     r"(\d{1,4}[-./]\d{1,2}[-./]\d{1,4}[T ]?)?\s*"
-    r"(\d{1,2}:\d{2}(:\d{2}([.,:]\d+)?)?\s*([AaPp]\.?[Mm]\.?)?\s*(Z|[+-]\d\d:?\d\d)?)?"
+    r"(\d{1,2}:\d{2}(:\d{2}([.,:]\d+)?|[.,]\d+)?\s*([AaPp]\.?[Mm]\.?)?\s*(Z|[+-]\d\d:?\d\d)?)?"
 )
 JOINED = (
     r"(\d{4})[_-]?(\d{2})[_-]?(\d{2})[_ T-](\d{2})[_:-]?(\d{2})[_:-]?(\d{2})(?:[._-](\d+))?",
@@ -52,8 +52,9 @@ MONTHS = "jan", "feb", "m[aä]r|mrz", "apr", "ma[iy]", "jun", "jul", "aug", "sep
 NAMED_MONTH = (
     r"(?i)(?P<day>\d{{1,2}})[-/. ](?:{0})[a-zä]*[-/. ](?P<year>\d{{4}})",
     r"(?i)(?:{0})[a-zä]*\.? (?P<day>\d{{1,2}}),? (?P<year>\d{{4}})",
+    r"(?i)(?:^[a-z]{{2,3}},? +)?(?:{0}) +(?P<day>\d{{1,2}}) +(?P<time>\d+:\d\d:\d\d)(?: [A-Z]{{3,4}})? +(?P<year>\d{{4}})",
 )
-"""A date whose month has a name: 15-Jun-2026, Jun 15, 2026."""
+"""A date whose month has a name: 15-Jun-2026, Jun 15, 2026, and as C prints it, Mon Jun 15 12:34:56 2026."""
 _NAMED_MONTH = [re.compile(date.format("|".join(MONTHS))) for date in NAMED_MONTH]
 
 
@@ -121,7 +122,7 @@ class Top:
 def is_clock(cell: str) -> bool:
     """Whether a cell is a time of day or a date with one."""
     for date in _NAMED_MONTH if ":" in cell else ():
-        cell = date.sub("1.1.2000", cell)
+        cell = date.sub(lambda found: f"1.1.2000 {found.groupdict().get('time', '')}", cell)
     return bool(_JOINED.fullmatch(cell) or (":" in cell and _CLOCK.fullmatch(cell)))
 
 
