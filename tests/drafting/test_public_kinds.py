@@ -314,7 +314,8 @@ def test_raw_increments_of_novatel(name: str, rows: Array, tmp_path: Path) -> No
     assert check_read(tmp_path / "s", tmp_path / "log.txt", rows) == ""
     calibrated = CliRunner().invoke(main, ["calibrate", str(tmp_path / "s")])
     assert calibrated.exit_code == 0, calibrated.stderr
-    body = "RAWIMUSXA,1692,484620.664;00,11,1692,484620.664389000,00801503,43110635,-817242,-202184,-215194,-41188,-9895"
+    readings = "43110635,-817242,-202184,-215194,-41188,-9895"
+    body = f"RAWIMUSXA,1692,484620.664;00,11,1692,484620.664389000,00801503,{readings}"
     spelling = sentences([f"%{body}*a5db8c7b"] * 9 + [f"%{body}*a5db8c7c"])  # of NovAtel's manual; damaged
     assert spelling is not None
     assert spelling.values(f"%{body}*a5db8c7b") == [
@@ -337,7 +338,8 @@ def test_rows_of_the_imu_among_those_of_others(others: list[str], names: str, ro
 def test_a_body_that_flies_without_names_of_columns(tmp_path: Path) -> None:
     """Gyros whose median length is 1, as that of accelerometers in g, but not most of the time."""
     rng, t = np.random.default_rng(3), 0.005 * np.arange(6000)
-    turning = np.column_stack([np.sin(t), np.sin(1.3 * t + 1.0), np.sin(0.7 * t + 2.0)]) * (1.0 + np.sin(0.5 * t))[:, None]
+    turning = np.column_stack([np.sin(t), np.sin(1.3 * t + 1.0), np.sin(0.7 * t + 2.0)])
+    turning *= (1.0 + np.sin(0.5 * t))[:, None]
     force = np.array([0.0, 0.0, 9.8]) + rng.normal(scale=3.0, size=(6000, 3))
     force += 3.0 * np.column_stack([np.cos(t), np.cos(1.1 * t), np.cos(0.4 * t)])
     text(tmp_path / "log.txt", "", np.column_stack([4908.7 + t, turning, force]), " ")
@@ -360,3 +362,13 @@ def test_numbers_of_rows_are_no_thousandths_of_a_second(tmp_path: Path) -> None:
     draft, _ = new_session(tmp_path / "s", text(tmp_path / "log.csv", NAMES, still))
     assert draft.log["rate_hz"] == 100.0
     assert any("state --sample-rate" in doubt for doubt in draft.doubts)
+
+
+def test_files_of_a_row_each_are_one_log(rows: Array, tmp_path: Path) -> None:
+    """As the oxts/data of KITTI."""
+    (tmp_path / "data").mkdir()
+    for k, row in enumerate(rows[:1500]):
+        (tmp_path / "data" / f"{k:010d}.txt").write_text(" ".join(f"{x:.8g}" for x in row), encoding="ascii")
+    draft, _ = new_session(tmp_path / "s", tmp_path / "data")
+    assert draft.log["accel"]["columns"] == ["2", "3", "4"]
+    assert draft.rate == pytest.approx(50.0, rel=1e-3)

@@ -23,7 +23,7 @@ from tumble.drafting.sensors_apart import are_sensors_apart, of_sensors_apart
 from tumble.drafting.several_sensors import split_by_header, split_by_sensor
 from tumble.drafting.times import times_of_column
 from tumble.errors import InputError
-from tumble.files import OutputFolder
+from tumble.files import OutputFolder, whole_file
 from tumble.recording.columns.names import ACCEL, GYRO, columns_by_name, is_no_sensor, time_unit, unit_of_name
 from tumble.recording.columns.numbers import columns_by_data, time_by_data
 from tumble.recording.log_source import readable
@@ -32,6 +32,7 @@ from tumble.recording.text.dialect import LINE_BYTES, Dialect, dialect_of, is_cl
 from tumble.recording.text.pieces import opened
 
 _SEEN_BYTES = 1 << 18
+_FEWEST_ROWS, _LONGEST_ROW = 50, 4096
 _GROWING = 0.9  # of the steps of stamps that are those of rows
 _DELIMITER_WORDS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "blanks"}
 
@@ -50,7 +51,9 @@ def identified_log(
     logs: list[ForeignLog] = []
     without: list[NoLogError] = []
     omitted: tuple[str, ...] = ()
-    for file in files:  # text without rows beside logs that have some, as the metadata that a phone writes, is left out
+    for file in _joined(
+        files, folder
+    ):  # text without rows beside logs that have some, as the metadata that a phone writes, is left out
         try:
             logs += [log.with_stated(stated, units) for log in _found(file, folder)]
         except NoLogError as error:
@@ -85,6 +88,18 @@ def identified_log(
     kept = {path: source for log in logs for path, source in log.kept.items()}
     said = first.said + ((f"{len(taken)} files, each a recording of its own",) if len(taken) > 1 else ()) + omitted
     return replace(first, files=taken, said=said, kept=kept)
+
+
+def _joined(files: Sequence[Path], folder: OutputFolder) -> Sequence[Path]:
+    """Many files of a row each, as the oxts/data of KITTI, as one log in their order; others as they are."""
+    if len(files) < _FEWEST_ROWS or any(file.stat().st_size > _LONGEST_ROW for file in files):
+        return files
+    rows = [file.read_bytes().strip() for file in files]
+    if any(not row or b"\n" in row for row in rows):
+        return files
+    with whole_file(folder.new_file("log.txt")) as temporary:
+        temporary.write_bytes(b"\n".join(rows) + b"\n")
+    return [folder.written[-1]]
 
 
 def _found(file: Path, folder: OutputFolder) -> list[ForeignLog]:

@@ -52,7 +52,8 @@ MONTHS = "jan", "feb", "m[aä]r|mrz", "apr", "ma[iy]", "jun", "jul", "aug", "sep
 NAMED_MONTH = (
     r"(?i)(?P<day>\d{{1,2}})[-/. ](?:{0})[a-zä]*[-/. ](?P<year>\d{{4}})",
     r"(?i)(?:{0})[a-zä]*\.? (?P<day>\d{{1,2}}),? (?P<year>\d{{4}})",
-    r"(?i)(?:^[a-z]{{2,3}},? +)?(?:{0}) +(?P<day>\d{{1,2}}) +(?P<time>\d+:\d\d:\d\d)(?: [A-Z]{{3,4}})? +(?P<year>\d{{4}})",
+    r"(?i)(?:^[a-z]{{2,3}},? +)?(?:{0}) +(?P<day>\d{{1,2}}) +"
+    r"(?P<time>\d+:\d\d:\d\d)(?: [a-z]{{3,4}})? +(?P<year>\d{{4}})",
 )
 """A date whose month has a name: 15-Jun-2026, Jun 15, 2026, and as C prints it, Mon Jun 15 12:34:56 2026."""
 _NAMED_MONTH = [re.compile(date.format("|".join(MONTHS))) for date in NAMED_MONTH]

@@ -127,8 +127,9 @@ class TextLog:
                 faults[i] = str(error), Kind.ROW, None
                 continue
             if len(values) != len(self.names):
-                with_numbers = any(self.dialect.is_number(v.strip()) for v in values)
-                faults[i] = (f"{len(values)} values", Kind.ROW, None) if with_numbers else (line.strip(), Kind.TEXT, None)
+                faults[i] = line.strip(), Kind.TEXT, None
+                if any(self.dialect.is_number(v.strip()) for v in values):
+                    faults[i] = f"{len(values)} values", Kind.ROW, None
                 continue
             for j, column in enumerate(columns):
                 cell = values[self.names.index(column)]
