@@ -23,7 +23,7 @@ from tumble.recording.text.dialect import encoding_of
 
 _THOUSANDS = re.compile("(?<=\\d)['’\u00a0\u202f](?=\\d{3}(?!\\d))")
 _QUOTED_THOUSANDS = re.compile(r'"(-?\d{1,3}(?:,\d{3})+(?:\.\d*)?)"')
-_BRACKETED = re.compile(r"\s*[\[({][-+.\d][^\[\](){}:]*[\])}]\s*[,;]?\s*")
+_BRACKETED = re.compile(r"\s*[\[({][-+.\d\seE,;\[\](){}]*[\])}]\s*[,;]?\s*")
 _MONITORED = re.compile(r"\s*(\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?)\s*->\s*(.*)")
 _SEEN_LINES = 200
 
@@ -70,7 +70,7 @@ def in_brackets(lines: Sequence[str]) -> Spelling | None:
     """Rows in brackets."""
 
     def row(line: str) -> Row | None:
-        return ((), [line.strip(" \t,;[](){}")]) if _BRACKETED.fullmatch(line) else None
+        return ((), [re.sub(r"[\[\](){}]", "", line).strip(" \t,;")]) if _BRACKETED.fullmatch(line) else None
 
     return spelt_alike(lines, row, "rows in brackets")
 

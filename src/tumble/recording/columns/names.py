@@ -222,8 +222,9 @@ def _split(name: str) -> tuple[list[str], str]:
     words = _words(name)
     for count in (2, 1):
         unit = "_".join(words[-count:])
-        rest = words[:-count]  # which must have all that a name needs, an axis or the time
-        if rest and unit in ALL_UNITS and (_axes(rest) or score(TIME_KIND, "_".join(rest))):
+        rest = words[:-count]  # which must have all that a name needs, an axis, a direction or the time
+        told = _axes(rest) or any(map(_DIRECTION.fullmatch, rest)) or score(TIME_KIND, "_".join(rest))
+        if rest and unit in ALL_UNITS and told:
             return rest, unit
         inner = "_".join(words[-count - 1 : -1])
         if len(words) > count + 1 and inner in ALL_UNITS and len(inner) > 1 and words[-1] in _LETTERS:
