@@ -72,7 +72,7 @@ def messages(path: Path) -> list[Message]:
     by_data: list[Message] = []
     for length in sorted({max(shape) for shape, _ in arrays.values()}, reverse=True):
         columns = dict(_columns({name: array for name, array in arrays.items() if max(array[0]) == length}))
-        widths = Counter(column.array for column in columns.values())
+        widths = Counter(column.array for name, column in columns.items() if name != f"{column.array}/t")
         known = columns_by_name([name for name, column in columns.items() if widths[column.array] <= len("xyz")])
         guessed, remark = ACCEL not in known.triads, ""
         if guessed:
