@@ -63,7 +63,8 @@ def sentences(lines: Sequence[str]) -> Spelling | None:
         fields = _FIELDS.get(kind, ())
         return (fields, values) if len(values) >= LEAST_NUMBERS and len(fields) in (0, len(values)) else None
 
-    return spelt_alike(lines, row, f"sentences {kind}")
+    mark = next((line.strip()[0] for line in lines if line.strip()[1:].startswith(kind)), "")
+    return spelt_alike(lines, row, f"sentences {mark}{kind}")
 
 
 def in_brackets(lines: Sequence[str]) -> Spelling | None:

@@ -184,9 +184,12 @@ def _of_gravity_alone(names: Sequence[str], read: Array, columns: Sequence[int])
     units = [c.value for c in CANDIDATES[ACCEL] if c.unit is not None and not c.increment]
     like = []
     for run in runs:
-        lengths = np.linalg.norm(_means(read[:, run])[0], axis=1)
-        length, spread = float(np.nanmedian(lengths)), float(np.nanstd(lengths))
-        moved = float(np.nanstd(read[:, run], axis=0).min()) > _MOVED * length
+        rows = read[np.isfinite(read[:, run]).all(axis=1)][:, run]
+        if len(rows) < _BLOCK:
+            return {}
+        lengths = np.linalg.norm(_means(rows)[0], axis=1)
+        length, spread = float(np.median(lengths)), float(lengths.std())
+        moved = float(rows.std(axis=0).min()) > _MOVED * length
         near = min(abs(np.log(length / unit)) for unit in units) < _ABOUT_GRAVITY
         like.append(moved and near and spread < _SHAKEN * length)
     if like.count(True) != 1:

@@ -60,13 +60,13 @@ _SHARES: Mapping[str, Mapping[str, tuple[float, float]]] = {
     },
 }  # fmt: skip
 _COMMON: Mapping[str, tuple[float, ...]] = {
-    ACCEL: (16384.0, 8192.0, 4096.0, 2048.0, 256.0, 1e3 / 0.732),
+    ACCEL: (16384.0, 8192.0, 4096.0, 2048.0, 1024.0, 256.0, 1e3 / 0.732),
     GYRO: (131.0, 65.5, 32.8, 16.4, 16.0, *(1e3 / s for s in (8.75, 17.5, 35.0, 70.0))),
 }
 """Of ranges of 16 bits; of other makers' mg and mdps per count; of the BNO055 (16). Powers of two are 0.061, 0.122 … mg
 per count too."""
 _RARE: Mapping[str, tuple[float, ...]] = {
-    ACCEL: (*(2.0**k for k in (5, 6, 7, 9, 10, 15, 16, 17)), 800.0, 1200.0, 1e6),
+    ACCEL: (*(2.0**k for k in (5, 6, 7, 9, 15, 16, 17)), 800.0, 1200.0, 1e6),
     GYRO: (262.1, 8.2, 1e3 / 4.375, 14.375, 10.0, 25.0, 40.0, 160.0, 100.0, 1e3, 1e6),
 }
 _COUNTS = 0.03, 0.75

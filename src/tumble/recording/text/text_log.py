@@ -146,7 +146,8 @@ class TextLog:
             times = seconds_of(pl.Series(clocks, dtype=pl.String), day)
             numbers[:, columns.index(clock)] = times.fill_null(np.nan).to_numpy()
             for i in np.flatnonzero(times.is_null().to_numpy()).tolist():
-                faults.setdefault(i, (clocks[i], Kind.VALUE, clock))
+                if i not in faults or faults[i][1] == Kind.VALUE:
+                    faults[i] = clocks[i], Kind.VALUE, clock
         unread = []
         for i, (text, kind, at) in sorted(faults.items()):
             cut = i == len(lines) - 1 and not ended and kind != Kind.NO_ROW
