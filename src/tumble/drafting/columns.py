@@ -179,7 +179,9 @@ def _by_data(log: ForeignLog) -> ForeignLog:
     time = known.time or told.columns.time
     near = "columns are told by their numbers, and others would fit too: all values hang on it; state --accel, --gyro"
     log = replace(log, doubts=(near,)) if told.near else log
-    return log.with_columns(told.said(known.triads), triads={**triads, **known.triads}, time=time, others=(), times=())
+    return log.with_columns(
+        told.guesses(known.triads), triads={**triads, **known.triads}, time=time, others=(), times=()
+    )
 
 
 def _with_gravity(log: ForeignLog) -> ForeignLog:

@@ -1,5 +1,5 @@
-"""What columns without telling names are, by their numbers: of all hypotheses, which three columns side by side are
-accelerometers and which are gyros, the one of the least cost over the whole recording, and the next one beside it.
+"""Columns without telling names, identified by their numbers: of all hypotheses, which three columns side by side are
+accelerometers and which are gyros, the one of the least cost over the whole recording.
 
 The cost is −2 times the logarithm of a likelihood, up to what all hypotheses have in common. Accelerometers read one
 length at rest about a zero that is near none, in a unit or in counts of data sheets, and scatter little; as the body
@@ -74,18 +74,15 @@ Run = tuple[int, int, int]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class IdentifiedColumns:
-    """Columns by their numbers, and the next hypotheses in words; none where nothing was told."""
+    """Columns by their numbers, and whether the next hypothesis is too near to be sure."""
 
     columns: Columns
-    rivals: str = ""
     near: bool = False
-    """Whether the next one is too near to be sure."""
 
-    def said(self, named: Collection[str] = ()) -> list[str]:
-        """What was told, but for kinds of sensors that are `named`, and what else it may be, in sentences."""
-        told = {kind: s for kind, s in self.columns.triads.items() if kind not in named}
-        guesses = [f"{kind}: columns {', '.join(s.columns)}, by their numbers (a guess)" for kind, s in told.items()]
-        return [*guesses, *filter(None, [self.rivals])] if guesses else []
+    def guesses(self, named: Collection[str] = ()) -> list[str]:
+        """A sentence for each kind of sensors that is not `named`."""
+        triads = {kind: s for kind, s in self.columns.triads.items() if kind not in named}
+        return [f"{kind}: columns {', '.join(s.columns)}, by their numbers (a guess)" for kind, s in triads.items()]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -97,11 +94,6 @@ class _Hypothesis:
     of_accel: float
     accel: Run
     gyro: Run | None
-
-    def said(self, names: Sequence[str]) -> str:
-        """In words."""
-        named = [", ".join(in_order([names[j] for j in run])) for run in (self.accel, self.gyro) if run]
-        return f"accelerometers {named[0]}, {f'gyros {named[1]}' if self.gyro else 'no gyros'}"
 
 
 def columns_by_data(names: Sequence[str], read: Array) -> IdentifiedColumns:
@@ -121,18 +113,10 @@ def columns_by_data(names: Sequence[str], read: Array) -> IdentifiedColumns:
         for kind, run in ((ACCEL, best.accel), (GYRO, best.gyro))
         if run is not None
     }
-    # the next hypotheses after the best, of the same accelerometers, of others and of none
-    rivals = (next((h for h in others if (h.accel == best.accel) == same), None) for same in (True, False))
-    further = [(rival.cost - best.cost, rival.said(names)) for rival in rivals if rival is not None]
-    further.append((_LIMIT - best.of_accel, "no accelerometers at all"))
-    listed = ", ".join(f"{said} (cost +{cost:.1f})" for cost, said in sorted(further))
-    near = min(further)[0] < _APART
-    doubt = "; too near to be sure: state --accel, --gyro" if near else ""
-    return IdentifiedColumns(
-        columns=Columns(time=time, time_unit=None, triads=triads),
-        rivals=f"columns: next would be {listed}; +{_APART:g} is 20 times less likely{doubt}",
-        near=near,
-    )
+    next_cost = min(
+        [_LIMIT - best.of_accel, *(rival.cost - best.cost for rival in others[:1])]
+    )  # without any, or others
+    return IdentifiedColumns(columns=Columns(time=time, time_unit=None, triads=triads), near=next_cost < _APART)
 
 
 def _hypotheses(names: Sequence[str], read: Array, columns: Sequence[int]) -> list[_Hypothesis]:

@@ -129,7 +129,7 @@ def _with_told_by_data(columns: Mapping[str, Column], known: Known) -> tuple[Kno
     found = told.columns
     if ACCEL not in found.triads:
         return known, ""
-    remark = "; ".join(told.said(known.triads))
+    remark = "; ".join(told.guesses(known.triads))
     return replace(known, triads={**found.triads, **known.triads}, time=known.time or found.time), remark
 
 
