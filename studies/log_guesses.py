@@ -174,7 +174,7 @@ def outcome(log: Path, folder: Path, truth: Truth, widths: Widths = WIDTHS) -> t
         return "refused", str(error).rpartition(": ")[2][:60]
     session, blocks = draft.session(), observed.reduction.files[0]
     rate = blocks.size * len(blocks) / float(blocks.edges[-1] - blocks.edges[0])  # as the stamps have it at the mean
-    doubts = [s for s in draft.said if any(d in s for d in DOUBTS)]
+    doubts = [s for s in draft.remarks if any(d in s for d in DOUBTS)]
     if list(session.log.accel.columns) != truth.columns[0]:
         return ("refused" if faults else "silent"), "columns"
     if session.log.gyro is None or list(session.log.gyro.columns) != truth.columns[1]:

@@ -71,7 +71,7 @@ def test_a_log_is_read_at_its_rate_or_the_doubt_is_said(name: str, log: pl.DataF
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         draft, faults = new_session(tmp_path / "session", files)
-    printed = "; ".join((*draft.said, *faults))
+    printed = "; ".join((*draft.remarks, *faults))
     assert all(words in printed for words in said), printed
     assert bool(faults) == (name in DOUBTED), faults
     if np.isfinite(rate):

@@ -314,7 +314,7 @@ def temperature_of(path: Path) -> tuple[str | None, Array]:
     """The message, or the columns, of the thermometers that `tumble new` finds in a recording, and what they read."""
     draft, _ = new_session(path.parent / f"{path.name}-session", path)
     keys = draft.content["log"].get("temperature")
-    named = [said for said in draft.said if said.startswith("temperature from")]
+    named = [said for said in draft.remarks if said.startswith("temperature from")]
     if keys is None:
         return None, np.empty(0)
     assert keys["unit"] == "degC"
@@ -443,7 +443,7 @@ def test_of_several_topics_with_temperatures_that_beside_the_imu_is_taken(at_res
     assert name == "/imu/temperature"
     np.testing.assert_allclose(temperatures, 30.0)
     draft, _ = new_session(tmp_path / "again", tmp_path / "two")
-    assert "other thermometers, not used: /baro/temperature" in draft.said
+    assert "other thermometers, not used: /baro/temperature" in draft.remarks
 
 
 def test_topics_with_the_temperatures_of_each_kind_of_sensors_are_both_taken(at_rest: Array, tmp_path: Path) -> None:
@@ -453,7 +453,7 @@ def test_topics_with_the_temperatures_of_each_kind_of_sensors_are_both_taken(at_
     assert draft.content["log"]["temperature"]["columns"] == ["accel_temperature", "gyro_temperature"]
     log = pl.read_parquet(tmp_path / "session" / "log.parquet")
     np.testing.assert_allclose(log.select("accel_temperature", "gyro_temperature").to_numpy(), [[20.0, 40.0]] * 3000)
-    assert "other thermometers, not used: /imu/temperature" in draft.said
+    assert "other thermometers, not used: /imu/temperature" in draft.remarks
 
 
 def test_an_array_of_four_is_a_time_and_three_sensors(tmp_path: Path) -> None:
@@ -527,6 +527,6 @@ def test_raw_messages_of_px4_are_taken_where_they_are_all_there(
     """By default PX4 logs them once a second."""
     write_ulog(tmp_path / "r.ulg", at_rest, every=every, combined=True)
     draft, _ = new_session(tmp_path / "s", tmp_path / "r.ulg")
-    assert any(taken in line for line in draft.said)
-    assert any("in s (by its name)" in line for line in draft.said)
+    assert any(taken in line for line in draft.remarks)
+    assert any("in s (by its name)" in line for line in draft.remarks)
     assert draft.rate == pytest.approx(RATE, rel=1e-3)

@@ -39,7 +39,7 @@ def new(folder: Path, more: tuple[Path, ...], log: tuple[Path, ...], **options: 
         raise click.UsageError("Missing argument 'LOG': the recording")
     given = ask.given_of(options)
     draft, faults = new_session(folder, [*log, *more], given, progress=tell.with_progress)
-    for sentence in draft.said:
+    for sentence in draft.remarks:
         tell.say(sentence)
     for fault in faults:
         tell.warn(f"look at this: {fault}")
@@ -128,6 +128,6 @@ def _drafts(recordings: Sequence[Path], folder: Path, given: Given) -> list[Draf
     drafts = [drafted(str(number), [recording]) for number, recording in enumerate(recordings)]
     if len({frozenset(draft.triads) for draft in drafts}) > 1:
         drafts = [drafted("together", recordings)]
-    for sentence in drafts[0].said:
+    for sentence in drafts[0].remarks:
         tell.say(sentence)
     return drafts

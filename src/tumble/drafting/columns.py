@@ -64,7 +64,7 @@ def identified_log(
     logs = [_with_thermometers(_with_finest_time(log) if len(log.columns.times) > 1 else log) for log in logs]
     if are_sensors_apart(logs):
         apart = of_sensors_apart(logs, folder)
-        return replace(apart, said=(*apart.said, *omitted))
+        return replace(apart, remarks=(*apart.remarks, *omitted))
     whole = [log for log in logs if ACCEL in log.columns.triads]
     beside = [log for log in logs if whole and log not in whole and not log.unnamed]
     omitted += tuple(f"{log.files[0].name} has no accelerometers and is left out" for log in beside)
@@ -86,8 +86,8 @@ def identified_log(
     first.check_has_sensors(gyros_suffice=True)
     taken = tuple(file for log in logs for file in log.files)
     kept = {path: source for log in logs for path, source in log.kept.items()}
-    said = first.said + ((f"{len(taken)} files, each a recording of its own",) if len(taken) > 1 else ()) + omitted
-    return replace(first, files=taken, said=said, kept=kept)
+    several = (f"{len(taken)} files, each a recording of its own",) if len(taken) > 1 else ()
+    return replace(first, files=taken, remarks=(*first.remarks, *several, *omitted), kept=kept)
 
 
 def _joined(files: Sequence[Path], folder: OutputFolder) -> Sequence[Path]:
@@ -116,7 +116,7 @@ def _found(file: Path, folder: OutputFolder) -> list[ForeignLog]:
         return [log for part in parts for log in _found(part, folder)]
     if (copied := as_table(file, seen, folder)) is not None:
         part, remark = copied
-        return [replace(log, said=(remark, *log.said)) for log in _found(part, folder)]
+        return [replace(log, remarks=(remark, *log.remarks)) for log in _found(part, folder)]
     dialect_and_top = dialect_of(seen)
     if dialect_and_top is None and max(map(len, seen.split(b"\n"))) > LINE_BYTES // 2:
         raise InputError(f"{file}: expected a log of rows of numbers, found something else; is it a recording?")
@@ -142,9 +142,9 @@ def _found(file: Path, folder: OutputFolder) -> list[ForeignLog]:
         files=(file,),
         keys={} if plain else dialect.keys(),
         columns=columns_by_name([name for name in top.names if name not in words]),
-        remarks=top.remarks,
+        preamble=top.preamble,
         cells=cells,
-        said=() if plain else (f"text: {', '.join(how)}",),
+        remarks=() if plain else (f"text: {', '.join(how)}",),
         dialect=None if plain else dialect,
     )
     clock = next((name for name in cells if log.is_clock(name)), None)
@@ -191,9 +191,9 @@ def _with_gravity(log: ForeignLog) -> ForeignLog:
     further = columns_by_name([name for name in log.cells if name not in first]).triads.get(ACCEL)
     if further is None or log.reads_gravity(first) or not log.reads_gravity(further.columns):
         return log
-    said = f"accel: {', '.join(further.columns)}, since {', '.join(first)} do not read gravity"
+    remark = f"accel: {', '.join(further.columns)}, since {', '.join(first)} do not read gravity"
     others = (*(name for name in log.columns.others if name not in further.columns), *first)
-    return log.with_columns([said], triads={**log.columns.triads, ACCEL: further}, others=others)
+    return log.with_columns([remark], triads={**log.columns.triads, ACCEL: further}, others=others)
 
 
 def _with_nameless_gyros(log: ForeignLog) -> ForeignLog:
@@ -208,8 +208,8 @@ def _with_nameless_gyros(log: ForeignLog) -> ForeignLog:
         unused = f"columns without names, {', '.join(nameless)}, are not used"
         doubt = f"{unused}: the accelerometers alone are calibrated; state --gyro if some are gyros"
         return replace(log, doubts=(doubt,))
-    said = f"gyro: columns {', '.join(told[GYRO].columns)}, by their numbers (a guess)"
-    return log.with_columns([said], triads={**log.columns.triads, GYRO: told[GYRO]})
+    remark = f"gyro: columns {', '.join(told[GYRO].columns)}, by their numbers (a guess)"
+    return log.with_columns([remark], triads={**log.columns.triads, GYRO: told[GYRO]})
 
 
 def _with_finest_time(log: ForeignLog) -> ForeignLog:
@@ -236,8 +236,8 @@ def _with_thermometers(log: ForeignLog) -> ForeignLog:
     known = log.columns
     sensors = [column for triad in known.triads.values() for column in triad.columns]
     anew = columns_by_name([n for n in (*sensors, *known.temperatures, *known.others) if n not in empty])
-    said = f"temperature: {', '.join(empty)} is left out, for it reads nothing or cannot be read"
-    return _with_thermometers(log.with_columns([said], temperatures=anew.temperatures, others=anew.others))
+    remark = f"temperature: {', '.join(empty)} is left out, for it reads nothing or cannot be read"
+    return _with_thermometers(log.with_columns([remark], temperatures=anew.temperatures, others=anew.others))
 
 
 def _with_time(log: ForeignLog) -> ForeignLog:
@@ -249,5 +249,5 @@ def _with_time(log: ForeignLog) -> ForeignLog:
     time = time_by_data(names, log.read(names, rows=LONGEST // 10)) if names else None
     if time is None:
         return log
-    said = f"time: column {time!r}, by its numbers (a guess)"
-    return log.with_columns([said], time=time, time_unit=time_unit(time))
+    remark = f"time: column {time!r}, by its numbers (a guess)"
+    return log.with_columns([remark], time=time, time_unit=time_unit(time))

@@ -44,17 +44,17 @@ def completed(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> tupl
     best = every[0]
     near = [hypothesis for hypothesis in every[1:] if hypothesis.cost < best.cost + widths.near]
     log = {key: value for key, value in draft.log.items() if key not in _TIME_KEYS} | best.times.keys
-    said = _of_times(draft, best, shown, near)
+    remarks = _of_times(draft, best, shown, near)
     if ACCEL in draft.triads:
         log[ACCEL], of_accel = _accel(draft, best, shown, near)
-        said += of_accel
+        remarks += of_accel
     if best.gyro is not None:
         log[GYRO], of_gyro = _gyro(draft, best, best.gyro, shown, every, near)
-        said += of_gyro
+        remarks += of_gyro
     doubts = (*_no_gravity(draft, best, shown), *_doubts(draft, log, best, near), *draft.doubts)
     log |= {"doubt": "; ".join(doubts)} if doubts else {}
     content = {**draft.content, "log": log}
-    out = replace(draft, content=content, said=(*draft.said, *said), doubts=doubts, rate=best.times.rate)
+    out = replace(draft, content=content, remarks=(*draft.remarks, *remarks), doubts=doubts, rate=best.times.rate)
     if ACCEL not in draft.triads:
         return out, []
     try:
@@ -109,7 +109,7 @@ def _doubts(draft: Draft, log: Mapping[str, Any], best: Hypothesis, near: Sequen
         with_accel = ACCEL in draft.triads
         alone = "the accelerometers alone are calibrated, " if with_accel else ""
         rivals = [h.accel if kind == ACCEL else h.gyro for h in near if kind in h.differs(best)]
-        others = " or ".join(dict.fromkeys(rival.said for rival in rivals if rival is not None and rival.known))
+        others = " or ".join(dict.fromkeys(rival.label for rival in rivals if rival is not None and rival.known))
         if log[kind]["unit"] == "count" and "scale" not in log[kind]:
             yield (
                 f"no turn tells what the gyros' counts are worth: {alone}noise is as if one were 1 deg/s; put the data "
@@ -117,7 +117,7 @@ def _doubts(draft: Draft, log: Mapping[str, Any], best: Hypothesis, near: Sequen
             )
         elif others and draft.unit(kind) is None:
             yield (
-                f"{sensors} in {scale.said} by a guess, {others} would fit too: all their values hang on it; state "
+                f"{sensors} in {scale.label} by a guess, {others} would fit too: all their values hang on it; state "
                 f"--{kind}-unit"
             )
     rates = [h.times.rate for h in near if "time" in h.differs(best)]
@@ -132,29 +132,29 @@ def _doubts(draft: Draft, log: Mapping[str, Any], best: Hypothesis, near: Sequen
 def _of_times(draft: Draft, best: Hypothesis, shown: Evidence, near: Sequence[Hypothesis]) -> list[str]:
     """Sentences on the times or the rate."""
     first, taken = draft.times, best.times
-    said = list(first.said)
+    remarks = list(first.remarks)
     if taken.keys == first.keys and (taken.stamped or not first.rivals):
-        return said
+        return remarks
     if taken.stamped:
         units = f"in {taken.keys.get('time_unit', 's')}, not {first.keys.get('time_unit', 's')}"
-        return [*taken.said, f"time: {units}: so the gyros carry the vertical from rest to rest (a guess)"]
+        return [*taken.remarks, f"time: {units}: so the gyros carry the vertical from rest to rest (a guess)"]
     if first.stamped:
-        said = [f"time: column {first.keys['time']!r} counts samples or ticks: in no unit do the gyros fit it"]
+        remarks = [f"time: column {first.keys['time']!r} counts samples or ticks: in no unit do the gyros fit it"]
     if best.profile is None or best.gyro is None:
         if len(set(shown.by_rate.values())) > 1:
             counts = ", ".join(f"{count} at {rate:g} Hz" for rate, count in sorted(shown.by_rate.items()))
             depends = f"time: how many rests there are depends on the rate, which no turns show: {counts}"
-            said.append(f"{depends}; give it (--sample-rate)")
-        return said
+            remarks.append(f"{depends}; give it (--sample-rate)")
+        return remarks
     found = _found(best, best.gyro) * taken.rate / best.gyro.value
     others = dict[str, None]()
     for rival in near:
         if "time" in rival.differs(best) and not rival.times.stamped and rival.gyro is not None:
-            scale = f" with {rival.gyro.said}" if GYRO in rival.differs(best) else ""
+            scale = f" with {rival.gyro.label}" if GYRO in rival.differs(best) else ""
             others[f"{rival.times.rate:g}{scale}"] = None
     also = f"{' or '.join(list(others)[:_MOST_RATES])} would fit too; " if others else ""
     seen = f"from the turns ({found:.4g} found): a guess to some percent; {also}put the log's rate there"
-    return [*said, f"time: rate_hz = {taken.rate:g} {seen}"]
+    return [*remarks, f"time: rate_hz = {taken.rate:g} {seen}"]
 
 
 def _found(best: Hypothesis, gyro: KnownScale) -> float:
@@ -176,7 +176,7 @@ def _comes_near(kind: str, scale: KnownScale, shown: Evidence, best: Hypothesis,
     for rival in near:
         other = rival.accel if kind == ACCEL else rival.gyro
         if kind in rival.differs(best) and other is not None and other.known and rival.times.rate == rate:
-            others.append(f"; {other.said} would fit too {off(other)}")
+            others.append(f"; {other.label} would fit too {off(other)}")
     also = "".join(dict.fromkeys(others))
     if scale.unit is not None:
         return f"{scale.unit} (a guess): one {per} reads {found:.4g} {off(scale)}{also}"
@@ -198,18 +198,18 @@ def _accel(
     columns, scale = list(draft.triads[ACCEL].columns), best.accel
     named, unit, found = f"accelerometers: {', '.join(columns)}", draft.unit(ACCEL), shown.length
     if unit is not None and ACCEL_UNITS[unit].kind != "raw":
-        said = [f"{named} in {unit} (from the name or the format), magnitude {found:.6g}"]
-        return {"columns": columns, "unit": unit}, said
+        remarks = [f"{named} in {unit} (from the name or the format), magnitude {found:.6g}"]
+        return {"columns": columns, "unit": unit}, remarks
     zero: Any = shown.zero[0] if len(set(shown.zero)) == 1 else shown.zero
     seen = f"from {shown.rests} rests" if shown.rests >= 4 else "a guess from too few rests: state the data sheet's"
     seen = seen if shown.rests else "a guess, for there are no rests, from their median magnitude"
     about = f", zero at {zero}" if zero or scale.unit is None else ""
     near_to = f"V: {found:.4g} V per g found" if unit == "V" else _comes_near(ACCEL, scale, shown, best, near)
-    said = [f"{named} in {near_to}{about} ({seen})"]
+    remarks = [f"{named} in {near_to}{about} ({seen})"]
     if scale.unit is not None and not zero:
-        return {"columns": columns, "unit": scale.unit}, said
+        return {"columns": columns, "unit": scale.unit}, remarks
     raw = "V" if unit == "V" else "count"
-    return _counts(columns, scale.value if scale.known else float(f"{found:.4g}"), "g", zero, raw), said
+    return _counts(columns, scale.value if scale.known else float(f"{found:.4g}"), "g", zero, raw), remarks
 
 
 def _gyro(
@@ -246,7 +246,7 @@ def _gyro(
     rival = next((h for h in every if GYRO in h.differs(best)), best)
     if rival.gyro is not None and rival is not best:
         against = readings(shown, rival.gyro, rival.times.rate, draft)
-        why += [f"not {rival.gyro.said}: {words}" for cost, words in against if cost > 0.0 and words]
+        why += [f"not {rival.gyro.label}: {words}" for cost, words in against if cost > 0.0 and words]
     length = float(np.linalg.norm(shown.bias))
     sizes = [f"{length * GYRO_UNITS[unit].factor / DEGREE:.2g} °/s in {unit}" for unit in ("rad/s", "deg/s", "mdeg/s")]
     return table, [

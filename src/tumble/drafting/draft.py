@@ -22,7 +22,7 @@ class Draft:
     """The content of a session.toml as far as it is known, and how each part of it came about, in sentences."""
 
     content: Mapping[str, Any]
-    said: tuple[str, ...]
+    remarks: tuple[str, ...]
     doubts: tuple[str, ...] = ()
     """What is not sure, each with what hangs on it and how it is settled."""
     magnetometer: Mapping[str, Any] | None = None
@@ -70,9 +70,9 @@ class Draft:
         """The unit of sensors that their names say."""
         return self.triads[kind].unit
 
-    def with_log(self, said: Sequence[str] = (), /, **tables: Any) -> Draft:
+    def with_log(self, remarks: Sequence[str] = (), /, **tables: Any) -> Draft:
         """The draft with these tables and keys of [log], and what there is to say of them."""
-        return replace(self, content={**self.content, "log": {**self.log, **tables}}, said=(*self.said, *said))
+        return replace(self, content={**self.content, "log": {**self.log, **tables}}, remarks=(*self.remarks, *remarks))
 
     def session(self) -> Session:
         """The session of the content, whose log is read from what was kept of it."""

@@ -378,14 +378,14 @@ def readings(
     def beyond(value: float, limit: float, words: str) -> None:
         if value * one > limit:
             cost = min((math.log(value * one / limit) / _BEYOND) ** 2, _AT_MOST)
-            out.append((cost, f"{words}, which in {gyro.said} would be {value * one / DEGREE:.3g} °/s"))
+            out.append((cost, f"{words}, which in {gyro.label} would be {value * one / DEGREE:.3g} °/s"))
 
     if gyro.unit is not None:
         beyond(bias, _LARGEST_BIAS, f"at rest they read {bias:.3g}")
     if on_table:
         beyond(noise, _LARGEST_NOISE, f"at rest they scatter by {noise:.2g} in a second")
     if draft.largest * one > FASTEST:
-        read = f"no gyro reads the {draft.largest * one / DEGREE:.4g} °/s that they would in {gyro.said}"
+        read = f"no gyro reads the {draft.largest * one / DEGREE:.4g} °/s that they would in {gyro.label}"
         out.append((_TOO_FAST, read))
     if shown.turning:
         out.append(((math.log(shown.turning * one) / widths.turning) ** 2, ""))

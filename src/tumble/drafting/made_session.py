@@ -72,7 +72,7 @@ def session_of_log(
         content["files"] = [file.name for file in output.written]
         with whole_file(output.new_file(MADE)) as temporary:
             temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-        yield folder, f"{state}kept in {folder / SESSION_FILE}", draft.said, faults
+        yield folder, f"{state}kept in {folder / SESSION_FILE}", draft.remarks, faults
 
 
 @contextmanager

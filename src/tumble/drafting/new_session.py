@@ -116,7 +116,7 @@ def new_session(
     Returns
     -------
     draft : Draft
-        The content of the file, and in `said` how each part of it came about.
+        The content of the file, and in `remark` how each part of it came about.
     faults : list of str
         What a look at the recording finds wrong with it.
 
@@ -131,7 +131,7 @@ def new_session(
     >>> import tumble
     >>> folder = tumble.simulate_session("simulated", tumble.Setup.of(grade="mems", positions=12), seed=1)
     >>> draft, faults = tumble.new_session("session", folder / "log.parquet")
-    >>> print(draft.said[0], faults)
+    >>> print(draft.remarks[0], faults)
     time: column 't' in s (by its steps), 100 samples per second []
     """
     with nothing_left(Path(folder)) as output:
@@ -214,10 +214,10 @@ def drafted_log(
 def _of_log(log: ForeignLog, rate: float | None) -> Draft:
     """From text and Parquet files: what names and first numbers say, and sensors as raw numbers."""
     known, times = log.columns, log.times(rate)
-    said = list(log.said)
+    remarks = list(log.remarks)
     if rate is not None and known.time is not None:
-        said.append(f"time: column {known.time!r} is not used, since the rate was given")
-    said += [f"also there, and not used: {', '.join(known.others)}"] if known.others else []
+        remarks.append(f"time: column {known.time!r} is not used, since the rate was given")
+    remarks += [f"also there, and not used: {', '.join(known.others)}"] if known.others else []
     triads = {kind: known.triads[kind] for kind in (ACCEL, GYRO) if kind in known.triads}
     read = {kind: log.read(sensors.columns, rows=HEAD_ROWS) for kind, sensors in triads.items()}
     first = next(iter(triads))
@@ -232,11 +232,11 @@ def _of_log(log: ForeignLog, rate: float | None) -> Draft:
     for kind, sensors in triads.items():
         table[kind] = {"columns": list(sensors.columns), "unit": "count", "scale": 1.0, "offset": 0.0}
     if GYRO not in triads:
-        said.append("no gyros were found (--gyro states their columns): the accelerometers alone will be calibrated")
+        remarks.append("no gyros were found (--gyro states their columns): the accelerometers alone will be calibrated")
     if known.temperatures:
         thermometers, remark = _thermometers(log, known.temperatures)
         table |= {} if thermometers is None else {"temperature": thermometers}
-        said.append(remark)
+        remarks.append(remark)
     magnetometer, told = _magnetometer(log, known.triads.get(MAGNETOMETER))
     largest = np.abs(read[GYRO][np.isfinite(read[GYRO]).all(axis=1)]).max(axis=1) if GYRO in triads else np.zeros(0)
     whole = {kind: bool((r == np.floor(r))[np.isfinite(r)].all()) for kind, r in read.items()}
@@ -247,13 +247,13 @@ def _of_log(log: ForeignLog, rate: float | None) -> Draft:
         means = np.linalg.norm(force[: count * rows].reshape(-1, rows, 3).mean(axis=1), axis=1)
         share = float(np.median(means) / max(np.median(np.linalg.norm(force, axis=1)), 1e-300))
         if share <= _STEADY:
-            said.append(
+            remarks.append(
                 f"accelerometers: at the mean over {_SECONDS:g} s they read {share:.0%} of what they read at a time: "
                 "gravity is not in them; what a filter has left of the readings cannot be calibrated"
             )
     return Draft(
         content={"format": 1, "device": {"serial": "unknown"}, "log": table},
-        said=(*said, *told),
+        remarks=(*remarks, *told),
         doubts=log.doubts,
         magnetometer=magnetometer,
         triads=triads,
@@ -276,8 +276,8 @@ def _with_sign(draft: Draft) -> Draft:
     if accel["unit"] != "g" or not all(_CORE_MOTION.fullmatch(name) for name in accel["columns"]):
         return draft
     table = {"columns": accel["columns"], "unit": "count", "scale": -1.0, "scale_per": "g", "offset": 0.0}
-    said = "accelerometers: as Apple's CoreMotion has them, −1 g where an axis points up: scale = -1 per g"
-    return draft.with_log([said], accel=table)
+    remark = "accelerometers: as Apple's CoreMotion has them, −1 g where an axis points up: scale = -1 per g"
+    return draft.with_log([remark], accel=table)
 
 
 def _row_as_read(draft: Draft) -> str:
@@ -307,7 +307,7 @@ def _thermometers(log: ForeignLog, columns: Sequence[str]) -> tuple[dict[str, An
     """The table [log.temperature], None where numbers are raw. A unit is that of the name, or in which the numbers are
     temperatures of the air on Earth or of a chamber; columns in several are, as raw ones, with what their numbers are
     worth."""
-    listed, units, said = list(columns), list[str](), list[str]()
+    listed, units, remarks = list(columns), list[str](), list[str]()
     if empty := [column for column in columns if not len(log.readings(column))]:
         return None, f"temperature: {', '.join(empty)} is left out, for it reads nothing or cannot be read"
     for column in columns:
@@ -315,7 +315,7 @@ def _thermometers(log: ForeignLog, columns: Sequence[str]) -> tuple[dict[str, An
         likely = next((unit for unit, (low, high) in _LIKELY.items() if low <= middle <= high), RAW)
         named = temperature_unit(column)
         units.append(named or likely)
-        said.append(f"{column} in {units[-1]} ({'from the name' if named else 'by its numbers'})")
+        remarks.append(f"{column} in {units[-1]} ({'from the name' if named else 'by its numbers'})")
         if units[-1] == RAW:
             return None, (
                 f"temperature: {column}, about {middle:.6g}, in no unit that is known; to use it, add "
@@ -328,7 +328,7 @@ def _thermometers(log: ForeignLog, columns: Sequence[str]) -> tuple[dict[str, An
         worth = [TEMPERATURE_UNITS[unit] for unit in units]
         scale, offset = [1.0 / gain for gain, _ in worth], [-shift / gain for gain, shift in worth]
         table |= {"unit": RAW, "scale": scale, "offset": offset}
-    return table, f"temperature: {', '.join(dict.fromkeys(said))}{whose}"
+    return table, f"temperature: {', '.join(dict.fromkeys(remarks))}{whose}"
 
 
 def _magnitude(log: ForeignLog, sensors: Sensors) -> float:

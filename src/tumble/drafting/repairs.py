@@ -77,9 +77,10 @@ def repaired(log: ForeignLog, folder: OutputFolder, rate: float | None) -> Forei
         parts, why = _positions_apart(log, unsigned=ACCEL in unsigned)
     if unsigned:
         named = " and ".join({ACCEL: "accelerometers", GYRO: "gyros"}[kind] for kind in unsigned)
-        said = f"{named}: numbers of 16 bits that were read without their sign: 65536 taken off where it is due"
+        remark = f"{named}: numbers of 16 bits that were read without their sign: 65536 taken off where it is due"
         wound = [c for kind in unsigned for c in triads[kind].columns]
-        mends.append((said, _each(lambda t: t.with_columns(pl.Series(c, _unwrapped(t[c].to_numpy())) for c in wound))))
+        signed = _each(lambda t: t.with_columns(pl.Series(c, _unwrapped(t[c].to_numpy())) for c in wound))
+        mends.append((remark, signed))
     mends += of_time
     if not mends and parts is None:
         return log
@@ -106,9 +107,9 @@ def repaired(log: ForeignLog, folder: OutputFolder, rate: float | None) -> Forei
     columns = replace(log.columns, time_unit="s") if log.clock is not None else log.columns
     columns = replace(columns, time=TIME, time_unit="s") if in_seconds else columns
     copied = f"so mended, the log is copied to {files[0].name}{' …' * (len(files) > 1)}"
-    every_remark = (*log.said, *(said for said, _ in mends), *filter(None, [why]), copied)
+    every_remark = (*log.remarks, *(remark for remark, _ in mends), *filter(None, [why]), copied)
     return ForeignLog(
-        files=tuple(files), keys={}, columns=columns, remarks=log.remarks, said=every_remark, doubts=log.doubts
+        files=tuple(files), keys={}, columns=columns, preamble=log.preamble, remarks=every_remark, doubts=log.doubts
     )
 
 
@@ -155,9 +156,9 @@ def _rows_that_are_samples(log: ForeignLog) -> list[Mend]:
             steps, between = np.diff(time[whole]), np.diff(np.flatnonzero(whole)) > 1
             others |= bool(between.any() and np.median(steps[between]) < JUMP * np.median(steps))
     if others:
-        said = f"rows: {blank} of {samples} have no readings of these sensors, as rows of others: left out"
+        remark = f"rows: {blank} of {samples} have no readings of these sensors, as rows of others: left out"
         has_readings = pl.mean_horizontal(pl.col(sensors).is_finite()) >= _READ_SHARE
-        mends.append((said, _each(lambda table: table.filter(has_readings))))
+        mends.append((remark, _each(lambda table: table.filter(has_readings))))
     return mends
 
 
@@ -172,14 +173,14 @@ def _time(log: ForeignLog, rate: float | None) -> tuple[list[str], bool, list[Me
         times = times_of_column(Stamps(column=interval, values=np.cumsum(steps), unit=time_unit(interval)))
         if times is not None and not (steps < 0.0).any():
             unit, added = times.keys.get("time_unit", "s"), partial(_grown, column=interval, overflow=None)
-            said = f"time: none, but column {interval!r} has the intervals between samples, in {unit}: added up"
-            return [interval], True, [(said, lambda read: _seconds(interval, TIME_UNITS[unit])(added(read)))]
+            remark = f"time: none, but column {interval!r} has the intervals between samples, in {unit}: added up"
+            return [interval], True, [(remark, lambda read: _seconds(interval, TIME_UNITS[unit])(added(read)))]
     if column is None:
         return [], False, []
     nanoseconds = nanoseconds_of(log)
     if nanoseconds is not None:
-        said = f"time: columns {column!r} and {nanoseconds!r}, seconds and nanoseconds, added"
-        return [column, nanoseconds], True, [(said, _seconds(column, 1.0, nanoseconds))]
+        remark = f"time: columns {column!r} and {nanoseconds!r}, seconds and nanoseconds, added"
+        return [column, nanoseconds], True, [(remark, _seconds(column, 1.0, nanoseconds))]
     mends: list[Mend] = []
     # the unit, s, of times in none that a session names
     tick = None
@@ -195,8 +196,8 @@ def _time(log: ForeignLog, rate: float | None) -> tuple[list[str], bool, list[Me
                 tick = _DAY if step < _SHORTEST else None
     overflow = overflow_of(log.read([column])[:, 0])
     if overflow is not None:
-        said = f"time: column {column!r} starts anew at {overflow:.10g}: that much is added where it does"
-        mends.append((said, partial(_grown, column=column, overflow=overflow)))
+        remark = f"time: column {column!r} starts anew at {overflow:.10g}: that much is added where it does"
+        mends.append((remark, partial(_grown, column=column, overflow=overflow)))
     if tick is not None:
         mends.append((f"time: column {column!r} in ticks of {tick:g} s, made seconds", _seconds(column, tick)))
     return [column], tick is not None, mends

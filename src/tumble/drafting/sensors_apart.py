@@ -62,17 +62,17 @@ def log_of_recording(
     thermometers = _thermometers(accel, gyro, apart)
     log = folder.new_file("log.parquet")
     as_log(log, accel, gyro, thermometers)
-    said = [f"{recording.name}: message {accel.name}, written to {log}"]
-    said += [f"temperature from {thermometer.name}, interpolated" for thermometer in thermometers]
+    remarks = [f"{recording.name}: message {accel.name}, written to {log}"]
+    remarks += [f"temperature from {thermometer.name}, interpolated" for thermometer in thermometers]
     unused = [m.name for m in apart if m not in thermometers]
-    said += [f"other thermometers, not used: {', '.join(unused)}"] if unused else []
+    remarks += [f"other thermometers, not used: {', '.join(unused)}"] if unused else []
     triads = accel.triads
     if gyro is not None and gyro is not accel:
-        said.append(f"gyros from {gyro.name}; the accelerometers are interpolated at their times")
+        remarks.append(f"gyros from {gyro.name}; the accelerometers are interpolated at their times")
         triads = {ACCEL: accel.triads[ACCEL], GYRO: gyro.triads[GYRO]}
     others = [m.name for m in with_accel if m not in taken]
-    said += [f"also there, and not used: {', '.join(others)} (--message takes another)"] if others else []
-    said += [remark for remark in dict.fromkeys(m.remark for m in taken) if remark]
+    remarks += [f"also there, and not used: {', '.join(others)} (--message takes another)"] if others else []
+    remarks += [remark for remark in dict.fromkeys(m.remark for m in taken) if remark]
     columns = Columns(
         time=TIME if accel.timed else None,
         time_unit="s" if accel.timed else None,
@@ -80,7 +80,7 @@ def log_of_recording(
         temperatures=temperatures or tuple(t for m in thermometers for t in m.temperatures),
     )
     imu = {kind: sensor for m in reversed(taken) for kind, sensor in m.imu.items()}
-    return ForeignLog(files=(log,), keys={}, columns=columns, said=tuple(said)), imu
+    return ForeignLog(files=(log,), keys={}, columns=columns, remarks=tuple(remarks)), imu
 
 
 def _pairs(accel: Message, gyro: Message) -> bool:
@@ -161,9 +161,9 @@ def of_sensors_apart(logs: Sequence[ForeignLog], folder: OutputFolder) -> Foreig
     columns = Columns(time=TIME, time_unit="s", triads={kind: m.triads[kind] for kind, m in read.items()})
     unused = [log.files[0].name for log in logs if log not in by_kind.values() and not (summed and log is gravity)]
     also = (f"also there, and not used: {', '.join(unused)}",) if unused else ()
-    said = f"{named}: one log at the times of the gyros{summed}, written to {joined}"
+    remark = f"{named}: one log at the times of the gyros{summed}, written to {joined}"
     fastest = read.get(GYRO, first)
-    return ForeignLog(files=(joined,), keys={}, columns=columns, said=(said, *also, fastest.remark))
+    return ForeignLog(files=(joined,), keys={}, columns=columns, remarks=(remark, *also, fastest.remark))
 
 
 def _sum(accel: Message, gravity: Message) -> Message:
@@ -222,6 +222,6 @@ def _message(log: ForeignLog, kind: str) -> Message:
         name=log.files[0].name,
         count=len(read),
         triads={kind: Sensors(columns=(x, y, z), unit=unit)},
-        remark=f"{log.files[0].name}: {'; '.join(times.said)}",
+        remark=f"{log.files[0].name}: {'; '.join(times.remarks)}",
         rows=lambda: iter([pl.DataFrame(read, schema=[TIME, x, y, z], orient="row")]),
     )

@@ -64,7 +64,7 @@ class Times:
     what else it may be."""
 
     keys: dict[str, Any]
-    said: tuple[str, ...]
+    remarks: tuple[str, ...]
     rate: float
     cost: float = 0.0
     rivals: tuple[Times, ...] = ()
@@ -77,7 +77,7 @@ class Times:
 
 def at_rate(rate: float, cost: float) -> Times:
     """Rows of which none has a time that can be used, at a rate, Hz."""
-    return Times(keys={"rate_hz": rate}, said=(), rate=rate, cost=cost)
+    return Times(keys={"rate_hz": rate}, remarks=(), rate=rate, cost=cost)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -90,23 +90,23 @@ class Stamps:
     clock: bool = False
 
 
-def times_without_column(rate: float | None, remarks: Sequence[str]) -> Times:
+def times_without_column(rate: float | None, preamble: Sequence[str]) -> Times:
     """The rate of a log without times: as given, as its text says, or a guess."""
     if rate is not None:
-        return Times(keys={"rate_hz": rate}, said=(f"no time column: rate_hz = {rate:g} as given",), rate=rate)
-    for line in remarks:
+        return Times(keys={"rate_hz": rate}, remarks=(f"no time column: rate_hz = {rate:g} as given",), rate=rate)
+    for line in preamble:
         found = _RATE_IN_TEXT.search(line)
         stated = float(found[1].replace(",", ".")) if found else 0.0
         if stated >= RATES_OF_LOGS[0]:
-            said = f"no time column: rate_hz = {stated:g}, from the line {line[:60]!r}"
-            return Times(keys={"rate_hz": stated}, said=(said,), rate=stated)
-    said = (
+            remark = f"no time column: rate_hz = {stated:g}, from the line {line[:60]!r}"
+            return Times(keys={"rate_hz": stated}, remarks=(remark,), rate=stated)
+    remark = (
         f"no time column was found: rate_hz = {ASSUMED_RATE:g} is a guess, put the log's rate there (--sample-rate); "
         "every gyro scale factor depends on it"
     )
     others = tuple(at_rate(usual, cost) for usual, cost in USUAL_RATES.items() if usual != ASSUMED_RATE)
     assumed = at_rate(ASSUMED_RATE, USUAL_RATES[ASSUMED_RATE])
-    return replace(assumed, said=(said,), rivals=others)
+    return replace(assumed, remarks=(remark,), rivals=others)
 
 
 def times_of_column(stamps: Stamps) -> Times | None:
@@ -131,19 +131,19 @@ def times_of_column(stamps: Stamps) -> Times | None:
         keys: dict[str, Any] = {"time": stamps.column}
         if stamps.clock or unit != "s":
             keys["time_unit"] = "iso8601" if stamps.clock else unit
-        said = [f"time: column {stamps.column!r} in {'times of day' if stamps.clock else unit} ({how})"]
+        remarks = [f"time: column {stamps.column!r} in {'times of day' if stamps.clock else unit} ({how})"]
         per_second = f"{rate:.6g} samples per second"
         if regular:
             keys["regular"] = True
-            said.append(f"time: {uneven}, but the rows are equally spaced: regular = true, {per_second}")
+            remarks.append(f"time: {uneven}, but the rows are equally spaced: regular = true, {per_second}")
         else:
-            said[0] += f", {per_second}"
+            remarks[0] += f", {per_second}"
             if uneven is not None:
-                said.append(f"time: {uneven}, and the rows are not equally spaced either: look at the log")
-        said += doubts
+                remarks.append(f"time: {uneven}, and the rows are not equally spaced either: look at the log")
+        remarks += doubts
         if not RATES_OF_LOGS[0] <= nominal <= RATES_OF_LOGS[1]:
-            said.append(f"time: {nominal:.3g} samples per second is no rate of a log: is the unit right?")
-        every.append(Times(keys=keys, said=tuple(said), rate=rate, cost=cost))
+            remarks.append(f"time: {nominal:.3g} samples per second is no rate of a log: is the unit right?")
+        every.append(Times(keys=keys, remarks=tuple(remarks), rate=rate, cost=cost))
     first, *others = every
     whole = bool((values == np.floor(values)).all())  # fractions are of seconds, and no counts of samples or ticks
     if whole and not stamps.clock and stamps.unit is None and how != _BY_DATES:

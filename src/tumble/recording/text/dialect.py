@@ -117,7 +117,7 @@ class Top:
 
     names: tuple[str, ...]
     lines: int
-    remarks: tuple[str, ...] = ()
+    preamble: tuple[str, ...] = ()
 
 
 def is_clock(cell: str) -> bool:
@@ -165,8 +165,8 @@ def top_of(lines: tuple[str, ...], dialect: Dialect) -> Top | None:
         if grouped is not None:
             names = grouped
             used.add(at - 1)
-    remarks = (" ".join(line.split()) for i, line in enumerate(above) if i not in used)
-    return Top(names=numbered(names), lines=first, remarks=tuple(filter(None, remarks)))
+    preamble = (" ".join(line.split()) for i, line in enumerate(above) if i not in used)
+    return Top(names=numbered(names), lines=first, preamble=tuple(filter(None, preamble)))
 
 
 def _names(cells: Sequence[str], rows: Sequence[Sequence[str]], dialect: Dialect) -> tuple[str, ...] | None:
