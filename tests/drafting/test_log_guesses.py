@@ -111,7 +111,7 @@ def test_a_converter_has_its_zero_in_the_middle_where_it_writes_nothing_negative
 )
 def test_readings_of_one_g_tell_a_unit_from_counts(found: float, unit: str | None, doubted: bool) -> None:
     triads = {ACCEL: Sensors(columns=("x", "y", "z"), unit=None)}
-    draft = Draft(content={}, said=(), triads=triads, whole={ACCEL: True})
+    draft = Draft(content={}, remarks=(), triads=triads, whole={ACCEL: True})
     best, *rivals = ranked(Evidence(rate=100.0, length=found, length_u=0.005), draft)
     assert best.accel.unit == unit
     assert any(rival.cost - best.cost < WIDTHS.near for rival in rivals) == doubted
