@@ -316,6 +316,7 @@ def test_raw_increments_of_novatel(name: str, rows: Array, tmp_path: Path) -> No
     assert calibrated.exit_code == 0, calibrated.stderr
     readings = "43110635,-817242,-202184,-215194,-41188,-9895"
     body = f"RAWIMUSXA,1692,484620.664;00,11,1692,484620.664389000,00801503,{readings}"
+    assert sentences(["", "words", ""]) is None
     spelling = sentences([f"%{body}*a5db8c7b"] * 9 + [f"%{body}*a5db8c7c"])  # of NovAtel's manual; damaged
     assert spelling is not None
     assert spelling.values(f"%{body}*a5db8c7b") == [

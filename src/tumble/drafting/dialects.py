@@ -44,15 +44,15 @@ _RAW_INCREMENTS = ("GPS time [s]", *(f"{kind} {axis} [count]" for kind in ("acce
 
 def sentences(lines: Sequence[str]) -> Spelling | None:
     """Sentences with a checksum, `$VNYMR,…*6D` or NovAtel's `%RAWIMUSXA,…;…*a5db8c7b`; a damaged one is no row."""
-    kinds = Counter(sentence[3] for line in lines if (sentence := _SENTENCE.fullmatch(line)) is not None)
-    kind = max(kinds, key=lambda name: kinds[name], default="")
+    kinds = Counter(sentence.group(1, 3) for line in lines if (sentence := _SENTENCE.fullmatch(line)) is not None)
+    mark, kind = max(kinds, key=lambda name: kinds[name], default=("", ""))
 
     def row(line: str) -> Row | None:
         sentence = _SENTENCE.fullmatch(line)
-        if sentence is None or sentence[3] != kind:
+        if sentence is None or sentence.group(1, 3) != (mark, kind):
             return None
         body, check = sentence[2].encode(), int(sentence[4], 16)
-        if check != (reduce(xor, body, 0) if sentence[1] == "$" else ~zlib.crc32(body, 0xFFFFFFFF) & 0xFFFFFFFF):
+        if check != (reduce(xor, body, 0) if mark == "$" else ~zlib.crc32(body, 0xFFFFFFFF) & 0xFFFFFFFF):
             return None
         values = re.split("[,;]", sentence[2])[1:]
         if _NOVATEL_RAW.fullmatch(kind) and len(values) >= 8:
@@ -63,7 +63,6 @@ def sentences(lines: Sequence[str]) -> Spelling | None:
         fields = _FIELDS.get(kind, ())
         return (fields, values) if len(values) >= LEAST_NUMBERS and len(fields) in (0, len(values)) else None
 
-    mark = next((line.strip()[0] for line in lines if line.strip()[1:].startswith(kind)), "")
     return spelt_alike(lines, row, f"sentences {mark}{kind}")
 
 

@@ -67,10 +67,10 @@ _RATE_RANGE = math.log(RATES_OF_LOGS[1] / RATES_OF_LOGS[0])
 """The range of the logarithm of a rate of which nothing is known."""
 _ODDS: Mapping[tuple[str | None, str | None], float] = {
     ("m/s^2", "rad/s"): 3.0, ("g", "deg/s"): 3.0, ("mg", "mdeg/s"): 5.0, ("m/s", "rad"): 30.0, ("m/s", "deg"): 30.0,
-    ("m/s", "arcsec"): 30.0, ("cm/s^2", None): 45.0, ("mg", None): 28.0, (None, None): 30.0,
+    ("m/s", "arcsec"): 30.0, ("cm/s^2", None): 45.0, ("mg", None): 36.0, (None, None): 30.0,
 }  # fmt: skip
 """How much more often units of accelerometers and gyros come together than by themselves; None are counts. Counts of
-some accelerometers are mg (LSM303DLHC, LIS3DH) or cm/s² (BNO055): as often as those of a common range."""
+some accelerometers are mg (LSM303DLHC, LIS3DH) or cm/s² (BNO055), about as often as those of a common range."""
 COUNTS = KnownScale(value=1.0, shares=(1.0, 1.0))
 """Of gyros that nothing turned, whatever they are worth."""
 _ZERO = 0.1
