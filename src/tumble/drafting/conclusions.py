@@ -44,9 +44,9 @@ def completed(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> tupl
     best = every[0]
     near = [hypothesis for hypothesis in every[1:] if hypothesis.cost < best.cost + widths.near]
     log = {key: value for key, value in draft.log.items() if key not in _TIME_KEYS} | best.times.keys
-    remarks = _of_times(draft, best, shown, near)
+    remarks = _of_times(draft, best)
     if ACCEL in draft.triads:
-        log[ACCEL], of_accel = _accel(draft, best, shown, near)
+        log[ACCEL], of_accel = _accel(draft, best, shown)
         remarks += of_accel
     if best.gyro is not None:
         log[GYRO], of_gyro = _gyro(draft, best, best.gyro, shown, every, near)
@@ -129,7 +129,7 @@ def _doubts(draft: Draft, log: Mapping[str, Any], best: Hypothesis, near: Sequen
         yield f"{best.times.rate:g} samples per second {told}{also}: {hang} on it; state --sample-rate"
 
 
-def _of_times(draft: Draft, best: Hypothesis, shown: Evidence, near: Sequence[Hypothesis]) -> list[str]:
+def _of_times(draft: Draft, best: Hypothesis) -> list[str]:
     """Sentences on the times or the rate."""
     first, taken = draft.times, best.times
     remarks = list(first.remarks)
@@ -138,23 +138,15 @@ def _of_times(draft: Draft, best: Hypothesis, shown: Evidence, near: Sequence[Hy
     if taken.stamped:
         units = f"in {taken.keys.get('time_unit', 's')}, not {first.keys.get('time_unit', 's')}"
         return [*taken.remarks, f"time: {units}: so the gyros carry the vertical from rest to rest (a guess)"]
+    turned = best.profile is not None and best.gyro is not None
     if first.stamped:
-        remarks = [f"time: column {first.keys['time']!r} counts samples or ticks: in no unit do the gyros fit it"]
-    if best.profile is None or best.gyro is None:
-        if len(set(shown.by_rate.values())) > 1:
-            counts = ", ".join(f"{count} at {rate:g} Hz" for rate, count in sorted(shown.by_rate.items()))
-            depends = f"time: how many rests there are depends on the rate, which no turns show: {counts}"
-            remarks.append(f"{depends}; give it (--sample-rate)")
-        return remarks
-    found = _found(best, best.gyro) * taken.rate / best.gyro.value
-    others = dict[str, None]()
-    for rival in near:
-        if "time" in rival.differs(best) and not rival.times.stamped and rival.gyro is not None:
-            scale = f" with {rival.gyro.label}" if GYRO in rival.differs(best) else ""
-            others[f"{rival.times.rate:g}{scale}"] = None
-    also = f"{' or '.join(list(others)[:_MOST_RATES])} would fit too; " if others else ""
-    seen = f"from the turns ({found:.4g} found): a guess to some percent; {also}put the log's rate there"
-    return [*remarks, f"time: rate_hz = {taken.rate:g} {seen}"]
+        why = ": in no unit do the gyros fit it" if turned else ", by its steps"
+        remarks = [f"time: column {first.keys['time']!r} counts samples or ticks{why}"]
+    if turned and best.gyro is not None:
+        found = _found(best, best.gyro) * taken.rate / best.gyro.value
+        guess = f"rate_hz = {taken.rate:g} from the turns ({found:.4g} found): a guess to some percent"
+        remarks.append(f"time: {guess}; put the log's rate there")
+    return remarks
 
 
 def _found(best: Hypothesis, gyro: KnownScale) -> float:
@@ -164,24 +156,14 @@ def _found(best: Hypothesis, gyro: KnownScale) -> float:
     return best.profile.found(math.log(gyro.reads(rate) * rate / DEGREE)) * DEGREE / rate
 
 
-def _comes_near(kind: str, scale: KnownScale, shown: Evidence, best: Hypothesis, near: Sequence[Hypothesis]) -> str:
-    """A unit or counts beside what was found for one g or °/s, and what else would fit at the same rate."""
-    rate, per = best.times.rate, PER[kind]
-
-    def off(of: KnownScale) -> str:
-        return f"({math.log((shown.length if kind == ACCEL else _found(best, of)) / of.reads(rate)):+.1%})"
-
-    found = shown.length if kind == ACCEL else _found(best, scale)
-    others = list[str]()
-    for rival in near:
-        other = rival.accel if kind == ACCEL else rival.gyro
-        if kind in rival.differs(best) and other is not None and other.known and rival.times.rate == rate:
-            others.append(f"; {other.label} would fit too {off(other)}")
-    also = "".join(dict.fromkeys(others))
+def _comes_near(kind: str, scale: KnownScale, shown: Evidence, best: Hypothesis) -> str:
+    """A unit or counts beside what was found for one g or °/s."""
+    found, per = shown.length if kind == ACCEL else _found(best, scale), PER[kind]
+    off = f"({math.log(found / scale.reads(best.times.rate)):+.1%})"
     if scale.unit is not None:
-        return f"{scale.unit} (a guess): one {per} reads {found:.4g} {off(scale)}{also}"
+        return f"{scale.unit} (a guess): one {per} reads {found:.4g} {off}"
     if scale.known:
-        return f"counts: {scale.value:.6g} counts per {per} as in data sheets, {found:.4g} found {off(scale)}{also}"
+        return f"counts: {scale.value:.6g} counts per {per} as in data sheets, {found:.4g} found {off}"
     return f"counts: {found:.4g} counts per {per} found, and no data sheet has a value near it"
 
 
@@ -191,10 +173,8 @@ def _counts(columns: list[str], scale: float, per: str, zero: Any, unit: str = "
     return {"columns": columns, "unit": unit, "scale": value, "scale_per": per, "offset": zero}
 
 
-def _accel(
-    draft: Draft, best: Hypothesis, shown: Evidence, near: Sequence[Hypothesis]
-) -> tuple[dict[str, Any], list[str]]:
-    """The table [log.accel], and what is said of it."""
+def _accel(draft: Draft, best: Hypothesis, shown: Evidence) -> tuple[dict[str, Any], list[str]]:
+    """The table [log.accel] and remarks on it."""
     columns, scale = list(draft.triads[ACCEL].columns), best.accel
     named, unit, found = f"accelerometers: {', '.join(columns)}", draft.unit(ACCEL), shown.length
     if unit is not None and ACCEL_UNITS[unit].kind != "raw":
@@ -204,7 +184,7 @@ def _accel(
     seen = f"from {shown.rests} rests" if shown.rests >= 4 else "a guess from too few rests: state the data sheet's"
     seen = seen if shown.rests else "a guess, for there are no rests, from their median magnitude"
     about = f", zero at {zero}" if zero or scale.unit is None else ""
-    near_to = f"V: {found:.4g} V per g found" if unit == "V" else _comes_near(ACCEL, scale, shown, best, near)
+    near_to = f"V: {found:.4g} V per g found" if unit == "V" else _comes_near(ACCEL, scale, shown, best)
     remarks = [f"{named} in {near_to}{about} ({seen})"]
     if scale.unit is not None and not zero:
         return {"columns": columns, "unit": scale.unit}, remarks
@@ -220,7 +200,7 @@ def _gyro(
     every: Sequence[Hypothesis],
     near: Sequence[Hypothesis],
 ) -> tuple[dict[str, Any], list[str]]:
-    """The table [log.gyro], and what is said of it."""
+    """The table [log.gyro] and remarks on it."""
     columns, stated, rate = list(draft.triads[GYRO].columns), draft.unit(GYRO), best.times.rate
     named, table = f"gyros: {', '.join(columns)} in", {"columns": columns, "unit": gyro.unit}
     centred = [float(f"{b:.6g}") for b in shown.bias]
@@ -231,7 +211,7 @@ def _gyro(
     open_scale = alone and gyro.unit is None and bool(rivals - {gyro.value})
     if best.profile is not None and not open_scale:
         by = f"by {shown.turns} turns" if shown.turns > 1 else "by one turn"
-        told = f"{named} {_comes_near(GYRO, gyro, shown, best, near)} ({by})"
+        told = f"{named} {_comes_near(GYRO, gyro, shown, best)} ({by})"
         if gyro.unit is not None:
             return table, [told]
         offset = centred if np.abs(shown.bias).max() > _LARGEST_BIAS * gyro.value else 0.0
@@ -247,9 +227,9 @@ def _gyro(
     if rival.gyro is not None and rival is not best:
         against = readings(shown, rival.gyro, rival.times.rate, draft)
         why += [f"not {rival.gyro.label}: {words}" for cost, words in against if cost > 0.0 and words]
-    length = float(np.linalg.norm(shown.bias))
-    sizes = [f"{length * GYRO_UNITS[unit].factor / DEGREE:.2g} °/s in {unit}" for unit in ("rad/s", "deg/s", "mdeg/s")]
-    return table, [
-        f"{named} {gyro.unit} (a guess){f': {why[0]}' if why else ''}",
-        f"gyros: no turn tells their unit; at rest they read {length:.3g}: {', '.join(sizes)}",
-    ]
+    remarks = [f"{named} {gyro.unit} (a guess){f': {why[0]}' if why else ''}"]
+    if shown.rests:
+        length = float(np.linalg.norm(shown.bias))
+        sizes = (f"{length * GYRO_UNITS[u].factor / DEGREE:.2g} °/s in {u}" for u in ("rad/s", "deg/s", "mdeg/s"))
+        remarks.append(f"gyros: no turn shows their unit; at rest they read {length:.3g}: {', '.join(sizes)}")
+    return table, remarks

@@ -105,8 +105,7 @@ class Evidence:
     `rests` and `turns` are counts; `length` is that of gravity, `length_u` its standard uncertainty, part of it, and
     `zero` that of the accelerometers. At the rests: readings of the gyros `gyro` (N, 3), numbers of `samples` (N,) and
     the scatter of a sample, of accelerometers as part of gravity. `turning` is the usual reading of the gyros in a
-    turn, `profiles` the likelihoods of the turns, that with the columns as they are first. `by_rate` has the number of
-    rests by trial rates, Hz, where the rate is unclear."""
+    turn, `profiles` the likelihoods of the turns, that with the columns as they are first."""
 
     rate: float
     length: float
@@ -120,7 +119,6 @@ class Evidence:
     gyro_scatter: float = 0.0
     turning: float = 0.0
     profiles: tuple[TurnLikelihood, ...] = ()
-    by_rate: Mapping[float, int] = field(default_factory=dict)
 
     @property
     def bias(self) -> Array:
@@ -147,9 +145,7 @@ def evidence_of(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> Ev
     if ACCEL not in draft.triads:
         return _of_gyros_alone(reduction)
     trials = [_with_windows(reduction, factor, draft.magnitude, widths) for factor in factors]
-    counts = {ASSUMED_RATE * factor: trial.rests for factor, trial in zip(factors, trials, strict=True)}
-    most = max(trials, key=lambda t: (max((p.unturned - p.least for p in t.profiles), default=0.0), t.rests))
-    return replace(most, by_rate=counts if len(factors) > 1 else {})
+    return max(trials, key=lambda t: (max((p.unturned - p.least for p in t.profiles), default=0.0), t.rests))
 
 
 def _of_gyros_alone(reduction: Reduction) -> Evidence:
