@@ -1,8 +1,7 @@
-"""What the columns of text and Parquet files are: by their names and units, as the user states them, and of what these
-leave open by their numbers.
+"""Identification of the columns of text and Parquet files: as the user states them, by their names and units, and where
+these leave it open by their numbers.
 
-What a name or a unit says is believed. Numbers decide only which columns without telling names are sensors or a time.
-"""
+Names and units are taken as given. Numbers decide only which columns without telling names are sensors or a time."""
 
 from __future__ import annotations
 
@@ -43,11 +42,12 @@ _NONE: Mapping[str, Any] = MappingProxyType({})
 def identified_log(
     files: Sequence[Path], folder: OutputFolder, stated: Stated = _NONE, units: Mapping[str, str] = _NONE
 ) -> ForeignLog:
-    """One log of text and Parquet files, with its columns identified, as far as they are not `stated`, and the `units`
-    of sensors that are.
+    """One log of text and Parquet files, with its columns identified as far as they are not `stated`, and stated
+    `units`.
 
     Files that are written alike and whose columns have no telling names are identified together: a file of one position
-    does not show what they are, all of them do. Raises InputError for files that are no logs, or not alike."""
+    does not show which columns are sensors, all of them do. Raises InputError for files that are no logs, or not
+    alike."""
     logs: list[ForeignLog] = []
     without: list[NoLogError] = []
     omitted: tuple[str, ...] = ()
@@ -103,7 +103,7 @@ def _joined(files: Sequence[Path], folder: OutputFolder) -> Sequence[Path]:
 
 
 def _found(file: Path, folder: OutputFolder) -> list[ForeignLog]:
-    """The log in a file; one of each sensor where its rows are of single sensors."""
+    """The log in a file; one for each sensor if its rows are of single sensors."""
     check_format(file, recording=file.suffix.lower() in NAMED)
     if file.suffix.lower() == ".parquet":
         return [ForeignLog(files=(file,), keys={}, columns=columns_by_name(source_of(file).names))]
@@ -152,7 +152,7 @@ def _found(file: Path, folder: OutputFolder) -> list[ForeignLog]:
 
 
 def _numeric(log: ForeignLog) -> list[str]:
-    """Columns of numbers."""
+    """Names of the columns of numbers."""
     if not log.cells:
         schema = pl.scan_parquet(log.files[0], glob=False).collect_schema()
         return [name for name, kind in schema.items() if kind.is_numeric()]
@@ -161,9 +161,9 @@ def _numeric(log: ForeignLog) -> list[str]:
 
 
 def _by_data(log: ForeignLog) -> ForeignLog:
-    """A log whose accelerometers, and gyros unless they are named, are identified by their numbers, if they can be.
+    """Identify accelerometers, and gyros unless they are named, by their numbers, if possible.
 
-    Columns whose names say that they are something else are left aside."""
+    Columns whose names say that they are something else are left out."""
     known, names, numeric = log.columns, list(log.names), _numeric(log)
     taken = {column for sensors in known.triads.values() for column in sensors.columns} | {known.time}
     free = [name for name in numeric if name not in taken and not is_no_sensor(name)]
@@ -185,8 +185,7 @@ def _by_data(log: ForeignLog) -> ForeignLog:
 
 
 def _with_gravity(log: ForeignLog) -> ForeignLog:
-    """A log of accelerometers with those of several triads that read gravity, if the first do not: a phone writes what
-    a filter has left too."""
+    """Take the triad of accelerometers that reads gravity if the first does not: phones write several."""
     first = log.columns.triads[ACCEL].columns
     further = columns_by_name([name for name in log.cells if name not in first]).triads.get(ACCEL)
     if further is None or log.reads_gravity(first) or not log.reads_gravity(further.columns):
@@ -197,7 +196,7 @@ def _with_gravity(log: ForeignLog) -> ForeignLog:
 
 
 def _with_nameless_gyros(log: ForeignLog) -> ForeignLog:
-    """A log of accelerometers with the gyros among its columns without names, if numbers show them."""
+    """Take gyros among columns without names, if their numbers show them."""
     nameless = [name for name in _numeric(log) if name.isdecimal() and name != log.columns.time]
     accel = log.columns.triads[ACCEL]
     if GYRO in log.columns.triads or len(nameless) < len("xyz"):
@@ -213,7 +212,7 @@ def _with_nameless_gyros(log: ForeignLog) -> ForeignLog:
 
 
 def _with_finest_time(log: ForeignLog) -> ForeignLog:
-    """A log with several times: with the first whose stamps grow from row to row, else the first that grows at all."""
+    """Of several times take the first that grows from row to row, else the first that grows at all."""
     growing: list[ForeignLog] = []
     for name in dict.fromkeys((log.columns.time, *log.columns.times)):
         trial = log.with_columns(time=name, time_unit=time_unit(name or ""))
@@ -229,7 +228,7 @@ def _with_finest_time(log: ForeignLog) -> ForeignLog:
 
 
 def _with_thermometers(log: ForeignLog) -> ForeignLog:
-    """A log without the thermometers that read nothing, so that one that does is taken."""
+    """Leave out thermometers without readings."""
     empty = [name for name in log.columns.temperatures if not len(log.readings(name))]
     if not empty:
         return log
@@ -241,7 +240,7 @@ def _with_thermometers(log: ForeignLog) -> ForeignLog:
 
 
 def _with_time(log: ForeignLog) -> ForeignLog:
-    """A log whose time, if no name says which column it is, is one that grows as times do."""
+    """Take a column that grows as times do, if no name says which is the time."""
     if log.columns.time is not None:
         return log
     known = {c for triad in log.columns.triads.values() for c in triad.columns}

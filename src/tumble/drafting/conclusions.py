@@ -1,5 +1,5 @@
-"""What a draft becomes by what its recording shows: the units, scales and times of the hypothesis that costs least, and
-in sentences how near it comes, what would fit too, and what is wrong with the recording."""
+"""Conclusions from the hypothesis of least cost: units, scales and times of a draft, remarks on how they were found,
+and doubts about what would fit too."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _TIME_KEYS = ("time", "time_unit", "regular", "rate_hz")
 
 
 def completed(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> tuple[Draft, list[str]]:
-    """A draft completed by what its rests and turns show, and the faults that a look at it finds.
+    """Complete a draft by what its rests and turns show.
 
     Parameters
     ----------
@@ -38,7 +38,13 @@ def completed(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> tupl
         Shows how far the log is read.
     widths
         Standard deviations of the cost of hypotheses.
-    """
+
+    Returns
+    -------
+    draft : Draft
+        With units, scales and times.
+    faults : list of str
+        Faults of the recording."""
     shown = evidence_of(draft, progress, widths)
     every = ranked(shown, draft, widths)
     best = every[0]
@@ -75,8 +81,8 @@ def completed(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> tupl
 
 
 def _no_gravity(draft: Draft, best: Hypothesis, shown: Evidence) -> Iterator[str]:
-    """What is said of accelerometers that do not read gravity: in the unit of their names, or in any. Raises InputError
-    where they have none and their names say that a filter has taken it off."""
+    """Doubts about accelerometers that do not read gravity, in the unit of their names or in any unit. Raises
+    InputError if they read none and are named as linear acceleration."""
     if ACCEL not in draft.triads:
         return
     unit, columns = draft.unit(ACCEL), draft.triads[ACCEL].columns
@@ -102,7 +108,7 @@ def _no_gravity(draft: Draft, best: Hypothesis, shown: Evidence) -> Iterator[str
 
 
 def _doubts(draft: Draft, log: Mapping[str, Any], best: Hypothesis, near: Sequence[Hypothesis]) -> Iterator[str]:
-    """What is not sure, with what hangs on it and how it is settled."""
+    """Doubts about units and rate: the consequence of each, and the option that settles it."""
     for kind, sensors, scale in ((ACCEL, "accelerometers", best.accel), (GYRO, "gyros", best.gyro)):
         if scale is None or kind not in draft.triads:
             continue
@@ -130,7 +136,7 @@ def _doubts(draft: Draft, log: Mapping[str, Any], best: Hypothesis, near: Sequen
 
 
 def _of_times(draft: Draft, best: Hypothesis) -> list[str]:
-    """Sentences on the times or the rate."""
+    """Remarks on the times or the rate."""
     first, taken = draft.times, best.times
     remarks = list(first.remarks)
     if taken.keys == first.keys and (taken.stamped or not first.rivals):
@@ -150,14 +156,14 @@ def _of_times(draft: Draft, best: Hypothesis) -> list[str]:
 
 
 def _found(best: Hypothesis, gyro: KnownScale) -> float:
-    """What the gyros read for one °/s by the turns, near what a hypothesis says."""
+    """Reading of the gyros for 1 °/s by the turns, near the scale of a hypothesis."""
     assert best.profile is not None
     rate = best.times.rate
     return best.profile.found(math.log(gyro.reads(rate) * rate / DEGREE)) * DEGREE / rate
 
 
 def _comes_near(kind: str, scale: KnownScale, shown: Evidence, best: Hypothesis) -> str:
-    """A unit or counts beside what was found for one g or °/s."""
+    """A unit or a count beside the length of gravity or the rate that the recording shows."""
     found, per = shown.length if kind == ACCEL else _found(best, scale), PER[kind]
     off = f"({math.log(found / scale.reads(best.times.rate)):+.1%})"
     if scale.unit is not None:

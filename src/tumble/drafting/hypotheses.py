@@ -100,12 +100,13 @@ _TOO_FAST, _IN_STEPS = 30.0, -12.0
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Evidence:
-    """What rests and turns of a recording show, in raw numbers, with Q and durations counted at `rate`, Hz.
+    """Length of gravity, readings at rest and turns of a recording, in raw numbers, with durations counted at `rate`,
+    Hz.
 
-    `rests` and `turns` are counts; `length` is that of gravity, `length_u` its standard uncertainty, part of it, and
-    `zero` that of the accelerometers. At the rests: readings of the gyros `gyro` (N, 3), numbers of `samples` (N,) and
-    the scatter of a sample, of accelerometers as part of gravity. `turning` is the usual reading of the gyros in a
-    turn, `profiles` the likelihoods of the turns, that with the columns as they are first."""
+    `rests` and `turns` are counts; `length` is that of gravity, `length_u` its relative standard uncertainty, and
+    `zero` the offset of the accelerometers. At the rests: readings of the gyros `gyro` (N, 3), numbers of `samples`
+    (N,) and the scatter of a sample, for accelerometers relative to gravity. `turning` is the usual reading of the
+    gyros in a turn, `profiles` the likelihoods of the turns, first that with the columns as they are."""
 
     rate: float
     length: float
@@ -122,14 +123,15 @@ class Evidence:
 
     @property
     def bias(self) -> Array:
-        """What the gyros read at rest (3,)."""
+        """Median reading of the gyros at rest (3,)."""
         return np.median(self.gyro, axis=0) if len(self.gyro) else np.zeros(3)
 
 
 def evidence_of(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> Evidence:
-    """The evidence of a draft's log. Where its rate is unclear the rows are the clock, and rests are sought with
-    windows that fit several rates: those are taken whose turns tell most, by how much less they cost than if the gyros
-    turned nothing, or that show most rests."""
+    """Evidence of a draft's log.
+
+    Where the rate is unclear, rows are counted instead of times, and rests are sought with windows for several rates;
+    the trial is taken whose turns are least likely for gyros that read noise, or that has most rests."""
     log = {key: value for key, value in draft.log.items() if key != "temperature"}
     stated, factors = draft.times.rate / ASSUMED_RATE, [1.0]
     if draft.times.rivals:
@@ -149,7 +151,7 @@ def evidence_of(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> Ev
 
 
 def _of_gyros_alone(reduction: Reduction) -> Evidence:
-    """What gyros alone show, which are taken to be at rest most of the time."""
+    """Evidence of gyros alone, assumed to be at rest most of the time."""
     means = np.concatenate([file.accel.means for file in reduction.files])
     middle = np.median(means, axis=0)
     scatter = 1.4826 * float(np.median(np.abs(means - middle))) * math.sqrt(reduction.files[0].size)
@@ -157,8 +159,8 @@ def _of_gyros_alone(reduction: Reduction) -> Evidence:
 
 
 def _with_windows(reduction: Reduction, factor: float, magnitude: float, widths: Widths) -> Evidence:
-    """What a reduction shows whose rests are sought with windows that fit `factor` times its rate; where there are
-    none, gravity has the `magnitude` of what is read."""
+    """Evidence with rests sought in windows `factor` times as long; without rests, gravity has the given
+    `magnitude`."""
     seconds = (f.name for f in fields(Tuning) if f.metadata["unit"] == "s")
     tuning = replace(USUAL, **{name: factor * getattr(USUAL, name) for name in seconds})
     channels, files = (*reduction.accel_channels, *reduction.gyro_channels), reduction.by_file
@@ -196,11 +198,22 @@ def _with_windows(reduction: Reduction, factor: float, magnitude: float, widths:
 
 
 def length_and_zero(means: Array, widths: Widths = WIDTHS) -> tuple[float, float, list[float], Array]:
-    """Numbers per g of accelerometers, their standard uncertainty as part of them, zeros (3,), and the vectors of
-    gravity (N, 3), from mean readings (N, 3) at rest. The zero is the centre of their sphere, or none or the middle of
-    a converter where the centre is near to that, or where they draw no sphere: a known length in one attitude does not.
-    Gravity is about the centre c of |m − c| = r, for offsets from a known zero as they are usual, so that few rests do
-    not move it far."""
+    """Length of gravity and zero of accelerometers from mean readings (N, 3) at rest.
+
+    The zero is the centre of the sphere through the readings, or exactly 0 or the middle of a converter if the centre
+    is near to that, or if the readings determine no sphere. The length is a least-squares solution of |m − c| = r with
+    offsets of the usual size from a known zero, so that few rests do not move it far.
+
+    Returns
+    -------
+    length : float
+        Raw numbers for one g.
+    length_u : float
+        Its relative standard uncertainty.
+    zero : list of float
+        Zero of each sensor, to five digits.
+    gravity : ndarray, shape (N, 3)
+        Readings relative to the centre."""
     length = float(np.median(np.linalg.norm(means, axis=1)))
     zero, offset = np.zeros(3), widths.offset
     if len(means) >= 4:
@@ -228,9 +241,11 @@ def length_and_zero(means: Array, widths: Widths = WIDTHS) -> tuple[float, float
 def _turns(
     reduction: Reduction, spans: tuple[RestSpan, ...], up: Array, rates: Array
 ) -> list[tuple[Array, Array, Array]]:
-    """What the gyros read above their bias, at the nominal interval, in turns (m, 3) that end with another side up, and
-    the verticals before and behind them, the shortest first; but for turns in which a gyro is clipped: it reads the
-    most it reads in any of them several times in a row, and seldom a little less."""
+    """Turns between rests of different attitude, the shortest first: integrals of the gyros above their bias (m, 3),
+    and the vertical before and after.
+
+    Turns are left out in which a gyro is clipped: it reads its largest value of all turns several times in a row, and
+    rarely a little less."""
     files, samples, bias = reduction.by_file, reduction.samples, np.median(rates, axis=0)
     assert samples is not None
     read = []
@@ -255,7 +270,7 @@ def _turns(
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Hypothesis:
-    """What a log may be, and what that costs; the profile of the turns, None where there are none, has the exchange of
+    """Units, scales and times that a log may have, and their cost. `profile`, None without turns, has the exchange of
     the gyros' columns."""
 
     accel: KnownScale
@@ -265,7 +280,7 @@ class Hypothesis:
     cost: float
 
     def differs(self, other: Hypothesis) -> set[str]:
-        """The parts in which it is another than one."""
+        """The parts in which two hypotheses differ."""
         parts = {
             ACCEL: self.accel != other.accel,
             GYRO: self.gyro != other.gyro,
@@ -276,7 +291,7 @@ class Hypothesis:
 
 
 def ranked(shown: Evidence, draft: Draft, widths: Widths = WIDTHS) -> list[Hypothesis]:
-    """All hypotheses of a log that shows this, the cheapest first."""
+    """All hypotheses of a log, the least cost first."""
     deviation = math.hypot(widths.scale, shown.length_u)
     with_accel = ACCEL in draft.triads
     accels = list(_assumed(ACCEL, draft, cost_of_any(deviation))) if with_accel else [(COUNTS, 0.0)]
@@ -315,8 +330,8 @@ def ranked(shown: Evidence, draft: Draft, widths: Widths = WIDTHS) -> list[Hypot
 def _with_gyros(
     draft: Draft, shown: Evidence, gyros: list[tuple[KnownScale, float]], profile: TurnLikelihood | None, widths: Widths
 ) -> Iterator[tuple[Times, KnownScale | None, float]]:
-    """Times with gyros and what these cost in them: by their turns, by what they read, and by what they assume. Where
-    the rate may be any, that too with which the turns fit a unit best."""
+    """Times and gyros with the cost of their turns, readings and assumptions. Where the rate is free, so is the one for
+    which the turns fit a unit best."""
     every = (draft.times, *draft.times.rivals)
     nominal = None if profile is None else profile.of_nominal(widths.scale)
     if not gyros:
@@ -341,10 +356,10 @@ def _with_gyros(
 
 
 def _assumed(kind: str, draft: Draft, unknown: float) -> Iterator[tuple[KnownScale, float]]:
-    """Units and counts that sensors may have, and what each assumes.
+    """Units and counts that sensors may have, each with the cost of the assumption.
 
-    A unit in a name is believed; of sensors whose name says that they are raw, counts are likelier. Counts of no data
-    sheet may have any scale, which costs `unknown`."""
+    A unit in a name is taken as given; a name that says raw makes counts likelier. Counts of no data sheet may have any
+    scale, at the cost `unknown`."""
     units, name = {ACCEL: ACCEL_UNITS, GYRO: GYRO_UNITS}[kind], draft.unit(kind)
     if name is not None and units[name].kind != "raw":
         one = ONE[kind] / units[name].factor
@@ -362,10 +377,10 @@ def _assumed(kind: str, draft: Draft, unknown: float) -> Iterator[tuple[KnownSca
 def readings(
     shown: Evidence, gyro: KnownScale, rate: float, draft: Draft, widths: Widths = WIDTHS
 ) -> list[tuple[float, str]]:
-    """Costs of a unit or scale of gyros by what they would read, each with the reason in words.
+    """Costs of a unit or scale of gyros by their readings, each with the reason in words.
 
-    Biases of more than 20 °/s, a scatter of 0.17 °/s in a second on a table, more than any range and turns as no hand
-    makes speak against it, steps of a data sheet for it."""
+    Biases above 20 °/s, a scatter of 0.17 °/s in a second on a table, more than any range and turns faster than by hand
+    speak against it, steps of a data sheet for it."""
     one, root = DEGREE / gyro.reads(rate), math.sqrt(rate)
     bias, noise = float(np.linalg.norm(shown.bias)), shown.gyro_scatter / root
     on_table = shown.accel_scatter * G_STANDARD / root < _ON_A_TABLE

@@ -1,11 +1,10 @@
 """A first session.toml for a log, in one pass: its files (`containers`), the columns of sensors and times by name and
-unit, and by numbers where names leave them open (`columns`), copies of what a session file cannot describe (`repairs`),
-times (`times`), units and scales by what rests and turns show (`hypotheses`), and sentences about it (`conclusions`).
+unit, and by numbers where names leave them open (`columns`), mended copies (`repairs`), times (`times`), units and
+scales by rests and turns (`hypotheses`), and remarks (`conclusions`).
 
-Accelerometers at rest must read gravity, which tells their unit, and gyros must carry the vertical from rest to rest,
-which tells theirs, the scale of counts, and the rate of a log without times. What cannot be found out (serial number,
-place, programme) is left to be filled in, with a comment.
-"""
+Accelerometers at rest read gravity, which determines their unit, and gyros carry the vertical from rest to rest, which
+determines theirs, the scale of counts, and the rate of a log without times. What no log shows (serial number, place,
+programme) is left to be filled in."""
 
 from __future__ import annotations
 
@@ -72,7 +71,7 @@ class Given:
 
     @property
     def units(self) -> dict[str, str]:
-        """The stated units by what they are of. Raises InputError for others than session.toml has."""
+        """Stated units by kind of sensor. Raises InputError for units that session.toml does not have."""
         known = {ACCEL: (self.accel_unit, ACCEL_UNITS), GYRO: (self.gyro_unit, GYRO_UNITS)}
         for kind, (unit, units) in known.items():
             if unit is not None and unit not in units:
@@ -81,7 +80,7 @@ class Given:
 
     @property
     def columns(self) -> dict[str, Sequence[str]]:
-        """The stated columns by what they are."""
+        """Stated columns by role."""
         stated = {ACCEL: self.accel, GYRO: self.gyro, TIME_KIND: () if self.time is None else (self.time,)}
         return {kind: columns for kind, columns in stated.items() if columns}
 
@@ -141,7 +140,7 @@ def new_session(
 def written_session(
     folder: OutputFolder, logs: FilePath | Sequence[FilePath], given: Given, progress: Progress, widths: Widths = WIDTHS
 ) -> tuple[Draft, list[str]]:
-    """`new_session` into a folder whose new files are left to the caller where it fails."""
+    """`new_session` into a folder whose new files are left to the caller if it fails."""
     path = folder.path / SESSION_FILE
     if path.exists():
         raise InputError(f"{path}: expected a folder without a session, found one; choose another folder")
@@ -161,8 +160,8 @@ def drafted_log(
     *,
     gyros_suffice: bool = False,
 ) -> tuple[Draft, list[str]]:
-    """What `new_session` writes, and the faults; where `gyros_suffice`, of a log of gyros alone too, of which a session
-    cannot be made. Copies of logs are written into the folder."""
+    """The draft and the faults that `new_session` gives; with `gyros_suffice` also for a log of gyros alone. Copies of
+    logs are written into the folder."""
     listed = [logs] if isinstance(logs, str | os.PathLike) else logs
     files = [file for log in listed for file in files_of(Path(log))]
     if given.programme is not None and given.programme not in programmes():
@@ -212,7 +211,7 @@ def drafted_log(
 
 
 def _of_log(log: ForeignLog, rate: float | None) -> Draft:
-    """From text and Parquet files: what names and first numbers say, and sensors as raw numbers."""
+    """Draft from names and first numbers, with sensors as raw numbers."""
     known, times = log.columns, log.times(rate)
     remarks = list(log.remarks)
     if rate is not None and known.time is not None:
@@ -268,8 +267,8 @@ def _of_log(log: ForeignLog, rate: float | None) -> Draft:
 
 
 def _with_sign(draft: Draft) -> Draft:
-    """A draft with the sign of accelerometers that are named as Apple's CoreMotion names them, which reads −1 g on the
-    axis that points up. Gyros carry the vertical up or down alike, so that no recording shows it.
+    """Set the sign of accelerometers named as in Apple's CoreMotion, which read −1 g on the axis that points up. No
+    recording shows it, because gyros carry the vertical up and down alike.
 
     Source: Apple, CMAccelerometerData and CMMotionManager, Core Motion."""
     accel = draft.log["accel"]
@@ -281,7 +280,7 @@ def _with_sign(draft: Draft) -> Draft:
 
 
 def _row_as_read(draft: Draft) -> str:
-    """The first row of the log that is whole: its numbers, and what they are taken for."""
+    """The first complete row of the log, as written and in units."""
     log = draft.session().log
     time = [] if log.time is None else [log.time]
     sensors = {kind: channels for kind, channels in ((ACCEL, log.accel), (GYRO, log.gyro)) if channels is not None}
@@ -304,9 +303,8 @@ def _row_as_read(draft: Draft) -> str:
 
 
 def _thermometers(log: ForeignLog, columns: Sequence[str]) -> tuple[dict[str, Any] | None, str]:
-    """The table [log.temperature], None where numbers are raw. A unit is that of the name, or in which the numbers are
-    temperatures of the air on Earth or of a chamber; columns in several are, as raw ones, with what their numbers are
-    worth."""
+    """The table [log.temperature], None for raw numbers, and a remark. The unit is that of the name, or one in which
+    the numbers are temperatures of air; columns in several units are described as raw numbers with their scales."""
     listed, units, remarks = list(columns), list[str](), list[str]()
     if empty := [column for column in columns if not len(log.readings(column))]:
         return None, f"temperature: {', '.join(empty)} is left out, for it reads nothing or cannot be read"
@@ -332,13 +330,13 @@ def _thermometers(log: ForeignLog, columns: Sequence[str]) -> tuple[dict[str, An
 
 
 def _magnitude(log: ForeignLog, sensors: Sensors) -> float:
-    """The median magnitude of what sensors read in the first rows; 0 where they read nothing."""
+    """Median magnitude of readings in the first rows; 0 without readings."""
     read = np.linalg.norm(log.read(sensors.columns, rows=HEAD_ROWS), axis=1)
     return float(np.nanmedian(read)) if np.isfinite(read).any() else 0.0
 
 
 def _magnetometer(log: ForeignLog, sensors: Sensors | None) -> tuple[dict[str, Any] | None, list[str]]:
-    """The table [log.magnetometer]: the unit by name, or the one in which the field is one on Earth."""
+    """The table [log.magnetometer] and remarks: the unit by name, or the one in which the field is one on Earth."""
     if sensors is None:
         return None, []
     field, named = _magnitude(log, sensors), ", ".join(sensors.columns)

@@ -1,5 +1,5 @@
 """Text logs in which every row is of one sensor, `ACC,1200,0.01,0.02,9.81` and then `GYRO,1202,…`: the rows of each
-sensor become a CSV file of its own."""
+sensor become a CSV file."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ _WHOLE = re.compile(r"imu\d?", re.IGNORECASE)
 
 
 def split_by_header(file: Path, seen: bytes, folder: OutputFolder) -> list[Path]:
-    """The rows of accelerometers and gyros where comments state the names of the columns behind the word with which a
-    row begins, `# UncalAccel,utcTimeMillis,…` or `% ACCE data: 'ACCE;AppTimestamp(s);…'`; none where they do not."""
+    """Split rows that begin with a word whose columns are named in a comment, `# UncalAccel,utcTimeMillis,…` or `% ACCE
+    data: 'ACCE;AppTimestamp(s);…'`; no files if there is no such comment."""
     lines = seen.decode(errors="replace").splitlines()
     stated = [_STATED.sub("", line).rstrip("' ") for line in lines if line.startswith(("#", "%"))]
     rows = [line for line in lines if not line.startswith(("#", "%"))]
@@ -39,8 +39,8 @@ def split_by_header(file: Path, seen: bytes, folder: OutputFolder) -> list[Path]
 
 
 def split_by_sensor(file: Path, seen: bytes, dialect: Dialect, top: Top, folder: OutputFolder) -> list[Path]:
-    """The rows of each sensor, or of the IMU, with all columns but the one that names it, in which names change all
-    the time; none where there is no such column."""
+    """Split rows by a column that names the sensor; of rows that begin with IMU only these are kept, as they are. No
+    files if there is no such column."""
     lines = seen.decode(dialect.encoding, errors="replace").split("\n")[top.lines : -1]
     rows = [cells for line in lines if len(cells := dialect.cells(line)) == len(top.names)]
     labels = (j for j in range(len(top.names)) if _are_sensors([cells[j] for cells in rows], dialect))
@@ -69,7 +69,7 @@ def split_by_sensor(file: Path, seen: bytes, dialect: Dialect, top: Top, folder:
 
 
 def _are_sensors(words: Sequence[str], dialect: Dialect) -> bool:
-    """Whether the cells of a column are names of sensors that take turns: few words, one of them of accelerometers."""
+    """Whether cells are names of sensors that take turns: few words, one of them of accelerometers or an IMU."""
     named, changes = Counter(words), sum(a != b for a, b in pairwise(words))
     return (
         2 <= len(named) <= MOST_SENSORS

@@ -1,9 +1,8 @@
-"""When the rows of a log were taken: its time column and unit, whether the stamps can be believed, or its rate; and
-what else it may be, each with a cost (−2 ln of how often it is met), for the turns to decide.
+"""Times of the rows of a log: the unit of its time column, whether its stamps are usable as a clock, or its rate. Rival
+assumptions have a cost, −2 ln of how often they are met, and turns decide between them.
 
-Stamps that repeat, bunch or jitter while the rows go on evenly are those of a slow clock or of a busy computer; the
-rows are then the better clock (`regular`).
-"""
+Stamps that repeat, bunch or jitter while the rows go on evenly come from a coarse clock or a busy computer; then the
+row number is the better clock (`regular`)."""
 
 from __future__ import annotations
 
@@ -60,8 +59,7 @@ _RATE_IN_TEXT = re.compile(
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Times:
-    """Keys of [log] that say when rows were taken, what is said about it, the rate, Hz; what that costs as a guess, and
-    what else it may be."""
+    """Times of rows: keys of [log], remarks, the rate, Hz, the cost of the assumption, and its rivals."""
 
     keys: dict[str, Any]
     remarks: tuple[str, ...]
@@ -76,13 +74,13 @@ class Times:
 
 
 def at_rate(rate: float, cost: float) -> Times:
-    """Rows of which none has a time that can be used, at a rate, Hz."""
+    """Rows without usable stamps, at a rate, Hz."""
     return Times(keys={"rate_hz": rate}, remarks=(), rate=rate, cost=cost)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Stamps:
-    """All time stamps of a log, as they are; `clock`: s, from times of day."""
+    """All time stamps of a log as written; `clock`: seconds from times of day."""
 
     column: str
     values: Array
@@ -91,7 +89,7 @@ class Stamps:
 
 
 def times_without_column(rate: float | None, preamble: Sequence[str]) -> Times:
-    """The rate of a log without times: as given, as its text says, or a guess."""
+    """Times of a log without time column: the rate as stated, as a line of its preamble says, or a guess."""
     if rate is not None:
         return Times(keys={"rate_hz": rate}, remarks=(f"no time column: rate_hz = {rate:g} as given",), rate=rate)
     for line in preamble:
@@ -110,7 +108,7 @@ def times_without_column(rate: float | None, preamble: Sequence[str]) -> Times:
 
 
 def times_of_column(stamps: Stamps) -> Times | None:
-    """Unit and rate of a time column; None where its numbers do not grow as times do."""
+    """Unit and rate of a time column; None if it does not grow as times do."""
     values = stamps.values[np.isfinite(stamps.values)]
     values = values[:-1] if len(values) > 3 and values[-1] < values[-2] else values  # of a line that was cut
     if len(values) < 3 or not grows_mostly(values):
@@ -153,8 +151,8 @@ def times_of_column(stamps: Stamps) -> Times | None:
 
 
 def _typical(steps: Array) -> float:
-    """The step from row to row: the median, or the mean where stamps are too coarse or come in bursts, without a few
-    steps that are far longer than all others and so pauses."""
+    """Typical step between rows: the median, or where stamps are coarse or come in bursts the mean without long
+    pauses."""
     long = float(np.quantile(steps, 1.0 - _PAUSES))
     usual = steps[steps <= _PAUSE * long] if long > 0.0 else steps
     median, mean = float(np.median(steps)), float(usual.mean())
@@ -163,7 +161,7 @@ def _typical(steps: Array) -> float:
 
 
 def _uneven(parts: Array) -> str | None:
-    """What is wrong with stamps as a clock, by their steps as parts of the typical one; None for even ones."""
+    """What makes stamps unusable as a clock, by their steps relative to the typical one; None for even ones."""
     few, jitter = _FREE + _SHARE * len(parts), float(1.4826 * np.median(np.abs(parts - np.median(parts))))
     if np.count_nonzero(parts <= 0.0) > few:
         return f"time stamps repeat ({np.mean(parts <= 0.0):.0%} of them)"
@@ -173,12 +171,12 @@ def _uneven(parts: Array) -> str | None:
 
 
 def _counts(steps: Array, typical: float) -> bool:
-    """Whether stamps grow by one from row to row."""
+    """Whether stamps grow by one per row."""
     return bool(typical == 1.0 and np.mean(steps == 1.0) > 1.0 - _SHARE)
 
 
 def grows_mostly(values: Array) -> bool:
-    """Whether stamps grow, but for a few places at which a clock was started anew or rows are out of order."""
+    """Whether stamps grow, except where a clock starts anew or rows are out of order."""
     steps = np.diff(values[np.isfinite(values)])
     return bool(steps[steps > 0.0].sum() > _SHORTEST and np.mean(steps < 0.0) <= _ANEW)
 
@@ -190,8 +188,8 @@ _MOST_RECORDINGS, _SHORTEST_RECORDING = 50, 50
 
 
 def overflow_of(values: Array) -> float | None:
-    """The number at which the counter behind time stamps starts anew, that of 16, 24 or 32 bits in its own unit or in
-    thousands or millions of it; None where it does not, or where they fall otherwise too."""
+    """The number at which the counter behind time stamps overflows: 2^16, 2^24 or 2^32 in its own unit, in thousands or
+    in millions of it, or an hour; None if the falls are not of one size."""
     values = values[np.isfinite(values)]
     steps = np.diff(values)
     falls = np.flatnonzero(steps < 0.0)
@@ -207,9 +205,9 @@ def overflow_of(values: Array) -> float | None:
 
 
 def recordings_of(values: Array) -> list[tuple[int, int]] | None:
-    """First and last + 1 row of recordings that follow each other in a log, each with a clock that was started anew;
-    None for one, and where stamps fall by little, or a stretch between falls is no recording. Single stamps that leap
-    or fall back are no falls."""
+    """First and last + 1 row of successive recordings in a log, each with a clock that starts anew; None for one
+    recording, and if a fall is small or a stretch between falls too short. Single stamps that leap or fall back do not
+    count."""
     alone = leaping(values, -math.inf, 0.0)
     alone[1:-1] |= (values[1:-1] < values[:-2]) & (values[2:] > values[:-2])
     rows = np.flatnonzero(~alone)
@@ -222,7 +220,8 @@ def recordings_of(values: Array) -> list[tuple[int, int]] | None:
 
 
 def _units(stamps: Stamps, step: float) -> tuple[dict[str, float], str, list[str]]:
-    """Units that time stamps may have with the cost of each, the likeliest first; how they were found; and doubts."""
+    """Units that time stamps may have, with the cost of each, the likeliest first; how they were determined; and
+    doubts."""
     if stamps.clock:
         return {"s": 0.0}, "of a clock", []
     if stamps.unit is not None:
@@ -248,8 +247,8 @@ def _units(stamps: Stamps, step: float) -> tuple[dict[str, float], str, list[str
 
 
 def _even(values: Array) -> bool:
-    """Whether rows are equally spaced: their stamps keep to a straight line, without steps, within what the worst delay
-    of a stamp explains."""
+    """Whether rows are equally spaced: their stamps stay about a straight line, without steps, within what the largest
+    delay of a stamp explains."""
     index = np.arange(len(values), dtype=float)
     step = (values[-1] - values[0]) / (len(values) - 1)
     late = (values - values[0]) / step - index
