@@ -12,7 +12,7 @@ import numpy as np
 
 from tumble.diagnosis.turn_likelihood import WIDTHS, Widths, columns_said
 from tumble.drafting.draft import Draft
-from tumble.drafting.hypotheses import Evidence, Hypothesis, evidence_of, ranked, readings
+from tumble.drafting.hypotheses import Evidence, Hypothesis, evidence_of, ranked
 from tumble.errors import InputError, TumbleError
 from tumble.recording.columns.names import ACCEL, GYRO
 from tumble.recording.columns.patterns import WITHOUT_GRAVITY
@@ -55,7 +55,7 @@ def completed(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> tupl
         log[ACCEL], of_accel = _accel(draft, best, shown)
         remarks += of_accel
     if best.gyro is not None:
-        log[GYRO], of_gyro = _gyro(draft, best, best.gyro, shown, every, near)
+        log[GYRO], of_gyro = _gyro(draft, best, best.gyro, shown, near)
         remarks += of_gyro
     doubts = (*_no_gravity(draft, best, shown), *_doubts(draft, log, best, near), *draft.doubts)
     log |= {"doubt": "; ".join(doubts)} if doubts else {}
@@ -199,15 +199,10 @@ def _accel(draft: Draft, best: Hypothesis, shown: Evidence) -> tuple[dict[str, A
 
 
 def _gyro(
-    draft: Draft,
-    best: Hypothesis,
-    gyro: KnownScale,
-    shown: Evidence,
-    every: Sequence[Hypothesis],
-    near: Sequence[Hypothesis],
+    draft: Draft, best: Hypothesis, gyro: KnownScale, shown: Evidence, near: Sequence[Hypothesis]
 ) -> tuple[dict[str, Any], list[str]]:
     """The table [log.gyro] and remarks on it."""
-    columns, stated, rate = list(draft.triads[GYRO].columns), draft.unit(GYRO), best.times.rate
+    columns, stated = list(draft.triads[GYRO].columns), draft.unit(GYRO)
     named, table = f"gyros: {', '.join(columns)} in", {"columns": columns, "unit": gyro.unit}
     centred = [float(f"{b:.6g}") for b in shown.bias]
     if gyro.unit is not None and stated == gyro.unit:
@@ -228,12 +223,7 @@ def _gyro(
         unknown = f"the offset is their reading at rest, the scale is unknown, for {shows}"
         counts = {"columns": columns, "unit": "count", "scale_per": "deg/s", "offset": centred}
         return counts, [f"{named} counts; {unknown}: put that of the data sheet there"]
-    why = [words for cost, words in readings(shown, gyro, rate, draft) if cost < 0.0]
-    rival = next((h for h in every if GYRO in h.differs(best)), best)
-    if rival.gyro is not None and rival is not best:
-        against = readings(shown, rival.gyro, rival.times.rate, draft)
-        why += [f"not {rival.gyro.label}: {words}" for cost, words in against if cost > 0.0 and words]
-    remarks = [f"{named} {gyro.unit} (a guess){f': {why[0]}' if why else ''}"]
+    remarks = [f"{named} {gyro.unit} (a guess)"]
     if shown.rests:
         length = float(np.linalg.norm(shown.bias))
         sizes = (f"{length * GYRO_UNITS[u].factor / DEGREE:.2g} °/s in {u}" for u in ("rad/s", "deg/s", "mdeg/s"))

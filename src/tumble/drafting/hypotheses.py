@@ -351,7 +351,7 @@ def _with_gyros(
             if nominal is not None:
                 cost += nominal.at(math.log(found.reads(times.rate) * times.rate / DEGREE))
             if profile is not None or gyro.unit is not None:
-                cost += sum(of_reading for of_reading, _ in readings(shown, found, times.rate, draft, widths))
+                cost += cost_of_readings(shown, found, times.rate, draft, widths)
             yield times, found, cost
 
 
@@ -374,32 +374,23 @@ def _assumed(kind: str, draft: Draft, unknown: float) -> Iterator[tuple[KnownSca
             yield candidate, -2.0 * math.log(share) + (0.0 if candidate.known else unknown)
 
 
-def readings(
-    shown: Evidence, gyro: KnownScale, rate: float, draft: Draft, widths: Widths = WIDTHS
-) -> list[tuple[float, str]]:
-    """Costs of a unit or scale of gyros by their readings, each with the reason in words.
+def cost_of_readings(shown: Evidence, gyro: KnownScale, rate: float, draft: Draft, widths: Widths) -> float:
+    """Cost of a unit or scale of gyros by their readings.
 
     Biases above 20 °/s, a scatter of 0.17 °/s in a second on a table, more than any range and turns faster than by hand
     speak against it, steps of a data sheet for it."""
     one, root = DEGREE / gyro.reads(rate), math.sqrt(rate)
-    bias, noise = float(np.linalg.norm(shown.bias)), shown.gyro_scatter / root
-    on_table = shown.accel_scatter * G_STANDARD / root < _ON_A_TABLE
-    out: list[tuple[float, str]] = []
-
-    def beyond(value: float, limit: float, words: str) -> None:
+    limits = [(float(np.linalg.norm(shown.bias)), _LARGEST_BIAS)] if gyro.unit is not None else []
+    if shown.accel_scatter * G_STANDARD / root < _ON_A_TABLE:
+        limits.append((shown.gyro_scatter / root, _LARGEST_NOISE))
+    cost = 0.0
+    for value, limit in limits:
         if value * one > limit:
-            cost = min((math.log(value * one / limit) / _BEYOND) ** 2, _AT_MOST)
-            out.append((cost, f"{words}, which in {gyro.label} would be {value * one / DEGREE:.3g} °/s"))
-
-    if gyro.unit is not None:
-        beyond(bias, _LARGEST_BIAS, f"at rest they read {bias:.3g}")
-    if on_table:
-        beyond(noise, _LARGEST_NOISE, f"at rest they scatter by {noise:.2g} in a second")
+            cost += min((math.log(value * one / limit) / _BEYOND) ** 2, _AT_MOST)
     if draft.largest * one > FASTEST:
-        read = f"no gyro reads the {draft.largest * one / DEGREE:.4g} °/s that they would in {gyro.label}"
-        out.append((_TOO_FAST, read))
+        cost += _TOO_FAST
     if shown.turning:
-        out.append(((math.log(shown.turning * one) / widths.turning) ** 2, ""))
+        cost += (math.log(shown.turning * one) / widths.turning) ** 2
     if gyro.unit == "deg/s" and draft.step is not None:
-        out.append((_IN_STEPS, f"their steps are {draft.step:.4g} °/s, a count of data sheets"))
-    return out
+        cost += _IN_STEPS
+    return cost

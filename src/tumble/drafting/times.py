@@ -237,13 +237,8 @@ def _units(stamps: Stamps, step: float) -> tuple[dict[str, float], str, list[str
     if dated and (rates[dated[0]] > _SLOW or min(costs.values()) >= _UNLIKELY_RATE):
         return {dated[0]: 0.0}, _BY_DATES, []
     ranked = dict(sorted(costs.items(), key=lambda item: item[1])) or {"s": 0.0}
-    possible = [name for name in [*ranked][1:] if name in dated or rates[name] >= RATES_OF_LOGS[0]]
-    doubts = [f"{name}: {rates[name]:.4g} Hz" for name in possible]
-    doubts = [f"time: the unit is a guess, possible too is {' or '.join(doubts)}"] if doubts else []
-    if counts:
-        counted = f"time: column {stamps.column!r} grows by one a row, as a counter of samples does too"
-        doubts = [f"{counted}: if it is one, give the rate (--sample-rate)"]
-    return ranked, "by its steps", doubts
+    counted = f"time: column {stamps.column!r} grows by one a row, as a counter of samples does too"
+    return ranked, "by its steps", [f"{counted}: if it is one, give the rate (--sample-rate)"] if counts else []
 
 
 def _even(values: Array) -> bool:
