@@ -42,8 +42,9 @@ def dense(problem: Any, rows: Any, noise: Any, components: Any, priors: tuple[Ar
     """By the rows at a linearisation, the parts of their noise, the components of variance, and `priors`, standard
     deviations and expected values less those of the point, of x."""
     N, K, n = len(rows.rest), len(rows.turn), problem.sensors
-    r, t, q = rows.rest.shape[1], rows.turn.shape[1], len(problem.own_known)
-    session, before, after = *problem.of_session, problem.bias_after
+    r, t, q = rows.rest.shape[1], rows.turn.shape[1], len(problem.local_u)
+    session, before = problem.of_session
+    after = problem.bias_after
     p, S, M = rows.rest.shape[2] - 4 - q, len(problem.parts), N * r + K * t
     A, X, B, y = np.zeros((M, 3 * N)), np.zeros((M, S * q + p)), np.zeros((M, n, N)), np.zeros(M)
     base, D = np.zeros((M, M)), dict[tuple[str, int], Array]()
