@@ -16,7 +16,7 @@ from click.testing import CliRunner
 from tumble.cli import main
 from tumble.diagnosis.linearised_session import LinearisedSession
 from tumble.diagnosis.misfit import misfit
-from tumble.diagnosis.projection import Remaining, projections
+from tumble.diagnosis.projection import judged_solution, projections
 from tumble.diagnosis.verdict import verdict
 from tumble.errors import InputError
 from tumble.inference.joint import joint
@@ -267,7 +267,7 @@ def test_each_session_alone_knows_what_all_know() -> None:
     """With what the others say, parameters are as well known from one session as from all."""
     estimate = joint(together(device("mems", SHORT, seed=5), [ramp(t, t) for t in (0.0, 40.0)]), quick=True)
     assert estimate.linearised is not None
-    rows = estimate.linearised.rows
+    rows = estimate.linearised
     nothing = np.zeros((*rows.rest.shape[:2], 1)), np.zeros((*rows.turn.shape[:2], 1))
     known = np.array([each.u for each in projections(estimate.linearised, estimate.linearised.components, *nothing)])
     linear = estimate.instrument.linear_count if estimate.instrument is not None else 0
@@ -279,7 +279,7 @@ def test_a_cause_is_named_in_the_session_it_is_in() -> None:
     observations = together(device("mems", SHORT, seed=5), [ramp(t, t) for t in (0.0, 40.0)])
     estimate = joint(observations, quick=True)
     assert estimate.linearised is not None
-    rows, (_, part) = estimate.linearised.rows, estimate.linearised.problem.parts
+    rows, (_, part) = estimate.linearised, estimate.linearised.problem.parts
     N, K, last = len(rows.rest), len(rows.turn), part.rests.start + 6
     at_rest = 50.0 * DEGREE_PER_HOUR * np.outer((np.arange(N) > last) & (np.arange(N) < part.rests.stop), np.ones(3))
     turns = np.arange(K)[:, None]
@@ -289,7 +289,7 @@ def test_a_cause_is_named_in_the_session_it_is_in() -> None:
     jumping = replace(rows, rest=rows.rest.copy(), turn=rows.turn.copy())
     jumping.rest[..., -1] += rest.sum(axis=2)
     jumping.turn[..., -1] += turn.sum(axis=2)
-    found = misfit(replace(estimate, linearised=replace(estimate.linearised, rows=jumping)))
+    found = misfit(replace(estimate, linearised=jumping))
     assert found is not None
     (said,) = [sentence for _, sentence in (*found.reasons, *found.remarks) if "jump" in sentence]
     assert "session-2: " in said
@@ -308,9 +308,9 @@ def test_each_session_with_what_the_others_say_knows_what_all_know_and_a_warm_up
     assert linearised is not None
     assert estimate.instrument is not None
     linear = estimate.instrument.linear_count
-    nothing = [np.zeros((*rows.shape[:2], 1)) for rows in (linearised.rows.rest, linearised.rows.turn)]
+    nothing = [np.zeros((*rows.shape[:2], 1)) for rows in (linearised.rest, linearised.turn)]
     known = np.array([each.u[:linear] for each in projections(linearised, linearised.components, *nothing)])
-    whole = np.sqrt(Remaining.of(linearised, linearised.components).step.covariance.diagonal())[1 : 1 + linear]
+    whole = np.sqrt(judged_solution(linearised, linearised.components).covariance.diagonal())[1 : 1 + linear]
     np.testing.assert_allclose(known, np.broadcast_to(whole, (2, linear)), rtol=0.05)
     found = misfit(estimate)
     assert found is not None
