@@ -18,7 +18,9 @@ from tumble.campaigns.engine import Executor, run, serially
 from tumble.campaigns.summary import SummaryLine, summary
 from tumble.campaigns.trial import Cell, session_rows
 from tumble.cli import main
+from tumble.diagnosis.verdict import verdict
 from tumble.errors import InputError, MissingExtraError
+from tumble.inference.joint import joint
 from tumble.planning.setup import NAMES, Setup
 from tumble.sensors.grades import NoiseModel
 from tumble.simulation.observations import simulate_observations
@@ -81,6 +83,18 @@ def test_the_uncertainty_that_a_method_states_is_never_far_below_the_bound() -> 
         for name in NAMES:
             assert row[f"u.{name}"] > 0.9 * row[f"bound.{name}"]
             assert abs(row[f"error.{name}"]) < 7.0 * row[f"u.{name}"]
+
+
+def test_a_trial_has_the_maximum_and_the_acceptance_of_a_calibration() -> None:
+    for number in range(4):
+        (row,) = session_rows(2, ["joint"], False, number, TABLE)
+        rng = trial.random_numbers(2, number)
+        scenario = scenario_of(Setup.of(**TABLE), rng)
+        observations = simulate_observations(scenario, rng)
+        whole = joint(observations, intervals=False)
+        assert row["accepted"] == verdict(whole, observations).accepted
+        for name, value, u in zip(whole.names, whole.values, whole.u, strict=True):
+            assert row[f"error.{name}"] == pytest.approx(value - scenario.truth[name], abs=1e-9 * u)
 
 
 def test_a_method_that_cannot_use_the_observations_fails_and_the_others_do_not() -> None:

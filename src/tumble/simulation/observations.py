@@ -52,19 +52,37 @@ SAMPLES = 256
 
 
 def simulate_observations(
-    scenario: Scenario, rng: np.random.Generator, *, only_programmed: bool = False
+    scenario: Scenario,
+    rng: np.random.Generator,
+    *,
+    course: Itinerary | None = None,
+    only_programmed: bool = False,
 ) -> Observations:
-    """Observations of one session of a scenario, whose truth is `scenario.truth`. With `only_programmed`, turns that
-    the programme does not prescribe are left out, as if the log had been stopped for them.
+    """Simulate the observations of one session.
 
-    Raises InputError for a scenario that is impossible or vibrates."""
+    Parameters
+    ----------
+    scenario
+        Instrument, programme and site; its `truth` is that of the session.
+    rng
+        Random numbers.
+    course
+        Attitudes and times of the rests; drawn where None.
+    only_programmed
+        Whether turns that the programme does not prescribe are left out, as if the log had been stopped for them.
+
+    Raises
+    ------
+    InputError
+        For a scenario that is impossible or vibrates.
+    """
     if scenario.vibration.amplitude > 0.0:
         raise InputError(
             f"vibration: expected none in observations without a log, found {scenario.vibration.amplitude:g} m/s^2; "
             "take simulated_recording.record"
         )
     geometry, noise, place = rng.spawn(3)
-    way = itinerary(scenario, geometry)
+    way = itinerary(scenario, geometry) if course is None else course
     accel, gyro = (SimulatedBlock.of(block, scenario, way.middle) for block in (scenario.accel, scenario.gyro))
     biases = tuple(
         block.bias(noise.standard_normal((len(way.rests), len(block.coefficients))), way.rests)
@@ -131,7 +149,7 @@ def _turns(
     ahead."""
     (accel, gyro), first, T = sensors, way.first, way.seconds
     K, n, S, before = len(first), gyro.block.size, SAMPLES + AHEAD, way.attitudes[first]
-    to_body, to_force = onto_body(gyro.block.axes), np.linalg.pinv(accel.block.axes)
+    to_body, to_force = onto_body(gyro.block.axes), onto_body(accel.block.axes)
     vector = inertial_turns(before, way.attitudes[first + 1], way.moves[first], T, scenario.setup.latitude)
     dt = T / SAMPLES
     when = way.rests[first, 1][:, None] + (np.arange(S) - AHEAD + 0.5) * dt[:, None]
