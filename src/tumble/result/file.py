@@ -41,7 +41,7 @@ KEYS = (
 """Keys of the file in their order; `circumstances` is written as "session"."""
 _SENTENCES = (("notes",), ("assumptions",), ("absent",))
 """Keys of sentences, which may have any characters; all other texts have those that do nothing."""
-ORIGIN = ("log_sha256", "software", "created", "prior", "calibrated_log_sha256")
+ORIGIN = ("log_sha256", "software", "created", "prior")
 """Fields of `Provenance` that the file has in its table "provenance"."""
 
 

@@ -91,7 +91,7 @@ def stands_alone(calibration: Calibration) -> bool:
     """Whether a calibration is of one launch and rests on no other calibration."""
     provenance, evidence = calibration.provenance, calibration.evidence
     several = evidence.launches or evidence.together
-    return not several and provenance.prior is None and provenance.calibrated_log_sha256 is None
+    return not several and provenance.prior is None
 
 
 def variances_between(calibrations: Sequence[Calibration]) -> LaunchVariances | None:

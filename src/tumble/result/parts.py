@@ -335,7 +335,7 @@ class CalibratedTemperature:
     reference: float | None = None
     """Of several thermometers the mean."""
     range: tuple[float, float] | None = None
-    """Of rests that are not here, as those of a calibration that a check has updated."""
+    """Of rests that are not in the file."""
     thermometers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """The column of the thermometer of each sensor of "accel" and "gyro", where there are such."""
     references: Mapping[str, Vector] = field(default_factory=dict)

@@ -32,14 +32,12 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from tumble.arguments import checked
 from tumble.brief import Judged
 from tumble.errors import CalibrationError, InputError
 from tumble.files import FilePath
 from tumble.inference.estimate import Fit, Outcome
-from tumble.inference.prediction import prediction
 from tumble.inference.variables import variables_of
 from tumble.methods.field_check import (
     MISFIT_CHANCE,
@@ -58,15 +56,13 @@ from tumble.result.accepted import accepted_accelerometers
 from tumble.result.calibration import Calibration, calibration_from
 from tumble.result.correction import reference_of_parameter
 from tumble.result.coverage import by_gravity, shared_gravity
-from tumble.result.evidence import Evidence
 from tumble.result.launch_variances import LaunchVariances, launch_variances
-from tumble.result.parts import learned_fraction
-from tumble.run.calibrate import grade_of, provenance_of
+from tumble.run.calibrate import grade_of
 from tumble.run.from_estimate import readings_of_session, reference_of, references_of
-from tumble.run.observed import Observed, inspect_session, observations_for_calibration
+from tumble.run.observed import inspect_session, observations_for_calibration
 from tumble.sensors.grades import GRADES, TURN_ON, spread_of
 from tumble.sensors.instrument import Instrument
-from tumble.sensors.parameters import group_of, sensor_kind, shown_in, to_temperature, usual_sizes, variable_of
+from tumble.sensors.parameters import group_of, shown_in, to_temperature, usual_sizes, variable_of
 from tumble.units import ZERO_CELSIUS, engineering
 from tumble.use.apply import check_device
 from tumble.use.positions import PositionResiduals, residuals_in, table_observations
@@ -136,9 +132,6 @@ class FieldCheck(Judged):
         Residuals that no change explains; `rests_agree` if they are those of the turns alone.
     notes : tuple of str
         What was assumed.
-    updated : Calibration or None
-        The calibration, updated by the check: parameters that have changed are known by the check alone. None if no
-        change explains the session, and if the parameters were not tested with a session.
     """
 
     json_fields: ClassVar = (
@@ -159,7 +152,6 @@ class FieldCheck(Judged):
     misfit: Fit | None = None
     rests_agree: bool = False
     notes: tuple[str, ...] = ()
-    updated: Calibration | None = None
 
     @property
     def valid(self) -> bool:
@@ -300,17 +292,13 @@ def check_calibration(
     if not result.explained and observations.gyro_block is not None:
         at_rest = observations.of_accelerometers()
         rests_agree = field_check(at_rest, prior_at_check(converted, at_rest, grade, sheet, launches)).valid
-    check = replace(
+    return replace(
         by_rests,
         turns=0 if observations.turns is None else len(observations.turns),
         **tested(result),
         rests_agree=rests_agree,
         notes=(*by_rests.notes, *_assumptions(converted, reference_of(observations), grade, guessed_from, launches)),
     )
-    if not result.explained:
-        return check
-    updated = _updated(converted, check, result, prior.instrument, observations, observed)
-    return replace(check, updated=updated.in_frame(given.frame))
 
 
 def _checked_rests(source: str, residuals: PositionResiduals, labels: Sequence[str]) -> FieldCheck:
@@ -448,69 +436,4 @@ def prior_at_check(
         turned_on_inverse_degrees=inverse_degrees,
         to_temperature=J,
         components=replace(components_of(GRADES[grade].noise), **scatter),
-    )
-
-
-# -------------------- the updated calibration --------------------
-
-
-def _updated(
-    before: Calibration,
-    check: FieldCheck,
-    result: CheckResult,
-    instrument: Instrument,
-    observations: Observations,
-    observed: Observed,
-) -> Calibration:
-    """The calibration by the check, at the temperature of the check, in the frame `accelerometer`. Fields that describe
-    the recording of the calibration are emptied."""
-    assert before.covariance is not None
-    u, changed = np.sqrt(np.diag(result.covariance)), {change.name for change in result.changes}
-    parameters, at = [], []
-    for p in before.parameters:
-        if variable_of(p.name) == "time" or p.name not in instrument.names:
-            continue
-        i = instrument.names.index(p.name)
-        value, new_u, learned = float(result.values[i]), float(u[i]), p.learned
-        if p.prior is not None and learned is not None:
-            learned = learned_fraction(new_u, p.prior)
-        dof = None if p.name in changed else p.dof  # what is of the check alone has none of the calibration
-        parameters.append(replace(p, value=value, u=new_u, deviation=None, run_to_run=None, dof=dof, learned=learned))
-        at.append(i)
-    others = [i for i, p in enumerate(before.parameters) if sensor_kind(p.name) == "mag"]  # took no part
-    gyro, warm = instrument.gyro, before.reference_temperature is not None
-    at_rate = None if before.prediction is None else before.prediction.at_rate
-    predicted, site = None, before.provenance.site
-    if site is not None:
-        predicted = prediction(instrument, result.values, result.covariance, gravity=site.gravity, rate=at_rate)
-    note = (
-        f"no calibration of its own: that of {before.provenance.created or 'an unknown date'}, updated by a field "
-        f"check of {len(check.rests)} rests ({check.source}): "
-        f"{'; '.join(check.reasons) or 'nothing had changed beyond chance'}"
-    )
-    return replace(
-        before,
-        parameters=(*parameters, *(before.parameters[i] for i in others)),
-        covariance=block_diag(result.covariance[np.ix_(at, at)], before.covariance[np.ix_(others, others)]),
-        accel=instrument.model(instrument.accel, result.values),
-        gyro=None if gyro is None else instrument.model(gyro, result.values),
-        groups=tuple(group for group in before.groups if variable_of(group.name) != "time"),
-        prediction=predicted,
-        temperature=replace(
-            before.temperature,
-            reference=reference_of(observations) if warm else None,
-            range=before.temperature_range,
-            references=references_of(observations) if warm else {},
-        ),
-        evidence=Evidence(fits=before.evidence.fits),
-        provenance=replace(
-            provenance_of(observed.sha256),
-            calibrated_log_sha256=before.provenance.log_sha256 or "unknown",
-            site=site if site == observations.site else None,
-            circumstances=observed.circumstances,
-            sample_rate=observed.rate,
-            readings=before.provenance.readings,
-            notes=(note, *before.provenance.notes),
-            absent=before.provenance.absent,
-        ),
     )
