@@ -12,8 +12,7 @@ in the wrong order, ω̇ is unknown and the sample is not transferred. The delay
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import accumulate
-from math import exp, inf, isnan, nan
+from math import inf, nan
 
 import numpy as np
 import numpy.typing as npt
@@ -120,11 +119,9 @@ class Stream:
         ranges = ranges or Ranges()
         self.gyros = gyros and compensator.gyro is not None
         lags = [compensator.lags.get(kind, 0.0) for kind in ("accel", "gyro")[: 1 + self.gyros]]
-        lag, *others = dict.fromkeys(lags if compensator.warm else [0.0])
-        self._followers = None
-        if others:
-            self._followers = _Followers(np.repeat(lags, heat), interval, latest)
-            lag, thermometers, heat = 0.0, (thermometers[0], heat + thermometers[1]), 2 * heat
+        lags = list(dict.fromkeys(lags)) if compensator.warm else [0.0]
+        if len(lags) > 1:  # followers of each thermometer for accelerometers, and then for gyros
+            thermometers = thermometers[0], heat + thermometers[1]
         self.moved = self.gyros and bool(np.any(compensator.levers))
         self.delay = int(self.moved)
         accel, rates = compensator.accelerometers, compensator.gyros if self.gyros else None
@@ -132,22 +129,22 @@ class Stream:
         sheet = np.zeros((0, WIDTH)) if rates is None else rates.sheet
         steps, feels = (1, False) if rates is None else (rates.steps, rates.feels)
         self._sensors = accel.sheet, sheet, *thermometers, accel.steps, steps, feels
-        kept = exp(-interval / abs(lag)) if lag else 0.0
         limits = LONGEST_STEP * interval, ranges.rate**2, ranges.force**2
-        self._settings = np.array([interval, lag, kept, *ranges.temperature, latest, zero, *limits, nan])
-        self._start = np.zeros(heat)
+        self._settings = np.array([interval, *ranges.temperature, latest, zero, *limits, nan])
+        followers = len(lags) * heat
+        self._start = np.zeros(followers)
         for block, numbers in zip((compensator.accel, compensator.gyro), thermometers, strict=True):
             if block is not None and block.kind in compensator.references and len(numbers) == block.size:
                 self._start[numbers] = compensator.references[block.kind]
         self._state: tuple[Array, ...] = (
-            np.zeros((2, 2 + 2 * n + m + heat + 9)),
-            np.zeros((heat, 2)),
+            np.zeros((2, 2 + 2 * n + m + followers + 9)),
+            np.column_stack([np.zeros((followers, 2)), np.repeat(lags, heat)]),
             np.zeros(3),
             np.zeros((2, max(n, m))),
         )
         self._nothing = np.zeros((0, n)), np.zeros((0, m)), np.zeros(0), np.zeros((0, heat))
         self._lost = self._nothing[3]
-        self._out: tuple[Array, ...] = np.zeros((0, 2 + heat)), np.zeros((0, 3)), np.zeros((0, 3))
+        self._out: tuple[Array, ...] = np.zeros((0, 2 + followers)), np.zeros((0, 3)), np.zeros((0, 3))
         self._view = self._views(0)
         self.reset()
 
@@ -156,8 +153,6 @@ class Stream:
         self._held = 0
         _, warmth, clock, _ = self._state
         warmth[:, 0], warmth[:, 1], clock[:2] = self._start, nan, (-inf, 0.0)
-        if self._followers is not None:
-            self._followers.reset(self._start + self._settings[6])
 
     @property
     def dropped(self) -> int:
@@ -175,7 +170,7 @@ class Stream:
             rows = np.zeros((min(count, _ROWS) + 2, kept.shape[1]))
             rows[:2] = kept[:2]
             self._state, self._view = (rows, *others), self._views(0)
-            self._lost = np.full((min(count, _ROWS), len(self._start)), nan)
+            self._lost = np.full((min(count, _ROWS), self._lost.shape[1]), nan)
         ready = 0
         pieces: tuple[Array | None, ...] = (accel, gyro, time, celsius)
         for i in range(0, count, _ROWS):
@@ -196,8 +191,6 @@ class Stream:
         """Correct more samples after `begun` ones of this call; return how many are ready."""
         absent = (*self._nothing[:3], self._lost)
         rows = tuple(other if each is None else each for each, other in zip(given, absent, strict=True))
-        if self._followers is not None:
-            rows = *rows[:3], self._followers.add(rows[3][: len(rows[0])], rows[2])
         out = self._out if not begun else tuple(each[begun:] for each in self._out)
         ready, self._held = advance(
             rows, self._sensors, self._settings, self._state, self._held, out, moved=self.moved, last=last
@@ -214,57 +207,6 @@ class Stream:
         time, flags, temperature = stamps[:, 0], stamps[:, 1], stamps[:, 2:]
         rates = rate if self.gyros else None
         return Corrected(time=time, force=force, rate=rates, flags=flags, temperature=temperature)
-
-
-class _Followers:
-    """Sensors that follow thermometers with time constants `lags` (C,), s, from block to block of a stream, over the
-    time from stamp to stamp, or the usual `interval` where that is none: `tumble.reduction.rests.thermometer`. Where
-    all have one lag the compiled loop follows by itself."""
-
-    def __init__(self, lags: Array, interval: float, latest: float) -> None:
-        self._lags, self._interval, self._latest = lags, interval, latest
-        self.reset(np.zeros(len(lags)))
-
-    def reset(self, start: Array) -> None:
-        """Begin another stream, in which `start` (C,) counts until the first reading."""
-        self._clock, self._now, self._behind = -inf, start, np.full(len(start), nan)
-
-    def add(self, read: Array, time: Array) -> Array:
-        """Temperatures (N, C) of what follows readings (N, T) at stamps (N,), none of a regular clock."""
-        out = np.tile(read, len(self._lags) // read.shape[1])
-        steps, taken = self._steps(time) if len(time) else (np.full(len(read), self._interval), slice(None))
-        now = out[taken]
-        if not len(now):
-            return out
-        last = np.maximum.accumulate(np.where(np.isnan(now), -1, np.arange(len(now))[:, None]), axis=0)
-        now = np.where(last < 0, self._now, np.take_along_axis(now, np.maximum(last, 0), axis=0))
-        before = np.vstack([self._now, now[:-1]])
-        for c, (lag, behind) in enumerate(zip(np.abs(self._lags).tolist(), self._behind.tolist(), strict=True)):
-            kept = np.exp(-steps / lag) if lag else np.zeros(len(steps))
-            driven = now[:, c] - kept * before[:, c] - (now[:, c] - before[:, c]) / steps * lag * (1.0 - kept)
-            if isnan(behind):
-                kept[0], driven[0], behind = 0.0, now[0, c], 0.0
-            pairs = zip(kept.tolist(), driven.tolist(), strict=True)
-            followed = list(accumulate(pairs, lambda y, pair: pair[1] + pair[0] * y, initial=behind))[1:]
-            self._behind[c] = followed[-1]
-            out[taken, c] = followed if self._lags[c] >= 0.0 else 2.0 * now[:, c] - followed
-        self._now = now[-1]
-        return out
-
-    def _steps(self, time: Array) -> tuple[Array, BoolArray]:
-        """The time (M,), s, since the sample before of those that are not late, and which these are (N,)."""
-        steps, taken = np.diff(time, prepend=self._clock), np.ones(len(time), dtype=bool)
-        if not np.all(steps > 0.0):
-            clock = self._clock
-            for i, t in enumerate(time.tolist()):
-                taken[i] = not clock - self._latest < t <= clock
-                steps[i] = t - clock
-                clock = t if taken[i] and t == t else clock
-            self._clock = clock
-        elif len(time):
-            self._clock = float(time[-1])
-        steps = steps[taken]
-        return np.where((steps > 0.0) & (steps < inf), steps, self._interval), taken
 
 
 class Corrector:
