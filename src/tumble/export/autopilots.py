@@ -58,7 +58,6 @@ from tumble.errors import InputError
 from tumble.export.exported import (
     MAGNETOMETER,
     Exported,
-    example,
     example_line,
     in_units,
     notes_of,
@@ -67,16 +66,9 @@ from tumble.export.exported import (
     triads,
 )
 from tumble.export.templates import laid_out
+from tumble.result.applied_correction import linear_example
 from tumble.result.calibration import Calibration
-from tumble.result.temperature_curves import (
-    Range,
-    changing,
-    coefficients,
-    measured_range,
-    model_at,
-    references,
-    warm_rests,
-)
+from tumble.result.temperature_curves import Range, changing, measured_range, warm_rests
 from tumble.sensors.model import SensorKind, SensorModel
 from tumble.units import DEGREE, TESLA, Array
 
@@ -190,10 +182,10 @@ class Triad:
         model, offset, where = self.model, self.offset, ""
         if self.measured is not None:
             celsius = warm_end(self.measured)
-            model, where = model_at(calibration, self.kind, celsius), f" at {celsius:g} degC"
+            model, where = calibration.compensator.model(self.kind, celsius), f" at {celsius:g} degC"
             warmer = celsius - self.reference
             offset = offset + self.slopes @ [warmer, warmer**2]
-        worked = example(self.kind, model)
+        worked = linear_example(self.kind, model)
         becomes = (worked.reading - offset) * self.factor
         return example_line(self.kind, worked.reading, worked.true, becomes, where)
 
@@ -221,12 +213,13 @@ def _triads(pilot: Autopilot, target: str, calibration: Calibration, imu: int | 
                 f"export to {target}: expected the sensors that were recorded, {recorded} {sensor.number}{device}, "
                 f"found --imu {imu}; calibrate a recording of IMU {imu}, or leave --imu out"
             )
+    compensator = calibration.compensator
     for kind, model in known.items():
         recorded_as, over_temperature = calibration.imu.get(kind), dict[str, Any]()
         if thermal:
             together = next(kinds for kinds in pilot.thermometers if kind in kinds)
-            reference = float(np.mean(references(calibration, next(each for each in together if each in known))))
-            slopes = coefficients(calibration, kind, "bias")
+            reference = float(np.mean(compensator.reference(next(each for each in together if each in known))))
+            slopes = compensator.changes(kind, "bias")
             over_temperature = {
                 "measured": range_of(calibration, target),
                 "reference": reference,
@@ -294,7 +287,7 @@ def _one_thermometer(pilot: Autopilot, calibration: Calibration, applied: Sequen
         for rest in warm_rests(calibration):
             sensors = ((kind, getattr(rest, kind)) for kind in of)
             off = [
-                np.array(at_rest.temperature) - references(calibration, kind)
+                np.array(at_rest.temperature) - calibration.compensator.reference(kind)
                 for kind, at_rest in sensors
                 if at_rest is not None and at_rest.temperature
             ]

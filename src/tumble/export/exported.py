@@ -30,8 +30,6 @@ from tumble.sensors.parameters import (
 from tumble.units import DEGREE, G_STANDARD, Array
 
 UNITS: Mapping[SensorKind, str] = {"accel": "m/s^2", "gyro": "rad/s"}
-EXAMPLE: Mapping[SensorKind, Array] = {"accel": np.array([0.5, -1.0, 9.7]), "gyro": np.array([0.1, -0.2, 0.3])}
-"""True vectors near which the examples are, m/s² and rad/s."""
 
 MAGNETOMETER = "mag"
 """In the groups that a target holds: matrix and bias of the magnetometer."""
@@ -59,20 +57,6 @@ class Exported(Brief):
 
     content: bytes
     losses: tuple[str, ...]
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Example:
-    """A reading (n,) and the true vector (3,) it stands for, SI."""
-
-    reading: Array
-    true: Array
-
-
-def example(kind: SensorKind, model: SensorModel) -> Example:
-    """A reading of six decimals, and what the calibration makes of it."""
-    reading = np.round(model.predict(EXAMPLE[kind]), 6)
-    return Example(reading=reading, true=model.apply(reading))
 
 
 def example_line(kind: SensorKind, reading: Array, true: Array, becomes: Array | None = None, where: str = "") -> str:

@@ -24,7 +24,6 @@ from tumble.errors import InputError
 from tumble.export.exported import (
     UNITS,
     Exported,
-    example,
     example_line,
     g_sensitivity,
     notes_of,
@@ -38,6 +37,7 @@ from tumble.recording.session import Session
 from tumble.recording.session_file import session_from
 from tumble.reduction.noise.filter_values import Densities, densities
 from tumble.result.accepted import WORDS
+from tumble.result.applied_correction import linear_example
 from tumble.result.calibration import Calibration
 from tumble.result.parts import SensorsAtRest
 from tumble.run.quiet_samples import longest_rest, noise_panels
@@ -134,7 +134,7 @@ def kalibr(calibration: Calibration, *, noise: NoiseDensities | Session | FilePa
         "set rostopic" if noise.rate is not None else "set rostopic, add update_rate",
         *(
             example_line(kind, worked.reading, to_accel @ worked.true)
-            for kind, worked in ((kind, example(kind, model)) for kind, model in known.items())
+            for kind, worked in ((kind, linear_example(kind, model)) for kind, model in known.items())
         ),
         *(["the example of the gyros is without acceleration"] if np.any(sensitivity) else []),
         *losses,

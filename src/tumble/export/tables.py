@@ -30,7 +30,6 @@ from tumble.export.autopilots import range_of, warm_end
 from tumble.export.exported import (
     UNITS,
     Exported,
-    example,
     example_line,
     in_units,
     models,
@@ -39,9 +38,10 @@ from tumble.export.exported import (
     numbers,
     origin,
 )
+from tumble.result.applied_correction import linear_example
 from tumble.result.calibration import Calibration
 from tumble.result.file import content_of
-from tumble.result.temperature_curves import Range, changing, curve, model_at, own_thermometers
+from tumble.result.temperature_curves import Range, changing, curve, own_thermometers
 from tumble.sensors.parameters import THERMAL, group_name, groups, variable_of
 from tumble.units import Array
 
@@ -73,7 +73,7 @@ def csv_table(calibration: Calibration) -> Exported:
         shared = empty if calibration.covariance is None else [repr(c) for c in numbers(calibration.covariance[i])]
         rows.append([p.name, repr(p.value), "" if p.u is None else repr(p.u), p.unit, *more, *shared])
     for kind, model in models(calibration).items():
-        worked, matrix = example(kind, model), enumerate(model.matrix, 1)
+        worked, matrix = linear_example(kind, model), enumerate(model.matrix, 1)
         entries = [(f"matrix.{p}.{q}", value, "1") for p, row in matrix for q, value in enumerate(numbers(row), 1)]
         for name, vector in (
             ("bias_of", model.bias),
@@ -121,7 +121,9 @@ def csv_thermal(calibration: Calibration) -> Exported:
         *own_thermometers(calibration),
         *(
             example_line(kind, worked.reading, worked.true, where=f" at {warm!r} degC")
-            for kind, worked in ((kind, example(kind, model_at(calibration, kind, warm))) for kind in known)
+            for kind, worked in (
+                (kind, linear_example(kind, calibration.compensator.model(kind, warm))) for kind in known
+            )
         ),
         *losses,
     ]
@@ -163,7 +165,7 @@ def mat(calibration: Calibration) -> Exported:
         "covariance": np.empty((0, 0)) if calibration.covariance is None else calibration.covariance,
     }
     for kind, model in models(calibration).items():
-        worked = example(kind, model)
+        worked = linear_example(kind, model)
         content[f"{kind}_matrix"], content[f"{kind}_bias"] = model.matrix, model.bias
         content[f"{kind}_example_reading"], content[f"{kind}_example_true"] = worked.reading, worked.true
     buffer = io.BytesIO()

@@ -59,7 +59,6 @@ from tumble.errors import InputError
 from tumble.export.exported import (
     Correct,
     Exported,
-    example,
     example_line,
     g_sensitivity,
     notes_of,
@@ -71,6 +70,7 @@ from tumble.export.exported import (
     yaml_number,
 )
 from tumble.result.accepted import WORDS
+from tumble.result.applied_correction import linear_example
 from tumble.result.calibration import Calibration
 from tumble.sensors.model import SensorKind, SensorModel
 from tumble.units import DEGREE, G_STANDARD, Array
@@ -176,7 +176,7 @@ class Template:
                 comments.append(whence)
             correction = self.correction(kind, model, per_si, g_sensitivity(calibration))
             numbers[kind] = {name: value.tolist() for name, value in correction.numbers.items()}
-            worked = example(kind, model)
+            worked = linear_example(kind, model)
             comments.append(example_line(kind, worked.reading, worked.true, correction.of(worked.reading)))
             corrections[kind] = correction.of
         losses = notes_of(calibration, corrections=corrections, left=left, held=front.holds, see_to=front.notes)

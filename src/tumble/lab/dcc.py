@@ -28,11 +28,12 @@ import scipy
 from tumble.documents import plain
 from tumble.errors import InputError
 from tumble.export import Target
-from tumble.export.exported import UNITS, Exported, example, models, not_held, origin, shown
+from tumble.export.exported import UNITS, Exported, models, not_held, origin, shown
 from tumble.files import FilePath
 from tumble.lab.certificate import RELATES, STATES, Certificate, Party, check_certificate, judged_by, read_certificate
 from tumble.lab.conformity import RISK, RULE, Verdict, verdicts
 from tumble.lab.scope import statement_of_scope, within_scope
+from tumble.result.applied_correction import linear_example
 from tumble.result.calibration import Calibration, read_calibration
 from tumble.result.coverage import PROBABILITY, degrees_of_freedom
 from tumble.result.further import described
@@ -349,7 +350,7 @@ def _covariance(calibration: Calibration, covariance: Array) -> dict[str, Any] |
 
 def _model(kind: SensorKind, model: SensorModel) -> dict[str, Any]:
     """Model equation, matrix, bias and an example."""
-    unit, worked = UNITS[kind], example(kind, model)
+    unit, worked = UNITS[kind], linear_example(kind, model)
     n = len(model.bias)
     rows = [f"matrix.{p + 1}.{q + 1}" for p in range(n) for q in range(3)]
     lists: list[tuple[str, list[str], Array, str]] = [

@@ -1,12 +1,12 @@
-"""True vectors of readings by the whole model: of samples and of increments.
+"""The correction of a calibration, Eq. (1) of `tumble.result.applied_correction`, as `Compensator` computes it.
 
-A linear model is solved at once; what is beyond it by `Compensator`. Increments are divided by their interval,
-corrected and multiplied again: the mean over an interval is taken for what the sensor felt in all of it.
+Increments are divided by their interval, corrected and multiplied again: the mean over an interval is taken for what
+the sensor felt in all of it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from itertools import chain
 from typing import TYPE_CHECKING
@@ -73,19 +73,6 @@ def _block(calibration: Calibration, kind: SensorKind, model: SensorModel) -> Bl
     return Block(kind=kind, axes=axes, thermometers=tuple(numbers[column] for column in columns.get(kind, ())))
 
 
-def corrected(model: SensorModel, readings: Array, dt: Array | None = None) -> Array:
-    """True vectors (..., 3) of readings (..., n), SI; with the intervals `dt` (...), s, both are increments. What is
-    not finite stays so."""
-    with np.errstate(invalid="ignore", over="ignore"):
-        if dt is None:
-            return model.apply(readings)
-        offset = model.bias * np.asarray(dt)[..., None]
-        return np.asarray((readings - offset) @ model.inverse().T)
-
-
-# -------------------- readings that a user gives --------------------
-
-
 def corrected_readings(
     calibration: Calibration,
     accel: npt.ArrayLike,
@@ -114,28 +101,17 @@ def corrected_readings(
         return readings
 
     force_readings = checked(compensator.accel, "accel", accel)
-    shape, steps = force_readings.shape[:-1], None
+    shape, interval = force_readings.shape[:-1], np.ones(1)
     if dt is not None:  # an interval for each sample; one for all of them is repeated
         intervals = numbers_of("dt", dt)
         if intervals.shape not in ((), shape):
             raise InputError(f"dt: expected a number for each sample, {shape}, found the shape {intervals.shape}")
         if not (intervals > 0.0).all():
             raise InputError(f"dt: expected intervals above 0 s, found {intervals.min():g}")
-        steps = np.ravel(np.broadcast_to(intervals, shape))
-    celsius, interval = (
-        given_temperatures(temperature, compensator, shape),
-        np.ones(1) if steps is None else steps[:, None],
-    )
-
-    def true(kind: SensorKind, readings: Array, whole: Callable[[Array], Array]) -> Array:
-        """True vectors (N, 3) of readings (N, n), linear or by the `whole` model."""
-        if compensator.linear:
-            return corrected(compensator.model(kind), readings, steps)
-        return np.asarray(whole(readings / interval) * interval)
-
-    flat = force_readings.reshape(-1, compensator.accel.size)
-    force = true("accel", flat, lambda samples: compensator.force(samples, celsius["accel"]))
-    felt = np.full((*shape, 3), np.nan) if calibration.accel is None else force.reshape(*shape, 3)
+        interval = np.ravel(np.broadcast_to(intervals, shape))[:, None]
+    celsius = given_temperatures(temperature, compensator, shape)
+    force = compensator.force(force_readings.reshape(-1, compensator.accel.size) / interval, celsius["accel"])
+    felt = np.full((*shape, 3), np.nan) if calibration.accel is None else (force * interval).reshape(*shape, 3)
     if gyro is None:
         return felt, None
     rate_readings = checked(compensator.gyro, "gyro", gyro)
@@ -145,8 +121,8 @@ def corrected_readings(
             f"gyro readings: expected as many samples as of the accelerometers, {shape}, found the shape "
             f"{rate_readings.shape}"
         )
-    turned = rate_readings.reshape(-1, compensator.gyro.size)
-    rate = true("gyro", turned, lambda samples: compensator.rate(samples, force / interval, celsius["gyro"]))
+    turned = rate_readings.reshape(-1, compensator.gyro.size) / interval
+    rate = compensator.rate(turned, force, celsius["gyro"]) * interval
     return felt, rate.reshape(*rate_readings.shape[:-1], 3)
 
 

@@ -16,7 +16,6 @@ import numpy as np
 from tumble.result.calibration import Calibration
 from tumble.result.correction import reference_of_parameter
 from tumble.result.parts import RestResult, stated_factor
-from tumble.sensors.model import SensorModel
 from tumble.units import Array
 
 _ENDINGS = ("t1", "t2")
@@ -124,35 +123,3 @@ def curve(calibration: Calibration, name: str, temperature: Array) -> Curve:
         expanded=expanded,
         degrees=degrees,
     )
-
-
-def coefficients(calibration: Calibration, kind: str, what: str) -> Array:
-    """What "bias" or "scale" of the sensors of a kind changes by, by channel: (n, 2), per K and per K²."""
-    compensator = calibration.compensator
-    block = compensator.accel if kind == "accel" else compensator.gyro
-    assert block is not None
-    values = {p.name: p.value for p in calibration.parameters}
-    out = np.zeros((block.size, 2))
-    for sensor, channel in zip(block.sensors, block.channels, strict=True):
-        out[channel] = [values.get(f"{kind}.{what}.{sensor}.{ending}", 0.0) for ending in _ENDINGS]
-    return out
-
-
-def model_at(calibration: Calibration, kind: str, temperature: float) -> SensorModel:
-    """Matrix and bias of a kind of sensors at a temperature, °C, by all its thermometers: a scale factor 1 + k changes
-    the length of its row."""
-    model = calibration.accel if kind == "accel" else calibration.gyro
-    assert model is not None
-    warmer = temperature - references(calibration, kind)
-    powers = np.column_stack([warmer, warmer**2])
-    longer = (coefficients(calibration, kind, "scale") * powers).sum(axis=1) / np.linalg.norm(model.matrix, axis=1)
-    bias = model.bias + (coefficients(calibration, kind, "bias") * powers).sum(axis=1)
-    return SensorModel(matrix=(1.0 + longer)[:, None] * model.matrix, bias=bias)
-
-
-def references(calibration: Calibration, kind: str) -> Array:
-    """T₀ (n,), °C, of the channels of a kind of sensors; a calibration without one has no parameter that changes."""
-    compensator = calibration.compensator
-    block = compensator.accel if kind == "accel" else compensator.gyro
-    assert block is not None
-    return compensator.references.get(block.kind, np.zeros(block.size))

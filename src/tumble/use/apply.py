@@ -36,7 +36,6 @@ from tumble.recording.text.dialect import DIALECT_KEYS
 from tumble.recording.text.text_log import times_of
 from tumble.result.accepted import accepted_part
 from tumble.result.calibration import Calibration, calibration_from
-from tumble.result.correction import corrected
 from tumble.sensors.compensation import Compensator
 from tumble.sensors.model import SensorModel
 from tumble.sensors.parameters import groups, positions_by_group
@@ -235,7 +234,7 @@ def _tables(
                 raise LogError(
                     f"{source.path}: expected the columns of the first file, {', '.join(names)}; write them alike"
                 )
-            true |= {part.kind: corrected(part.model, part.readings(table)) for part in parts if part.kind == "mag"}
+            true |= {part.kind: part.model.apply(part.readings(table)) for part in parts if part.kind == "mag"}
             new = {name: c for part in parts for name, c in part.columns(true[part.kind]).items()}
             corrected_columns = {name: pl.Series(name, column.copy()) for name, column in new.items()}
             # `with_columns` of polars takes as long as correcting a few thousand rows
