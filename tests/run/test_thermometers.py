@@ -23,8 +23,8 @@ from tumble.recording.arrays import session_of_arrays
 from tumble.recording.log import open_log
 from tumble.recording.session_file import description_of, read_session
 from tumble.result.calibration import Calibration, read_calibration
-from tumble.result.correction import reference_of_parameter
 from tumble.result.parts import SensorsAtRest
+from tumble.result.record import reference_of_parameter
 from tumble.result.temperature_curves import measured_range
 from tumble.run.observed import inspect_session
 from tumble.simulation.session import read_truth, simulate_session

@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 
 from tumble.result.accepted import accepted_kinds
-from tumble.result.calibration import Calibration
 from tumble.result.linear_fit import errors_left, linear_model
+from tumble.result.record import CalibrationData
 from tumble.result.temperature_curves import changing
 from tumble.sensors.compensation import FIXED_POINT_STEPS, Compensator
 from tumble.sensors.instrument import is_linear
@@ -105,7 +105,7 @@ def over_temperature(compensator: Compensator, kind: SensorKind) -> dict[str, Ar
     }
 
 
-def correction_content(calibration: Calibration) -> dict[str, Any]:
+def correction_content(calibration: CalibrationData) -> dict[str, Any]:
     """The correction of the accepted sensors of a calibration, by kind, for its file: `formula` with its numbers, an
     `example`, and where the formula is not linear the `linear` one that fits it best, with the errors it leaves."""
     out, kinds = dict[str, Any](), accepted_kinds(calibration)

@@ -7,74 +7,20 @@ the sensor felt in all of it.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import suppress
-from itertools import chain
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from tumble.errors import CalibrationError, InputError
 from tumble.recording.arrays import Temperatures, celsius_of, check_kinds, numbers_of
+from tumble.result.record import CalibrationData
 from tumble.sensors.compensation import Compensator
-from tumble.sensors.frames import triad_axes
-from tumble.sensors.model import Block, SensorKind, SensorModel
-from tumble.sensors.parameters import sensor_kind, within_group
+from tumble.sensors.model import Block
 from tumble.units import Array
-
-if TYPE_CHECKING:
-    from tumble.result.calibration import Calibration
-
-
-def compensator_of(calibration: Calibration) -> Compensator:
-    """What corrects readings, see `Calibration.compensator`."""
-    if calibration.accel is None and calibration.gyro is None:
-        raise CalibrationError("calibration: expected one with accelerometers or gyros, found none")
-    as_they_are = np.array(calibration.axes.get("accel", np.eye(3)))
-    perfect = SensorModel(matrix=as_they_are, bias=np.zeros(len(as_they_are)))
-    models = perfect if calibration.accel is None else calibration.accel, calibration.gyro
-    accel = _block(calibration, "accel", models[0])
-    gyro = None if models[1] is None else _block(calibration, "gyro", models[1])
-    values = {p.name: p.value for p in calibration.parameters if sensor_kind(p.name) != "mag"}
-    references = {str(block.kind): _references(calibration, block) for block in (accel, gyro) if block is not None}
-    known = references if calibration.reference_temperature is not None else {}
-    return Compensator.of((accel, gyro), models, values, known)
-
-
-def reference_of_parameter(calibration: Calibration, name: str) -> float:
-    """The temperature, °C, by the thermometer of its sensor, at which a parameter has its value; 0 where there is
-    none."""
-    kind, sensor = sensor_kind(name), within_group(name).partition(".")[0]
-    model, of_all = getattr(calibration, kind, None), calibration.reference_temperature or 0.0
-    if kind not in calibration.temperature.references or model is None:
-        return of_all
-    block = _block(calibration, "accel" if kind == "accel" else "gyro", model)
-    channel = dict(zip(block.sensors, block.channels.tolist(), strict=True)).get(sensor)
-    return of_all if channel is None else float(_references(calibration, block)[channel])
-
-
-def _references(calibration: Calibration, block: Block) -> Array:
-    """The reference temperature (n,), °C, of each channel of a block."""
-    of_all = block.size * (calibration.reference_temperature or 0.0,)
-    return np.array(calibration.temperature.references.get(block.kind, of_all))
-
-
-def _block(calibration: Calibration, kind: SensorKind, model: SensorModel) -> Block:
-    """The sensors of a kind with their thermometers; along the axes of their model where the nominal ones are not
-    known, those of a triad the body's."""
-    axes = model.matrix / np.linalg.norm(model.matrix, axis=1, keepdims=True)
-    if kind in calibration.axes:
-        axes = np.array(calibration.axes[kind])
-    elif len(model.bias) == 3:
-        with suppress(InputError):  # of three that are skew
-            axes = triad_axes(model.matrix)
-    columns = calibration.temperature.thermometers
-    numbers = {column: t for t, column in enumerate(dict.fromkeys(chain(*columns.values())))}
-    return Block(kind=kind, axes=axes, thermometers=tuple(numbers[column] for column in columns.get(kind, ())))
 
 
 def corrected_readings(
-    calibration: Calibration,
+    calibration: CalibrationData,
     accel: npt.ArrayLike,
     gyro: npt.ArrayLike | None,
     *,
@@ -86,7 +32,7 @@ def corrected_readings(
     if not any(judged):
         reasons = "; ".join(calibration.outcome.reasons)
         raise CalibrationError(f"calibration: expected accepted accelerometers or gyros, found: {reasons}")
-    compensator = compensator_of(calibration)
+    compensator = calibration.compensator
 
     def checked(block: Block | None, kind: str, given: npt.ArrayLike) -> Array:
         """One number for each sensor and sample."""

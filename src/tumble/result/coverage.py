@@ -28,18 +28,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import erfc, inf, sqrt
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
 
 from tumble.inference.estimate import Fit
+from tumble.recording.session import Site
 from tumble.result.parts import Parameter, coverage_factor, stated_factor
 from tumble.sensors.parameters import group_name, sensor_kind
 from tumble.units import Array
-
-if TYPE_CHECKING:
-    from tumble.recording.session import Site
 
 UNLEARNED = 1e-9
 """Of a variance: where what others do not share is so little, it is none."""

@@ -22,8 +22,8 @@ import numpy as np
 import scipy
 
 from tumble.result.calibration import Calibration
-from tumble.result.correction import reference_of_parameter
 from tumble.result.parts import CalibratedTemperature
+from tumble.result.record import reference_of_parameter
 from tumble.sensors.parameters import to_temperature
 from tumble.units import Array
 

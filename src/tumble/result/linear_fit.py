@@ -19,7 +19,7 @@ from dataclasses import replace
 import numpy as np
 
 from tumble.inference.prediction import directions
-from tumble.result.calibration import Calibration
+from tumble.result.record import CalibrationData
 from tumble.sensors.instrument import functions
 from tumble.sensors.model import SensorKind, SensorModel
 from tumble.sensors.parameters import CONSTANT, group_name
@@ -31,20 +31,20 @@ UP, DENSE = (np.concatenate([half, -half]) for half in (directions(), np.concate
 """Unit vectors (N, 3) over the sphere, each with its opposite: for a fit, and for the largest error."""
 
 
-def session_rate(calibration: Calibration) -> float:
+def session_rate(calibration: CalibrationData) -> float:
     """The rate of the turns of a session, or a usual one, rad/s."""
     known = calibration.prediction
     return USUAL_RATE if known is None or known.at_rate is None else known.at_rate
 
 
-def readings_at(calibration: Calibration, kind: SensorKind, force: Array, rate: Array) -> Array:
+def readings_at(calibration: CalibrationData, kind: SensorKind, force: Array, rate: Array) -> Array:
     """Readings (N, n), SI, by the whole model at specific forces (N, 3), m/s², and rates (N, 3), rad/s."""
     block, K = calibration.compensator.sensors(kind)
     assert block is not None
     return np.asarray(np.einsum("npb,pb->np", functions(block, force, rate), K, optimize=True))
 
 
-def linear_model(calibration: Calibration, kind: SensorKind, held: Container[str] = ()) -> SensorModel:
+def linear_model(calibration: CalibrationData, kind: SensorKind, held: Container[str] = ()) -> SensorModel:
     """Matrix and bias that fit the whole model best.
 
     Parameters
@@ -80,7 +80,7 @@ def linear_model(calibration: Calibration, kind: SensorKind, held: Container[str
 
 
 def errors_left(
-    calibration: Calibration, kind: SensorKind, correct: Callable[[Array], Array], held: Container[str] = ()
+    calibration: CalibrationData, kind: SensorKind, correct: Callable[[Array], Array], held: Container[str] = ()
 ) -> Array:
     """Errors (N,) of corrected vectors, SI: of the specific force in all attitudes at rest, or of the rate about all
     axes in 1 g, at the rate of the session.
@@ -98,6 +98,6 @@ def errors_left(
     return np.asarray(np.linalg.norm(correct(readings) - true, axis=1))
 
 
-def _without(calibration: Calibration, held: Container[str]) -> Calibration:
+def _without(calibration: CalibrationData, held: Container[str]) -> CalibrationData:
     """The calibration without the parameters of some groups."""
     return replace(calibration, parameters=tuple(p for p in calibration.parameters if group_name(p.name) not in held))

@@ -13,9 +13,8 @@ from itertools import chain
 
 import numpy as np
 
-from tumble.result.calibration import Calibration
-from tumble.result.correction import reference_of_parameter
 from tumble.result.parts import RestResult, stated_factor
+from tumble.result.record import CalibrationData, reference_of_parameter
 from tumble.units import Array
 
 _ENDINGS = ("t1", "t2")
@@ -39,7 +38,7 @@ class Range:
         return f"{self.low:.1f} to {self.high:.1f} °C"
 
 
-def warm_rests(calibration: Calibration) -> list[RestResult]:
+def warm_rests(calibration: CalibrationData) -> list[RestResult]:
     """The rests of all launches that have a temperature."""
     rests = chain(calibration.evidence.rests, *(launch.rests for launch in calibration.evidence.launches))
     return [rest for rest in rests if rest.temperature is not None]
@@ -52,7 +51,7 @@ def temperature_of(rest: RestResult, kind: str) -> float:
     return math.nan if rest.temperature is None else float(np.mean(own or rest.temperature))
 
 
-def own_thermometers(calibration: Calibration) -> list[str]:
+def own_thermometers(calibration: CalibrationData) -> list[str]:
     """Which thermometer the temperature of each sensor is that of, where there are several."""
     if len(set(chain(*calibration.temperature.thermometers.values()))) < 2:
         return []
@@ -65,7 +64,7 @@ def own_thermometers(calibration: Calibration) -> list[str]:
     return [said]
 
 
-def measured_range(calibration: Calibration) -> Range | None:
+def measured_range(calibration: CalibrationData) -> Range | None:
     """The range of temperatures of the rests of all launches; None where they have none, or all the same."""
     seen = calibration.temperature_range
     if seen is None or seen[1] - seen[0] < _LEAST_SPAN:
@@ -73,7 +72,7 @@ def measured_range(calibration: Calibration) -> Range | None:
     return Range(low=seen[0], high=seen[1])
 
 
-def changing(calibration: Calibration) -> tuple[str, ...]:
+def changing(calibration: CalibrationData) -> tuple[str, ...]:
     """Names of the parameters that change with temperature, in the order of the file."""
     names = {p.name for p in calibration.parameters}
     return tuple(p.name for p in calibration.parameters if any(f"{p.name}.{ending}" in names for ending in _ENDINGS))
@@ -92,7 +91,7 @@ class Curve:
     degrees: Array | None = None
 
 
-def curve(calibration: Calibration, name: str, temperature: Array) -> Curve:
+def curve(calibration: CalibrationData, name: str, temperature: Array) -> Curve:
     """A parameter over temperatures (N,), °C: value and U = k u with u² = pᵀ Σ p, p = (1, T − T₀, (T − T₀)²), and k by
     the effective degrees of freedom of the sum."""
     places = {p.name: i for i, p in enumerate(calibration.parameters)}

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from math import sqrt
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -22,11 +22,9 @@ from tumble.earth import EARTH_RATE
 from tumble.errors import CalibrationError
 from tumble.inference.sources import Source, UncertaintyBudget, source
 from tumble.result.parts import SourceContributions
+from tumble.result.record import CalibrationData
 from tumble.sensors.parameters import beyond_linear, group_name, sensor_kind
 from tumble.units import Array
-
-if TYPE_CHECKING:
-    from tumble.result.calibration import Calibration
 
 LESS = 0.25
 """Of a variance: what four times as much of something leaves of it."""
@@ -98,7 +96,7 @@ def _as_source(each: Source) -> dict[str, Any]:
     return {field.name: getattr(each, field.name) for field in fields(Source)}
 
 
-def uncertainty_budget(calibration: Calibration, name: str) -> tuple[BudgetLine, ...]:
+def uncertainty_budget(calibration: CalibrationData, name: str) -> tuple[BudgetLine, ...]:
     """The budget of a parameter, the largest contribution first. Raises KeyError for a name that is none, and
     CalibrationError where the calibration has no budget."""
     parameter = calibration[name]
@@ -124,7 +122,7 @@ def uncertainty_budget(calibration: Calibration, name: str) -> tuple[BudgetLine,
     return tuple(sorted(lines, key=lambda line: -line.contribution))
 
 
-def with_references(calibration: Calibration) -> tuple[SourceContributions, ...]:
+def with_references(calibration: CalibrationData) -> tuple[SourceContributions, ...]:
     """The budget, and after it the reference standards that have nothing in the u of any parameter."""
     site, budget = calibration.provenance.site, calibration.evidence.budget
     standards = (
@@ -137,7 +135,7 @@ def with_references(calibration: Calibration) -> tuple[SourceContributions, ...]
     return (*budget, *(SourceContributions(**_as_source(each), contributions={}) for each in missing))
 
 
-def shares_by_group(calibration: Calibration) -> dict[str, Array]:
+def shares_by_group(calibration: CalibrationData) -> dict[str, Array]:
     """The mean share (S,) of every source in u² of the parameters of each group of the linear model, by its name."""
     variances = _variances(calibration)
     groups: dict[str, list[int]] = {}
@@ -148,7 +146,7 @@ def shares_by_group(calibration: Calibration) -> dict[str, Array]:
     return {group: (variances[:, own] / whole[own]).mean(axis=1) for group, own in groups.items()}
 
 
-def shares_of_priors(calibration: Calibration) -> dict[str, dict[str, float]]:
+def shares_of_priors(calibration: CalibrationData) -> dict[str, dict[str, float]]:
     """What the sizes of priors rest on, such as a data sheet or a guessed grade or other units of the type, each with
     the mean share of u² by group of the linear model that rests on it."""
     shares, found = shares_by_group(calibration), dict[str, dict[str, float]]()
@@ -160,7 +158,7 @@ def shares_of_priors(calibration: Calibration) -> dict[str, dict[str, float]]:
     return found
 
 
-def what_would_help(calibration: Calibration) -> str:
+def what_would_help(calibration: CalibrationData) -> str:
     """One sentence: by how much u of bias, scale factors and axis angles would be smaller, the geometric mean, if there
     were more of something, or something were known better; empty without a budget."""
     variances = _variances(calibration)[:, [not beyond_linear(name) for name in calibration]]
@@ -182,7 +180,7 @@ def what_would_help(calibration: Calibration) -> str:
     return ". ".join([*parts, *([f"Next to nothing would be gained by {', '.join(idle)}"] if idle else [])])
 
 
-def _variances(calibration: Calibration) -> Array:
+def _variances(calibration: CalibrationData) -> Array:
     """The variances (S, m) that sources have in parameters."""
     every = [[source.contributions.get(name, 0.0) for name in calibration] for source in calibration.evidence.budget]
     return np.array(every).reshape(len(every), len(calibration)) ** 2

@@ -54,9 +54,9 @@ from tumble.recording.session_file import session_from
 from tumble.reduction.observations import Observations
 from tumble.result.accepted import accepted_accelerometers
 from tumble.result.calibration import Calibration, calibration_from
-from tumble.result.correction import reference_of_parameter
 from tumble.result.coverage import by_gravity, shared_gravity
 from tumble.result.launch_variances import LaunchVariances, launch_variances
+from tumble.result.record import reference_of_parameter
 from tumble.run.calibrate import grade_of
 from tumble.run.from_estimate import readings_of_session, reference_of, references_of
 from tumble.run.observed import inspect_session, observations_for_calibration
