@@ -119,26 +119,7 @@ class Formula:
     kind: Literal["formula"] = "formula"
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class ChartPanel:
-    """A small picture under a name, with a verdict on what it shows, where there is one, and a line in words."""
-
-    name: str
-    svg: str
-    caption: str
-    verdict: str = ""
-    tone: Tone | Literal[""] = ""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Panels:
-    """Small pictures in columns."""
-
-    panels: tuple[ChartPanel, ...]
-    kind: Literal["panels"] = "panels"
-
-
-PageBlock = Text | Items | Facts | Table | Figure | Panels | Matrices | Formula
+PageBlock = Text | Items | Facts | Table | Figure | Matrices | Formula
 Block = str | PageBlock
 
 

@@ -183,18 +183,14 @@ def trend_blocks(found: Trend, *, every: bool) -> list[Block]:
     shown = [trend for trend in found.parameters if trend.name not in further]
     conclusions = (*change_lines(found), *forecast_lines(found))
     device = device_name(found.latest.serial, found.latest.model)
+    days = {p.number: day_of(p.performed) for trend in found.parameters for p in trend.points}
+    first, last = min(days.values()), max(days.values())
+    since = f"one calibration, of {first}" if len(days) == 1 else f"{len(days)} calibrations from {first} to {last}"
     return [
-        f"device {device} · {calibrations_of(found)} · frame {found.frame}",
+        f"device {device} · {since} · frame {found.frame}",
         trend_table(found, shown, _counted(further)),
         *([Items(items=conclusions)] if conclusions else []),
     ]
-
-
-def calibrations_of(found: Trend) -> str:
-    """How many calibrations a trend is from, and from when."""
-    days = {p.number: day_of(p.performed) for trend in found.parameters for p in trend.points}
-    first, last = min(days.values()), max(days.values())
-    return f"one calibration, of {first}" if len(days) == 1 else f"{len(days)} calibrations from {first} to {last}"
 
 
 def forecast_lines(found: Trend) -> list[str]:
