@@ -93,19 +93,19 @@ def sessions_of(pattern: str) -> list[str]:
     if pattern.lower().endswith(".txt"):
         manifest = Path(pattern)
         lines = (line.strip() for line in text_of_document(manifest).splitlines())
-        found = [str(manifest.absolute().parent / line) for line in lines if line and not line.startswith("#")]
+        sessions = [str(manifest.absolute().parent / line) for line in lines if line and not line.startswith("#")]
         expected = "a session in each line"
     else:
         matches = {Path(match) for match in glob.glob(pattern, recursive=True)}  # noqa: PTH207 — absolute ones too
         folders = {path.parent if path.name == SESSION_FILE else path for path in matches}
-        found = sorted(str(folder.absolute()) for folder in folders if (folder / SESSION_FILE).is_file())
+        sessions = sorted(str(folder.absolute()) for folder in folders if (folder / SESSION_FILE).is_file())
         expected = "a glob that matches folders with a session.toml"
-    if not found:
+    if not sessions:
         raise InputError(f"{pattern}: expected {expected}, found none")
-    if len(set(found)) < len(found):
-        twice = next(session for session in found if found.count(session) > 1)
+    if len(set(sessions)) < len(sessions):
+        twice = next(session for session in sessions if sessions.count(session) > 1)
         raise InputError(f"{pattern}: expected every session once, found {twice} twice")
-    return found
+    return sessions
 
 
 def job_of(sessions: Sequence[str], method: Method) -> Job:

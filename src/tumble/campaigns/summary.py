@@ -111,7 +111,7 @@ def _lines(point: Mapping[str, Any], method: str, part: pl.DataFrame) -> Iterato
     names = [column.removeprefix("error.") for column in part.columns if column.startswith("error.")]
     refused = part.filter(pl.col("accepted").not_())["reasons"].to_list()
     accepted = part.filter(pl.col("accepted"))
-    moments = {name: found for name in names if (found := _moments(accepted, name)) is not None}
+    moments = {name: of_name for name in names if (of_name := _moments(accepted, name)) is not None}
     for group, places in positions_by_group(names).items():
         members = [moments[names[i]] for i in places if names[i] in moments]
         if members or accepted.is_empty():
@@ -135,10 +135,10 @@ def _moments(part: pl.DataFrame, name: str) -> tuple[float, float, float, float]
         part[f"{quantity}.{name}"].cast(pl.Float64).fill_null(math.nan).to_numpy()
         for quantity in ("error", "u", "bound")
     )
-    seen = np.isfinite(error)
-    if not seen.any():
+    present = np.isfinite(error)
+    if not present.any():
         return None
-    error, u, bound = error[seen], u[seen], bound[seen]
+    error, u, bound = error[present], u[present], bound[present]
     covered = float((np.abs(error) <= COVERED_WITHIN * u).mean()) if np.isfinite(u).all() else math.nan
     return float(error.mean()), float((error**2).mean()), float((bound**2).mean()), covered
 

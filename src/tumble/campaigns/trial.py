@@ -108,6 +108,6 @@ def bound(scenario: Scenario, attitudes: Array, observations: Observations) -> d
     problem = Problem.of(observations, instrument=instrument, usual=observations.usual)
     about = TurnsAbout.of(observations, instrument, truth)
     point = Point(values=truth, gravity=scenario.setup.gravity, attitudes=attitudes)
-    seen = linearised(problem, point, about, components_of(scenario.setup.noise))
-    least = bound_by(seen, scenario.setup.turn_rate)
+    likelihood = linearised(problem, point, about, components_of(scenario.setup.noise))
+    least = bound_by(likelihood, scenario.setup.turn_rate)
     return {name: float(u) for name, u in zip(least.names, least.u, strict=True) if np.isfinite(u)}

@@ -196,8 +196,8 @@ def _triads(pilot: Autopilot, target: str, calibration: Calibration, imu: int | 
 
     Raises InputError unless every channel senses its own axis of the frame, X, Y, Z, positive, where other sensors than
     those of the number were recorded, and over temperature where nothing changes with it."""
-    known, out = triads(calibration, target, needed=()), []
-    for kind, model in known.items():
+    models, out = triads(calibration, target, needed=()), []
+    for kind, model in models.items():
         if (np.argmax(model.matrix, axis=1) != np.arange(3)).any() or (np.diag(model.matrix) <= 0.5).any():
             raise InputError(
                 f"export to {target}: expected {kind} channels along X, Y, Z in this order, found others; {target} "
@@ -214,11 +214,11 @@ def _triads(pilot: Autopilot, target: str, calibration: Calibration, imu: int | 
                 f"found --imu {imu}; calibrate a recording of IMU {imu}, or leave --imu out"
             )
     compensator = calibration.compensator
-    for kind, model in known.items():
+    for kind, model in models.items():
         recorded_as, over_temperature = calibration.imu.get(kind), dict[str, Any]()
         if thermal:
             together = next(kinds for kinds in pilot.thermometers if kind in kinds)
-            reference = float(np.mean(compensator.reference(next(each for each in together if each in known))))
+            reference = float(np.mean(compensator.reference(next(each for each in together if each in models))))
             slopes = compensator.changes(kind, "bias")
             over_temperature = {
                 "measured": range_of(calibration, target),
@@ -279,20 +279,20 @@ def _one_thermometer(pilot: Autopilot, calibration: Calibration, applied: Sequen
     at rests other than in the mean, which the references contain."""
     out = []
     for together in pilot.thermometers:
-        of = {each.kind: each for each in applied if each.kind in together and each.measured is not None}
-        names = dict.fromkeys(chain(*(calibration.temperature.thermometers.get(kind, ()) for kind in of)))
+        by_kind = {each.kind: each for each in applied if each.kind in together and each.measured is not None}
+        names = dict.fromkeys(chain(*(calibration.temperature.thermometers.get(kind, ()) for kind in by_kind)))
         if len(names) < 2:
             continue
         apart = 0.0
         for rest in warm_rests(calibration):
-            sensors = ((kind, getattr(rest, kind)) for kind in of)
+            sensors = ((kind, getattr(rest, kind)) for kind in by_kind)
             off = [
                 np.array(at_rest.temperature) - calibration.compensator.reference(kind)
                 for kind, at_rest in sensors
                 if at_rest is not None and at_rest.temperature
             ]
             apart = max(apart, float(np.ptp(np.concatenate(off))) if off else 0.0)
-        error = " and ".join(in_units(kind, apart * each.steepest()) for kind, each in of.items())
+        error = " and ".join(in_units(kind, apart * each.steepest()) for kind, each in by_kind.items())
         out.append(
             f"thermometers of their own ({', '.join(names)}): the target has one for these sensors; at the rests they "
             f"differ by up to {apart:.1f} K more or less than in the mean, an error of up to {error}"
@@ -340,8 +340,8 @@ def _px4(
     )
     see_to = _whose(calibration, imu)
     if thermal:
-        at = dict.fromkeys(f"{each.reference:g}" for each in applied)
-        remarks.append(f"CAL_*OFF and CAL_*SCALE are those at {' and '.join(at)} degC")
+        references = dict.fromkeys(f"{each.reference:g}" for each in applied)
+        remarks.append(f"CAL_*OFF and CAL_*SCALE are those at {' and '.join(references)} degC")
         errors = " and ".join(in_units(each.kind, each.steepest()) for each in applied)
         see_to.append(
             "PX4 takes up new offsets when the temperature has changed by more than 1 degC: until then an error of up "

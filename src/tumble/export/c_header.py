@@ -54,14 +54,14 @@ WHAT: Mapping[SensorKind, str] = {"accel": "true specific force", "gyro": "true 
 
 def c_header(calibration: Calibration) -> Exported:
     """The header of a calibration."""
-    known, compensator = models(calibration), calibration.compensator
+    by_kind, compensator = models(calibration), calibration.compensator
     warm = bool(changing(calibration)) and calibration.reference_temperature is not None
-    lags = {kind: lag for kind, lag in compensator.lags.items() if warm and lag != 0.0 and kind in known}
+    lags = {kind: lag for kind, lag in compensator.lags.items() if warm and lag != 0.0 and kind in by_kind}
     held = HELD | (HELD_AT if warm else frozenset()) | {f"{kind}.lag" for kind in lags}
     losses = notes_of(calibration, held=held)
     comments = origin(calibration)
-    for kind, worked in examples(compensator, list(known)).items():
-        felt = " in that specific force" if "accel" in known else " without a specific force"
+    for kind, worked in examples(compensator, list(by_kind)).items():
+        felt = " in that specific force" if "accel" in by_kind else " without a specific force"
         where = felt if "by_force" in beyond_linear(compensator, kind) else ""
         comments.append(example_line(kind, worked.reading, worked.true, where=where))
     if warm:
@@ -82,7 +82,7 @@ def c_header(calibration: Calibration) -> Exported:
         ]
     functions = [
         _function(compensator, kind, model, single=single, at=at)
-        for kind, model in known.items()
+        for kind, model in by_kind.items()
         for single in (False, True)
         for at in ([None, calibration] if warm else [None])
     ]

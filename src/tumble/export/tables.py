@@ -94,14 +94,14 @@ def _written(comments: Iterable[str], rows: Iterable[Sequence[str]], losses: tup
 
 def csv_thermal(calibration: Calibration) -> Exported:
     """The .csv file of a calibration over temperature."""
-    known = models(calibration)
+    by_kind = models(calibration)
     measured = range_of(calibration, "csv-thermal")
-    at = temperatures(measured, float(calibration.reference_temperature or 0.0))
-    curves = [curve(calibration, name, at) for name in changing(calibration)]
+    celsius = temperatures(measured, float(calibration.reference_temperature or 0.0))
+    curves = [curve(calibration, name, celsius) for name in changing(calibration)]
     made_of = {group_name(p.name) for p in calibration.parameters if variable_of(group_name(p.name)) in THERMAL}
-    between, middle = dict.fromkeys(known, 0.0), 0.5 * (at[1:] + at[:-1])
+    between, middle = dict.fromkeys(by_kind, 0.0), 0.5 * (celsius[1:] + celsius[:-1])
     for each in curves:
-        kind = next((kind for kind in known if group_name(each.name) == f"{kind}.bias"), None)
+        kind = next((kind for kind in by_kind if group_name(each.name) == f"{kind}.bias"), None)
         if kind is not None:
             straight = 0.5 * (each.value[1:] + each.value[:-1])
             off = np.abs(straight - curve(calibration, each.name, middle).value).max()
@@ -122,13 +122,13 @@ def csv_thermal(calibration: Calibration) -> Exported:
         *(
             example_line(kind, worked.reading, worked.true, where=f" at {warm!r} degC")
             for kind, worked in (
-                (kind, linear_example(kind, calibration.compensator.model(kind, warm))) for kind in known
+                (kind, linear_example(kind, calibration.compensator.model(kind, warm))) for kind in by_kind
             )
         ),
         *losses,
     ]
     rows = [["temperature_degC", *(title for each in curves for title in (each.name, f"U({each.name})"))]]
-    for i, temperature in enumerate(numbers(at)):
+    for i, temperature in enumerate(numbers(celsius)):
         row = [f"{temperature:.9g}"]
         for each in curves:
             row += [f"{each.value[i]:.9g}", "" if each.expanded is None else f"{each.expanded[i]:.4g}"]

@@ -45,11 +45,11 @@ def accepted_part(calibration: AnyCalibration, name: str | None = None) -> AnyCa
 def accepted_kinds(calibration: CalibrationData) -> tuple[SensorKind, ...]:
     """The kinds of sensors that a calibration has and whose values may be used."""
     outcome = calibration.outcome
-    known: tuple[tuple[SensorKind, SensorModel | None, Judgement], ...] = (
+    judged: tuple[tuple[SensorKind, SensorModel | None, Judgement], ...] = (
         ("accel", calibration.accel, outcome.accel),
         ("gyro", calibration.gyro, outcome.gyro),
     )
-    return tuple(kind for kind, model, judgement in known if model is not None and judgement.accepted)
+    return tuple(kind for kind, model, judgement in judged if model is not None and judgement.accepted)
 
 
 def accepted_accelerometers(calibration: AnyCalibration, wanted_by: str) -> AnyCalibration:
@@ -57,9 +57,9 @@ def accepted_accelerometers(calibration: AnyCalibration, wanted_by: str) -> AnyC
     are `wanted_by`."""
     part = accepted_part(calibration)
     if part.accel is None:
-        found = "; ".join(part.provenance.absent) or "none of accelerometers"
+        why = "; ".join(part.provenance.absent) or "none of accelerometers"
         raise CalibrationError(
-            f"calibration of {part.serial!r}: expected accepted accelerometers, by which {wanted_by}, found {found}"
+            f"calibration of {part.serial!r}: expected accepted accelerometers, by which {wanted_by}, found {why}"
         )
     return part
 
@@ -76,10 +76,10 @@ def _alone(calibration: AnyCalibration, kind: SensorKind) -> AnyCalibration:
         return {name: value for name, value in by_kind.items() if name != other}
 
     def estimates(result: CalibrationData | Launch) -> dict[str, Any]:
-        at = [i for i, p in enumerate(result.parameters) if sensor_kind(p.name) != other]
+        kept = [i for i, p in enumerate(result.parameters) if sensor_kind(p.name) != other]
         return {
-            "parameters": tuple(result.parameters[i] for i in at),
-            "covariance": None if result.covariance is None else result.covariance[np.ix_(at, at)],
+            "parameters": tuple(result.parameters[i] for i in kept),
+            "covariance": None if result.covariance is None else result.covariance[np.ix_(kept, kept)],
         }
 
     def fits(result: Evidence | Launch) -> dict[str, Fit]:

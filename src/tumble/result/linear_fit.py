@@ -33,8 +33,8 @@ UP, DENSE = (np.concatenate([half, -half]) for half in (directions(), np.concate
 
 def session_rate(calibration: CalibrationData) -> float:
     """The rate of the turns of a session, or a usual one, rad/s."""
-    known = calibration.prediction
-    return USUAL_RATE if known is None or known.at_rate is None else known.at_rate
+    prediction = calibration.prediction
+    return USUAL_RATE if prediction is None or prediction.at_rate is None else prediction.at_rate
 
 
 def readings_at(calibration: CalibrationData, kind: SensorKind, force: Array, rate: Array) -> Array:
@@ -63,18 +63,18 @@ def linear_model(calibration: CalibrationData, kind: SensorKind, held: Container
     """
     model = calibration.accel if kind == "accel" else calibration.gyro
     assert model is not None
-    whole = _without(calibration, held)
-    if whole.compensator.linear:
+    fitted = _without(calibration, held)
+    if fitted.compensator.linear:
         return model
     if kind == "accel":  # Eq. (1)
         design = np.column_stack([G_STANDARD * UP, np.ones(len(UP))])
-        readings = readings_at(whole, kind, G_STANDARD * UP, np.zeros_like(UP))
+        readings = readings_at(fitted, kind, G_STANDARD * UP, np.zeros_like(UP))
         solution = np.asarray(np.linalg.lstsq(design, readings)[0], dtype=float)
         return SensorModel(matrix=solution[:3].T, bias=solution[3])
-    at_rest = whole.compensator.gyro_coefficients[:, CONSTANT]  # Eq. (2)
+    at_rest = fitted.compensator.gyro_coefficients[:, CONSTANT]  # Eq. (2)
     rates = session_rate(calibration) * np.concatenate([UP / 3.0, UP / 1.5, UP])[:, [1, 2, 0]]
     force = G_STANDARD * np.tile(UP, (3, 1))
-    both = 0.5 * (readings_at(whole, kind, force, rates) + readings_at(whole, kind, -force, rates))
+    both = 0.5 * (readings_at(fitted, kind, force, rates) + readings_at(fitted, kind, -force, rates))
     matrix = np.asarray(np.linalg.lstsq(rates, both - at_rest)[0], dtype=float).T
     return SensorModel(matrix=matrix, bias=at_rest)
 

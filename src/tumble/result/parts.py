@@ -133,8 +133,8 @@ FEWEST_DEGREES = 0.99
 
 def stated_factor(degrees: float | None) -> float | None:
     """The coverage factor for so many degrees of freedom, infinite where None; None where they are too few for a U."""
-    known = inf if degrees is None else degrees
-    return None if known < FEWEST_DEGREES else coverage_factor(known)
+    count = inf if degrees is None else degrees
+    return None if count < FEWEST_DEGREES else coverage_factor(count)
 
 
 def coverage_factor(degrees: float) -> float:
@@ -360,8 +360,8 @@ def checked_result(result: Launch) -> Launch:
     if result.covariance is None or not result.covariance.size:
         return result
     if len(result.covariance) != len(result.parameters):
-        found = f"one of {len(result.covariance)} for {len(result.parameters)} parameters"
-        raise ValueError(f"covariance: expected a row and a column for each parameter, found {found}")
+        sizes = f"one of {len(result.covariance)} for {len(result.parameters)} parameters"
+        raise ValueError(f"covariance: expected a row and a column for each parameter, found {sizes}")
     for number, variance in enumerate(np.diag(result.covariance).tolist(), 1):
         if variance < 0.0 or 0.0 < variance < LEAST**2:
             least = "no variance below 0" if variance < 0.0 else f"zero or a variance of at least {LEAST**2:g}"

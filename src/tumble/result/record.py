@@ -105,8 +105,8 @@ class CalibrationData(Mapping[str, Parameter]):
         gyro = None if models[1] is None else _block(self, "gyro", models[1])
         values = {p.name: p.value for p in self.parameters if sensor_kind(p.name) != "mag"}
         references = {str(block.kind): _references(self, block) for block in (accel, gyro) if block is not None}
-        known = references if self.reference_temperature is not None else {}
-        return Compensator.of((accel, gyro), models, values, known)
+        stated = references if self.reference_temperature is not None else {}
+        return Compensator.of((accel, gyro), models, values, stated)
 
     @property
     def temperature_range(self) -> tuple[float, float] | None:

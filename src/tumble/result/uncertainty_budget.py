@@ -85,10 +85,10 @@ def contributions_of(
         SourceContributions(
             **_as_source(replace(each, basis=(basis or {}).get(each.name.removeprefix("prior."), each.basis))),
             contributions={
-                n: sqrt(variance) for n, variance in zip(names, own.tolist(), strict=True) if variance > 0.0
+                n: sqrt(variance) for n, variance in zip(names, row.tolist(), strict=True) if variance > 0.0
             },
         )
-        for each, own in zip(budget.sources, variances, strict=True)
+        for each, row in zip(budget.sources, variances, strict=True)
     )
 
 
@@ -131,7 +131,7 @@ def with_references(calibration: CalibrationData) -> tuple[SourceContributions, 
         source("clock", calibration.provenance.clock_u, "1"),
     )
     compared = {name for kind in {sensor_kind(name) for name in calibration} for name in REFERENCES[kind]}
-    missing = (each for each in standards if each.name in compared - {known.name for known in budget})
+    missing = (each for each in standards if each.name in compared - {line.name for line in budget})
     return (*budget, *(SourceContributions(**_as_source(each), contributions={}) for each in missing))
 
 
@@ -142,20 +142,20 @@ def shares_by_group(calibration: CalibrationData) -> dict[str, Array]:
     for i, name in enumerate(calibration):
         if not beyond_linear(name):
             groups.setdefault(group_name(name), []).append(i)
-    whole = np.maximum(variances.sum(axis=0), 1e-300)
-    return {group: (variances[:, own] / whole[own]).mean(axis=1) for group, own in groups.items()}
+    total = np.maximum(variances.sum(axis=0), 1e-300)
+    return {group: (variances[:, members] / total[members]).mean(axis=1) for group, members in groups.items()}
 
 
 def shares_of_priors(calibration: CalibrationData) -> dict[str, dict[str, float]]:
     """What the sizes of priors rest on, such as a data sheet or a guessed grade or other units of the type, each with
     the mean share of u² by group of the linear model that rests on it."""
-    shares, found = shares_by_group(calibration), dict[str, dict[str, float]]()
+    shares, by_basis = shares_by_group(calibration), dict[str, dict[str, float]]()
     for s, each in enumerate(calibration.evidence.budget):
         basis = "other units of the type" if each.name == "type" else each.basis
         for group, share in shares.items() if basis else ():
-            of_basis = found.setdefault(basis, {})
+            of_basis = by_basis.setdefault(basis, {})
             of_basis[group] = of_basis.get(group, 0.0) + float(share[s])
-    return found
+    return by_basis
 
 
 def what_would_help(calibration: CalibrationData) -> str:
@@ -165,15 +165,15 @@ def what_would_help(calibration: CalibrationData) -> str:
     variances = variances[:, variances.any(axis=0)]
     if not variances.size:
         return ""
-    whole, gains = variances.sum(axis=0), list[tuple[float, str]]()
+    total, gains = variances.sum(axis=0), list[tuple[float, str]]()
     for remedy, names in _REMEDIES.items():
-        own = [
+        affected = [
             any(s.name == n or (n.endswith(".") and s.name.startswith(n)) for n in names)
             for s in calibration.evidence.budget
         ]
-        if any(own):
-            left = whole - (1.0 - LESS) * variances[own].sum(axis=0)
-            gains.append((float(np.exp(0.5 * np.mean(np.log(whole / left)))), remedy))
+        if any(affected):
+            remaining = total - (1.0 - LESS) * variances[affected].sum(axis=0)
+            gains.append((float(np.exp(0.5 * np.mean(np.log(total / remaining)))), remedy))
     helping = [f"{gain:.2f} times with {remedy}" for gain, remedy in sorted(gains, reverse=True) if gain >= HELPS]
     idle = [remedy for gain, remedy in gains if gain < HELPS]
     parts = [f"u would be smaller {', '.join(helping)}"] if helping else []

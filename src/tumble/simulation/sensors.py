@@ -38,7 +38,7 @@ class InRunBias:
         if self.held:
             return np.asarray(self.values[np.maximum(np.searchsorted(self.rests[:, 0], when, side="right") - 1, 0)])
         knots = self.rests.ravel()
-        return np.stack([np.interp(when, knots, np.repeat(own, 2)) for own in self.values.T], axis=-1)
+        return np.stack([np.interp(when, knots, np.repeat(bias, 2)) for bias in self.values.T], axis=-1)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -126,14 +126,14 @@ class TemperatureProfile:
 
     def blocks(self, accel: Block, gyro: Block) -> tuple[Block, Block]:
         """Accelerometers and gyros with these thermometers. Raises InputError for another number than they can have."""
-        found = thermometers_of(len(self.heating), accel.size, gyro.size)
-        if found is None:
+        numbers = thermometers_of(len(self.heating), accel.size, gyro.size)
+        if numbers is None:
             raise InputError(
                 f"temperature: expected a rise for all sensors, two for the accelerometers and the gyros, or "
                 f"{accel.size + gyro.size}, one a sensor, found {len(self.heating)}"
             )
-        own = found[: accel.size], found[accel.size :]
-        return replace(accel, thermometers=own[0]), replace(gyro, thermometers=own[1])
+        by_block = numbers[: accel.size], numbers[accel.size :]
+        return replace(accel, thermometers=by_block[0]), replace(gyro, thermometers=by_block[1])
 
 
 def temperature_profile(text: str) -> TemperatureProfile:
@@ -142,14 +142,14 @@ def temperature_profile(text: str) -> TemperatureProfile:
     parts = _PROFILE.fullmatch(text.strip())
     course, rises = (text, "") if parts is None else parts.group(1, 2)
     heating = tuple((float(rise), float(constant)) for rise, constant in re.findall(_RISE, rises))
-    found = TemperatureProfile(celsius=tuple(map(_number, course.split(":"))), heating=heating or ((0.0, 600.0),))
-    possible = all(_LOWEST <= c <= _HIGHEST for c in found.celsius)
-    if not possible or not all(abs(rise) <= _HIGHEST and constant > 0.0 for rise, constant in found.heating):
+    profile = TemperatureProfile(celsius=tuple(map(_number, course.split(":"))), heating=heating or ((0.0, 600.0),))
+    possible = all(_LOWEST <= c <= _HIGHEST for c in profile.celsius)
+    if not possible or not all(abs(rise) <= _HIGHEST and constant > 0.0 for rise, constant in profile.heating):
         raise InputError(
             f"temperature: expected {_LOWEST:g} to {_HIGHEST:g} degC, as 25, -10:60, -10:60:-10, or "
             f"START+RISE@SECONDS, such as 22+15@600, found {text!r}"
         )
-    return found
+    return profile
 
 
 def _number(text: str) -> float:
@@ -162,21 +162,21 @@ def draw_thermal(
 ) -> dict[str, float]:
     """True values by name of what changes with temperature, Gaussian with the standard deviations, SI, of a set-up or,
     where it has none, of its grade; and where the set-up has them, of hysteresis."""
-    found: dict[str, float] = {}
+    truth: dict[str, float] = {}
     for group in FURTHER:
         if group.variable not in THERMAL and not (group.variable == "hysteresis" and group.name in spreads):
             continue
         spread = spreads.get(group.name, group.usual[grade] if grade in GRADES else 0.0)
         names = group.names(blocks[group.kind])
-        found |= zip(names, (spread * rng.standard_normal(len(names))).tolist(), strict=True)
-    return found
+        truth |= zip(names, (spread * rng.standard_normal(len(names))).tolist(), strict=True)
+    return truth
 
 
 def draw_lags(spreads: Mapping[str, float], rng: np.random.Generator) -> dict[str, float]:
     """The lags of the sensors behind the thermometer, s, by kind, the sizes of Gaussian numbers with the standard
     deviations of a set-up; none where that has none."""
-    known = {kind: spreads[f"{kind}.lag"] for kind in get_args(SensorKind) if f"{kind}.lag" in spreads}
-    return {kind: abs(spread * float(rng.standard_normal())) for kind, spread in known.items()}
+    sizes = {kind: spreads[f"{kind}.lag"] for kind in get_args(SensorKind) if f"{kind}.lag" in spreads}
+    return {kind: abs(spread * float(rng.standard_normal())) for kind, spread in sizes.items()}
 
 
 def truth_at(
@@ -187,8 +187,8 @@ def truth_at(
     if REFERENCE_NAME not in truth or celsius is None:
         return dict(truth)
     names = list(truth)
-    there = np.array([celsius if own is None else own(name) for name in names])
-    moved = to_temperature(names, there - truth[REFERENCE_NAME]) @ np.array([truth[name] for name in names])
+    temperatures = np.array([celsius if own is None else own(name) for name in names])
+    moved = to_temperature(names, temperatures - truth[REFERENCE_NAME]) @ np.array([truth[name] for name in names])
     return dict(zip(names, moved.tolist(), strict=True)) | {REFERENCE_NAME: celsius}
 
 

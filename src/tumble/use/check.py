@@ -252,14 +252,14 @@ def check_calibration(
     >>> len(check.rests), check.valid
     (4, True)
     """
-    given = accepted_for_check(calibration)
+    accepted = accepted_for_check(calibration)
     if not isinstance(readings, Session) and not Path(readings).is_dir():
-        rows, table = table_observations(given, Path(readings))
-        residuals = residuals_in(given, rows, table.sha256)
+        rows, table = table_observations(accepted, Path(readings))
+        residuals = residuals_in(accepted, rows, table.sha256)
         labels = [f"position {i} (line {line})" for i, line in enumerate(table.lines, 1)]
         return _checked_rests(str(readings), residuals, labels)
     session = session_from(readings)
-    check_session(given, session)
+    check_session(accepted, session)
     observed = inspect_session(replace(session, programme=None))
     observations = observations_for_calibration(observed)
     if isinstance(observations, Outcome):
@@ -267,9 +267,9 @@ def check_calibration(
     grade, guessed_from = grade_of(session, observations)
 
     # each rest against gravity
-    residuals = residuals_in(given, observations, observed.sha256)
-    at, kelvin = observations.rests, observations.rests.temperature
-    times = list(zip(at.start.tolist(), at.stop.tolist(), strict=True))
+    residuals = residuals_in(accepted, observations, observed.sha256)
+    rest_means, kelvin = observations.rests, observations.rests.temperature
+    times = list(zip(rest_means.start.tolist(), rest_means.stop.tolist(), strict=True))
     celsius = len(times) * [None] if kelvin is None else (kelvin - ZERO_CELSIUS).tolist()
     labels = [f"rest {i} ({start:z.1f}–{stop:z.1f} s)" for i, (start, stop) in enumerate(times, 1)]
     by_rests = _checked_rests(session.name, residuals, labels)
@@ -277,12 +277,12 @@ def check_calibration(
         replace(rest, start=start, stop=stop, celsius=warmth)
         for rest, (start, stop), warmth in zip(by_rests.rests, times, celsius, strict=True)
     )
-    by_rests = replace(by_rests, rests=rests, notes=given.provenance.absent)
-    if residuals.left_out or given.frame == "case":
+    by_rests = replace(by_rests, rests=rests, notes=accepted.provenance.absent)
+    if residuals.left_out or accepted.frame == "case":
         return by_rests
 
     # all parameters
-    converted = given.in_frame("accelerometer")
+    converted = accepted.in_frame("accelerometer")
     if converted.gyro is None and observations.gyro_block is not None:
         observations = observations.of_accelerometers()
     launches, sheet = _launches(converted, launches), session.device.prior
@@ -333,10 +333,10 @@ def _assumptions(
 
 def accepted_for_check(calibration: Calibration | FilePath) -> Calibration:
     """The accepted part of a calibration; raise CalibrationError without accelerometers or uncertainties."""
-    given = accepted_accelerometers(calibration_from(calibration), "a check has its attitudes")
-    if given.covariance is None:
-        raise CalibrationError(f"calibration of {given.serial!r}: expected one with uncertainties, found none")
-    return given
+    accepted = accepted_accelerometers(calibration_from(calibration), "a check has its attitudes")
+    if accepted.covariance is None:
+        raise CalibrationError(f"calibration of {accepted.serial!r}: expected one with uncertainties, found none")
+    return accepted
 
 
 def check_session(calibration: Calibration, session: Session) -> None:
@@ -384,36 +384,36 @@ def prior_at_check(
     names, linear = instrument.names, instrument.names[: instrument.linear_count]
 
     # Σ with the uncertainty of gravity before it: by the calibration, and of the usual size what it does not have
-    given = {p.name: p.value for p in calibration.parameters if variable_of(p.name) != "time"}
-    missing = [name for name in linear if name not in given]
+    calibrated = {p.name: p.value for p in calibration.parameters if variable_of(p.name) != "time"}
+    missing = [name for name in linear if name not in calibrated]
     if missing or calibration.covariance is None:
         raise InputError(
             f"calibration of {calibration.serial!r}: expected the parameters of the session's sensors, found none of "
             f"{', '.join(missing)}; check with recordings of the same device"
         )
-    values, whole = np.zeros(len(names)), np.zeros((len(names) + 1,) * 2)
-    gravity, covariance = observations.site.gravity_u, whole[1:, 1:]
-    whole[0, 0] = gravity**2
+    values, with_gravity = np.zeros(len(names)), np.zeros((len(names) + 1,) * 2)
+    gravity, covariance = observations.site.gravity_u, with_gravity[1:, 1:]
+    with_gravity[0, 0] = gravity**2
     for group, members in instrument.members.items():
         covariance[members, members] = usual[group] ** 2 * np.eye(members.stop - members.start)
-    at = [i for i, name in enumerate(names) if name in given]
-    values[at] = [given[names[i]] for i in at]
-    covariance[np.ix_(at, at)] = calibration.covariance_of([names[i] for i in at])
+    places = [i for i, name in enumerate(names) if name in calibrated]
+    values[places] = [calibrated[names[i]] for i in places]
+    covariance[np.ix_(places, places)] = calibration.covariance_of([names[i] for i in places])
     if shared_gravity(calibration.provenance.site, observations.site):
         change = by_gravity(calibration.parameters, calibration.covariance, calibration.provenance.site)
         by_name = {p.name: c for p, c in zip(calibration.parameters, change.tolist(), strict=True)}
-        whole[0, 1:] = whole[1:, 0] = gravity * np.array([by_name.get(name, 0.0) for name in names])
+        with_gravity[0, 1:] = with_gravity[1:, 0] = gravity * np.array([by_name.get(name, 0.0) for name in names])
 
     # at the temperature of the check
-    now, J = references_of(observations), np.eye(len(whole))
+    now, J = references_of(observations), np.eye(len(with_gravity))
     if calibration.reference_temperature is not None and now:
-        here = replace(calibration, temperature=replace(calibration.temperature, references=now))
-        warmer = [reference_of_parameter(here, name) - reference_of_parameter(calibration, name) for name in names]
+        at_check = replace(calibration, temperature=replace(calibration.temperature, references=now))
+        warmer = [reference_of_parameter(at_check, name) - reference_of_parameter(calibration, name) for name in names]
         J[1:, 1:] = to_temperature(names, np.array(warmer))
     # s² and 1/ν_s of another power-on, Eq. (2)
     single = len(calibration.evidence.launches) < 2 and not calibration.evidence.together
     others = _launches(calibration, launches)
-    turned_on, inverse_degrees = np.zeros((2, len(whole)))
+    turned_on, inverse_degrees = np.zeros((2, len(with_gravity)))
     for i, name in enumerate(linear, 1):
         pooled_from = [(each.degrees, each.variances[name][0]) for each in others if name in each.variances]
         degrees = sum(count for count, _ in pooled_from)
@@ -430,7 +430,7 @@ def prior_at_check(
     return CheckPrior(
         instrument=instrument,
         values=J[1:, 1:] @ values,
-        calibrated=J @ whole @ J.T,
+        calibrated=J @ with_gravity @ J.T,
         turned_on=turned_on,
         inverse_degrees=np.array([0.0, *(inverse.get(name, 0.0) for name in names)]),
         turned_on_inverse_degrees=inverse_degrees,

@@ -372,40 +372,40 @@ class Corrector:
         CalibrationError
             For a calibration without covariance.
         """
-        given, own = self.calibration.in_frame("accelerometer"), self._compensator
-        if given.covariance is None:
-            raise CalibrationError(f"{given.serial}: expected a calibration with covariance, found none")
-        there = given.compensator
-        turned = left_inverse(own.accel_coefficients[:, FORCE]) @ there.accel_coefficients[:, FORCE]
+        loaded, compensator = self.calibration.in_frame("accelerometer"), self._compensator
+        if loaded.covariance is None:
+            raise CalibrationError(f"{loaded.serial}: expected a calibration with covariance, found none")
+        framed = loaded.compensator
+        turned = left_inverse(compensator.accel_coefficients[:, FORCE]) @ framed.accel_coefficients[:, FORCE]
         felt, spun = turned.T @ np.asarray(force), turned.T @ (np.zeros(3) if rate is None else np.asarray(rate))
         variables = "temperature", "temperature²", "hysteresis"
-        instrument = Instrument.of(there.accel, there.gyro, {group_name(name) for name in given}, variables=variables)
-        values = np.array([given[name].value if name in given else 0.0 for name in instrument.names])
-        known = [i for i, name in enumerate(instrument.names) if name in given]
-        names = [instrument.names[i] for i in known]
-        reference = given.reference_temperature
+        instrument = Instrument.of(framed.accel, framed.gyro, set(map(group_name, loaded)), variables=variables)
+        values = np.array([loaded[name].value if name in loaded else 0.0 for name in instrument.names])
+        places = [i for i, name in enumerate(instrument.names) if name in loaded]
+        names = [instrument.names[i] for i in places]
+        reference = loaded.reference_temperature
         warmer = 0.0 if celsius is None or reference is None else celsius - reference
         beta = np.concatenate([functions(block, felt[None], spun[None])[0] for block in instrument.blocks])
-        J = (beta[:, None] @ derivative(instrument, values, warmer)[:, :, known])[:, 0]
-        parameters = np.array(given.covariance_of(names))
-        for bias in given.evidence.process_bias:
+        J = (beta[:, None] @ derivative(instrument, values, warmer)[:, :, places])[:, 0]
+        parameters = np.array(loaded.covariance_of(names))
+        for bias in loaded.evidence.process_bias:
             if bias.name in names:
-                parameters[(names.index(bias.name),) * 2] = max(given[bias.name].u or 0.0, bias.next_u) ** 2
+                parameters[(names.index(bias.name),) * 2] = max(loaded[bias.name].u or 0.0, bias.next_u) ** 2
         kinds = ("accel", "gyro")[: len(instrument.blocks)]
         density = [
-            white_noise(given).get(kind, np.zeros(b.size)) for kind, b in zip(kinds, instrument.blocks, strict=True)
+            white_noise(loaded).get(kind, np.zeros(b.size)) for kind, b in zip(kinds, instrument.blocks, strict=True)
         ]
         noise = np.diag(np.concatenate(density) ** 2 * self.sample_rate)
         onto = np.zeros((3 * len(kinds), len(noise)))
         for k, (block, K) in enumerate(
-            zip(instrument.blocks, (there.accel_coefficients, there.gyro_coefficients), strict=False)
+            zip(instrument.blocks, (framed.accel_coefficients, framed.gyro_coefficients), strict=False)
         ):
             onto[3 * k : 3 * k + 3, instrument.rows(block)] = turned @ left_inverse(K[:, measured_by(block)])
         out = onto @ (J @ parameters @ J.T + noise) @ onto.T
         if self._stream.moved:  # of a central difference over two samples, var(ω̇) = var(ω) · 2 / (2 h)²
-            across = onto[:3, : there.accel.size] @ there.accelerometers.sheet[:, ACROSS:ALONG] @ turned.T
+            across = onto[:3, : framed.accel.size] @ framed.accelerometers.sheet[:, ACROSS:ALONG] @ turned.T
             out[:3, :3] += 0.5 * self.sample_rate**2 * across @ (onto @ noise @ onto.T)[3:, 3:] @ across.T
-        if given.accel is None:
+        if loaded.accel is None:
             out[:3], out[:, :3] = nan, nan
         return np.asarray(out if rate is not None else out[:3, :3])
 
@@ -443,6 +443,6 @@ def derivative(instrument: Instrument, values: Array, warmer: float) -> Array:
     reference, on which those by slopes, curvatures and hysteresis depend."""
     D = instrument.linearised(values)[1].copy()
     by = {"temperature": warmer, "temperature²": warmer**2, "hysteresis": float(warmer != 0.0)}
-    for own, base, variable in instrument.changes:
-        D[:, :, own] = by[variable] * D[:, :, base]
+    for changing, base, variable in instrument.changes:
+        D[:, :, changing] = by[variable] * D[:, :, base]
     return D

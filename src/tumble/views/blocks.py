@@ -133,8 +133,8 @@ class Section:
 
 def section(title: str, *blocks: Block | None) -> Section:
     """A section of the blocks that there are."""
-    known = (Text(text=block) if isinstance(block, str) else block for block in blocks)
-    return Section(title=title, blocks=tuple(block for block in known if block is not None))
+    given_blocks = (Text(text=block) if isinstance(block, str) else block for block in blocks)
+    return Section(title=title, blocks=tuple(block for block in given_blocks if block is not None))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -108,13 +108,13 @@ class Registry:
             type for a known serial number, a log that another record stands on.
         """
         text, name = text_and_name(calibration)
-        known = accepted_part(calibration_of(text, name), name)
-        if not known.parameters:
+        part = accepted_part(calibration_of(text, name), name)
+        if not part.parameters:
             raise InputError(f"{name}: parameters: expected at least one, found none")
-        performed = _performed(known, performed, name)
+        performed = _performed(part, performed, name)
         canonical = json.dumps(json.loads(text), sort_keys=True, separators=(",", ":"))
         digest = hashlib.sha256(canonical.encode()).hexdigest()
-        logs = {log for _, log in logs_of(known)} - {""}
+        logs = {log for _, log in logs_of(part)} - {""}
         with self.database.writing() as rows:
             if same := rows.records(sha256=digest):
                 return same[0]
@@ -123,27 +123,27 @@ class Registry:
                     f"{name}: expected a log that is not in the registry, found that of record {record.number} "
                     f"({record.serial}, {record.method})"
                 )
-            earlier = rows.records(serial=known.serial)
-            model = known.model or next((r.model for r in earlier if r.model is not None), None)
+            earlier = rows.records(serial=part.serial)
+            model = part.model or next((r.model for r in earlier if r.model is not None), None)
             for record in earlier:
                 if record.model not in (None, model):
                     raise InputError(
-                        f"{name}: device.model: expected {record.model!r}, as device {known.serial} has it in record "
+                        f"{name}: device.model: expected {record.model!r}, as device {part.serial} has it in record "
                         f"{record.number}, found {model!r}; serial numbers must be unique"
                     )
             occasion = occasion or ("periodic" if earlier else "incoming")
             limits = rows.limits_in_force(model)
             values = {
                 "sha256": digest,
-                "serial": known.serial,
+                "serial": part.serial,
                 "model": model,
-                "method": known.method,
-                "frame": known.frame,
+                "method": part.method,
+                "frame": part.frame,
                 "performed": performed,
                 "occasion": occasion,
                 "state": state,
                 "limits": None if limits is None else limits.number,
-                "verdict": None if limits is None else _in_a_word(known, limits.parsed(), occasion),
+                "verdict": None if limits is None else _in_a_word(part, limits.parsed(), occasion),
                 "added": datetime.now(UTC),
                 "file": text,
             }
@@ -155,10 +155,10 @@ class Registry:
         Raises InputError, one line, for a file that cannot be used."""
         text, systematic = read_limits(Path(file))
         with self.database.writing() as rows:
-            known = rows.limits_in_force(model)
-            if known is None or (known.file, known.systematic) != (text, systematic):
-                known = rows.add_limits(model, text, systematic)
-            return known
+            in_force = rows.limits_in_force(model)
+            if in_force is None or (in_force.file, in_force.systematic) != (text, systematic):
+                in_force = rows.add_limits(model, text, systematic)
+            return in_force
 
     # -------------------- reading --------------------
 
@@ -167,18 +167,18 @@ class Registry:
 
         Raises InputError for a device that has none."""
         with self.database.reading() as rows:
-            found = rows.records() if serial is None else rows.records(serial=serial)
-        if serial is not None and not found:
+            records = rows.records() if serial is None else rows.records(serial=serial)
+        if serial is not None and not records:
             raise InputError(f"device {serial!r}: expected a device of the registry, found none of this serial number")
-        return sorted(found, key=lambda record: (record.performed, record.number))
+        return sorted(records, key=lambda record: (record.performed, record.number))
 
     def record(self, number: int) -> Record:
         """The record of a number. Raises InputError where there is none."""
         with self.database.reading() as rows:
-            found = rows.records(number=number)
-        if not found:
+            records = rows.records(number=number)
+        if not records:
             raise InputError(f"record {number}: expected a record of the registry, found none of this number")
-        return found[0]
+        return records[0]
 
     def file(self, record: Record) -> str:
         """The text of the calibration file of a record, as it was added."""
@@ -220,13 +220,13 @@ class Registry:
 
         records = self.records(serial)
         with self.database.reading() as rows:
-            given = rows.limits_in_force(records[-1].model)
-        limits = None if given is None else given.parsed()
+            in_force = rows.limits_in_force(records[-1].model)
+        limits = None if in_force is None else in_force.parsed()
         past = self._past(records, records[-1].frame if limits is None else limits.frame)
         names = [p.name for _, calibration in reversed(past) for p in calibration.parameters]
         if parameter is not None and parameter not in names:
-            known = ", ".join(dict.fromkeys(names))
-            raise InputError(f"device {serial!r}: expected one of {known}, found {parameter!r}")
+            listed = ", ".join(dict.fromkeys(names))
+            raise InputError(f"device {serial!r}: expected one of {listed}, found {parameter!r}")
         return trend_of(past, limits, names if parameter is None else [parameter], latest_comparison(past))
 
     def due(self, on: date | None = None) -> list[Due]:
@@ -277,7 +277,7 @@ class Registry:
 
         Calibrations of one launch each are launches of their device, too, if they are by one method and it was not
         adjusted between them. Raises InputError where no device has two launches."""
-        found, single = list[LaunchVariances | None](), dict[tuple[str, int, str], list[Calibration]]()
+        of_means, single = list[LaunchVariances | None](), dict[tuple[str, int, str], list[Calibration]]()
         adjusted = Counter[str]()
         for record in self.records(serial):
             adjusted[record.serial] += record.state == "as-left"
@@ -287,12 +287,12 @@ class Registry:
                 if stands_alone(calibration):
                     stretch = (record.serial, adjusted[record.serial], record.method)
                     single.setdefault(stretch, []).append(calibration)
-                found.append(launch_variances(calibration))
-        known = tuple(each for each in (*found, *map(variances_between, single.values())) if each is not None)
-        if not known:
+                of_means.append(launch_variances(calibration))
+        variances = tuple(each for each in (*of_means, *map(variances_between, single.values())) if each is not None)
+        if not variances:
             which = f"type {model!r}" if serial is None else f"device {serial!r}"
             raise InputError(f"{which}: expected several launches of one device in the registry, found none")
-        return known
+        return variances
 
     def prior(self, model: str, *, without: str | None = None) -> Prior:
         """What other units of a type are like, as a prior for `calibrate` and `plan`; `without` a serial number. It has
@@ -312,8 +312,8 @@ class Registry:
         from tumble.lab.device_type import unit_of
 
         records = (record for record in self.records() if record.model == model)
-        found = map(unit_of, self._in_frame(records, "accelerometer"))
-        return list({unit.serial: unit for unit in found if unit is not None}.values())
+        units = map(unit_of, self._in_frame(records, "accelerometer"))
+        return list({unit.serial: unit for unit in units if unit is not None}.values())
 
     def _in_frame(self, records: Iterable[Record], frame: str) -> Iterator[Calibration]:
         """The calibrations of records that can be taken to a frame."""

@@ -59,7 +59,7 @@ def application(calibration: Calibration) -> Section:
     """The model and its frame, what a reading is, the matrices and a test vector for each block, and what is beyond
     them."""
     models = {"accel": calibration.accel, "gyro": calibration.gyro, "mag": calibration.mag}
-    known = {kind: model for kind, model in models.items() if model is not None}
+    present = {kind: model for kind, model in models.items() if model is not None}
     frame = _FRAMES.get(calibration.frame, "It is described in the documentation of the software.")
     if calibration.frame == "accelerometer" and "accel.bias.0" in calibration:
         frame = _NUMBERED_FRAME
@@ -79,25 +79,25 @@ def application(calibration: Calibration) -> Section:
             "sensors follow the formula below. "
         )
     meant += "The rows of the matrix are the sensitivities of the sensors times their axes"
-    triads = any(len(model.matrix) <= 3 for model in known.values()) or not known
+    triads = any(len(model.matrix) <= 3 for model in present.values()) or not present
     if triads:
         three = (
             f"{meant}: for three sensors along the body axes, k being the scale-factor errors and γ the axis angles,"
         )
         corrected = "A reading is corrected by"
         blocks += [three, Formula(name="axes"), corrected, Formula(name="apply")]
-    if any(len(model.matrix) > 3 for model in known.values()):
+    if any(len(model.matrix) > 3 for model in present.values()):
         least = "by least squares, matrix⁺ being the pseudo-inverse:"
         which = f"One of more sensors {least}" if triads else f"{meant}. A reading is corrected {least}"
         blocks += [which, Formula(name="apply_redundant")]
-    blocks += _what_a_reading_is(calibration, known or models)
-    left = left_by_matrix(calibration)
-    if left:
-        linear = f"This is the linear model, {left}; the whole correction is at the end of the section."
+    blocks += _what_a_reading_is(calibration, present or models)
+    left_over = left_by_matrix(calibration)
+    if left_over:
+        linear = f"This is the linear model, {left_over}; the whole correction is at the end of the section."
         blocks.append(linear)
-    if not known:
+    if not present:
         blocks.append("No matrix can be given: a parameter it needs was not determined.")
-    for kind, model in known.items():  # matrix, its inverse and bias, and a reading with what comes out
+    for kind, model in present.items():  # matrix, its inverse and bias, and a reading with what comes out
         unit = _unit(calibration, kind)
         symbol = "pseudo-inverse matrix⁺" if len(model.matrix) > 3 else "matrix⁻¹"
         bias = Matrix(symbol="bias", rows=_numbers(model.bias[:, None]), unit=unit)
@@ -108,7 +108,7 @@ def application(calibration: Calibration) -> Section:
             "Test vector: with these numbers, this reading gives this true value.",
             _test_vector(linear_example(kind, model), unit),
         ]
-    return section("How to apply it", *blocks, *(_whole_correction(calibration) if left else ()))
+    return section("How to apply it", *blocks, *(_whole_correction(calibration) if left_over else ()))
 
 
 def _what_a_reading_is(calibration: Calibration, kinds: Container[str]) -> list[Block]:
