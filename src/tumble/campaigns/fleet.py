@@ -68,11 +68,37 @@ def fleet(
     workers: int | None = None,
     progress: Progress = lambda _done, _all: None,
 ) -> FleetResult:
-    """Calibrate all sessions that a glob matches or a manifest lists, with a row for each, into a folder.
+    """Calibrate many sessions, with a row for each. One that cannot be calibrated does not stop the others.
 
-    What is in the folder already is not computed again. A session that cannot be calibrated does not stop the others:
-    its row says why. `serial`, `cluster` and `workers` are those of `executor_for`.
+    Parameters
+    ----------
+    sessions
+        Glob of session folders, or a manifest (.txt) with a folder in each line.
+    out
+        Folder of the results; what it has already is not computed again.
+    method
+        See `calibrate`.
+    serial
+        Whether to compute in this process.
+    cluster
+        Address of the scheduler of a Dask cluster, such as tcp://10.0.0.5:8786.
+    workers
+        Number of processes of a new cluster on this machine; one a core by default.
+    progress
+        Function that is called with the number of tasks done and of all.
 
+    Returns
+    -------
+    FleetResult
+        How many sessions were accepted, and why the others were not.
+
+    Raises
+    ------
+    InputError
+        Without sessions, for one that is listed twice, and for a folder of something else.
+
+    Examples
+    --------
     >>> import tumble
     >>> request = tumble.Setup.of(grade="mems", positions=12)
     >>> for seed in (1, 2):

@@ -78,10 +78,35 @@ def campaign(
     workers: int | None = None,
     progress: Progress = lambda _done, _all: None,
 ) -> CampaignResult:
-    """Simulate and calibrate many times over the grid of a campaign, or of its TOML file, into a folder.
+    """Simulate and calibrate many times over the grid of a campaign.
 
-    What is in the folder already is not computed again. `serial`, `cluster` and `workers` are those of `executor_for`.
+    Parameters
+    ----------
+    planned
+        The campaign, or its TOML file.
+    out
+        Folder of the results; what it has already is not computed again.
+    serial
+        Whether to compute in this process.
+    cluster
+        Address of the scheduler of a Dask cluster, such as tcp://10.0.0.5:8786.
+    workers
+        Number of processes of a new cluster on this machine; one a core by default.
+    progress
+        Function that is called with the number of tasks done and of all.
 
+    Returns
+    -------
+    CampaignResult
+        The rows, their summary, and its file.
+
+    Raises
+    ------
+    InputError
+        For a file that describes no campaign, and for a folder of something else.
+
+    Examples
+    --------
     >>> import tumble
     >>> from pathlib import Path
     >>> _ = Path("campaign.toml").write_text('seed = 1\\ntrials = 2\\n[grid]\\nmethod = "joint"\\ngrade = "mems"\\n')

@@ -251,7 +251,17 @@ _COLUMNS = ("name", "value", "u", "unit", "deviation", "run_to_run", "k", "dof",
 
 @checked
 def read_calibration(path: FilePath) -> Calibration:
-    """Read a calibration file, as `Calibration.write` writes it.
+    """Read a calibration file.
+
+    Parameters
+    ----------
+    path
+        The file, as `Calibration.write` writes it.
+
+    Returns
+    -------
+    Calibration
+        The calibration.
 
     Raises
     ------

@@ -51,14 +51,38 @@ def simulate_session(
     temperature: TemperatureProfile | None = None,
     log_format: LogFormat = "parquet",
 ) -> Path:
-    """Write a simulated session, session.toml, log and truth.json, into a new folder, and return the folder.
+    """Write a simulated session, session.toml, log and truth.json, into a new folder.
 
-    The same set-up, seed and launch give the same numbers; another launch of a seed is the same device, put on the
-    table and turned anew. With a `temperature` profile the log has a thermometer, and biases and scale factors change
-    with it as is usual in the grade; in a set-up with all terms the sensors follow it with a lag, and biases have a
-    hysteresis. Raises InputError, one line, for a set-up that is impossible, and for a folder that holds a session
-    already.
+    Parameters
+    ----------
+    folder
+        The folder, without a session.
+    setup
+        Instrument, programme and site.
+    seed
+        Seed of the random numbers. The same set-up, seed and launch give the same session.
+    launch
+        Number of the power-on: the same device, put on the table and turned anew.
+    vibration
+        Vertical vibration throughout the log.
+    temperature
+        Temperatures of the session. The log has a thermometer then, and biases and scale factors change with it as is
+        usual in the grade; with all terms the sensors follow it with a lag, and biases have a hysteresis.
+    log_format
+        "parquet" or "csv", in SI; or "counts", a log as a cheap logger writes it, without a session.toml.
 
+    Returns
+    -------
+    Path
+        The folder.
+
+    Raises
+    ------
+    InputError
+        For a set-up that is impossible, and for a folder that holds a session.
+
+    Examples
+    --------
     >>> import tumble
     >>> tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=4), seed=1).name
     'session'

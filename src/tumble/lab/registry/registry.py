@@ -37,12 +37,24 @@ if TYPE_CHECKING:
 
 @contextmanager
 def open_registry(place: FilePath, *, create: bool = False) -> Iterator[Registry]:
-    """Open a registry: an SQLite file, or a PostgreSQL database by its URL; with `create` one that does not exist is
-    made.
+    """Open a registry, in a `with`.
 
-    Raises InputError, one line, for no such registry, the database of another program, or a server that does not
-    answer; MissingExtraError without the extra `lab`.
+    Parameters
+    ----------
+    place
+        An SQLite file, or the URL of a PostgreSQL database.
+    create
+        Whether to make a registry that does not exist.
 
+    Raises
+    ------
+    InputError
+        For no such registry, the database of another program, or a server that does not answer.
+    MissingExtraError
+        Without the extra `lab`.
+
+    Examples
+    --------
     >>> import tumble
     >>> from tumble.lab import open_registry
     >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
@@ -163,9 +175,18 @@ class Registry:
     # -------------------- reading --------------------
 
     def records(self, serial: str | None = None) -> list[Record]:
-        """The records of a device, or of all, in the order in which they were performed.
+        """The records in the order in which they were performed.
 
-        Raises InputError for a device that has none."""
+        Parameters
+        ----------
+        serial
+            Serial number of a device; of all devices by default.
+
+        Raises
+        ------
+        InputError
+            For a device without records.
+        """
         with self.database.reading() as rows:
             records = rows.records() if serial is None else rows.records(serial=serial)
         if serial is not None and not records:
@@ -212,10 +233,21 @@ class Registry:
     # -------------------- what calibrations say together --------------------
 
     def trend(self, serial: str, parameter: str | None = None) -> Trend:
-        """The parameters of a device, or one of them, over its calibrations, against the limits in force now.
+        """The parameters of a device over its calibrations, against the limits in force now.
 
-        Raises InputError for an unknown device or parameter, and for a record that cannot be taken to the frame of the
-        limits, or of the latest record where there are none."""
+        Parameters
+        ----------
+        serial
+            Serial number of the device.
+        parameter
+            Name of a parameter; all by default.
+
+        Raises
+        ------
+        InputError
+            For an unknown device or parameter, and for a record that cannot be taken to the frame of the limits, or of
+            the latest record where there are none.
+        """
         from tumble.lab.registry.trend import latest_comparison, trend_of
 
         records = self.records(serial)
@@ -230,9 +262,18 @@ class Registry:
         return trend_of(past, limits, names if parameter is None else [parameter], latest_comparison(past))
 
     def due(self, on: date | None = None) -> list[Due]:
-        """When every device is to be calibrated again, seen on a day, by default today.
+        """When every device is to be calibrated again.
 
-        Devices that failed their latest check come first, then the most urgent; those without an interval last."""
+        Parameters
+        ----------
+        on
+            Day on which this is asked; today by default.
+
+        Returns
+        -------
+        list of Due
+            Devices that failed their latest check first, then the most urgent; those without an interval last.
+        """
         on = datetime.now(UTC).date() if on is None else on
         in_force = {each.model: each.parsed() for each in self.limits() if each.in_force}
         items = []
@@ -272,11 +313,23 @@ class Registry:
     def launches(
         self, *, serial: str | None = None, model: str | None = None, frame: str = "accelerometer"
     ) -> tuple[LaunchVariances, ...]:
-        """The launches behind all calibrations of a device, or of a type, in a frame, for `check_calibration` and
-        `calibrate_launches`; those that cannot be taken to the frame are left out.
+        """The launches behind calibrations, for `check_calibration` and `calibrate_launches`.
 
         Calibrations of one launch each are launches of their device, too, if they are by one method and it was not
-        adjusted between them. Raises InputError where no device has two launches."""
+        adjusted between them.
+
+        Parameters
+        ----------
+        serial, model
+            A device, or a type of devices.
+        frame
+            Frame of the variances; calibrations that cannot be taken to it are left out.
+
+        Raises
+        ------
+        InputError
+            If no device has two launches.
+        """
         of_means, single = list[LaunchVariances | None](), dict[tuple[str, int, str], list[Calibration]]()
         adjusted = Counter[str]()
         for record in self.records(serial):
@@ -295,8 +348,20 @@ class Registry:
         return variances
 
     def prior(self, model: str, *, without: str | None = None) -> Prior:
-        """What other units of a type are like, as a prior for `calibrate` and `plan`; `without` a serial number. It has
-        no parameters if there are fewer than three units."""
+        """What other units of a type are like, as a prior for `calibrate` and `plan`.
+
+        Parameters
+        ----------
+        model
+            The type.
+        without
+            Serial number of a unit to leave out.
+
+        Returns
+        -------
+        Prior
+            Without parameters if there are fewer than three units.
+        """
         from tumble.lab.device_type import prior_of
 
         return prior_of([unit for unit in self._units(model) if unit.serial != without], model)
