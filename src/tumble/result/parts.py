@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from itertools import pairwise
 from math import erfc, inf, isfinite, sqrt
-from typing import Annotated, Any
+from typing import Annotated, Any, Protocol
 
 import numpy as np
 import scipy
@@ -81,6 +81,17 @@ Positive = Annotated[float, Field(gt=0.0), AfterValidator(is_size)]
 Count = Annotated[int, Field(ge=0, le=10**9)]
 Vector = Annotated[tuple[float, ...], Field(max_length=MOST_PARAMETERS)]
 Matrix = Annotated[tuple[Vector, ...], Field(max_length=MOST_PARAMETERS)]
+
+
+class Estimated(Protocol):
+    """A value with its standard uncertainty, SI, and the degrees of freedom of this, as far as they are known."""
+
+    @property
+    def value(self) -> float: ...
+    @property
+    def u(self) -> float | None: ...
+    @property
+    def dof(self) -> float | None: ...
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

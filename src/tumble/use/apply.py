@@ -219,10 +219,10 @@ def _tables(
     numbers = [column for part in parts for column in part.channels.columns]  # the other columns are as they are
     if spec.dialect is not None and spec.dialect.decimal == ",":  # all that the session names
         numbers = [column for column in spec.columns if not (spec.clock and column == spec.time)]
-    rates, blocks = spec.gyro is not None, (session.accel_block, session.gyro_block)
-    thermometers = tuple(np.zeros(0, dtype=np.int64) if block is None else block.thermometer for block in blocks)
-    heat = 1 if spec.temperature is None else len(spec.temperature.columns)
-    stream = Stream(compensator, interval, gyros=rates, thermometers=thermometers, heat=heat)  # type: ignore[arg-type]  # two
+    blocks, heat = (session.accel_block, session.gyro_block), 1
+    if spec.temperature is not None:
+        heat = len(spec.temperature.columns)
+    stream = Stream(compensator, interval, blocks=blocks, heat=heat)
     for file in spec.files:
         source = source_of(file, spec.dialect)
         for added in (column for part in parts for column in part.added if column in source.names):

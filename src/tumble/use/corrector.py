@@ -27,8 +27,9 @@ from tumble.rotation import left_inverse
 from tumble.sensors.compensation import Compensator
 from tumble.sensors.fixed_point import ACROSS, ALONG, TOO_FAST, TOO_MUCH, TOO_WARM, WIDTH, advance
 from tumble.sensors.instrument import Instrument, functions, measured_by
+from tumble.sensors.model import Block
 from tumble.sensors.parameters import FORCE, group_name
-from tumble.units import G_STANDARD, ZERO_CELSIUS, Array, BoolArray, IntArray
+from tumble.units import G_STANDARD, ZERO_CELSIUS, Array, BoolArray
 
 LONGEST_STEP = 3.5
 """Usual intervals between the neighbours of a sample, beyond which its angular acceleration is unknown."""
@@ -97,11 +98,26 @@ class Ranges:
 
 
 class Stream:
-    """Corrects the rows of one stream with a compensator.
+    """Corrects the rows of one stream.
 
-    The usual `interval` of samples is in s. With `gyros` rates are read. Of `heat` thermometers, `thermometers` are the
-    numbers of those of each accelerometer and of each gyro; `zero` is 0 °C in the unit of their temperatures. Samples
-    outside of the `ranges` are flagged. `latest` is LATEST, or 0 for stamps that are in order.
+    Parameters
+    ----------
+    compensator
+        The correction.
+    interval
+        Usual interval of samples, s.
+    blocks
+        Accelerometers and gyros of the stream, with their thermometers.
+    heat
+        Number of thermometers.
+    gyros
+        Whether rates are corrected.
+    ranges
+        Ranges outside of which samples are flagged.
+    zero
+        0 °C in the unit of the temperatures.
+    latest
+        LATEST, or 0 for stamps that are in order.
     """
 
     def __init__(
@@ -109,31 +125,32 @@ class Stream:
         compensator: Compensator,
         interval: float,
         *,
-        gyros: bool,
-        thermometers: tuple[IntArray, IntArray],
+        blocks: tuple[Block, Block | None],
         heat: int,
+        gyros: bool = True,
         ranges: Ranges | None = None,
         zero: float = 0.0,
         latest: float = 0.0,
     ) -> None:
         ranges = ranges or Ranges()
-        self.gyros = gyros and compensator.gyro is not None
+        self.gyros = gyros and blocks[1] is not None and compensator.gyro is not None
+        of_accel, of_gyro = (np.zeros(0, np.int64) if block is None else block.thermometer for block in blocks)
         lags = [compensator.lags.get(kind, 0.0) for kind in ("accel", "gyro")[: 1 + self.gyros]]
         lags = list(dict.fromkeys(lags)) if compensator.warm else [0.0]
         if len(lags) > 1:  # followers of each thermometer for accelerometers, and then for gyros
-            thermometers = thermometers[0], heat + thermometers[1]
+            of_gyro = heat + of_gyro
         self.moved = self.gyros and bool(np.any(compensator.levers))
         self.delay = int(self.moved)
         accel, rates = compensator.accelerometers, compensator.gyros if self.gyros else None
         n, m = len(accel.sheet), 0 if rates is None else len(rates.sheet)
         sheet = np.zeros((0, WIDTH)) if rates is None else rates.sheet
         steps, feels = (1, False) if rates is None else (rates.steps, rates.feels)
-        self._sensors = accel.sheet, sheet, *thermometers, accel.steps, steps, feels
+        self._sensors = accel.sheet, sheet, of_accel, of_gyro, accel.steps, steps, feels
         limits = LONGEST_STEP * interval, ranges.rate**2, ranges.force**2
         self._settings = np.array([interval, *ranges.temperature, latest, zero, *limits, nan])
         followers = len(lags) * heat
         self._start = np.zeros(followers)
-        for block, numbers in zip((compensator.accel, compensator.gyro), thermometers, strict=True):
+        for block, numbers in ((compensator.accel, of_accel), (compensator.gyro, of_gyro)):
             if block is not None and block.kind in compensator.references and len(numbers) == block.size:
                 self._start[numbers] = compensator.references[block.kind]
         self._state: tuple[Array, ...] = (
@@ -262,15 +279,13 @@ class Corrector:
         """Ranges outside of which samples are flagged."""
         self._compensator = compensator = self.calibration.compensator
         blocks = compensator.accel, compensator.gyro
-        of_accel, of_gyro = (np.zeros(0, int) if block is None else block.thermometer for block in blocks)
-        self.thermometers = 1 + int(max(*of_accel, *of_gyro))
+        self.thermometers = 1 + max(int(block.thermometer.max()) for block in blocks if block is not None)
         """Number of thermometers that the readings come with."""
         self._sizes = [0 if block is None else block.size for block in blocks]
         self._stream = Stream(
             compensator,
             1.0 / rate,
-            gyros=True,
-            thermometers=(of_accel, of_gyro),
+            blocks=blocks,
             heat=self.thermometers,
             ranges=self.ranges,
             zero=ZERO_CELSIUS,

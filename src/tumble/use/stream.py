@@ -90,14 +90,12 @@ class StreamCheck:
         self.rests, self.moved = list[CheckedRest](), tuple[MovedBias, ...]()
         self._gyro = None if accepted.gyro is None else session.gyro_block
         self._white, self._ranges = white_noise(accepted), Ranges.of(accepted)
-        blocks = session.accel_block, self._gyro
-        of_accel, of_gyro = (np.zeros(0, int) if block is None else block.thermometer for block in blocks)
         heat = 1 if session.log.temperature is None else len(session.log.temperature.columns)
         self._stream = Stream(
             self.calibration.compensator,
             1.0 / sample_rate,
+            blocks=(session.accel_block, self._gyro),
             gyros=False,
-            thermometers=(of_accel, of_gyro),
             heat=heat,
             ranges=self._ranges,
             zero=ZERO_CELSIUS,
