@@ -28,14 +28,14 @@ from typing import Any
 
 import numpy as np
 
-from tumble.export.exported import UNITS, Exported, example_line, models, notes_of, numbers, origin, shown
+from tumble.export.exported import Exported, example_line, models, notes_of, numbers, origin, shown
 from tumble.export.templates import laid_out
 from tumble.reduction.rests.thermometer import followed
 from tumble.result.applied_correction import beyond_linear, examples, over_temperature
 from tumble.result.calibration import Calibration
 from tumble.result.temperature_curves import changing, measured_range, own_thermometers
 from tumble.sensors.compensation import FIXED_POINT_STEPS, Compensator
-from tumble.sensors.model import SensorKind, SensorModel
+from tumble.sensors.model import UNITS, SensorKind, SensorModel
 from tumble.units import Array
 
 LAG_EXAMPLE = ((20.0, 0.0), (21.0, 10.0), (23.0, 10.0), (23.0, 60.0))

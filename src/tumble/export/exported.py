@@ -15,10 +15,9 @@ import numpy as np
 
 from tumble.brief import Brief
 from tumble.errors import InputError
-from tumble.result.accepted import WORDS
 from tumble.result.calibration import Calibration
 from tumble.result.linear_fit import errors_left, linear_model, session_rate
-from tumble.sensors.model import SensorKind, SensorModel
+from tumble.sensors.model import UNITS, WORDS, SensorKind, SensorModel
 from tumble.sensors.parameters import (
     FORCE,
     ParameterGroup,
@@ -28,8 +27,6 @@ from tumble.sensors.parameters import (
     within_kind,
 )
 from tumble.units import DEGREE, G_STANDARD, Array
-
-UNITS: Mapping[SensorKind, str] = {"accel": "m/s^2", "gyro": "rad/s"}
 
 MAGNETOMETER = "mag"
 """In the groups that a target holds: matrix and bias of the magnetometer."""

@@ -22,7 +22,6 @@ import numpy as np
 
 from tumble.errors import InputError
 from tumble.export.exported import (
-    UNITS,
     Exported,
     example_line,
     g_sensitivity,
@@ -36,11 +35,11 @@ from tumble.files import FilePath
 from tumble.recording.session import Session
 from tumble.recording.session_file import session_from
 from tumble.reduction.noise.filter_values import Densities, densities
-from tumble.result.accepted import WORDS
 from tumble.result.applied_correction import linear_example
 from tumble.result.calibration import Calibration
 from tumble.result.parts import SensorsAtRest
 from tumble.run.quiet_samples import longest_rest, noise_panels
+from tumble.sensors.model import UNITS
 from tumble.units import Array
 
 
@@ -74,7 +73,7 @@ def noise_of_rests(calibration: Calibration) -> NoiseDensities:
     Raises InputError for a calibration without rests or gyros."""
     densities = []
     seconds = np.array([rest.stop - rest.start for rest in calibration.evidence.rests])
-    for kind in WORDS:
+    for kind in UNITS:
         rests: list[SensorsAtRest | None] = [getattr(rest, kind) for rest in calibration.evidence.rests]
         sensors_of_rests = [sensors for sensors in rests if sensors is not None]
         if not sensors_of_rests or len(sensors_of_rests) < len(rests):

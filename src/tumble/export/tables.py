@@ -28,7 +28,6 @@ import numpy as np
 
 from tumble.export.autopilots import range_of, warm_end
 from tumble.export.exported import (
-    UNITS,
     Exported,
     example_line,
     in_units,
@@ -42,6 +41,7 @@ from tumble.result.applied_correction import linear_example
 from tumble.result.calibration import Calibration
 from tumble.result.file import content_of
 from tumble.result.temperature_curves import Range, changing, curve, own_thermometers
+from tumble.sensors.model import UNITS
 from tumble.sensors.parameters import THERMAL, group_name, groups, variable_of
 from tumble.units import Array
 

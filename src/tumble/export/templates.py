@@ -69,10 +69,9 @@ from tumble.export.exported import (
     yaml_list,
     yaml_number,
 )
-from tumble.result.accepted import WORDS
 from tumble.result.applied_correction import linear_example
 from tumble.result.calibration import Calibration
-from tumble.sensors.model import SensorKind, SensorModel
+from tumble.sensors.model import WORDS, SensorKind, SensorModel
 from tumble.units import DEGREE, G_STANDARD, Array
 
 if TYPE_CHECKING:

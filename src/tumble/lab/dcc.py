@@ -28,7 +28,7 @@ import scipy
 from tumble.documents import plain
 from tumble.errors import InputError
 from tumble.export import Target
-from tumble.export.exported import UNITS, Exported, models, not_held, origin, shown
+from tumble.export.exported import Exported, models, not_held, origin, shown
 from tumble.files import FilePath
 from tumble.lab.certificate import RELATES, STATES, Certificate, Party, check_certificate, judged_by, read_certificate
 from tumble.lab.conformity import RISK, RULE, Verdict, verdicts
@@ -38,7 +38,7 @@ from tumble.result.calibration import Calibration, read_calibration
 from tumble.result.coverage import PROBABILITY, degrees_of_freedom
 from tumble.result.further import described
 from tumble.result.parts import FEWEST_DEGREES, Parameter, stated_factor
-from tumble.sensors.model import SensorKind, SensorModel
+from tumble.sensors.model import UNITS, SensorKind, SensorModel
 from tumble.sensors.parameters import sensor_kind, shown_in
 from tumble.units import Array
 

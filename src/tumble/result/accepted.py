@@ -16,12 +16,11 @@ from tumble.inference.estimate import Fit, Judgement, Outcome
 from tumble.result.evidence import Evidence
 from tumble.result.parts import Launch
 from tumble.result.record import AnyCalibration, CalibrationData
-from tumble.sensors.model import SensorKind, SensorModel
+from tumble.sensors.model import WORDS, SensorKind, SensorModel
 from tumble.sensors.parameters import sensor_kind
 
 _Value = TypeVar("_Value")
 
-WORDS: Mapping[SensorKind, str] = {"accel": "accelerometers", "gyro": "gyros"}
 _FITS: Mapping[SensorKind, tuple[str, ...]] = {
     "accel": ("accelerometers", "velocities of turns"),
     "gyro": ("gyro rests", "gyro turns"),

@@ -25,12 +25,12 @@ from tumble.result.record import CalibrationData
 from tumble.result.temperature_curves import changing
 from tumble.sensors.compensation import FIXED_POINT_STEPS, Compensator
 from tumble.sensors.instrument import is_linear
-from tumble.sensors.model import SensorKind, SensorModel
+from tumble.sensors.model import UNITS, SensorKind, SensorModel
 from tumble.sensors.parameters import FORCE, OWN_CUBE, OWN_SIZE, PRODUCTS
 from tumble.units import Array
 
-_SYMBOLS: dict[SensorKind, tuple[str, str]] = {"accel": ("f", "m/s^2"), "gyro": ("w", "rad/s")}
-"""Of each kind the symbol of its vector, and its unit."""
+_SYMBOLS: dict[SensorKind, str] = {"accel": "f", "gyro": "w"}
+"""The symbol of the vector of each kind."""
 _EXAMPLES = {"accel": (0.5, -1.0, 9.7), "gyro": (0.1, -0.2, 0.3), "mag": (0.4, -0.2, 0.3)}
 """True vectors near which the examples are, SI or in the unit of the field."""
 _TERMS = {
@@ -113,7 +113,7 @@ def correction_content(calibration: CalibrationData) -> dict[str, Any]:
         return out
     compensator = calibration.compensator
     for kind, worked in examples(compensator, kinds).items():
-        symbol, unit = _SYMBOLS[kind]
+        symbol = _SYMBOLS[kind]
         model = compensator.model(kind)
         tables = {"bias": model.bias, "inverse": model.inverse()} | beyond_linear(compensator, kind)
         terms = [words.format(symbol) for name, words in _TERMS.items() if np.any(tables.get(name, 0.0))]
@@ -128,7 +128,7 @@ def correction_content(calibration: CalibrationData) -> dict[str, Any]:
                 "; at d = T − reference, °C: bias + d (bias_slope + d bias_curve), and what stands in the brackets is "
                 "divided by 1 + d (scale_slope + d scale_curve)"
             )
-        content = {"formula": formula, "unit": unit} | {name: table.tolist() for name, table in tables.items()}
+        content = {"formula": formula, "unit": UNITS[kind]} | {name: table.tolist() for name, table in tables.items()}
         example = {"y": worked.reading.tolist(), symbol: worked.true.tolist()}
         if "by_force" in tables:
             example["f"] = worked.force.tolist()

@@ -26,7 +26,7 @@ from tumble.recording.session import Circumstances, sensors_content
 from tumble.result.applied_correction import correction_content
 from tumble.result.parts import LARGEST, Parameter
 from tumble.result.record import AnyCalibration, CalibrationData
-from tumble.sensors.model import SensorModel
+from tumble.sensors.model import UNITS, SensorModel
 from tumble.sensors.parameters import group_name, sensor_kind, within_group, within_kind
 
 FORMAT = 1
@@ -96,8 +96,7 @@ def content_of(calibration: CalibrationData) -> dict[str, Any]:
     warmth |= {"lag": lags} if lags else {}
     content["temperature"] = {key: value for key, value in warmth.items() if value != {}}
     content["device"] = {key: value for key, value in content["device"].items() if value != {}}
-    units = {"accel": "m/s^2", "gyro": "rad/s", "mag": calibration["mag.bias.x"].unit if calibration.mag else ""}
-    for kind, unit in units.items():
+    for kind, unit in (*UNITS.items(), ("mag", calibration["mag.bias.x"].unit if calibration.mag else "")):
         if content[kind] is not None:
             content[kind]["unit"] = unit
             for group in calibration.groups:

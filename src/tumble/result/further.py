@@ -19,6 +19,7 @@ from tumble.result.coverage import without_expanded
 from tumble.result.evidence import Evidence
 from tumble.result.linear_fit import errors_left
 from tumble.result.parts import Launch, Parameter
+from tumble.sensors.model import WORDS
 from tumble.sensors.parameters import beyond_linear, group_name, named_group, sensor_kind, shown_in
 from tumble.units import Array, engineering, two_digits
 
@@ -35,7 +36,6 @@ NOTHING = 1e-9
 UNSEEN = 0.05
 """A scatter could be there unseen where chance would hide it in more than this part of all sessions."""
 SENSORS = {"accel": "accelerometer", "gyro": "gyro", "mag": "magnetometer"}
-KINDS = {"accel": "accelerometers", "gyro": "gyros", "mag": "magnetometer"}
 _NAME = re.compile(
     r"(?P<kind>accel|gyro|mag)\.(?:axis\.(?P<pair>[xyz]{2})|(?P<what>bias|scale|axis)\."
     r"(?:(?P<letter>[xyz])|(?P<number>\d+))(?:\.(?P<angle>[12]))?)"
@@ -249,7 +249,7 @@ def remarks(calibration: Calibration) -> tuple[str, ...]:
     sentences = list(without_expanded(calibration.parameters))
     if calibration.evidence.launches:
         return tuple(sentences)
-    for kind, sensors in KINDS.items():
+    for kind, sensors in WORDS.items():
         groups = [fit for name, fit in calibration.evidence.fits.items() if name.startswith(kind) and fit.degrees > 0.0]
         hidden = max(((unseen(fit), fit.degrees) for fit in groups if fit.scatter == 0.0), default=(0.0, 0.0))
         if 1.0 < hidden[0] < inf:

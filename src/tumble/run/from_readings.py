@@ -42,7 +42,6 @@ from tumble.reduction.observations import Observations
 from tumble.reduction.rests.rests import Rests
 from tumble.result.calibration import Calibration
 from tumble.result.evidence import Evidence
-from tumble.result.further import KINDS
 from tumble.result.parts import CalibratedDevice, Parameter, Readings
 from tumble.run.calibrate import provenance_of
 from tumble.run.case import estimate_in
@@ -62,6 +61,7 @@ from tumble.run.readings_table import (
 from tumble.sensors.frames import Convention, Frame, convert, frame_of
 from tumble.sensors.grades import GRADES
 from tumble.sensors.grades import grade as grade_named
+from tumble.sensors.model import WORDS
 from tumble.sensors.parameters import FURTHER, Terms, prior_sizes, variable_of
 from tumble.units import Array, engineering, fitting_units, is_near_one
 from tumble.usual_setup import MOVE, ON_TABLE
@@ -239,7 +239,7 @@ def calibrate_readings(
         outcome=outcome,
         groups=() if estimate is None else estimate.groups,
         prediction=None if estimate is None else estimate.prediction,
-        evidence=Evidence(fits={} if fit is None else {KINDS[sensor]: fit.fit(nominal.result_unit)}),
+        evidence=Evidence(fits={} if fit is None else {WORDS[sensor]: fit.fit(nominal.result_unit)}),
         provenance=replace(
             provenance_of(table.sha256),
             site=site if sensor == "accel" else None,

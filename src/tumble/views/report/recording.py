@@ -18,6 +18,7 @@ from tumble.result.calibration import Calibration
 from tumble.result.further import checked, rests_said
 from tumble.result.parts import Launch, TurnResult
 from tumble.rotation import unit_vector
+from tumble.sensors.model import UNITS
 from tumble.units import DEGREE, G_STANDARD, Array
 from tumble.views.blocks import Block, Facts, Figure, Section, Table, Text, section, table
 from tumble.views.numbers import NONE, fixed, in_engineering, significant
@@ -215,7 +216,7 @@ def _fit_table(fits: Mapping[str, Fit]) -> Table | None:
 def noise(recording: RecordedSession) -> Section | None:
     """Noise density and drift over the rests of every sensor, by its column in the log, else a number."""
     rows = []
-    for kind, si in (("accel", "m/s^2"), ("gyro", "rad/s")):
+    for kind, si in UNITS.items():
         at_rest = [getattr(rest, kind) for rest in recording.recorded.rests]
         if not at_rest or any(each is None for each in at_rest):
             continue

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from tumble.errors import CalibrationError
-from tumble.result.accepted import WORDS, accepted_kinds
+from tumble.result.accepted import accepted_kinds
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import expanded
 from tumble.result.further import (
@@ -24,6 +24,7 @@ from tumble.result.further import (
 )
 from tumble.result.parts import Parameter
 from tumble.result.unaided import improvement
+from tumble.sensors.model import WORDS
 from tumble.sensors.parameters import sensor_kind
 from tumble.views.blocks import Block, Facts, Figure, Items, Section, Table, Text, Tone, section, table
 from tumble.views.calibration import group_table, launch_table, unknown_blocks
