@@ -30,6 +30,7 @@ from tumble.result.parts import (
     RestResult,
     SensorsAtRest,
     TurnResult,
+    learned_fraction,
 )
 from tumble.result.uncertainty_budget import contributions_of
 from tumble.sensors.frames import Frame, convert
@@ -176,10 +177,7 @@ def learned_in(estimate: Estimate) -> dict[str, dict[str, float]]:
     """Prior, as widened, and learned fraction of the parameters of groups beyond the linear model, by name, and of all
     of which the type of the device says anything."""
     u = dict(zip(estimate.names, estimate.u.tolist(), strict=True))
-    of_type = {
-        name: {"prior": s, "learned": min(max(1.0 - (u[name] / s) ** 2, 0.0), 1.0)}
-        for name, s in estimate.of_type.items()
-    }
+    of_type = {name: {"prior": s, "learned": learned_fraction(u[name], s)} for name, s in estimate.of_type.items()}
     if estimate.instrument is None:
         return of_type
     return {

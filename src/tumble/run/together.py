@@ -25,7 +25,7 @@ from tumble.recording.session_file import session_from
 from tumble.reduction.observations import Observations
 from tumble.reduction.together import joined
 from tumble.result.calibration import Calibration
-from tumble.result.parts import Member, Parameter
+from tumble.result.parts import Member, Parameter, learned_fraction
 from tumble.run.calibrate import assumptions, by_reference_clock, estimated, provenance_of, systematic_of
 from tumble.run.from_estimate import result_of, without_result
 from tumble.run.launches import Means, check_recordings, circumstances_of_all, digest_of_all
@@ -224,11 +224,10 @@ def _means(observations: Observations) -> Means:
 
 def _of_its_own(own: OwnEstimate, s: int) -> tuple[Parameter, ...]:
     """What the session number s has of its own."""
-    learned = np.clip(1.0 - (own.u[s] / own.priors) ** 2, 0.0, 1.0)
-    numbers = np.column_stack([own.values[s], own.u[s], own.priors, learned]).tolist()
+    numbers = np.column_stack([own.values[s], own.u[s], own.priors]).tolist()
     return tuple(
-        Parameter(name=name, value=value, u=u, unit=unit, prior=prior, learned=part)
-        for name, unit, (value, u, prior, part) in zip(own.names, own.units, numbers, strict=True)
+        Parameter(name=name, value=value, u=u, unit=unit, prior=prior, learned=learned_fraction(u, prior))
+        for name, unit, (value, u, prior) in zip(own.names, own.units, numbers, strict=True)
     )
 
 
