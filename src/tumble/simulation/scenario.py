@@ -78,11 +78,26 @@ NO_VIBRATION = Vibration()
 
 @dataclass(frozen=True, kw_only=True)
 class Scenario:
-    """Everything a simulated session is made of, apart from chance: the set-up, whose spreads do not count, for the
-    sensors of `accel` and `gyro` have the `truth`, values by parameter name of both blocks and of the groups beyond the
-    linear model that the instrument has; it goes into truth.json. Errors of table and mounting are rotations uniform
-    within ± about each axis: of the mounting for the launch (body axes), of the table for every position (geographic
-    axes). With a `climate` a recording has temperatures, and parameters that change with them do."""
+    """Everything that a simulated session is made of, apart from chance.
+
+    Errors of table and mounting are rotations uniform within ± about each axis: of the mounting for the launch (body
+    axes), of the table for every position (geographic axes).
+
+    Attributes
+    ----------
+    setup : Setup
+        Programme, site and noise; its spreads are not used.
+    accel, gyro : Block
+        The sensors.
+    truth : mapping of str to float
+        True values of all parameters, SI, which truth.json has.
+    vibration : Vibration
+        Vibration throughout the log.
+    serial : str
+        Serial number of the device.
+    climate : Climate or None
+        Temperatures of the session, with which parameters change.
+    """
 
     setup: Setup
     accel: Block

@@ -34,9 +34,21 @@ NODES = 128
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Climate:
-    """Temperatures (·, T), K, of the thermometers at times (·,), s, from the start of the session, straight between
-    them; the temperature, K, at which the true parameters have their values; and the `lags` of the sensors behind their
-    thermometers, s, by kind. `span`, the middle and half the range, K, (T,) or of all, are those of a hysteresis."""
+    """Temperatures of thermometers and sensors throughout a session.
+
+    Attributes
+    ----------
+    time : (N,) array
+        Times from the start of the session, s, between which temperatures change linearly.
+    kelvin : (N, T) array
+        Temperatures of the thermometers, K.
+    reference : float
+        Temperature at which the true parameters have their values, K.
+    lags : mapping of str to float
+        Lags of the sensors behind their thermometers, s, by kind.
+    span : (float or (T,) array, float or (T,) array)
+        Middle and half the range of the temperatures, K, of which the hysteresis is made.
+    """
 
     time: Array
     kelvin: Array
@@ -99,9 +111,16 @@ _NODES = 2000
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TemperatureProfile:
-    """Temperatures, °C, at equal steps from the start of a session to its end, one where it stays the same, and on top
-    of them the `heating` of each thermometer from power-on, K, which is reached exponentially with a time constant, s:
-    one for all sensors, two for the accelerometers and the gyros, or one a sensor."""
+    """Temperatures of a session.
+
+    Attributes
+    ----------
+    celsius : tuple of float
+        Temperatures, °C, at equal steps from the start to the end; one if it stays the same.
+    heating : tuple of (float, float)
+        Rise of each thermometer after power-on, K, and the time constant, s, with which it is reached: one for all
+        sensors, two for accelerometers and gyros, or one a sensor.
+    """
 
     celsius: tuple[float, ...]
     heating: tuple[tuple[float, float], ...] = ((0.0, 600.0),)
