@@ -315,7 +315,7 @@ def test_launches_are_averaged_into_the_file_that_is_named(sessions: Path) -> No
     out = sessions / "mean.json"
     result = run("calibrate", sessions / "one", sessions / "two", "--out", out)
     assert result.exit_code == 0, result.stderr
-    assert "run to run" in result.stdout
+    assert "from launch to launch: accel.bias " in result.stdout
     assert [launch["session"] for launch in json.loads(out.read_text(encoding="utf-8"))["launches"]] == ["one", "two"]
     assert not (sessions / "one" / "calibration.json").exists()
 
@@ -325,6 +325,21 @@ def test_a_launch_that_is_refused_refuses_the_mean_and_is_named(sessions: Path) 
     result = run("calibrate", sessions / "one", sessions / "two", "--out", sessions / "mean.json")
     assert result.exit_code == 1
     assert "not accepted: two: the gyros do not carry the vertical" in result.stderr
+
+
+def test_reasons_are_a_few_lines_unless_all_is_asked_for(sessions: Path) -> None:
+    """Cut between clauses; the file has every word."""
+    log = sessions / "one" / "log.parquet"
+    pl.read_parquet(log).with_columns(ax=3.0 * pl.col("t").sin(), ay=9.0 * pl.col("t").cos()).write_parquet(log)
+    result = run("calibrate", sessions / "one")
+    assert result.exit_code == 1
+    (whole,) = json.loads((sessions / "one/calibration.json").read_text(encoding="utf-8"))["outcome"]["reasons"]
+    assert f"not accepted: {whole}\n" in run("calibrate", sessions / "one", "--all").stderr
+    (shown,) = [line for line in result.stderr.splitlines() if line.startswith("not accepted: ")]
+    begun = shown.removeprefix("not accepted: ").removesuffix(" (more: --all)")
+    assert len(whole) > 400
+    assert 200 < len(begun) <= 300
+    assert whole.startswith(f"{begun}; ")
 
 
 def test_names_that_look_like_markup_are_shown_as_they_are(sessions: Path) -> None:
@@ -509,7 +524,7 @@ def test_no_damage_to_a_log_leads_to_a_traceback(sessions: Path, seed: int) -> N
     log = _spoilt(pl.read_parquet(folder / "log.parquet"), rng)
     log.write_parquet(folder / "log.parquet")
     assert run("inspect", folder).exit_code in (0, 1, 2)
-    result = run("calibrate", folder)
+    result = run("calibrate", folder, "--all")
     if result.exit_code == 2:
         assert re.fullmatch(r"tumble: [^\n]+\n", result.stderr)
         assert not (folder / "calibration.json").exists()

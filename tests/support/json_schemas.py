@@ -85,7 +85,7 @@ class Walk:
         if isinstance(hint, str):
             return self.schema(self._named(hint))
         if isinstance(hint, dict):
-            return self._table({name.rstrip("?"): self.schema(each) for name, each in hint.items()}, hint)
+            return self._table({name: self.schema(each) for name, each in hint.items()})
         if isinstance(hint, list):
             return {"type": "array", "items": self.schema(hint[0])}
         if hint in _SIMPLE:
@@ -145,7 +145,7 @@ class Walk:
         names = getattr(kind, "json_fields", None) or kind.__dataclass_fields__
         hints = self._hints(kind, kind)
         columns = {each: hints[each] if each in hints else self._of_property(kind, each) for each in names}
-        described = self._table({each: self.schema(hint) for each, hint in columns.items()}, columns)
+        described = self._table({each: self.schema(hint) for each, hint in columns.items()})
         self.definitions[name] = {"type": "array", "items": described} if hasattr(kind, "__len__") else described
         return place
 
@@ -158,9 +158,13 @@ class Walk:
         return get_type_hints(annotated, localns={n: v for n, v in self._names.items() if n not in its})
 
     @staticmethod
-    def _table(properties: Mapping[str, Any], names: Mapping[str, Any]) -> dict[str, Any]:
-        required = [name for name in names if not name.endswith("?")]
-        return {"type": "object", "properties": dict(properties), "required": required, "additionalProperties": False}
+    def _table(properties: Mapping[str, Any]) -> dict[str, Any]:
+        return {
+            "type": "object",
+            "properties": dict(properties),
+            "required": list(properties),
+            "additionalProperties": False,
+        }
 
     def _calibration(self) -> dict[str, Any]:
         """The calibration file, whose record may be read with less than is written."""
