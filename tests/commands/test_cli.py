@@ -174,7 +174,6 @@ def test_no_argument_at_all_shows_the_commands() -> None:
         (["calibrate", ""], "expected a path, found an empty one"),
         (["calibrate", "none"], "none: expected a session folder or its session.toml, found no such file or folder"),
         (["calibrate", "."], "session.toml: expected a session folder with a session.toml, found none; of a log"),
-        (["inspect", "few/log.parquet"], "expected a session folder or its session.toml, found another file"),
         (["calibrate", "one", "two"], "--out: expected a file for the result of several sessions, found none"),
         (["calibrate", "one", "one", "--out", "x.json"], "holds the same recording as one"),
         (["calibrate", "one", "other", "--out", "x.json"], "expected a launch of device 'mems-7'"),
@@ -182,7 +181,7 @@ def test_no_argument_at_all_shows_the_commands() -> None:
         (["calibrate", "few", "--truth", "none.json"], "none.json: expected a truth.json as `tumble simulate` writes"),
         (["calibrate", "few", "--truth", "few/session.toml"], "session.toml: expected a truth.json"),
         (["calibrate", "few", "--truth", "few/log.parquet"], "log.parquet: expected a truth.json"),
-        (["inspect"], "Missing argument 'SESSION'"),
+        (["inspect"], "Missing argument 'SESSION|LOG'"),
         (["inspect", "none"], "none: expected a session folder or its session.toml"),
         (["inspect", "one", "two"], "Got unexpected extra argument (two)"),
         (["inspect", "one", "two\nthree"], "Got unexpected extra argument (two three); see `tumble inspect --help`"),
@@ -347,7 +346,7 @@ def test_names_that_look_like_markup_are_shown_as_they_are(sessions: Path) -> No
     for old, new in zip(("one", "two"), names, strict=True):
         (sessions / old).rename(sessions / new)
         _edit(sessions / new, lambda content: content["device"].update(serial="A[/red]7", model="[bold]"))
-    result = run("calibrate", *(sessions / name for name in names), "--out", sessions / "mean.json")
+    result = run("calibrate", *(sessions / name for name in names), "--out", sessions / "mean.json", "--all")
     assert result.exit_code == 0, result.stderr
     assert "A[/red]7 ([bold])" in result.stdout
     for name in names:
@@ -474,6 +473,31 @@ def test_a_blemish_in_a_log_is_reported_and_no_reason_to_refuse_it(sessions: Pat
     result = run("calibrate", folder, "--terms", "linear", "--all")
     assert result.exit_code == 0, result.output
     assert said in result.output
+
+
+def test_a_log_is_inspected_as_it_is_calibrated(sessions: Path) -> None:
+    """With the session that `calibrate` finds again; what cannot be read leaves nothing behind."""
+    log = sessions / "log.csv"
+    pl.read_parquet(sessions / "one" / "log.parquet").write_csv(log)
+    seen = json.loads(run("inspect", log, "--latitude", "56.84", "--json").stdout)
+    done = run("calibrate", log, "--latitude", "56.84", "--json")
+    assert "log-session/session.toml: the session made of this log before" in done.stderr
+    assert [rest["start"] for rest in seen["observations"]["rests"]] == [
+        rest["start"] for rest in json.loads(done.stdout)["rests"]
+    ]
+    (sessions / "none.csv").write_text("no log\n", encoding="utf-8")
+    assert "none.csv: " in refused("inspect", sessions / "none.csv", below=sessions)
+    assert "expected one log with them" in refused("inspect", sessions / "one", "--latitude", "50", below=sessions)
+
+
+def test_noise_that_is_refused_says_nothing_else(sessions: Path) -> None:
+    """How the log was read is said with its result alone."""
+    log = sessions / "one" / "log.csv"
+    pl.read_parquet(sessions / "one" / "log.parquet").head(400).write_csv(log)
+    words = "noise", log, "--accel", "ax,ay,az", "--time", "t"
+    assert "accel: ax, ay, az, as stated" in run(*words).stderr
+    pl.read_csv(log).head(30).write_csv(log)
+    assert "expected at least 50 samples, found 30" in refused(*words, below=sessions)
 
 
 # -------------------- at random --------------------
