@@ -181,6 +181,7 @@ def test_no_argument_at_all_shows_the_commands() -> None:
         (["calibrate", "few", "--truth", "none.json"], "none.json: expected a truth.json as `tumble simulate` writes"),
         (["calibrate", "few", "--truth", "few/session.toml"], "session.toml: expected a truth.json"),
         (["calibrate", "few", "--truth", "few/log.parquet"], "log.parquet: expected a truth.json"),
+        (["plan", "--turn-rate", "1e18"], "turn_rate: expected at most 1e5 deg/s, found 1e+18"),
         (["inspect"], "Missing argument 'SESSION|LOG'"),
         (["inspect", "none"], "none: expected a session folder or its session.toml"),
         (["inspect", "one", "two"], "Got unexpected extra argument (two)"),
