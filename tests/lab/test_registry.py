@@ -361,7 +361,7 @@ def test_a_damaged_column_is_said_in_one_line(damage: str, place: str, registry:
         raw.execute("DROP TRIGGER calibration_no_update")
         raw.execute("UPDATE calibration SET performed = ?", (damage,))
     raw.close()
-    for look in (registry.records, registry.due):
+    for look in (registry.records, registry.due, lambda: added(registry)):
         with pytest.raises(InputError, match="expected what was written into it, found a damaged value") as said:
             look()
         assert "\n" not in str(said.value)

@@ -118,13 +118,7 @@ class Database:
             with self.writing():
                 pass
         with self._transaction(**{} if _is_file(self.engine.url) else {"isolation_level": "REPEATABLE READ"}) as begun:
-            try:
-                yield Rows(connection=begun)
-            except (ValueError, TypeError) as error:  # a column that is not what it was written as
-                raise InputError(
-                    f"{self.name}: the registry cannot be used: expected what was written into it, found a damaged "
-                    f"value: {' '.join(str(error).split())}"
-                ) from error
+            yield Rows(connection=begun)
 
     @contextmanager
     def writing(self) -> Iterator[Rows]:
@@ -149,8 +143,14 @@ class Database:
 
     @contextmanager
     def _transaction(self, **options: Any) -> Iterator[Connection]:
-        with in_one_line(self.name), self.engine.connect() as begun, begun.execution_options(**options).begin():
-            yield begun
+        try:
+            with in_one_line(self.name), self.engine.connect() as begun, begun.execution_options(**options).begin():
+                yield begun
+        except (ValueError, TypeError) as error:  # a column that is not what it was written as
+            raise InputError(
+                f"{self.name}: the registry cannot be used: expected what was written into it, found a damaged value: "
+                f"{' '.join(str(error).split())}"
+            ) from error
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
