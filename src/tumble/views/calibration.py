@@ -86,9 +86,10 @@ def calibration_blocks(
     others
         Calibrations of the same sessions by other methods.
     every
-        Show all parameters, tables of groups, rests, turns and fits, and all remarks and notes. Without it there are
-        the accepted parameters of the linear model, where nothing is compared a row a group, and as many remarks, of
-        MOST_REMARKS, as leave room for the whole on MOST_LINES lines.
+        Show all parameters, tables of groups, rests, turns, fits, launches, iterations and methods, and all remarks and
+        notes. Without it there are the accepted parameters of the linear model, a row a group where nothing stands
+        beside each, a line on launches, iterations and other methods, and as many remarks, of MOST_REMARKS, as leave
+        room for the whole on MOST_LINES lines.
     budget
         Show what every u is made of.
     file, session
@@ -97,7 +98,7 @@ def calibration_blocks(
     parameters, evidence = calibration.parameters, calibration.evidence
     parameters = parameters if every else _usable(calibration, linear_parameters(parameters))
     several, passport = bool(evidence.launches), any(p.deviation is not None for p in parameters)
-    compared = every or several or passport or bool(truth) or bool(others)
+    compared = every or passport or bool(truth)
     by_kind = [*verdicts(calibration)]
     if spared := accepted_groups(calibration):
         by_kind.insert(-1, f"accepted all the same: {', '.join(spared)}")
@@ -113,16 +114,16 @@ def calibration_blocks(
         from tumble.views.uncertainty_budget import budget_blocks
 
         blocks += budget_blocks(calibration, every=every)
-    if several:
-        blocks += [launch_table(calibration, parameters, deviations=which) for which in (False, True)[: 1 + passport]]
     blocks.append(_session_table(calibration))
     iterated = [c for c in (calibration, *others) if c.method in ITERATED_METHODS and c.evidence.iterations]
-    for each in iterated:
-        of_session = [p for p in each.parameters if each is not calibration and p.name in {q.name for q in parameters}]
-        blocks += [f"method {each.method}"] if others else []
-        blocks.append(iteration_table(each, of_session or parameters))
-    blocks += [WHAT_AN_INCREMENT_SAYS] if iterated else []
-    blocks += [method_table(calibration, other, parameters) for other in others]
+    if every:
+        if several:
+            blocks += [launch_table(calibration, parameters, deviations=each) for each in (False, True)[: 1 + passport]]
+        for each in iterated:
+            blocks += [f"method {each.method}"] if others else []
+            blocks.append(iteration_table(each, [p for p in each.parameters if p.name in calibration]))
+        blocks += [WHAT_AN_INCREMENT_SAYS] if iterated else []
+        blocks += [method_table(calibration, other, parameters) for other in others]
     lines = [] if truth is None else [_against_truth(calibration, truth)]
     if every:
         if not several:
@@ -135,6 +136,11 @@ def calibration_blocks(
         site = calibration.provenance.site
         lines += [gravity_said(site)] if site is not None and not site.gravity_is_unit else []
         return [*blocks, Items(items=(*lines, *without_expanded(parameters), *calibration.provenance.notes))]
+    lines += [_run_to_run(parameters)] if several else []
+    lines += [
+        f"{c.method}: the last of {len(c.evidence.iterations)} iterations added {_last_step(c)}" for c in iterated
+    ]
+    lines += [f"{c.method} differs from {calibration.method} by {_largest_difference(calibration, c)}" for c in others]
     lines += without_expanded(parameters)
     following = next_commands(calibration, file, session)
     height = len(text_of([*blocks, Items(items=(*lines, "")), *following], WIDTH).splitlines())
@@ -179,6 +185,33 @@ def _usable(calibration: Calibration, parameters: Iterable[Parameter]) -> tuple[
     """The parameters of the groups that are accepted, alone or with their sensors."""
     outcome = calibration.outcome
     return tuple(p for p in parameters if outcome.of(group_name(p.name)).accepted or "mag" in p.name)
+
+
+def _run_to_run(parameters: Sequence[Parameter]) -> str:
+    """The standard deviation from launch to launch in each group, root mean square over its parameters."""
+    units, shown = shown_units(parameters), []
+    for name, members in by_group(parameters).items():
+        size, unit = units[members[0].name]
+        rms = math.sqrt(sum((p.run_to_run or 0.0) ** 2 for p in members) / len(members))
+        shown.append(f"{name} {significant(rms / size, 2)} {unit}")
+    return f"from launch to launch: {', '.join(shown)}"
+
+
+def _last_step(calibration: Calibration) -> str:
+    """The largest increment of the last iteration, in units of u."""
+    step = calibration.evidence.iterations[-1]
+    return _largest({p.name: step[p.name] / p.u for p in calibration.parameters if p.u and p.name in step})
+
+
+def _largest_difference(calibration: Calibration, other: Calibration) -> str:
+    """The largest difference of another method, in units of u."""
+    both = [p for p in calibration.parameters if p.u and p.name in other]
+    return _largest({p.name: (other[p.name].value - p.value) / p.u for p in both if p.u})
+
+
+def _largest(sigmas: Mapping[str, float]) -> str:
+    name = max(sigmas, key=lambda name: abs(sigmas[name]), default="")
+    return f"at most {significant(abs(sigmas[name]), 2)} u ({name})" if name else "what no u says"
 
 
 def _against_truth(calibration: Calibration, truth: Mapping[str, float]) -> str:
