@@ -37,7 +37,7 @@ def new(folder: Path, more: tuple[Path, ...], log: tuple[Path, ...], **options: 
         raise click.UsageError("Missing argument 'LOG': the recording")
     given = ask.given_of(options)
     draft, faults = new_session(folder, [*log, *more], given, progress=tell.with_progress)
-    for sentence in draft.said:
+    for sentence in draft.remarks:
         tell.say(sentence)
     for fault in faults:
         tell.warn(f"look at this: {fault}")
@@ -139,7 +139,7 @@ def noise(
             layout = {key: value for key, value in drafts[0].log.items() if key != "file"}
             files = [file for draft in drafts for file in draft.files]
             found = noise_of(*files, layout=layout)
-        for sentence in drafts[0].said:
+        for sentence in drafts[0].remarks:
             tell.say(sentence)
     if picture is not None:
         plot(found.panels, picture)
