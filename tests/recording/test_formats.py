@@ -4,6 +4,7 @@ must come back as the same numbers."""
 from __future__ import annotations
 
 import math
+import os
 import sqlite3
 import struct
 import subprocess
@@ -490,6 +491,27 @@ def test_text_with_the_ending_of_matlab_is_no_recording(tmp_path: Path) -> None:
     assert not is_recording(tmp_path / "imu.mat")
     savemat(tmp_path / "imu.mat", {"acc": np.zeros((10, 3))})
     assert is_recording(tmp_path / "imu.mat")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no such files")
+def test_a_pipe_in_the_folder_of_a_bag_is_refused_and_not_waited_for(record: Array, tmp_path: Path) -> None:
+    write_bag2(tmp_path / "bag", record)
+    (data,) = (tmp_path / "bag").glob("*.db3")
+    data.unlink()
+    os.mkfifo(data)
+    with pytest.raises(InputError, match="expected a file, found a device or a pipe"):
+        messages(tmp_path / "bag")
+
+
+def test_times_that_are_said_to_be_floating_point_numbers_give_no_warning(record: Array, tmp_path: Path) -> None:
+    """As of a flight log whose layout is damaged."""
+    path = tmp_path / "r.ulg"
+    write_ulog(path, record)
+    path.write_bytes(
+        path.read_bytes().replace(b"uint64_t timestamp_sample;float x", b"double   timestamp_sample;float x")
+    )
+    with suppress(InputError):
+        new_session(tmp_path / "s", path)
 
 
 @pytest.mark.parametrize("damage", ["data = x'0001'", "data = 5"])

@@ -96,5 +96,7 @@ def _taken(values: dict[str, Any]) -> Any:
 
 def _rows(values: dict[str, Any], fields: dict[str, str], origin: int) -> Iterator[pl.DataFrame]:
     """The whole message: a flight log is in memory anyway."""
-    time = (_taken(values).astype(np.int64) - origin) * _SECOND
-    yield pl.DataFrame({TIME: time} | {name: values[field].astype(np.float64) for name, field in fields.items()})
+    with np.errstate(invalid="ignore"):  # of a damaged log
+        time = (_taken(values).astype(np.int64) - origin) * _SECOND
+        readings = {name: values[field].astype(np.float64) for name, field in fields.items()}
+    yield pl.DataFrame({TIME: time} | readings)
