@@ -44,7 +44,7 @@ from tumble.inference.turns_about import TurnsAbout
 from tumble.reduction.observations import Observations
 from tumble.rotation import unit_vector
 from tumble.sensors.instrument import Instrument, functions
-from tumble.sensors.model import beyond_turning
+from tumble.sensors.model import beyond_body, beyond_turning
 from tumble.sensors.parameters import FORCE
 from tumble.units import Array
 
@@ -126,14 +126,19 @@ def left_out_by_rests(
 
 
 def left_out_by_passes(observations: Observations, derivative: Array, beside: Estimate | None) -> LeftOut:
-    """What a method leaves out whose result has the `derivative` (m, 6N + 3K + 1) by the readings of accelerometers,
-    then gyros, at rest, by the errors of the turns, all in body axes, and by gravity; without gyros (m, 3N + 1)."""
+    """What a method leaves out whose result has the `derivative` (m, d) by the readings of accelerometers, then gyros,
+    at rest, in body axes those of triads, by the errors of the turns, by the integrals over them of the readings of
+    more than three gyros, and by gravity."""
     problem = whole_problem(observations)
-    rows, first, shown = start_of(problem)[0].rows, problem.instrument.linear_count, list[Array]()
-    for k, block in enumerate(problem.instrument.blocks):
-        of_rests = rows.rest[:, 3 * k : 3 * k + 3, 4 + first : -1]
-        shown.append(block.axes.T @ of_rests)
+    rows, first, shown, last = start_of(problem)[0].rows, problem.instrument.linear_count, list[Array](), 0
+    for block in problem.instrument.blocks:
+        of_rests = rows.rest[:, last : last + block.size, 4 + first : -1]
+        shown.append(block.axes.T @ of_rests if block.triad else of_rests)
+        last += block.size
     shown.append(rows.turn[:, :3, 7 + first : -1])
+    if observations.turn_readings is not None:
+        free = beyond_body(problem.instrument.blocks[1].axes)
+        shown.append(free.T @ rows.turn[:, -len(free) :, 7 + first : -1])
     every = np.concatenate([each.reshape(-1, each.shape[2]) for each in shown])
     return LeftOut.of(problem, derivative[:, :-1] @ every, beside)
 

@@ -33,6 +33,7 @@ from tumble.methods.paper.four_stages import (
     course_of_programme,
     one_pass,
 )
+from tumble.methods.paper.blocks import TRIAD
 from tumble.methods.paper.gyros import scalar_bias
 from tumble.planning.setup import NAMES
 from tumble.programme.positions import Programme
@@ -46,7 +47,7 @@ METHODS_OF_PAPER: tuple[MethodOfPaper, ...] = ("sequential", "scalar")
 
 _METHODS: Mapping[MethodOfPaper, PaperMethod] = {
     "sequential": SEQUENTIAL,
-    "scalar": replace(SCALAR, gyro_bias=lambda rate, force, earth, _: scalar_bias(rate, force, earth)),
+    "scalar": replace(SCALAR, gyro_bias=lambda rate, force, earth, *_: scalar_bias(rate, force, earth)),
 }
 
 STEP = 1e-4
@@ -76,7 +77,7 @@ class PaperProgramme:
         """A programme with turns at this rate, rad/s, at a latitude, rad. Raises ProgrammeError where it has not the
         positions that the method needs."""
         nominal = np.array([position.matrix for position in programme.positions])
-        _METHODS[method].check(nominal[:, 1])
+        _METHODS[method].check(nominal[:, 1], TRIAD)
         course = course_of_programme(programme, turn_rate=turn_rate, latitude=latitude)
         moves = [m.angle * m.axis for m in programme.moves if m.axis is not None and m.angle is not None]
         return PaperProgramme(
