@@ -70,6 +70,33 @@ def up_down_errors(axis: int, up: Array, down: Array, bias: Array, angles: Array
     return np.asarray(scale), np.asarray(0.5 * ((difference * b + total * lean) @ horizontal))
 
 
+def redundant_up_down_errors(
+    axes: Array, up: Array, down: Array, bias: Array, scale: Array, leans: Array
+) -> tuple[Array, Array]:
+    """Errors Δk (n,) and Δδw/g (n,), rad, of n accelerometers along any axes, levelled by all of them: what Eq. (7a) is
+    with D⁺ ε, the levelling error by least squares, in place of that of the two horizontal ones,
+
+        Δk = ½ [λ·(t₁ − t₂) + t₁·D⁺ε₁ + t₂·D⁺ε₂],   Δδw/g = ½ [λ·(t₁ + t₂) + t₁·D⁺ε₁ − t₂·D⁺ε₂]
+
+    and ε_q = b_q ± (k_q d_q + λ_q)·d.
+
+    Parameters
+    ----------
+    axes : (n, 3)
+        Nominal sensing axes d, of D the rows.
+    up, down : (n, 3)
+        Tilts t₁, t₂ of the vertical across each axis in the rests with this axis up and down.
+    bias, scale : (n,)
+        b, rad, and k.
+    leans : (n, 3)
+        λ, by which the sensing axes are off the nominal ones, rad.
+    """
+    along = scale[:, None] * axes @ axes.T + leans @ axes.T  # of sensor q in the rests of sensor p
+    first, second = ((bias[:, None] + sign * along).T @ np.linalg.pinv(axes).T for sign in (1.0, -1.0))
+    first, second = dot(up, first), dot(down, second)
+    return 0.5 * (dot(leans, up - down) + first + second), 0.5 * (dot(leans, up + down) + first - second)
+
+
 def up_down_rms(tilt: float, bias: float, angle: float, correlation: float = 0.0) -> tuple[float, float]:
     """Rms of Δk and of Δδw/g, rad, for uncorrelated parameters: the same for the three axes. Eq. (7b).
 

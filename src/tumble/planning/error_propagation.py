@@ -25,6 +25,7 @@ from typing import Literal
 import numpy as np
 
 from tumble.earth import EARTH_RATE
+from tumble.methods.paper.blocks import TRIAD
 from tumble.methods.paper.four_stages import (
     SCALAR,
     SEQUENTIAL,
@@ -33,7 +34,6 @@ from tumble.methods.paper.four_stages import (
     course_of_programme,
     one_pass,
 )
-from tumble.methods.paper.blocks import TRIAD
 from tumble.methods.paper.gyros import scalar_bias
 from tumble.planning.setup import NAMES
 from tumble.programme.positions import Programme

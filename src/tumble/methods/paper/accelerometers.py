@@ -145,9 +145,10 @@ def oblique_pairs(nominal: Array, axes: Array) -> list[Pair]:
 def by_axis_angles(block: Block, pairs: Sequence[Pair]) -> Array:
     """Derivatives (r, a) of the angles between pairs of axes by the axis angles of a block, at its nominal axes."""
     moved = np.cross(np.swapaxes(turning(block), 1, 2), block.axes[:, None])  # (n, a, 3)
-    rows = [moved[p] @ block.axes[q] + moved[q] @ block.axes[p] for p, q in pairs]
-    sines = [np.linalg.norm(np.cross(block.axes[p], block.axes[q])) for p, q in pairs]
-    return -np.array(rows).reshape(len(pairs), -1) / np.reshape(sines, (-1, 1))
+    p, q = np.array(pairs, dtype=int).reshape(-1, 2).T
+    axes = block.axes[:, :, None]
+    changed = (moved[p] @ axes[q] + moved[q] @ axes[p])[..., 0]  # of the cosines
+    return np.asarray(-changed / np.linalg.norm(np.cross(block.axes[p], block.axes[q]), axis=1)[:, None])
 
 
 def angles_of_pairs(block: Block, between: Mapping[Pair, Array]) -> Array:
@@ -175,12 +176,15 @@ def verticals(block: Block) -> dict[str, Array]:
         rows = by_axis_angles(block, [*pairs, pair])
         if len(rows) <= len(block.angles) and np.linalg.svd(rows, compute_uv=False)[-1] > INDEPENDENT:
             pairs.append(pair)
+    inclined: dict[str, Array] = {}
     for p, q in pairs:
         side = oblique(axes, axes, (p, q))[1]
         vertical = unit_vector(axes[p] - side * axes[q])
         above = f"{np.degrees(np.arcsin(axes[p] @ vertical)):.0f}°"
-        out[f"{names[p]} {above} above and {names[q]} {above} {'below' if side > 0.0 else 'above'} the horizon"] = vertical
-    return out
+        name = f"{names[p]} {above} above and {names[q]} {above} {'below' if side > 0.0 else 'above'} the horizon"
+        if all(abs(vertical @ other) < 1.0 - STANDING for other in inclined.values()):  # else it serves two pairs
+            inclined[name] = vertical
+    return out | inclined
 
 
 def check_for_vector(nominal: Array, block: Block = TRIAD) -> None:

@@ -42,7 +42,7 @@ def composed(model: SensorModel, inner: SensorModel, axes: Array) -> SensorModel
     """The model of the readings where `inner` is that of the compensated ones, Eq. (b)."""
     T = _compensation(model, axes)
     bias = model.bias + np.linalg.solve(T, inner.bias[..., None])[..., 0]
-    return SensorModel(matrix=np.linalg.solve(T, inner.matrix), bias=bias)
+    return SensorModel(matrix=np.asarray(np.linalg.solve(T, inner.matrix), dtype=float), bias=bias)
 
 
 def _compensation(model: SensorModel, axes: Array) -> Array:

@@ -207,9 +207,11 @@ def course_of(observations: Observations, method: PaperMethod) -> ProgrammeCours
         return ProgrammeCourse(
             nominal=nominal, series=(), duration=np.empty(0), earth_rate=np.zeros(3), matrix=none, accel=accel
         )
-    vertical = along_vertical(nominal, sensing_axes(gyro)).any(axis=0)
-    if not vertical.all():
-        lying = ", ".join(f"gyro {name}" for name, found in zip(gyro.sensors, vertical, strict=True) if not found)
+    vertical = along_vertical(nominal, sensing_axes(gyro))
+    if not vertical.any(axis=0).all():
+        lying = ", ".join(
+            f"gyro {name}" for name, found in zip(gyro.sensors, vertical.T, strict=True) if not found.any()
+        )
         raise ProgrammeError(
             f"method {method.name}: expected rests in which every gyro is vertical, found none for {lying} in the "
             "programme; take the programme rough-table for sensors along X, Y and Z, or the method joint"
@@ -433,14 +435,16 @@ class _SessionData:
         """Covariance (d, d) of the data: noise within rests and turns, scatter between them, and gravity."""
         rests, turns, integrals = self.observations.rests, self.observations.turns, self.observations.turn_readings
         scatters, every = [scatter.get(name, 0.0) for name in _GROUPS], list[Array]()
-        for block, noise, more in zip(self.blocks, (rests.accel_covariance, rests.gyro_covariance), scatters, strict=False):
+        for block, noise, more in zip(
+            self.blocks, (rests.accel_covariance, rests.gyro_covariance), scatters, strict=False
+        ):
             axes = to_sensors(block)
             every += [*(axes.T @ noise @ axes + more**2 * np.eye(block.size))]
         if len(self.blocks) == 2 and turns is not None:
-            more = (scatters[1] * turns.duration) ** 2 + scatters[2] ** 2
-            every += [*(turns.covariance + more[:, None, None] * np.eye(3))]
+            drift = (scatters[1] * turns.duration) ** 2 + scatters[2] ** 2
+            every += [*(turns.covariance + drift[:, None, None] * np.eye(3))]
             every += [] if integrals is None else [*integrals.covariance]
-        return np.asarray(block_diag(*every, [[self.observations.site.gravity_u**2]]))
+        return np.asarray(block_diag(*every, np.array([[self.observations.site.gravity_u**2]])))
 
 
 def _rows(values: Array, n: int) -> Array:
