@@ -152,8 +152,8 @@ def sizes_of(chosen: Scenario) -> Array:
 
 @BLOCKS
 def test_redundant_sensors_are_within_their_uncertainty(axes: Array) -> None:
-    """Eight sessions of §8, three passes: the squares of error/u have the mean 1, to five standard errors, a session taken
-    for ten independent parameters; none is beyond 4.5."""
+    """Eight sessions of §8, three passes: the squares of error/u have the mean 1, to five standard errors, a session
+    taken for ten independent parameters; none is beyond 4.5."""
     normalised = list[Array]()
     for seed in range(8):
         chosen = scenario(table_setup(axes, SETUP), seed, axes)
@@ -203,7 +203,7 @@ def test_positions_that_are_missing_are_listed_as_the_programme_wants_them() -> 
     chosen = scenario(table_setup(PYRAMID, QUIET), 1, PYRAMID)
     seen = replace(observed(chosen, 1), gyro_block=None, turns=None, turn_readings=None)
     assert seen.position is not None
-    with pytest.raises(ProgrammeError, match="3 down; accelerometer 0 .* above and accelerometer") as refusal:
+    with pytest.raises(ProgrammeError, match=r"3 down; accelerometer 0 .* above and accelerometer") as refusal:
         sequential(replace(seen, position=np.where(seen.position == 7, 0, seen.position) % 8))
     codes = re.findall('"(NUE[^"]*)"', str(refusal.value))
     check_for_vector(np.array([p.vertical_b for p in from_attitudes(codes).positions]), chosen.accel)
