@@ -34,8 +34,9 @@ from tumble.diagnosis.undetermined import linear_names
 from tumble.inference.elimination import fold
 from tumble.inference.estimate import Estimate, GroupFinding
 from tumble.inference.joint import joint
-from tumble.inference.likelihood import Problem, instruments_of
+from tumble.inference.likelihood import Problem, Rows, instruments_of
 from tumble.inference.linearisation import linearise
+from tumble.inference.noise_components import Weights
 from tumble.inference.prediction import prediction
 from tumble.inference.sources import source
 from tumble.inference.start import start_of
@@ -45,7 +46,7 @@ from tumble.reduction.observations import Observations
 from tumble.rotation import unit_vector
 from tumble.sensors.instrument import Instrument, functions
 from tumble.sensors.model import beyond_body, beyond_turning
-from tumble.sensors.parameters import FORCE
+from tumble.sensors.parameters import FORCE, ParameterGroup
 from tumble.units import Array
 
 _NOTHING = 1e-9
@@ -97,8 +98,13 @@ def whole_problem(observations: Observations) -> Problem:
     """The likelihood of the instrument with all groups whose usual size the observations know, without those that a
     method of the linear model does not see: lever arms and delays, which act on velocities, and the lag."""
     whole = instruments_of(observations)[0]
-    further = tuple(group for group in whole.further if group.variable != "lag" and group.motion is None)
+    further = tuple(group for group in whole.further if left_out(group))
     return Problem.of(observations, instrument=replace(whole, further=further), usual=observations.usual)
+
+
+def left_out(group: ParameterGroup) -> bool:
+    """Whether a group is one that methods of the linear model leave out and that acts on what they see."""
+    return group.variable != "lag" and group.motion is None
 
 
 def left_out_by_rests(
@@ -149,25 +155,41 @@ def with_left_out_by_joint(estimate: Estimate, observations: Observations) -> Es
     linear, problem = estimate.linearised, whole_problem(observations)
     if linear is None:
         return estimate
-    instrument, last = problem.instrument, 1 + problem.instrument.linear_count
-    values = np.append(linear.point.values, np.zeros(len(instrument.names) + 1 - last))
+    instrument = problem.instrument
+    values = np.append(linear.point.values, np.zeros(len(instrument.names) - instrument.linear_count))
     point = replace(linear.point, values=values)
     about = None if linear.about is None else TurnsAbout.of(observations, instrument, values)
-    rows = linearise(problem, point, about)
-    told = tell(problem, rows, linear.noise.weights(linear.components))
+    moves = moves_by_likelihood(problem, linearise(problem, point, about), linear.noise.weights(linear.components))
+    beside = by_joint(observations)
+    if beside is not None and estimate.converged:
+        estimate = replace(estimate, linearised=beside.linearised, hyperparameters=beside.hyperparameters)
+    return with_left_out(estimate, LeftOut.of(problem, moves, beside), observations.site.gravity)
+
+
+def moves_by_likelihood(problem: Problem, rows: Rows, weights: Weights) -> Array:
+    """By how much one of each group moves the parameters (m, k) of the linear model in a fit by the likelihood.
+
+    Parameters
+    ----------
+    problem
+        The likelihood of the instrument with all groups.
+    rows
+        Its rows, whose priors of the linear parameters count.
+    weights
+        Weights of a fit of the linear model.
+    """
+    last = 1 + problem.instrument.linear_count
+    told = tell(problem, rows, weights)
     triangle = np.zeros_like(rows.prior)
     triangle[:last, :last] = rows.prior[:last, :last]
     fold(told.sessions[0], triangle, triangular=True)
     exact = int(triangle[0, 0] == 0.0)  # gravity
-    moves = np.zeros((last, len(values) + 1 - last))
+    moves = np.zeros((last, len(triangle) - 1 - last))
     moves[exact:] = scipy.linalg.solve_triangular(triangle[exact:last, exact:last], triangle[exact:last, last:-1])
     if told.process is not None:  # biases are means over the session
         both = np.vstack([moves, -np.eye(moves.shape[1])])
         moves[1 + problem.biases] += mean_along(told)[0][:, :-1] @ both
-    beside = by_joint(observations)
-    if beside is not None and estimate.converged:
-        estimate = replace(estimate, linearised=beside.linearised, hyperparameters=beside.hyperparameters)
-    return with_left_out(estimate, LeftOut.of(problem, moves[1:], beside), observations.site.gravity)
+    return moves[1:]
 
 
 def with_left_out(estimate: Estimate, found: LeftOut, gravity: float) -> Estimate:
