@@ -329,8 +329,11 @@ def view(course: Itinerary, setup: Setup, *, gyros: bool) -> Linearised:
         ),
         turns=turns,
         turn_samples=samples,
+        programme=setup.programme,
+        position=np.arange(len(course.rests)),
         usual=usual,
         too_small=size_factors(setup.instrument, usual, guessed=True) if setup.instrument in GRADES else {},
+        in_run={"accel": noise.accel_instability, "gyro": noise.gyro_instability},
     )
     point = Point(values=np.zeros(len(instrument.names)), gravity=g, attitudes=course.attitudes)
     if turns is not None:

@@ -19,7 +19,7 @@ are in studies/accuracy_formulas.py.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -34,7 +34,6 @@ from tumble.methods.paper.four_stages import (
     course_of_programme,
     one_pass,
 )
-from tumble.methods.paper.gyros import scalar_bias
 from tumble.planning.setup import NAMES
 from tumble.programme.positions import Programme
 from tumble.rotation import rotation_matrix, rotation_vector_near
@@ -45,10 +44,7 @@ MethodOfPaper = Literal["sequential", "scalar"]
 METHODS_OF_PAPER: tuple[MethodOfPaper, ...] = ("sequential", "scalar")
 """The methods whose errors are predicted, of instruments with the linear model."""
 
-_METHODS: Mapping[MethodOfPaper, PaperMethod] = {
-    "sequential": SEQUENTIAL,
-    "scalar": replace(SCALAR, gyro_bias=lambda rate, force, earth, *_: scalar_bias(rate, force, earth)),
-}
+_METHODS: Mapping[MethodOfPaper, PaperMethod] = {"sequential": SEQUENTIAL, "scalar": SCALAR}
 
 STEP = 1e-4
 """Of the central differences: of angles and scale factors, and of rates in parts of the Earth's."""
