@@ -131,10 +131,10 @@ def left_out_by_rests(
     return LeftOut.of(problem, moves, beside), B - A @ moves
 
 
-def left_out_by_passes(observations: Observations, derivative: Array, beside: Estimate | None) -> LeftOut:
-    """What a method leaves out whose result has the `derivative` (m, d) by the readings of accelerometers, then gyros,
-    at rest, in body axes those of triads, by the errors of the turns, by the integrals over them of the readings of
-    more than three gyros, and by gravity."""
+def groups_in_data(observations: Observations) -> tuple[Problem, Array]:
+    """The likelihood with all groups, and what one of each group adds (d, k) to the data of the methods of the paper:
+    the readings of accelerometers, then gyros, at rest, in body axes those of triads, the errors of the turns, the
+    integrals over them of the readings of more than three gyros, and gravity."""
     problem = whole_problem(observations)
     rows, first, shown, last = start_of(problem)[0].rows, problem.instrument.linear_count, list[Array](), 0
     for block in problem.instrument.blocks:
@@ -145,8 +145,9 @@ def left_out_by_passes(observations: Observations, derivative: Array, beside: Es
     if observations.turn_readings is not None:
         free = beyond_body(problem.instrument.blocks[1].axes)
         shown.append(free.T @ rows.turn[:, -len(free) :, 7 + first : -1])
-    every = np.concatenate([each.reshape(-1, each.shape[2]) for each in shown])
-    return LeftOut.of(problem, derivative[:, :-1] @ every, beside)
+    groups = len(problem.instrument.names) - first
+    every = [each.reshape(-1, groups) for each in shown]
+    return problem, np.concatenate([*every, np.zeros((1, groups))])
 
 
 def with_left_out_by_joint(estimate: Estimate, observations: Observations) -> Estimate:

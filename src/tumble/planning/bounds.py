@@ -146,7 +146,9 @@ def _stated_linear(course: Itinerary, setup: Setup, gyros: bool) -> Bound:
     whole = expected(view(course, replace(setup, further=groups), gyros=gyros))
     moves = moves_by_likelihood(whole.problem, whole.rows, whole.noise.weights(seen.components))
     moved, instrument = LeftOut.of(whole.problem, moves, None).moved, whole.problem.instrument
-    by_group = {name: slice(own.start - found.linear, own.stop - found.linear) for name, own in instrument.members.items()}
+    by_group = {
+        name: slice(own.start - found.linear, own.stop - found.linear) for name, own in instrument.members.items()
+    }
     sources = {name: (moved[:, own] ** 2).sum(axis=1) for name, own in by_group.items()}
     return replace(found, covariance=found.covariance + moved @ moved.T, sources={**found.sources, **sources})
 

@@ -12,10 +12,10 @@ pass over the same data, with the turns integrated about the gyro model of the p
 
 The covariance is that of the data, propagated by the derivative of the passes with respect to every mean reading, turn,
 gravity and start value, by central differences, chained. If the residuals need more than the noise within rests and
-turns, scatter between rests and of turns is estimated from them. The error of the last pass by its method is the
-difference from where further passes would lead; there the residuals are taken, too. What instruments usually have
-beyond bias, scale factor and axis angles is in the result as nothing within its size, and in the covariance, by the
-same derivative (`tumble.diagnosis.linear_model`).
+turns and the groups below, scatter between rests and of turns is estimated from them. The error of the last pass by its
+method is the difference from where further passes would lead; there the residuals are taken, too. What instruments
+usually have beyond bias, scale factor and axis angles is in the result as nothing within its size, and in the
+covariance, by the same derivative (`tumble.diagnosis.linear_model`).
 
 Source: Vodicheva & Parysheva 2019; the turntable method, §2 to §6.
 """
@@ -30,7 +30,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.linalg import block_diag
 
-from tumble.diagnosis.linear_model import by_joint, left_out_by_passes, with_left_out
+from tumble.diagnosis.linear_model import LeftOut, by_joint, groups_in_data, with_left_out
 from tumble.earth import earth_rate
 from tumble.errors import InputError, ProgrammeError, SessionError
 from tumble.inference.estimate import Estimate, Fit
@@ -476,8 +476,14 @@ def _estimate(launch: _SessionData, values: Array, derivative: Array, increments
     rows = {"accelerometers": slice(0, n), "gyro rests": slice(n, 2 * n), "gyro turns": slice(2 * n, None)}
     groups = {name: _GROUPS[name] for name in list(_GROUPS)[: 3 if len(launch.blocks) == 2 else 1]}
 
+    observations, beside, found, by_groups = launch.observations, None, None, np.zeros((len(launch.data),) * 2)
+    if observations.usual:
+        beside, (problem, shown) = by_joint(observations), groups_in_data(observations)
+        found = LeftOut.of(problem, derivative @ shown, beside)
+        by_groups = (shown * found.sizes**2) @ shown.T
+
     def residuals_of(name: str, scatter: Mapping[str, float]) -> Residuals:
-        noise, chosen = launch.covariance(scatter), rows[name]
+        noise, chosen = launch.covariance(scatter) + by_groups, rows[name]
         variance = np.sum(direct[chosen] @ noise * direct[chosen], axis=1)
         return Residuals(residual=residual[chosen], variance=variance, left=total[chosen] @ noise @ total[chosen].T)
 
@@ -525,12 +531,9 @@ def _estimate(launch: _SessionData, values: Array, derivative: Array, increments
         ),
         budget=budget,
     )
-    observations = launch.observations
-    if not observations.usual:
+    if found is None:
         return estimate
-    beside = by_joint(observations)
     estimate = replace(estimate, linearised=None if beside is None or not converged else beside.linearised)
-    found = left_out_by_passes(observations, derivative, beside)
     return with_left_out(estimate, found, observations.site.gravity)
 
 
