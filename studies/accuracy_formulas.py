@@ -19,7 +19,7 @@ import numpy as np
 
 from tumble.earth import EARTH_RATE, earth_rate
 from tumble.methods.least_squares import solved
-from tumble.methods.paper.gyros import matrix_error, swept
+from tumble.methods.paper.gyros import matrix_error, swept, triad
 from tumble.rotation import rotation_matrix
 from tumble.units import Array
 
@@ -255,6 +255,16 @@ def vertical_axis_error(deviation: Array, accel_north: Array, gyro_east: Array, 
     north, _, east = np.moveaxis(np.asarray(deviation), -1, 0)
     level = math.cos(latitude) + east * math.sin(latitude)
     return np.asarray(-EARTH_RATE * level * accel_north + north * gyro_east)
+
+
+def scalar_bias(rate: Array, force: Array, earth_rate: Array) -> Array:
+    """Bias (..., 3) by the scalar method, as Eqs. (12), (13) with the estimated orientation: least squares of
+    (ω̂² − Ω²)/2Ω = û^Ω·δω, û^Ω = L̂ᵀΩ/Ω.
+
+    Its error (δω_N² + δω_U² − δω_E²)/2Ω cancels over a programme in which the sensors stand both ways."""
+    Ω = float(np.linalg.norm(earth_rate))
+    polar = earth_rate @ triad(force, rate) / Ω
+    return solved(polar, ((rate**2).sum(axis=-1) - Ω**2) / (2.0 * Ω))
 
 
 def modulus_residual(gyro_error: Array) -> Array:

@@ -22,10 +22,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tumble import usual_setup
 from tumble.earth import EARTH_RATE, earth_rate
 from tumble.inference.noise_components import CORRELATION_TIME
 from tumble.methods.paper.four_stages import scalar, sequential
@@ -41,6 +42,7 @@ from tumble.planning.error_propagation import (
 )
 from tumble.planning.itinerary import itinerary_of
 from tumble.planning.setup import GROUPS, MEMBERS, NAMES, Setup, check_setup
+from tumble.sensors.grades import GRADES
 from tumble.units import DEGREE_PER_HOUR, Array
 
 _INDIRECT = ("indirect, programme matrix",) * 2
@@ -159,10 +161,11 @@ def remarks(setup: Setup) -> Iterator[str]:
 
 def _left_out(setup: Setup, method: MethodOfPaper) -> dict[str, Array]:
     """Variances (21,) by the groups that a method takes as nothing, as its estimate has them of a session."""
-    seen = view(itinerary_of(setup), setup, gyros=True).problem.observations
-    size = np.where(np.arange(len(NAMES)) < 3, setup.gravity, 1.0)
-    if not seen.usual:
+    if not setup.further:
         return {}
+    noisy = replace(setup, noise=GRADES[usual_setup.GRADE].noise)  # of any size: it is not what the groups change
+    seen = view(itinerary_of(noisy), noisy, gyros=True).problem.observations
+    size = np.where(np.arange(len(NAMES)) < 3, setup.gravity, 1.0)
     budget = {"sequential": sequential, "scalar": scalar}[method](seen).budget
     assert budget is not None
     variances = np.diagonal(budget.covariances, axis1=1, axis2=2)[:, : len(NAMES)]

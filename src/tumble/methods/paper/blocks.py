@@ -34,19 +34,19 @@ def sensing_axes(block: Block) -> Array:
 
 
 def compensated(model: SensorModel, readings: Array, axes: Array) -> Array:
-    """Readings (..., N, n) as perfect sensors along `axes` (n, 3) would have them by a model, Eq. (a)."""
+    """Readings (..., N, n) as perfect sensors along `axes` (n, 3) would have them by a model, formula (a) of the module."""
     return np.asarray((readings - _row(model.bias)) @ np.swapaxes(_compensation(model, axes), -1, -2))
 
 
 def composed(model: SensorModel, inner: SensorModel, axes: Array) -> SensorModel:
-    """The model of the readings where `inner` is that of the compensated ones, Eq. (b)."""
+    """The model of the readings where `inner` is that of the compensated ones, formula (b) of the module."""
     T = _compensation(model, axes)
     bias = model.bias + np.linalg.solve(T, inner.bias[..., None])[..., 0]
     return SensorModel(matrix=np.asarray(np.linalg.solve(T, inner.matrix), dtype=float), bias=bias)
 
 
 def _compensation(model: SensorModel, axes: Array) -> Array:
-    """T (..., n, n) of Eq. (a)."""
+    """T (..., n, n) of formula (a)."""
     return np.asarray(np.eye(len(axes)) + (axes - model.matrix) @ model.inverse())
 
 

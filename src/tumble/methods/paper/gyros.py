@@ -1,12 +1,9 @@
 """The paper's methods for gyros: biases from rests, stage 3, and scale factors and axis angles from turns, stage 4.
 
-Stage 3 compares the readings of gyros at rest with the Earth's rate Ω, in two ways. Bias is the reading minus the true
-rate.
-
-    vector          ω̂ − L̂ᵀΩ, L̂ by TRIAD                  Eq. (16); at the pole (17), vertical (18)
-    scalar          (ω̂² − Ω²)/2Ω = û^Ω·δω                 after (12), (13)
-
-Both are levelled by the accelerometers, an error δw of which leaves Ω cos B δw/g in each.
+Stage 3 compares the readings of gyros at rest with the Earth's rate Ω in the attitude by TRIAD, Eq. (16): a bias is the
+reading less ω = L̂ᵀΩ where the axis of the gyro is vertical, Eq. (18). An error δw of the accelerometers leaves
+Ω cos B δw/g. The scalar method for gyros, which the paper has too, holds for small biases only
+(studies/accuracy_formulas.py).
 
 Stage 4, the indirect method, sees what errors of the gyros do to the horizontal after a turn. A series of turns starts
 from an attitude by TRIAD, which the gyros carry through the turns and which is held during rests. Each turn by 180°
@@ -32,7 +29,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from tumble.errors import ProgrammeError
-from tumble.methods.least_squares import solved
 from tumble.methods.paper.accelerometers import STANDING
 from tumble.methods.paper.blocks import in_body
 from tumble.programme.positions import Programme
@@ -61,12 +57,13 @@ def triad(force: Array, rate: Array) -> Array:
     return np.stack([np.cross(up, east), up, east], axis=-2)
 
 
-def vector_bias(rate: Array, force: Array, earth_rate: Array) -> Array:
-    """Bias (..., N, 3), rad/s, of every gyro in every rest: ω̂ − L̂ᵀΩ with L̂ by TRIAD, Eq. (16).
+def vector_bias(rate: Array, force: Array, earth_rate: Array, axes: Array = PERFECT_TRIAD.matrix) -> Array:
+    """Bias (..., N, n), rad/s, of every gyro in every rest, from rates (..., N, n) along sensing axes (n, 3): ω̂ − L̂ᵀΩ
+    with L̂ by TRIAD, Eq. (16).
 
     It holds along the polar axis, where sensor errors enter times deviations from the programme, Eq. (17), and along
     the vertical, Eq. (18). At the polar axis TRIAD leaves −δω_E²/2Ω, which is not in the paper (1.8 % of 0.3 °/h)."""
-    return np.asarray(rate - earth_rate @ triad(force, rate))
+    return np.asarray(rate - earth_rate @ triad(force, in_body(axes, rate)) @ axes.T)
 
 
 def vertical_bias(
@@ -74,23 +71,13 @@ def vertical_bias(
 ) -> Array:
     """Bias (..., n) by the vector method, Eq. (18): mean over the rests in which the nominal vertical (N, 3) is along
     the axis of the gyro, of rates (..., N, n) along sensing axes (n, 3)."""
-    shown, standing = rate - earth_rate @ triad(force, in_body(axes, rate)) @ axes.T, along_vertical(nominal, axes)
+    shown, standing = vector_bias(rate, force, earth_rate, axes), along_vertical(nominal, axes)
     return np.stack([shown[..., standing[:, q], q].mean(axis=-1) for q in range(len(axes))], axis=-1)
 
 
 def along_vertical(nominal: Array, axes: Array) -> BoolArray:
     """Whether axes (n, 3) are up or down in positions with these verticals (N, 3) in the body: (N, n)."""
     return np.asarray(np.abs(nominal @ axes.T) > 1.0 - STANDING)
-
-
-def scalar_bias(rate: Array, force: Array, earth_rate: Array) -> Array:
-    """Bias (..., 3) by the scalar method, as Eqs. (12), (13) with the estimated orientation: least squares of
-    (ω̂² − Ω²)/2Ω = û^Ω·δω, û^Ω = L̂ᵀΩ/Ω.
-
-    Its error (δω_N² + δω_U² − δω_E²)/2Ω cancels over a programme in which the sensors stand both ways."""
-    Ω = float(np.linalg.norm(earth_rate))
-    polar = earth_rate @ triad(force, rate) / Ω
-    return solved(polar, ((rate**2).sum(axis=-1) - Ω**2) / (2.0 * Ω))
 
 
 # Stage 4: the programmed turns
