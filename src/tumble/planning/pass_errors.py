@@ -166,12 +166,11 @@ def _left_out(setup: Setup, method: MethodOfPaper) -> dict[str, Array]:
     noisy = replace(setup, noise=GRADES[usual_setup.GRADE].noise)  # of any size: it is not what the groups change
     seen = view(itinerary_of(noisy), noisy, gyros=True).problem.observations
     size = np.where(np.arange(len(NAMES)) < 3, setup.gravity, 1.0)
-    budget = {"sequential": sequential, "scalar": scalar}[method](seen).budget
-    assert budget is not None
-    variances = np.diagonal(budget.covariances, axis1=1, axis2=2)[:, : len(NAMES)]
-    groups = {f"prior.{name}": name for name in seen.usual}
-    each = zip(budget.sources, variances, strict=True)
-    return {groups[source.name]: variance / size**2 for source, variance in each if source.name in groups}
+    found = {"sequential": sequential, "scalar": scalar}[method](seen)
+    assert found.budget is not None
+    covariances = dict(zip([each.name for each in found.budget.sources], found.budget.covariances, strict=True))
+    moved = {group.name: np.diag(covariances[f"prior.{group.name}"])[: len(NAMES)] for group in found.groups}
+    return {group.name: moved[group.name] / (group.prior_widened * size) ** 2 for group in found.groups}
 
 
 def _noise(setup: Setup, plan: PaperProgramme) -> dict[str, Array]:

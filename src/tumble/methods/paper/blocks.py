@@ -34,7 +34,7 @@ def sensing_axes(block: Block) -> Array:
 
 
 def compensated(model: SensorModel, readings: Array, axes: Array) -> Array:
-    """Readings (..., N, n) as perfect sensors along `axes` (n, 3) would have them by a model, formula (a) of the module."""
+    """Readings (..., N, n) as perfect sensors along `axes` (n, 3) would have them by a model, formula (a)."""
     return np.asarray((readings - _row(model.bias)) @ np.swapaxes(_compensation(model, axes), -1, -2))
 
 
