@@ -203,7 +203,8 @@ def observe(
     """Reduce the rests and turns of a log to observations. At least one rest is needed. What an array reads in motion
     does not depend on the rests: it is made unless it is given, of the same log with other rests."""
     spans = match.rests
-    rests, accel_quiet, gyro_noise, rounded = reduced_rests(reduction, spans, accel, gyro)
+    sway = None if gyro is None else sway_of(reduction, spans)
+    rests, accel_quiet, gyro_noise, rounded = reduced_rests(reduction, spans, accel, gyro, sway)
     notes, turns, samples, readings = list[str](), None, None, None
     count = reduction.accel_channels[0].samples
     if reduction.held:
@@ -216,7 +217,6 @@ def observe(
     notes += blemish_notes(reduction, spans)
     if gyro is not None and gyro_noise is not None and reduction.samples is not None:
         noises = (accel, fit_coloured_noise(accel_quiet)), (gyro, gyro_noise)
-        sway = sway_of(reduction, spans)
         notes += sway_notes(sway)
         if sway is not None:
             rests = replace(rests, accel=rests.accel * (1.0 + sway.shortened)[:, None])

@@ -12,6 +12,7 @@ from tumble.reduction.blocks.reducer import ChannelState, Reduction
 from tumble.reduction.noise.coloured_noise import ColouredNoise, fit_coloured_noise
 from tumble.reduction.noise.rounding import Rounding, rounding
 from tumble.reduction.rests.segmentation import RestSpan
+from tumble.reduction.rests.sway import Sway
 from tumble.reduction.rests.thermometer import Thermometers
 from tumble.reduction.rests.warming import KelvinAtLag, without_warming
 from tumble.rotation import onto_body, tangent_basis
@@ -97,7 +98,7 @@ def rows_of(whole: _Arrays, rows: slice | IntArray) -> _Arrays:
 
 
 def reduced_rests(
-    reduction: Reduction, spans: tuple[RestSpan, ...], accel: Block, gyro: Block | None
+    reduction: Reduction, spans: tuple[RestSpan, ...], accel: Block, gyro: Block | None, sway: Sway | None = None
 ) -> tuple[Rests, list[Array], ColouredNoise | None, dict[str, Rounding]]:
     """The rests at these spans, at least one, what their noise is fitted to of the accelerometers, the noise of the
     gyros and the rounding by kind of channel."""
@@ -135,7 +136,10 @@ def reduced_rests(
         """Noise density (N, n), unit/√Hz, behind the covariance of the means."""
         return np.asarray(np.sqrt(np.diagonal(covariance, axis1=1, axis2=2) * seconds))
 
-    accel_quiet = without_warming(series["accel"], of_lag, accel.thermometer)
+    accel_series = series["accel"]
+    if sway is not None:
+        accel_series = [y - force @ accel.axes.T for y, force in zip(accel_series, sway.force, strict=True)]
+    accel_quiet = without_warming(accel_series, of_lag, accel.thermometer)
     accel_spread = spread("accel", accel_covariance(accel_quiet, accel), ACCEL_FLOOR)
     gyro_noise, gyro_spread = None, np.empty((len(spans), 0, 0))
     if gyro is not None:

@@ -12,7 +12,8 @@ test): with t = Σ s and W = tᵀ (Σ s sᵀ)⁻¹ t, (n − m) W / m (n − W) 
 freedom. Both see the part of |û × α|² that a fit of δ by these columns explains of |δ|².
 
 The noise of the gyros beside the sway is that of their samples, by differences of fourth order, in which there is next
-to nothing of a hand.
+to nothing of a hand. The noise of the mean of a rest is that of the forces less f̄ × α: turns go from mean attitude to
+mean attitude, so that a rest which sways is known as well as one that does not.
 """
 
 from __future__ import annotations
@@ -42,12 +43,23 @@ LEAST = 1e-12
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Sway:
-    """Sway of a device in its rests: the `angle` an axis, rad, about the mean attitude of a rest, root mean square, of
-    the median rest; the part (N,) by which the mean specific force of each is `shortened`; and the `density` (3, 3),
-    rad²/s, of the noise of the gyros in the body without it."""
+    """Sway of a device in its rests.
+
+    Attributes
+    ----------
+    angle
+        Root mean square an axis about the mean attitude of a rest, of the median rest, rad.
+    shortened
+        Part (N,) by which the mean specific force of each rest is shortened.
+    force
+        What sway adds to the specific force of each rest, means of blocks (K, 3) in the body, m/s², of mean 0.
+    density
+        Density (3, 3) of the noise of the gyros in the body without sway, rad²/s.
+    """
 
     angle: float
     shortened: Array
+    force: tuple[Array, ...]
     density: Array
 
 
@@ -69,6 +81,7 @@ def sway_of(reduction: Reduction, spans: Sequence[RestSpan]) -> Sway | None:
     if reduction.samples is None:
         return None
     columns, forces, tilts, angles, variances = [], list[Array](), list[float](), list[float](), list[Array]()
+    added = list[Array]()
     for span in spans:
         f = reduction.by_file[span.file]
         last = min(span.last, span.first + LONGEST)
@@ -79,6 +92,8 @@ def sway_of(reduction: Reduction, spans: Sequence[RestSpan]) -> Sway | None:
         across = [tilt, *(each - (each @ up)[:, None] * up for each in (np.cross(change, e) for e in np.eye(3)))]
         columns.append(np.stack([_level(each, f.size) for each in across], axis=-1))
         forces.append(_level(force - (force @ up)[:, None] * up, f.size))
+        added.append(np.zeros((span.last - span.first, 3)))
+        added[-1][: last - span.first] = np.cross(force.mean(axis=0), path.reshape(-1, f.size, 3).mean(axis=1))
         tilts.append(float((tilt**2).sum(axis=1).mean()))
         angles.append(float(np.sqrt((path**2).mean())))
         differences = np.diff(rate * dt[:, None], n=4, axis=0)
@@ -96,7 +111,9 @@ def sway_of(reduction: Reduction, spans: Sequence[RestSpan]) -> Sway | None:
     density, longest = np.median(variances, axis=0), float(np.median([span.stop - span.start for span in spans]))
     if 0.5 * explained * size[0] ** 2 / (δ.size / 3) <= density.mean() * longest / 3.0:
         return None
-    return Sway(angle=float(np.median(angles)), shortened=0.5 * np.array(tilts), density=np.diag(density))
+    return Sway(
+        angle=float(np.median(angles)), shortened=0.5 * np.array(tilts), force=tuple(added), density=np.diag(density)
+    )
 
 
 def _level(values: Array, size: int) -> Array:
