@@ -424,6 +424,20 @@ def test_what_was_passed_over_is_counted() -> None:
     assert said.endswith("s are too short: rests of 3 s are long enough")
 
 
+@pytest.mark.parametrize("rest", [0.3, 0.5, 0.7])
+def test_moments_of_rest_are_too_short_and_no_turns_of_the_vertical(rest: float) -> None:
+    """Where rests are shorter than every window, the floors are those of the movement, and nothing stands out of it."""
+    request = Setup.of(grade="mems", positions=24, rest=rest, sample_rate=100.0, rate_deg_s=90.0)
+    recording = recorded(replace(request, first_rest=rest), 4)
+    segmentation = found(recording.time, recording.accel, recording.gyro)
+    assert segmentation.rests == ()
+    assert {one.fails for one in segmentation.rejected} == {"duration"}
+    assert abs(len(segmentation.rejected) - 24) <= 4
+    assert np.median([one.stop - one.start for one in segmentation.rejected]) == pytest.approx(rest, abs=0.1)
+    (said,) = segmentation.passed_over()
+    assert said.endswith("s are too short: rests of 3 s are long enough")
+
+
 # -------------------- several files --------------------
 
 

@@ -48,6 +48,7 @@ class Tuning:
     short_window: float = _of(0.5, "s", "the window in such a recording")
     short_margin: float = _of(0.1, "s", "the least margin in it")
     fewest_short: int = _of(9, "", "rests more than before that make it such a recording")
+    moment: float = _of(0.2, "s", "the shortest rest that is named where there is none", "two blocks")
     # the level of the gyros at rest
     level_blocks: int = _of(10, "", "blocks of a stretch at least that shows the level of the gyros")
     level_spread: float = _of(
@@ -121,6 +122,11 @@ class Tuning:
         """The same for a recording of short rests at a sample rate, Hz."""
         rest = max(self.short_rest, self.short_samples / rate)
         return replace(self, window=self.short_window, rest=rest, margin_least=self.short_margin)
+
+    @property
+    def for_moments(self) -> Tuning:
+        """The same for a recording in which nothing rests for long enough."""
+        return replace(self, window=self.moment, rest=self.moment, margin_least=0.0, margin_fraction=0.0)
 
 
 USUAL = Tuning()

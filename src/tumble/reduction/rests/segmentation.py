@@ -18,7 +18,8 @@
    specific force and of time explains the levels, it is taken off the rates, and steps 1 and 2 are repeated. Nothing is
    accepted but a stretch whose level the others predict: a slow turn about the vertical stays a turn.
 5. A recording whose stretches are nearly all too short was made so: it is searched again with windows of half a second
-   and margins of a tenth, and a rest is then what has `short_rest` between them.
+   and margins of a tenth, and a rest is then what has `short_rest` between them. One in which nothing rests is searched
+   for moments of rest with windows of two tenths, only to say that they are too short.
 6. What seemed a rest while the vertical moved by more than `tilt` is none: where nothing rests, the floors
    are those of the movement.
 
@@ -95,6 +96,12 @@ class Rejected:
         """The blocks of a span of a file."""
         start, stop = (float(f.edges[i]) for i in span)
         return Rejected(file=f.file, start=start, stop=stop, fails=fails, reason=reason)
+
+    @staticmethod
+    def too_short(f: FileBlocks, span: Span, tuning: Tuning) -> Rejected:
+        """The blocks of a span of a file, in which nothing moves, but not for long enough."""
+        reason = f"{f.edges[span[1]] - f.edges[span[0]]:.1f} s is too short: rests of {tuning.still} s are long enough"
+        return Rejected.of(f, span, "duration", reason)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -180,6 +187,12 @@ def find_rests(reduction: Reduction, accel: Block, gyro: Block | None) -> Segmen
     tuning = reduction.tuning
     usual = _RestSearch(reduction, accel, gyro, tuning).rests()
     short = sum(r.fails == "duration" and r.stop - r.start >= tuning.short_rest for r in usual.rejected)
+    if not usual.rests and not short:
+        moments = _RestSearch(reduction, accel, gyro, tuning.for_moments).rests().rests
+        rejected = tuple(
+            Rejected.too_short(reduction.by_file[one.file], (one.first, one.last), tuning) for one in moments
+        )
+        return replace(usual, rejected=rejected or usual.rejected)
     if short <= 2 * len(usual.rests):
         return usual
     again = _RestSearch(reduction, accel, gyro, tuning.for_short_rests(reduction.rate)).rests()
@@ -193,7 +206,7 @@ class _RestSearch:
     moving."""
 
     def __init__(self, reduction: Reduction, accel: Block, gyro: Block | None, tuning: Tuning) -> None:
-        self.files, self.tuning, self.still = reduction.files, tuning, reduction.tuning.still
+        self.files, self.tuning, self.usual = reduction.files, tuning, reduction.tuning
         self.window = max(2, round(tuning.window * reduction.rate / self.files[0].size))
         # column after column in memory: sums over three numbers a row are slow
         self.forces = [np.asfortranarray(f.accel.means @ onto_body(accel.axes).T) for f in self.files]
@@ -366,8 +379,7 @@ class _RestSearch:
                 tilt = float(off / np.linalg.norm(mean))
                 if too_short or span.last - span.first < tuning.fewest_blocks:
                     if duration > 0.5:
-                        reason = f"{duration:.1f} s is too short: rests of {self.still} s are long enough"
-                        rejected.append(Rejected.of(f, (first, last), "duration", reason))
+                        rejected.append(Rejected.too_short(f, (first, last), self.usual))
                 elif tilt > tuning.tilt:
                     at_most = f"in a rest at most {tuning.tilt / DEGREE:g}°"
                     reason = f"the vertical moves by {tilt / DEGREE:.0f}°, {at_most}"
