@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from tumble.planning.setup import Setup
 from tumble.recording.log import Chunk
 from tumble.reduction.blocks.reducer import Reducer, Reduction
-from tumble.reduction.rests.segmentation import RestSpan, Segmentation, find_rests
+from tumble.reduction.rests.segmentation import Segmentation, Stretch, find_rests
 from tumble.rotation import rotation_matrix
 from tumble.sensors.model import Block
 from tumble.simulation.recording import Recording, record
@@ -74,7 +74,7 @@ def recorded(request: Setup, seed: int, vibration: Vibration = NO_VIBRATION) -> 
     return record(scenario(request, seed, vibration), np.random.default_rng(seed + 1000))
 
 
-def times(rests: Sequence[RestSpan]) -> Array:
+def times(rests: Sequence[Stretch]) -> Array:
     return np.array([(r.start, r.stop) for r in rests]).reshape(-1, 2)
 
 
@@ -142,7 +142,7 @@ def test_a_block_is_the_mean_of_its_samples(session: Recording) -> None:
 
 
 def test_a_stated_rest_is_the_whole_blocks_inside_its_times(session: Recording) -> None:
-    span = RestSpan.between(reduced(session.time, session.accel, session.gyro).files[0], 1.0, 3.0)
+    span = Stretch.between(reduced(session.time, session.accel, session.gyro).files[0], 1.0, 3.0)
     block = 3.0 / 37.0
     assert 1.0 - 1e-9 <= span.start < 1.0 + block
     assert 3.0 - block < span.stop <= 3.0 + 1e-9

@@ -44,7 +44,7 @@ from tumble.recording.log import open_log
 from tumble.reduction.blocks.reducer import Reduction, reduce_log
 from tumble.reduction.blocks.tuning import USUAL, Tuning
 from tumble.reduction.rests.rests import sphere_through
-from tumble.reduction.rests.segmentation import RestSpan, find_rests
+from tumble.reduction.rests.segmentation import Stretch, find_rests
 from tumble.rotation import unit_vector
 from tumble.run.observed import LARGEST_SQUARED, Progress
 from tumble.sensors.model import Block
@@ -165,7 +165,7 @@ def _with_windows(reduction: Reduction, factor: float, magnitude: float, widths:
     seconds = (f.name for f in fields(Tuning) if f.metadata["unit"] == "s")
     tuning = replace(USUAL, **{name: factor * getattr(USUAL, name) for name in seconds})
     channels, files = (*reduction.accel_channels, *reduction.gyro_channels), reduction.by_file
-    spans: tuple[RestSpan, ...] = ()
+    spans: tuple[Stretch, ...] = ()
     if max(max(-c.minimum, c.maximum) for c in channels) < LARGEST_SQUARED:
         with np.errstate(invalid="ignore"):  # of a stretch of zeros
             found = find_rests(replace(reduction, tuning=tuning), _TRIAD, None).rests
@@ -229,7 +229,7 @@ def length_and_zero(means: Array, widths: Widths = WIDTHS) -> tuple[float, float
 
 
 def _turns(
-    reduction: Reduction, spans: tuple[RestSpan, ...], up: Array, rates: Array
+    reduction: Reduction, spans: tuple[Stretch, ...], up: Array, rates: Array
 ) -> list[tuple[Array, Array, Array]]:
     """What the gyros read above their bias, at the nominal interval, in turns (m, 3) that end with another side up, and
     the verticals before and behind them, the shortest first; but for turns in which a gyro is clipped: it reads the

@@ -29,8 +29,8 @@ from tumble.reduction.blocks.reducer import Reduction, extremes
 from tumble.reduction.noise.coloured_noise import fit_coloured_noise
 from tumble.reduction.noise.rounding import Rounding, rounding_notes
 from tumble.reduction.rests.blemishes import BadSamples, bad_sample_notes, blemish_notes
-from tumble.reduction.rests.matching import Match
 from tumble.reduction.rests.rests import Rests, reduced_rests, rows_of, thermometers_of
+from tumble.reduction.rests.segmentation import Stretch
 from tumble.reduction.rests.sway import sway_notes, sway_of
 from tumble.reduction.rests.thermometer import Thermometers
 from tumble.reduction.turns.array_motion import ArrayMoments, MovedArray, array_moments
@@ -194,7 +194,7 @@ class Observations(Brief):
 
 def observe(
     reduction: Reduction,
-    match: Match,
+    spans: tuple[Stretch, ...],
     accel: Block,
     gyro: Block | None,
     site: Site,
@@ -202,7 +202,6 @@ def observe(
 ) -> Observations:
     """Reduce the rests and turns of a log to observations. At least one rest is needed. What an array reads in motion
     does not depend on the rests: it is made unless it is given, of the same log with other rests."""
-    spans = match.rests
     sway = None if gyro is None else sway_of(reduction, spans)
     rests, accel_quiet, gyro_noise, rounded = reduced_rests(reduction, spans, accel, gyro, sway)
     notes, turns, samples, readings = list[str](), None, None, None
@@ -241,8 +240,6 @@ def observe(
         rests=rests,
         turns=turns,
         turn_samples=samples,
-        programme=match.programme,
-        position=match.position,
         turn_readings=readings,
         arrays=arrays or (),
         rounding=rounded,

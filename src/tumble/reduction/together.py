@@ -17,9 +17,8 @@ import numpy as np
 from tumble.reduction.blocks.reducer import Reduction
 from tumble.reduction.noise.rounding import Rounding
 from tumble.reduction.observations import Observations, Together
-from tumble.reduction.rests.matching import Match
 from tumble.reduction.rests.rests import Rests, rows_of
-from tumble.reduction.rests.segmentation import RestSpan
+from tumble.reduction.rests.segmentation import Segmentation, Stretch
 from tumble.reduction.rests.thermometer import Thermometers
 from tumble.reduction.rests.warming import warming_of
 from tumble.reduction.turns.turns import TurnReadings, Turns, TurnSamples
@@ -35,12 +34,12 @@ HELD = 1e-6
 """rad an axis: what a support moves by from one part of a rest to the next."""
 
 
-def in_parts(reduction: Reduction, match: Match) -> tuple[Match, IntArray]:
-    """The rests of a match, those that warm in parts, and the number of the rest that each of these is of."""
+def in_parts(reduction: Reduction, whole: Segmentation) -> tuple[Segmentation, IntArray]:
+    """The rests of a log, those that warm in parts, and the number of the rest that each of these is of."""
     by_file = reduction.by_file
-    spans: list[RestSpan] = []
+    spans: list[Stretch] = []
     number: list[int] = []
-    for i, span in enumerate(match.rests):
+    for i, span in enumerate(whole.rests):
         file = by_file[span.file]
         warmth = None if file.temperature is None else file.temperature[span.first : span.last]
         count = 1
@@ -54,8 +53,8 @@ def in_parts(reduction: Reduction, match: Match) -> tuple[Match, IntArray]:
             stop = span.stop if last == span.last else float(edges[1])
             spans.append(replace(span, first=first, last=last, start=float(edges[0]), stop=stop))
             number.append(i)
-    position = None if match.position is None else match.position[number]
-    return replace(match, rests=tuple(spans), position=position), np.array(number, dtype=np.int64)
+    position = None if whole.position is None else whole.position[number]
+    return replace(whole, rests=tuple(spans), position=position), np.array(number, dtype=np.int64)
 
 
 def joined(sessions: Sequence[Observations], names: Sequence[str], numbers: Sequence[IntArray]) -> Observations:

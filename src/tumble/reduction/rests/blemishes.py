@@ -29,7 +29,7 @@ import numpy as np
 from tumble.reduction.blocks.motion_samples import MotionSamples
 from tumble.reduction.blocks.reducer import Blemish, FileBlocks, Reduction
 from tumble.reduction.blocks.tuning import USUAL, Tuning
-from tumble.reduction.rests.segmentation import RestSpan, inner_mean, inner_variance
+from tumble.reduction.rests.segmentation import Stretch, inner_mean, inner_variance
 from tumble.units import Array, BoolArray, IntArray
 
 AT_A_TIME = 2**17
@@ -231,7 +231,7 @@ def _corrupt(off: Array, dt: Array, beyond: BoolArray, tuning: Tuning) -> bool:
 # Words
 
 
-def blemish_notes(reduction: Reduction, spans: Sequence[RestSpan]) -> tuple[str, ...]:
+def blemish_notes(reduction: Reduction, spans: Sequence[Stretch]) -> tuple[str, ...]:
     """The bad samples that were left out of rests, counted, in words."""
     inside = [
         (number, one)

@@ -13,7 +13,7 @@ rest of a programme that is left out is not missing.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import groupby
 
 import numpy as np
@@ -22,7 +22,7 @@ from tumble.errors import ProgrammeError, SessionError
 from tumble.programme.positions import Programme
 from tumble.recording.session import Exclusion, ProgrammeSpec, Session
 from tumble.reduction.blocks.reducer import BLOCK_SECONDS, FileBlocks, Reduction
-from tumble.reduction.rests.segmentation import LevelJump, RestSpan, Segmentation, unrecorded
+from tumble.reduction.rests.segmentation import Segmentation, Stretch, unrecorded
 from tumble.rotation import onto_body, unit_vector
 from tumble.sensors.model import Block
 from tumble.units import DEGREE, Array, IntArray
@@ -37,24 +37,22 @@ SHORTEST_STATED = 1.0
 """s: below, a rest has too few blocks for the noise of its mean."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Match:
-    """The rests to use, and where there is a programme, it and the index of each rest's position in it (N,)."""
+def match_rests(session: Session, reduction: Reduction, segmentation: Segmentation) -> Segmentation:
+    """The rests to use: all that were found where no programme is given, else those of the programme's positions.
 
-    rests: tuple[RestSpan, ...]
-    programme: Programme | None
-    position: IntArray | None
-
-
-def match_rests(session: Session, reduction: Reduction, segmentation: Segmentation) -> Match:
-    """The rests to use: all that were found where no programme is given, else those of the programme's positions."""
+    Raises
+    ------
+    ProgrammeError
+        If the recording does not go through the programme.
+    """
     spec = session.programme
     if spec is None:
-        return Match(rests=segmentation.rests, programme=None, position=None)
+        return segmentation
     listed = spec.listed
     rests = _with_stated(listed, reduction, segmentation.rests, spec)
+    segmentation = replace(segmentation, rests=rests, programme=listed, position=np.empty(0, dtype=np.int64))
     if not rests:
-        return Match(rests=(), programme=listed, position=np.empty(0, dtype=np.int64))
+        return segmentation
     by_file = reduction.by_file
     means = np.array([by_file[s.file].accel.mean(s.first, s.last) for s in rests])
     readings = means @ onto_body(session.log.accel.axes).T
@@ -67,7 +65,7 @@ def match_rests(session: Session, reduction: Reduction, segmentation: Segmentati
         + "`tumble inspect` shows what was found and rejected"
     )
     if not listed.ordered:
-        return Match(rests=rests, programme=listed, position=_any_order(listed, rests, verticals, off, why_missing))
+        return replace(segmentation, position=_any_order(listed, rests, verticals, off, why_missing))
     if session.log.gyro is None:
         groups = _groups_by_vertical(expected, verticals)
     else:
@@ -82,12 +80,12 @@ def match_rests(session: Session, reduction: Reduction, segmentation: Segmentati
     _check_order(listed, [rests[i] for i in first], verticals[first], off[:, first], why_missing)
     _check_turns(session, reduction, listed, rests, groups)
     position = np.array([next(k for k, group in enumerate(groups) if i in group) for i in range(len(rests))])
-    return Match(rests=rests, programme=listed, position=position)
+    return replace(segmentation, position=position)
 
 
 def _with_stated(
-    listed: Programme, reduction: Reduction, found: tuple[RestSpan, ...], spec: ProgrammeSpec
-) -> tuple[RestSpan, ...]:
+    listed: Programme, reduction: Reduction, found: tuple[Stretch, ...], spec: ProgrammeSpec
+) -> tuple[Stretch, ...]:
     """Rests found, with those that a position states by its times in their place: these are in the (first) file, and
     long enough to have a mean."""
     file, stated = reduction.files[0], []
@@ -104,12 +102,12 @@ def _with_stated(
                 f"programme {listed.name}, {_named(listed, k)}: expected a rest of at least {SHORTEST_STATED:g} s, "
                 f"found start {p.start:g} s and stop {p.stop:g} s"
             )
-        stated.append(RestSpan.between(file, p.start, p.stop))
+        stated.append(Stretch.between(file, p.start, p.stop))
     kept = [s for s in found if not any(s.file == t.file and s.start < t.stop and t.start < s.stop for t in stated)]
     return tuple(sorted([*kept, *stated], key=lambda s: (s.file, s.start)))
 
 
-def _rotation_between(session: Session, reduction: Reduction, before: RestSpan, after: RestSpan) -> Array | None:
+def _rotation_between(session: Session, reduction: Reduction, before: Stretch, after: Stretch) -> Array | None:
     """Sum of the gyro increments (3,) between two rests, rad, less the rate at rest; None where no gyro saw it. For a
     turn about one axis it is the rotation vector."""
     blocks = reduction.by_file[before.file]
@@ -155,7 +153,7 @@ def _seen(vertical: Array) -> str:
     return "(" + ", ".join(f"{v:+.2f}" for v in vertical) + ")"
 
 
-def _check_order(listed: Programme, rests: list[RestSpan], verticals: Array, off: Array, why_missing: str) -> None:
+def _check_order(listed: Programme, rests: list[Stretch], verticals: Array, off: Array, why_missing: str) -> None:
     """Every position has its rest, in order; the vertical of rest j is `off` that of position k by off[k, j], rad."""
     expected = len(listed.positions)
     if len(rests) == expected:
@@ -197,7 +195,7 @@ def _check_order(listed: Programme, rests: list[RestSpan], verticals: Array, off
 
 
 def _check_turns(
-    session: Session, reduction: Reduction, listed: Programme, rests: tuple[RestSpan, ...], groups: list[list[int]]
+    session: Session, reduction: Reduction, listed: Programme, rests: tuple[Stretch, ...], groups: list[list[int]]
 ) -> None:
     """The gyros saw the programmed turns, about their axes and in their directions."""
     for k, move in enumerate(listed.moves):
@@ -218,7 +216,7 @@ def _check_turns(
 
 
 def _any_order(
-    listed: Programme, rests: tuple[RestSpan, ...], verticals: Array, off: Array, why_missing: str
+    listed: Programme, rests: tuple[Stretch, ...], verticals: Array, off: Array, why_missing: str
 ) -> IntArray:
     """The position of every rest. Every position must have one, and once: rests that follow each other in it, as of a
     cube turned on its face, count as one."""
@@ -232,7 +230,7 @@ def _any_order(
                 f"the body as in the nearest, {_named(listed, k)}, found {_seen(verticals[j])}, "
                 f"{off[k, j] / DEGREE:.1f}° off; at most {POSITION_LIMIT / DEGREE:.0f}° can be the same position"
             )
-    taken: dict[int, list[RestSpan]] = {}
+    taken: dict[int, list[Stretch]] = {}
     for k, members in groupby(range(len(rests)), key=nearest.tolist().__getitem__):
         taken.setdefault(k, []).append(rests[next(members)])
     missing = [_named(listed, k) for k in range(len(listed.positions)) if k not in taken]
@@ -266,7 +264,7 @@ def without_times(reduction: Reduction, found: Segmentation, excluded: tuple[Exc
     return replace(found, rests=tuple(rests))
 
 
-def _longest(reduction: Reduction, span: RestSpan, file: int, start: float, stop: float) -> RestSpan | None:
+def _longest(reduction: Reduction, span: Stretch, file: int, start: float, stop: float) -> Stretch | None:
     """The longer part of a rest before or after a stretch of time; None where none is long enough."""
     if span.file != file or start >= span.stop or stop <= span.start:
         return span
@@ -276,13 +274,16 @@ def _longest(reduction: Reduction, span: RestSpan, file: int, start: float, stop
     first, last = max(before, after, key=lambda part: part[1] - part[0])
     if last <= first or edges[last] - edges[first] < reduction.tuning.rest:
         return None
-    return RestSpan(file=file, first=first, last=last, start=float(edges[first]), stop=float(edges[last]))
+    lasts = span.lasts and last == span.last
+    return replace(span, first=first, last=last, start=float(edges[first]), stop=float(edges[last]), lasts=lasts)
 
 
-def without_numbered(reduction: Reduction, match: Match, excluded: tuple[Exclusion, ...]) -> tuple[Reduction, Match]:
+def without_numbered(
+    reduction: Reduction, found: Segmentation, excluded: tuple[Exclusion, ...]
+) -> tuple[Reduction, Segmentation]:
     """A reduction in which the turns that are left out by number were not recorded, and the rests to use without those
     that are. Raises SessionError for a number of which there are not so many."""
-    counts, numbers = {"turn": len(match.rests) - 1, "rest": len(match.rests)}, dict[str, list[int]]()
+    counts, numbers = {"turn": len(found.rests) - 1, "rest": len(found.rests)}, dict[str, list[int]]()
     for what, count in counts.items():
         stated = [(one.by, getattr(one, what)) for one in excluded if getattr(one, what) is not None]
         for by, number in stated:
@@ -290,20 +291,20 @@ def without_numbered(reduction: Reduction, match: Match, excluded: tuple[Exclusi
                 where = "without" if by == "request" else f"session.toml: exclude.{what}"
                 raise SessionError(f"{where}: expected a {what} from 1 to {count}, found {number}")
         numbers[what] = [number for _, number in stated]
-    ends = [match.rests[turn - 1 : turn + 1] for turn in numbers["turn"]]
+    ends = [found.rests[turn - 1 : turn + 1] for turn in numbers["turn"]]
     gaps = [unrecorded(before, after, 1, "left out", why="") for before, after in ends]  # `left_out` tells it
     reduction = replace(reduction, gaps=(*reduction.gaps, *gaps)) if gaps else reduction
     if not numbers["rest"]:
-        return reduction, match
-    kept = [i for i in range(len(match.rests)) if i + 1 not in numbers["rest"]]
-    position = None if match.position is None else match.position[kept]
-    return reduction, replace(match, rests=tuple(match.rests[i] for i in kept), position=position)
+        return reduction, found
+    kept = [i for i in range(len(found.rests)) if i + 1 not in numbers["rest"]]
+    position = None if found.position is None else found.position[kept]
+    return reduction, replace(found, rests=tuple(found.rests[i] for i in kept), position=position)
 
 
-def without_jump(reduction: Reduction, match: Match, jump: LevelJump | None, gyro: Block | None) -> Reduction:
+def without_jump(reduction: Reduction, found: Segmentation, gyro: Block | None) -> Reduction:
     """A reduction without the jump of the biases of the gyros: it is taken off all that follows, and the turn on whose
     way they jump was not recorded."""
-    rests = match.rests
+    rests, jump = found.rests, found.jump
     before = 0 if jump is None else sum((rest.file, rest.start) < (jump.file, jump.time) for rest in rests)
     if jump is None or gyro is None or not 0 < before < len(rests):
         return reduction

@@ -11,7 +11,7 @@ import numpy as np
 from tumble.reduction.blocks.reducer import ChannelState, Reduction
 from tumble.reduction.noise.coloured_noise import ColouredNoise, fit_coloured_noise
 from tumble.reduction.noise.rounding import Rounding, rounding
-from tumble.reduction.rests.segmentation import RestSpan
+from tumble.reduction.rests.segmentation import Stretch
 from tumble.reduction.rests.sway import Sway
 from tumble.reduction.rests.thermometer import Thermometers
 from tumble.reduction.rests.warming import KelvinAtLag, without_warming
@@ -98,7 +98,7 @@ def rows_of(whole: _Arrays, rows: slice | IntArray) -> _Arrays:
 
 
 def reduced_rests(
-    reduction: Reduction, spans: tuple[RestSpan, ...], accel: Block, gyro: Block | None, sway: Sway | None = None
+    reduction: Reduction, spans: tuple[Stretch, ...], accel: Block, gyro: Block | None, sway: Sway | None = None
 ) -> tuple[Rests, list[Array], ColouredNoise | None, dict[str, Rounding]]:
     """The rests at these spans, at least one, what their noise is fitted to of the accelerometers, the noise of the
     gyros and the rounding by kind of channel."""

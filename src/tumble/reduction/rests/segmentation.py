@@ -35,6 +35,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from tumble.earth import EARTH_RATE
+from tumble.programme.positions import Programme
 from tumble.recording.rows.gaps import Gap
 from tumble.reduction.blocks.reducer import FileBlocks, Reduction
 from tumble.reduction.blocks.tuning import USUAL, Tuning
@@ -57,51 +58,64 @@ Fails = Literal["duration", "scatter", "vertical", "level"]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class RestSpan:
-    """A rest found: blocks [first, last) of a file, start and stop in s."""
+class Stretch:
+    """A quiet stretch of a log: a rest, or what fails to be one.
+
+    Attributes
+    ----------
+    file, first, last
+        Blocks first … last − 1 of a file.
+    start, stop
+        Its times, s.
+    lasts
+        Whether it reaches the end of the log. A single block there may be off by chance.
+    fails
+        What keeps it from being a rest: its duration, the scatter of the accelerometers, the constancy of the vertical
+        or the level of the gyros. None of a rest.
+    reason
+        The same in words, with the number that decided.
+    """
+
+    json_fields: ClassVar = ("file", "start", "stop", "fails", "reason")
 
     file: int
     first: int
     last: int
     start: float
     stop: float
+    lasts: bool = False
+    fails: Fails | None = None
+    reason: str = ""
 
     @staticmethod
-    def between(f: FileBlocks, start: float, stop: float) -> RestSpan:
+    def between(f: FileBlocks, start: float, stop: float) -> Stretch:
         """The whole blocks between two times of a file, s."""
         first = int(np.searchsorted(f.edges, start - 1e-9))
         last = int(np.searchsorted(f.edges, stop + 1e-9, side="right")) - 1
-        return RestSpan(file=f.file, first=first, last=last, start=float(f.edges[first]), stop=float(f.edges[last]))
+        return Stretch.of_blocks(f, (first, last))
+
+    @staticmethod
+    def of_blocks(f: FileBlocks, span: Span) -> Stretch:
+        """The blocks of a span of a file."""
+        start, stop = (float(f.edges[i]) for i in span)
+        return Stretch(file=f.file, first=span[0], last=span[1], start=start, stop=stop)
+
+    @staticmethod
+    def rejected(f: FileBlocks, span: Span, fails: Fails, reason: str) -> Stretch:
+        """The blocks of a span of a file, which are no rest."""
+        return replace(Stretch.of_blocks(f, span), fails=fails, reason=reason)
+
+    @staticmethod
+    def too_short(f: FileBlocks, span: Span, tuning: Tuning) -> Stretch:
+        """The blocks of a span of a file in which nothing moves, but not for long enough."""
+        reason = f"{f.edges[span[1]] - f.edges[span[0]]:.1f} s is too short: rests of {tuning.still} s are long enough"
+        return Stretch.rejected(f, span, "duration", reason)
 
 
-def unrecorded(before: RestSpan, after: RestSpan, samples: int, what: str, why: str) -> Gap:
+def unrecorded(before: Stretch, after: Stretch, samples: int, what: str, why: str) -> Gap:
     """A turn between two rests that is taken as not recorded, for so many of its samples."""
     at, stop = before.stop, after.start
     return Gap(file=before.file, row=0, time=at, samples=samples, what=what, stop=stop, integrable=False, why=why)
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Rejected:
-    """A quiet stretch that is not a rest, in what it fails (its duration, the scatter of the accelerometers, the
-    constancy of the vertical, or the level of the gyros), and the number that decided."""
-
-    file: int
-    start: float
-    stop: float
-    fails: Fails
-    reason: str
-
-    @staticmethod
-    def of(f: FileBlocks, span: Span, fails: Fails, reason: str) -> Rejected:
-        """The blocks of a span of a file."""
-        start, stop = (float(f.edges[i]) for i in span)
-        return Rejected(file=f.file, start=start, stop=stop, fails=fails, reason=reason)
-
-    @staticmethod
-    def too_short(f: FileBlocks, span: Span, tuning: Tuning) -> Rejected:
-        """The blocks of a span of a file, in which nothing moves, but not for long enough."""
-        reason = f"{f.edges[span[1]] - f.edges[span[0]]:.1f} s is too short: rests of {tuning.still} s are long enough"
-        return Rejected.of(f, span, "duration", reason)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -116,19 +130,44 @@ class LevelJump:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Segmentation:
-    """Rests of a log in the order of time, what was rejected, and the thresholds that were found:
-    rate_limit (rad/s; None without gyros) and scatter_limit (m/s²)."""
+    """The rests of a log.
+
+    Attributes
+    ----------
+    rests, rejected
+        The rests, and the quiet stretches that are none, in the order of time.
+    rate_limit, scatter_limit
+        Distance of the rate from its level at rest, rad/s, and scatter of the specific force, m/s², up to which nothing
+        moves. The first is None without gyros.
+    jump
+        Where the level of the gyros at rest jumps.
+    stated_rate
+        Samples per second, Hz, where no time in the log shows them: what is a second, and so a rest, hangs on it.
+    tuning
+        Thresholds of the search.
+    still
+        Whether nothing moves at the end of the log.
+    programme, position
+        The programme that the rests were matched to, and the index (N,) of the position of each in it.
+    """
 
     json_fields: ClassVar = ("scatter_limit", "rate_limit", "rejected")
 
-    rests: tuple[RestSpan, ...]
-    rejected: tuple[Rejected, ...]
+    rests: tuple[Stretch, ...]
+    rejected: tuple[Stretch, ...]
     rate_limit: float | None
     scatter_limit: float
     jump: LevelJump | None = None
     stated_rate: float | None = None
-    """Samples per second, Hz, where no time in the log shows them: what is a second, and so a rest, hangs on it."""
     tuning: Tuning = USUAL
+    still: bool = False
+    programme: Programme | None = None
+    position: IntArray | None = None
+
+    @property
+    def lasting(self) -> bool:
+        """Whether the last of the rests reaches the end of the log."""
+        return bool(self.rests) and self.rests[-1].lasts
 
     def jumped(self) -> tuple[str, ...]:
         """That the level of the gyros at rest jumps once between two of the rests, and what to do; nothing where it
@@ -190,7 +229,7 @@ def find_rests(reduction: Reduction, accel: Block, gyro: Block | None) -> Segmen
     if not usual.rests and not short:
         moments = _RestSearch(reduction, accel, gyro, tuning.for_moments).rests().rests
         rejected = tuple(
-            Rejected.too_short(reduction.by_file[one.file], (one.first, one.last), tuning) for one in moments
+            Stretch.too_short(reduction.by_file[one.file], (one.first, one.last), tuning) for one in moments
         )
         return replace(usual, rejected=rejected or usual.rejected)
     if short <= 2 * len(usual.rests):
@@ -261,12 +300,12 @@ class _RestSearch:
                 f"their level at rest, more than {rate_limit / DEGREE:.2g} °/s: a slow turn, or a bias that depends on "
                 "attitude"
             )
-            rejected.append(Rejected.of(self.files[s.place], (s.first, s.last), "level", reason))
+            rejected.append(Stretch.rejected(self.files[s.place], (s.first, s.last), "level", reason))
         for f, shaken, still, c in zip(self.files, scatter, unmoved, calm, strict=True):
             for i, j in still:
                 if not c[i:j].any() and f.edges[j] - f.edges[i] >= tuning.rest:
                     reason = f"accelerometer scatter {shaken[i:j].max():.2g} m/s^2 within a second is above "
-                    rejected.append(Rejected.of(f, (i, j), "scatter", f"{reason}{scatter_limit:.2g} m/s^2"))
+                    rejected.append(Stretch.rejected(f, (i, j), "scatter", f"{reason}{scatter_limit:.2g} m/s^2"))
         whole = self._assembled(spans, rates, scatter_limit, rate_limit, rejected)
         if level is None or not np.any(level.step):
             return whole
@@ -356,10 +395,10 @@ class _RestSearch:
         rates: list[Array] | None,
         scatter_limit: float,
         rate_limit: float | None,
-        rejected: list[Rejected],
+        rejected: list[Stretch],
     ) -> Segmentation:
         """Extend the stretches found, take the margins off, and keep those that are long enough."""
-        tuning, rests = self.tuning, list[RestSpan]()
+        tuning, rests = self.tuning, list[Stretch]()
         for k, (f, force) in enumerate(zip(self.files, self.forces, strict=True)):
             signals = [(force, self.force_step)] + ([] if rates is None else [(rates[k], self.rate_step)])
             joined: list[Span] = []
@@ -372,22 +411,23 @@ class _RestSearch:
                 duration = float(f.edges[last] - f.edges[first])
                 margin = tuning.margin_of(duration)
                 before, after = margin if first > 0 else 0.0, margin if last < len(f) else 0.0
-                span = RestSpan.between(f, f.edges[first] + before, f.edges[last] - after)
+                span = Stretch.between(f, f.edges[first] + before, f.edges[last] - after)
                 too_short = duration - before - after < tuning.rest - 1e-9
                 mean = force[first:last].mean(axis=0)
                 off = np.linalg.norm(_moving_mean(force[first:last], self.window) - mean, axis=1).max()
                 tilt = float(off / np.linalg.norm(mean))
                 if too_short or span.last - span.first < tuning.fewest_blocks:
                     if duration > 0.5:
-                        rejected.append(Rejected.too_short(f, (first, last), self.usual))
+                        rejected.append(Stretch.too_short(f, (first, last), self.usual))
                 elif tilt > tuning.tilt:
                     at_most = f"in a rest at most {tuning.tilt / DEGREE:g}°"
                     reason = f"the vertical moves by {tilt / DEGREE:.0f}°, {at_most}"
-                    rejected.append(Rejected.of(f, (first, last), "vertical", reason))
+                    rejected.append(Stretch.rejected(f, (first, last), "vertical", reason))
                 else:
-                    rests.append(span)
+                    rests.append(replace(span, lasts=f is self.files[-1] and span.last >= len(f) - 1))
         return Segmentation(
             rests=tuple(rests),
+            still=bool(rests) and rests[-1].lasts,
             rejected=tuple(sorted(rejected, key=lambda r: (r.file, r.start))),
             rate_limit=rate_limit,
             scatter_limit=scatter_limit,

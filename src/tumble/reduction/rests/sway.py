@@ -25,7 +25,7 @@ import numpy as np
 import scipy
 
 from tumble.reduction.blocks.reducer import Reduction
-from tumble.reduction.rests.segmentation import RestSpan
+from tumble.reduction.rests.segmentation import Stretch
 from tumble.rotation import unit_vector
 from tumble.units import DEGREE, Array
 
@@ -63,7 +63,7 @@ class Sway:
     density: Array
 
 
-def sway_of(reduction: Reduction, spans: Sequence[RestSpan]) -> Sway | None:
+def sway_of(reduction: Reduction, spans: Sequence[Stretch]) -> Sway | None:
     """Find out whether a device sways in its rests by more than the noise of its gyros adds up to in one.
 
     Parameters

@@ -33,7 +33,7 @@ from tumble.reduction.noise.coloured_noise import ColouredNoise
 from tumble.reduction.noise.rounding import Rounding
 from tumble.reduction.rests.blemishes import NO_BAD_SAMPLES, BadSamples, bad_samples_of_turns
 from tumble.reduction.rests.rests import Rests
-from tumble.reduction.rests.segmentation import RestSpan, unrecorded
+from tumble.reduction.rests.segmentation import Stretch, unrecorded
 from tumble.reduction.rests.sway import FOURTH_DIFFERENCES, Sway
 from tumble.reduction.turns.array_motion import read_by
 from tumble.reduction.turns.moments import BlockCompensation, Compensation, Pieces, integrate, moments_of
@@ -177,7 +177,7 @@ def linear_compensation(gyro: Block, gyro_model: SensorModel, accel: Block, acce
 def reduced_turns(
     reduction: Reduction,
     stored: MotionSamples,
-    spans: tuple[RestSpan, ...],
+    spans: tuple[Stretch, ...],
     rests: Rests,
     accel_noise: tuple[Block, ColouredNoise],
     gyro_noise: tuple[Block, ColouredNoise],
@@ -314,7 +314,7 @@ def _in_body(block: Block, covariance: Array) -> Array:
 
 def turn_readings(
     reduction: Reduction,
-    spans: tuple[RestSpan, ...],
+    spans: tuple[Stretch, ...],
     turned: tuple[Turns, TurnSamples],
     gyro_noise: tuple[Block, ColouredNoise],
     rounded: Rounding,
@@ -361,7 +361,7 @@ def _carried(samples: TurnSamples, density: Array) -> Array:
 # Turns that are not known
 
 
-def torn_turns(spans: tuple[RestSpan, ...], gaps: tuple[Gap, ...]) -> tuple[str, ...]:
+def torn_turns(spans: tuple[Stretch, ...], gaps: tuple[Gap, ...]) -> tuple[str, ...]:
     """The turns that were not recorded as a whole, and why, as notes."""
     torn = [(i, _tear(before, after, gaps)) for i, (before, after) in enumerate(pairwise(spans), 1)]
     return tuple(
@@ -369,7 +369,7 @@ def torn_turns(spans: tuple[RestSpan, ...], gaps: tuple[Gap, ...]) -> tuple[str,
     )
 
 
-def _tear(before: RestSpan, after: RestSpan, gaps: tuple[Gap, ...]) -> Gap | None:
+def _tear(before: Stretch, after: Stretch, gaps: tuple[Gap, ...]) -> Gap | None:
     """The last gap between two rests of a file across which no turn is known."""
     for gap in reversed(gaps):
         in_file = gap.file == before.file == after.file
@@ -379,7 +379,7 @@ def _tear(before: RestSpan, after: RestSpan, gaps: tuple[Gap, ...]) -> Gap | Non
 
 
 def without_unknown_turns(
-    reduction: Reduction, rests: tuple[RestSpan, ...], gyro: Block, channels: Channels
+    reduction: Reduction, rests: tuple[Stretch, ...], gyro: Block, channels: Channels
 ) -> Reduction:
     """A reduction in which turns between these rests with clipped gyros, or with readings of more than half a turn from
     sample to sample, were not recorded."""
