@@ -105,8 +105,8 @@ def calibrate(
     is_log = any(value is not None for value in options.values()) or (
         len(sessions) == 1 and sessions[0].is_file() and sessions[0].suffix != ".toml"
     )
-    made = _session_of(sessions, ask.given_of(options), every=shown["every"])
-    with made if is_log else nullcontext(sessions) as folders, tell.estimating() as progress:
+    made = _session_of(sessions, ask.given_of(options), every=shown["every"]) if is_log else nullcontext(sessions)
+    with made as folders, tell.estimating() as progress:
         described = [read_session(folder).without(without or ()) for folder in folders]
         if together:
             from tumble.run.together import calibrate_together
