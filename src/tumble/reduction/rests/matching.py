@@ -1,14 +1,13 @@
-"""Rests found in a log, matched to the positions of a programme, less what a session leaves out.
+"""The rests of a log matched to the positions of a programme, without what a session excludes.
 
-Verticals are compared (bias taken off by the median difference), for programmes in order also the turns as the
-gyros saw them. Rests that follow each other without a turn between them are one position; without gyros, rests in a
-row with one vertical are the positions in a row that have it; in a programme in any order rests in a row with one
-vertical are one position. A rest that cannot be the programme's position, a
-missing or a surplus one, is a `ProgrammeError` that names the position.
+Verticals are compared, freed from bias by the median difference, and for programmes in order also the turns as the
+gyros saw them. Rests that follow each other without a turn between them are one position. Without gyros, successive
+rests with one vertical are the successive positions that have it; in a programme in any order they are one position. A
+rest that cannot be the position of the programme, a missing or a surplus one, is a `ProgrammeError` that names it.
 
-Times that [[exclude]] of session.toml leaves out are taken out of the rests before: a rest is what is left of it, if
-that is long enough. Rests and turns by number are those of the results, and are left out after the matching, so that a
-rest of a programme that is left out is not missing.
+Times that [[exclude]] of session.toml excludes are removed from the rests before: the longest part of a rest remains,
+if it is long enough. Rests and turns that are excluded by number have the numbers of the results, and are removed after
+the matching, so that such a rest of a programme is not missing.
 """
 
 from __future__ import annotations
@@ -86,8 +85,8 @@ def match_rests(session: Session, reduction: Reduction, segmentation: Segmentati
 def _with_stated(
     listed: Programme, reduction: Reduction, found: tuple[Stretch, ...], spec: ProgrammeSpec
 ) -> tuple[Stretch, ...]:
-    """Rests found, with those that a position states by its times in their place: these are in the (first) file, and
-    long enough to have a mean."""
+    """The rests that were found, those replaced whose times a position of the programme states. Stated times are in the
+    first file, and long enough for the noise of a mean."""
     file, stated = reduction.files[0], []
     for k, p in enumerate(spec.position or ()):
         if p.start is None or p.stop is None:
@@ -108,8 +107,8 @@ def _with_stated(
 
 
 def _rotation_between(session: Session, reduction: Reduction, before: Stretch, after: Stretch) -> Array | None:
-    """Sum of the gyro increments (3,) between two rests, rad, less the rate at rest; None where no gyro saw it. For a
-    turn about one axis it is the rotation vector."""
+    """Sum of the gyro increments (3,) between two rests, rad, without the rate at rest: the rotation vector of a turn
+    about one axis. None where there are no gyros, or another file."""
     blocks = reduction.by_file[before.file]
     if session.log.gyro is None or before.file != after.file:
         return None
@@ -120,8 +119,8 @@ def _rotation_between(session: Session, reduction: Reduction, before: Stretch, a
 
 
 def _groups_by_vertical(expected: Array, verticals: Array) -> list[list[int]]:
-    """Indices of rests by position where no gyro sees the turns between them: a turn about the vertical hardly shows,
-    so that rests in a row with one vertical belong to all positions in a row that have it."""
+    """Indices of rests by position, without gyros. A turn about the vertical hardly shows, so that successive rests
+    with one vertical belong to all successive positions that have it."""
     same = np.argmax(expected @ expected.T > 1.0 - 1e-9, axis=1)
     nearest = same[np.argmax(verticals @ expected.T, axis=1)]
     lengths: dict[int, list[int]] = {}
@@ -137,11 +136,11 @@ def _groups_by_vertical(expected: Array, verticals: Array) -> list[list[int]]:
 
 
 def freed_verticals(readings: Array, expected: Array, gravity: float) -> Array:
-    """Directions of the vertical in the body (N, 3), freed from bias by the median difference from the nearest of
-    those that are expected; of one or two readings the difference may be all that is wrong with them, and stays."""
+    """Directions of the vertical in the body (N, 3), freed from bias by the median difference from the nearest expected
+    ones. With one or two readings nothing is subtracted: the difference may be an error of the attitude."""
     bias = np.median(readings - gravity * expected[np.argmax(unit_vector(readings) @ expected.T, axis=1)], axis=0)
-    told = len(readings) > 2 and np.linalg.norm(bias) < BIAS_LIMIT * gravity
-    return unit_vector(readings - bias if told else readings)
+    plausible = len(readings) > 2 and np.linalg.norm(bias) < BIAS_LIMIT * gravity
+    return unit_vector(readings - bias if plausible else readings)
 
 
 def _named(listed: Programme, k: int) -> str:
@@ -154,7 +153,8 @@ def _seen(vertical: Array) -> str:
 
 
 def _check_order(listed: Programme, rests: list[Stretch], verticals: Array, off: Array, why_missing: str) -> None:
-    """Every position has its rest, in order; the vertical of rest j is `off` that of position k by off[k, j], rad."""
+    """Raise ProgrammeError unless every position has its rest, in order. off[k, j], rad, is the angle between the
+    verticals of position k and rest j."""
     expected = len(listed.positions)
     if len(rests) == expected:
         for k, (rest, vertical) in enumerate(zip(rests, verticals, strict=True)):
@@ -197,7 +197,7 @@ def _check_order(listed: Programme, rests: list[Stretch], verticals: Array, off:
 def _check_turns(
     session: Session, reduction: Reduction, listed: Programme, rests: tuple[Stretch, ...], groups: list[list[int]]
 ) -> None:
-    """The gyros saw the programmed turns, about their axes and in their directions."""
+    """Raise ProgrammeError unless the gyros saw the turns of the programme, in their directions."""
     for k, move in enumerate(listed.moves):
         before, after = rests[groups[k][-1]], rests[groups[k + 1][0]]
         turned = _rotation_between(session, reduction, before, after)
@@ -218,8 +218,8 @@ def _check_turns(
 def _any_order(
     listed: Programme, rests: tuple[Stretch, ...], verticals: Array, off: Array, why_missing: str
 ) -> IntArray:
-    """The position of every rest. Every position must have one, and once: rests that follow each other in it, as of a
-    cube turned on its face, count as one."""
+    """The position (N,) of every rest. Every position has to have one, once: successive rests in it, as of a cube that
+    is turned on its face, count as one."""
     nearest = np.argmin(off, axis=0)
     for j, rest in enumerate(rests):
         k = int(nearest[j])
@@ -251,11 +251,11 @@ def _any_order(
     return np.asarray(nearest)
 
 
-# What a session leaves out
+# What a session excludes
 
 
 def without_times(reduction: Reduction, found: Segmentation, excluded: tuple[Exclusion, ...]) -> Segmentation:
-    """The rests of a log without the stretches of time that are left out; of a rest the longest part remains."""
+    """The rests of a log without excluded stretches of time; the longest part of a rest remains."""
     rests = list(found.rests)
     for one in excluded:
         if one.start is not None and one.stop is not None:
@@ -265,7 +265,7 @@ def without_times(reduction: Reduction, found: Segmentation, excluded: tuple[Exc
 
 
 def _longest(reduction: Reduction, span: Stretch, file: int, start: float, stop: float) -> Stretch | None:
-    """The longer part of a rest before or after a stretch of time; None where none is long enough."""
+    """The longer part of a rest before or after a stretch of time. None where neither is long enough."""
     if span.file != file or start >= span.stop or stop <= span.start:
         return span
     edges = reduction.by_file[file].edges
@@ -281,8 +281,20 @@ def _longest(reduction: Reduction, span: Stretch, file: int, start: float, stop:
 def without_numbered(
     reduction: Reduction, found: Segmentation, excluded: tuple[Exclusion, ...]
 ) -> tuple[Reduction, Segmentation]:
-    """A reduction in which the turns that are left out by number were not recorded, and the rests to use without those
-    that are. Raises SessionError for a number of which there are not so many."""
+    """Exclude turns and rests by their numbers.
+
+    Returns
+    -------
+    Reduction
+        With the excluded turns as gaps.
+    Segmentation
+        Without the excluded rests.
+
+    Raises
+    ------
+    SessionError
+        If there are fewer turns or rests.
+    """
     counts, numbers = {"turn": len(found.rests) - 1, "rest": len(found.rests)}, dict[str, list[int]]()
     for what, count in counts.items():
         stated = [(one.by, getattr(one, what)) for one in excluded if getattr(one, what) is not None]
@@ -292,7 +304,7 @@ def without_numbered(
                 raise SessionError(f"{where}: expected a {what} from 1 to {count}, found {number}")
         numbers[what] = [number for _, number in stated]
     ends = [found.rests[turn - 1 : turn + 1] for turn in numbers["turn"]]
-    gaps = [unrecorded(before, after, 1, "left out", why="") for before, after in ends]  # `left_out` tells it
+    gaps = [unrecorded(before, after, 1, "left out", why="") for before, after in ends]  # the note is `left_out`
     reduction = replace(reduction, gaps=(*reduction.gaps, *gaps)) if gaps else reduction
     if not numbers["rest"]:
         return reduction, found
@@ -302,8 +314,8 @@ def without_numbered(
 
 
 def without_jump(reduction: Reduction, found: Segmentation, gyro: Block | None) -> Reduction:
-    """A reduction without the jump of the biases of the gyros: it is taken off all that follows, and the turn on whose
-    way they jump was not recorded."""
+    """A reduction without the jump of the biases of the gyros: it is subtracted from all that follows, and the turn in
+    which they jump is a gap."""
     rests, jump = found.rests, found.jump
     before = 0 if jump is None else sum((rest.file, rest.start) < (jump.file, jump.time) for rest in rests)
     if jump is None or gyro is None or not 0 < before < len(rests):
@@ -311,12 +323,13 @@ def without_jump(reduction: Reduction, found: Segmentation, gyro: Block | None) 
     last, first = rests[before - 1 : before + 1]
     step, files = gyro.axes @ jump.step, list[FileBlocks]()
     for file in reduction.files:
-        own, since = file.gyro, first.first if file.file == first.file else 0
+        series, since = file.gyro, first.first if file.file == first.file else 0
         if file.file >= first.file:
             later = np.arange(len(file))[:, None] >= since
-            tail = own.tail_total - own.tail_weight * step
-            own = replace(own, means=own.means - later * step, ends=own.ends - later * step, tail_total=tail)
-        files.append(replace(file, gyro=own))
+            tail = series.tail_total - series.tail_weight * step
+            means, ends = series.means - later * step, series.ends - later * step
+            series = replace(series, means=means, ends=ends, tail_total=tail)
+        files.append(replace(file, gyro=series))
     samples, gaps = reduction.samples, reduction.gaps
     if samples is not None:
         samples = samples.less(reduction.by_file[first.file].sample_at(first.first), jump.step)
@@ -326,7 +339,7 @@ def without_jump(reduction: Reduction, found: Segmentation, gyro: Block | None) 
 
 
 def left_out(excluded: tuple[Exclusion, ...]) -> tuple[str, ...]:
-    """What a session leaves out, as notes."""
+    """Notes on what a session excludes."""
     notes = []
     for one in excluded:
         in_file = f" of file {one.file}" if (one.file or 1) > 1 else ""
