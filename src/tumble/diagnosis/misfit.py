@@ -15,7 +15,7 @@ from operator import attrgetter
 
 import numpy as np
 
-from tumble.diagnosis.causes import Cause, candidates_of, quantisation, tested
+from tumble.diagnosis.causes import Cause, candidates_of, earth_rate_errors, quantisation, tested
 from tumble.diagnosis.linearised_session import UNITS, WORDS, Kind, LinearisedSession, sized
 from tumble.diagnosis.lost_samples import (
     OF_TURNS,
@@ -26,7 +26,7 @@ from tumble.diagnosis.lost_samples import (
     stamps_remedy,
     turns_to_blame,
 )
-from tumble.diagnosis.projection import Remaining, SumOfSquares, standing_out
+from tumble.diagnosis.projection import FALSE_ALARMS, Remaining, SumOfSquares, projections, standing_out
 from tumble.inference.estimate import Estimate, HyperparameterEstimate
 from tumble.inference.likelihood import Linearised, SessionSpan
 from tumble.inference.noise_components import REST_MODES, SCATTER, Components, typical_noise
@@ -56,6 +56,8 @@ TURNS_MORE = 10.0
 DAMAGE, SPARED = 3.0, 0.5
 """Times u: a parameter that errs by more because a cause was left out; and by what those of a group err at most that is
 accepted beside it, whose errors are of √(1 + SPARED²) u then, 1.12 u."""
+LARGEST_CLOCK_ERROR = 0.1
+"""Relative: a clock that is off by more is read in a wrong unit, or the gyros do not show the Earth's rate."""
 CONTAINED = "; u contains it"
 AT_RANDOM = f"{CONTAINED} as far as it is random"
 
@@ -166,6 +168,55 @@ def misfit(estimate: Estimate) -> Misfit | None:
         causes=tuple(dict.fromkeys(behind)),
     )
     return joined if estimate.method == "joint" else joined.each("by the method joint, ", (AT_RANDOM, CONTAINED))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ClockByEarth:
+    """The clock of a log by the Earth's rate: seconds in one of its seconds, the relative standard uncertainty of that,
+    and what the parameters of the gyros, by name, change with one of it."""
+
+    rate: float
+    u: float
+    changes: Mapping[str, float]
+
+    def sentence(self, corrected: str) -> str:
+        """What it says, and which parameters are corrected for it."""
+        return (
+            f"by the Earth's rate a second of the log's clock is {100.0 * (self.rate - 1.0):+.3g} % longer than one, "
+            f"to {100.0 * self.u:.2g} %: {corrected} corrected for it; look at rate_hz, or the time column, in [log]"
+        )
+
+
+def clock_by_earth(estimate: Estimate) -> ClockByEarth | None:
+    """The clock of a log where the Earth's rate contradicts the stated one and no other cause explains as much.
+
+    By least squares with the noise within rests, for what an estimate takes for wandering biases is the error of the
+    clock, and with the scatter that is left beside it."""
+    linearised = estimate.linearised
+    if linearised is None or linearised.problem.observations.together is not None:
+        return None
+    session, problem = LinearisedSession(linearised), linearised.problem
+    if problem.observations.gyro_block is None or problem.observations.site.latitude is None:
+        return None
+    errors = list(earth_rate_errors(session))
+    likely = tested(linearised, errors)[0]
+    if not likely or likely[0].name != "clock" or likely[0].probability > FALSE_ALARMS:
+        return None
+    first = _causes(session, Remaining.of(linearised, linearised.components))[0][0]
+    if first.name != "clock" or first.rivals:
+        return None
+    clock = next(error for error in errors if error.name == "clock")
+    (alone,) = projections(linearised, Components(), *clock.columns)
+    explained = alone.explained(slice(0, 1))
+    assert explained is not None
+    scatter = max(1.0, (alone.chi_square - explained.fall) / alone.degrees)
+    value, u = float(explained.values[0]), float(np.sqrt(scatter / explained.fall) * abs(explained.values[0]))
+    if abs(value) > LARGEST_CLOCK_ERROR:
+        return None
+    changes = zip(problem.instrument.names, (-u / value * explained.moved).tolist(), strict=True)
+    return ClockByEarth(
+        rate=1.0 + value, u=u, changes={name: change for name, change in changes if name.startswith("gyro")}
+    )
 
 
 def _causes(session: LinearisedSession, whole: Remaining) -> list[list[Cause]]:

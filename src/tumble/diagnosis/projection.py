@@ -33,7 +33,7 @@ from tumble.inference.elimination import fold
 from tumble.inference.likelihood import Linearised, Problem, Rows
 from tumble.inference.linearisation import with_priors
 from tumble.inference.noise_components import Components, Noise
-from tumble.inference.step import Left, Step, inverse_of, left, solve, tell, with_own
+from tumble.inference.step import Left, Step, inverse_of, left, mean_along, solve, tell, with_own
 from tumble.units import Array, IntArray
 
 SEEN_HEADING = 0.05
@@ -124,14 +124,22 @@ def projections(linearised: Linearised, components: Components, rest: Array, tur
         triangle[:, p : p + c] /= np.where(length > 0.0, length, 1.0)
         first = int(triangle[0, 0] == 0.0)  # gravity is taken as exact
         inverse = inverse_of(triangle[first:p, first:p])
+        moving, variance = inverse @ triangle[first:p, p : p + c], (inverse**2).sum(axis=1)
+        if told.process is not None and len(problem.parts) == 1:
+            biases = 1 - first + problem.biases
+            by, by_rests = mean_along(told)
+            by = by[:, q + first : -1] / np.append(np.ones(p - first), np.where(length > 0.0, length, 1.0))
+            variance[biases] = ((inverse[biases] + by[:, : p - first] @ inverse) ** 2).sum(axis=1)
+            variance[biases] += (by_rests**2).sum(axis=(0, 2))
+            moving[biases] += by @ np.vstack([moving, -np.eye(c)])
         hidden = np.count_nonzero(told.factor[part.rests].diagonal(0, 1, 2)[:, :3] == 0.0)
         kept = (noise.kept[0][part.rests] ** 2).sum() + (noise.kept[1][part.turns] ** 2).sum()  # rows not left out
         yield Projection(
             triangle=triangle[p : p + c, p : p + c],
             along=triangle[p : p + c, -1],
-            moving=(inverse @ triangle[first:p, p : p + c])[1 - first : 1 - first + m],
+            moving=moving[1 - first : 1 - first + m],
             length=length,
-            u=np.sqrt((inverse**2).sum(axis=1))[1 - first : 1 - first + m],
+            u=np.sqrt(variance[1 - first : 1 - first + m]),
             chi_square=float((triangle[p:, -1] ** 2).sum()),
             degrees=float(kept) - 3 * len(part.link) + hidden + others,
             scatters=components.wanders or bool(np.any(components.variances > 0.0)),
