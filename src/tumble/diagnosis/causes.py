@@ -41,7 +41,7 @@ MEMORIES = (10.0, 60.0, 300.0)
 """Time constants of a memory that are tried, s."""
 PLAY = 0.05 * G_STANDARD
 """Half the width of the play of a hysteresis: a change of the own force by twice as much takes it across."""
-EARTH_SEEN = 0.01
+EARTH_SEEN = 0.03
 """Relative standard uncertainty of the Earth's rate, and rad of the latitude: gyros that know them no better hardly see
 the headings, and these are not linear then."""
 FEWEST_BESIDE = 2
