@@ -39,8 +39,8 @@ from tumble.inference.noise_components import (
     typical_noise,
 )
 from tumble.inference.variables import at_two_temperatures, both_ways
-from tumble.sensors.parameters import poorer, prior_sizes, variable_of
-from tumble.units import Array, BoolArray
+from tumble.sensors.parameters import group_of, poorer, prior_sizes, variable_of
+from tumble.units import Array, BoolArray, IntArray
 
 IN_RUN_WITHIN = float(np.log(30.0) / 1.645)
 """Standard deviation of the logarithms of its size and of its correlation time about the usual ones: nine of ten are
@@ -66,10 +66,10 @@ class Hyperparameter:
     place: Place
     usual: float
     within: float = 0.0
-    members: slice | None = None
+    members: slice | IntArray | None = None
 
     @staticmethod
-    def of_size(name: str, words: str, place: Place, too_small: float, members: slice) -> Hyperparameter:
+    def of_size(name: str, words: str, place: Place, too_small: float, members: slice | IntArray) -> Hyperparameter:
         """p of a size λ = exp(max(p, 0)) that may be too small by a factor."""
         within = float(np.log(too_small))
         return Hyperparameter(name=name, unit="1", words=words, place=place, usual=1.0, within=within, members=members)
@@ -218,7 +218,11 @@ def table(problem: Problem, noise: Noise, seen: BoolArray) -> Hyperparameters:
     common = {name: own for name, own in problem.instrument.members.items() if variable_of(name) not in held}
     sizes: tuple[tuple[Place, dict[str, slice]], ...] = ("group", common), ("own group", problem.own_members)
     for place, groups in sizes:
-        for name, members in groups.items():
+        for name, own in groups.items():
+            with_it = [other for other in groups if group_of(other).sized_with == name]
+            if group_of(name).sized_with in groups:
+                continue
+            members = np.concatenate([np.arange(g.start, g.stop) for g in (own, *(groups[other] for other in with_it))])
             factor, said = observations.too_small.get(name, STATED), f"size of {name} over the usual one"
             entries.append(Hyperparameter.of_size(name, said, place, factor, members))
     return Hyperparameters.of(problem, entries)
