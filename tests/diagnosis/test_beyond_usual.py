@@ -57,6 +57,17 @@ def test_groups_at_ten_times_their_size_are_named_and_nothing_scatters(seed: int
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
+def test_groups_that_rests_hardly_tell_apart_are_widened_alike(seed: int) -> None:
+    """Else one takes what is seen of both, and the u of the other is that of its usual size."""
+    estimate, _, truth = by_hand(10.0, seed)
+    widened = {group.name: group.prior_widened for group in estimate.groups}
+    assert widened["accel.asymmetry"] == pytest.approx(widened["accel.quadratic"])
+    errors = np.abs(estimate.values - [truth.get(name, np.nan) for name in estimate.names]) / estimate.u
+    even = [i for i, name in enumerate(estimate.names) if group_name(name) in ("accel.quadratic", "accel.asymmetry")]
+    assert errors[even].max() < 4.0
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
 def test_groups_of_their_usual_sizes_are_not_spoken_of(seed: int) -> None:
     estimate, observations, _ = by_hand(1.0, seed)
     assert verdict(estimate, observations).verdict == "accepted"
