@@ -322,7 +322,7 @@ def _larger(group: Group, ratio: float, linearised: Linearised) -> str:
 
 
 def _groups_beyond_usual(estimate: Estimate) -> Iterator[Finding]:
-    """Groups of parameters beyond the linear model, but for drifts, that are far larger than usual, by kind of sensor."""
+    """Groups beyond the linear model, but for drifts, that are far larger than usual, by kind of sensor."""
     sizes = {h.name: h for h in estimate.hyperparameters}
     by_kind = dict[str, dict[str, str]]()
     for finding in estimate.groups:
