@@ -39,7 +39,9 @@ GRAVITY_REFUSED = 1100.0 * MILLIGAL
 that imu_tk takes for its recording, 1,091 mGal more than normal gravity, which published results rest on."""
 
 
-def verdict(estimate: Estimate, observations: Observations, *, gravity_confirmed: bool = False) -> Outcome:
+def verdict(
+    estimate: Estimate, observations: Observations, *, gravity_confirmed: bool = False, search: bool = True
+) -> Outcome:
     """Judge an estimate.
 
     Parameters
@@ -50,6 +52,8 @@ def verdict(estimate: Estimate, observations: Observations, *, gravity_confirmed
         What it was made from.
     gravity_confirmed
         Whether gravity is what is stated, however far from normal gravity.
+    search
+        Whether to search for causes; without, residuals are judged by their size alone.
 
     Returns
     -------
@@ -76,7 +80,7 @@ def verdict(estimate: Estimate, observations: Observations, *, gravity_confirmed
     findings += (each for each in weak if not each.refuses)
     findings += _not_fitting(estimate, observations)
     findings += (Finding(sentence=remark) for remark in estimate.remarks)
-    findings += _judged(estimate, missing)
+    findings += _judged(estimate, missing, search)
     integral = estimate.integral
     if integral is not None and rough(integral.pareto, integral.effective):
         sentence = (
@@ -119,12 +123,12 @@ def _beyond_scatter(estimate: Estimate, observations: Observations) -> Iterator[
         yield Finding(sentence=sentence, concerns=("gyro",), refuses=True)
 
 
-def _judged(estimate: Estimate, missing: tuple[str, ...]) -> Iterator[Finding]:
+def _judged(estimate: Estimate, missing: tuple[str, ...], search: bool) -> Iterator[Finding]:
     """What the residuals show; where parameters of one kind of sensor are missing, of the other kind."""
     without = {sensor_kind(name) for name in missing}
     if not estimate.converged or (without and (estimate.gyro is None or len(without) > 1)):
         return
-    for found in misfit(estimate):
+    for found in misfit(estimate, search):
         if not without or (found.kinds and not without & {*found.kinds}):
             yield found
 
