@@ -78,9 +78,9 @@ def verdict(estimate: Estimate, observations: Observations, *, gravity_confirmed
         remarks.append((("accel",), as_six_faces_give(estimate, observations, missing)))
     remarks += [*poor, *apart, *(((), remark) for remark in estimate.remarks), *judged.remarks]
     integral = estimate.integral
-    if integral is not None and rough(integral.pareto, integral.effective):
+    if integral is not None and rough(integral):
         said = "u rests on a few points of the integral over what the model does not know of itself: it is a rough one"
-        remarks.append(((), said))
+        remarks.append(((), f"{said}, by up to {100.0 * integral.u_error:.0f} %"))
     return Outcome(
         reasons=tuple(said for _, said in reasons),
         remarks=tuple(said for _, said in remarks),
