@@ -407,9 +407,10 @@ def with_sizes(triangle: Triangle, sizes: Array) -> tuple[Array, Array, Array]:
     return likelihood, sizes * along, sizes[:, :, None] * inverse * sizes[:, None, :]
 
 
-def members_of(hyperparameters: Sequence[Hyperparameter], elements: IntArray) -> tuple[IntArray, IntArray]:
+def members_of(fitted: Maximum, elements: IntArray) -> tuple[IntArray, IntArray]:
     """The parameters (g,) of the groups of some elements of φ, and the element (g,) of each."""
-    every = [np.arange(hyperparameters[i].members.start, hyperparameters[i].members.stop) for i in elements]
+    hyperparameters, places = fitted.hyperparameters, np.arange(len(fitted.problem.instrument.names))
+    every = [places[hyperparameters[i].members] for i in elements]
     number = [np.full(len(each), i) for i, each in zip(elements.tolist(), every, strict=True)]
     none = [np.zeros(0, dtype=int)]
     return np.concatenate(none + every), np.concatenate(none + number)
@@ -418,7 +419,7 @@ def members_of(hyperparameters: Sequence[Hyperparameter], elements: IntArray) ->
 def _densities_of_sizes(fitted: Maximum, sizes: list[int]) -> dict[int, Density]:
     """The densities along those sizes of groups of which the session shows something, through the maximum."""
     hyperparameters, phi = fitted.hyperparameters, fitted.phi
-    members, element = members_of(hyperparameters, np.array(sizes))
+    members, element = members_of(fitted, np.array(sizes))
     (triangle,) = triangles(fitted.linearisation, hyperparameters, phi[None], members)
     usual, out = fitted.usual_problem.usual_u[1 + members], dict[int, Density]()
     score = Score(fitted.solution)
@@ -523,7 +524,7 @@ class Draws:
 def _drawn(fitted: Maximum, proposal: Proposal, count: int, sequence: int) -> Draws:
     """So many points of ψ of a sequence, with sizes at each."""
     hyperparameters, linearisation = fitted.hyperparameters, fitted.linearisation
-    members, element = members_of(hyperparameters, proposal.inner)
+    members, element = members_of(fitted, proposal.inner)
     phi, log_q = proposal.points(fitted.phi, count, sequence)
     sizes = fitted.usual_problem.usual_u[1 + members] * np.exp(np.maximum(phi[:, :, element], 0.0))
     every = tuple(triangles(linearisation, hyperparameters, phi[:, 0], members))
