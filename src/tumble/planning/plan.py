@@ -22,7 +22,6 @@ from tumble.arguments import checked
 from tumble.brief import Brief
 from tumble.diagnosis.observability import in_words
 from tumble.errors import InputError
-from tumble.inference.prior import Prior
 from tumble.planning.bounds import CLOCK, GRAVITY, Bound, stated
 from tumble.planning.error_propagation import MethodOfPaper
 from tumble.planning.next_positions import ANY, NextPosition, TurnTable, next_positions
@@ -133,7 +132,6 @@ def plan(
     wanted: Mapping[str, float] | None = None,
     gyros: bool = True,
     table: TurnTable = ANY,
-    prior: Prior | None = None,
     progress: Progress = lambda _added, _most: None,
 ) -> Plan:
     """What a calibration by a set-up's programme will state, before it is made.
@@ -157,8 +155,6 @@ def plan(
         Of joint: with False, accelerometers alone.
     table
         How the device can be turned to a next position.
-    prior
-        Other units of the type, as a prior in place of the usual sizes.
     progress
         Receives how far the search for more positions is.
 
@@ -188,7 +184,7 @@ def plan(
         return _plan_of_paper(setup, method, iterations, wanted)
 
     def state(setup: Setup) -> Bound:
-        return stated(setup, gyros=gyros, prior=prior, terms=terms)
+        return stated(setup, gyros=gyros, terms=terms)
 
     def following(setup: Setup, wanted: Mapping[str, float]) -> tuple[NextPosition, ...]:
         return next_positions(setup, wanted=wanted, gyros=gyros, table=table)
