@@ -130,7 +130,7 @@ def _stated_linear(course: Itinerary, setup: Setup, gyros: bool) -> Bound:
     groups = {group.name: setup.further[group.name] for group in instrument_of(setup, gyros).further if left_out(group)}
     if not groups:
         return found
-    whole = expected(view(course, replace(setup, further=groups), gyros=gyros))
+    whole = view(course, replace(setup, further=groups), gyros=gyros)
     moves = moves_by_likelihood(whole.problem, whole.rows, whole.noise.weights(seen.components))
     moved, instrument = LeftOut.of(whole.problem, moves, None).moved, whole.problem.instrument
     by_group = {
