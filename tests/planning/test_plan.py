@@ -259,12 +259,12 @@ def test_what_a_session_must_state_is_said_and_counts_as_calibrate_counts_it() -
 
 
 def test_linear_terms_have_what_they_leave_out_in_u() -> None:
-    """As `calibrate --terms linear` does, to the sum of squares of what each group moves."""
+    """As `calibrate --terms linear` does, the squares of what each group moves; drifts are in the in-run process too."""
     setup = Setup.of(clock_ppm_u=0.0)
     linear, bare = plan(setup, terms="linear"), plan(replace(setup, instrument="one without groups"), terms="linear")
     for row in linear.groups:
         left = [u for name, u in row.sources.items() if name in with_all_groups(setup).further]
-        assert row.u == pytest.approx(math.hypot(bare.group(row.group).u, *left), rel=5e-3)  # drifts are in the process too
+        assert row.u == pytest.approx(math.hypot(bare.group(row.group).u, *left), rel=5e-3)
     assert linear.group("accel.bias").u > 10.0 * bare.group("accel.bias").u
 
 

@@ -34,13 +34,12 @@ from tumble.diagnosis.undetermined import linear_names
 from tumble.inference.elimination import fold
 from tumble.inference.estimate import Estimate, GroupFinding
 from tumble.inference.joint import joint
-from tumble.inference.likelihood import Problem, Rows, instruments_of
-from tumble.inference.linearisation import linearise
-from tumble.inference.noise_components import Weights
+from tumble.inference.linearisation import Linearisation, linearise
+from tumble.inference.normal_equations import eliminate_rests, session_mean_bias
 from tumble.inference.prediction import prediction
+from tumble.inference.problem import Problem, instruments_of
 from tumble.inference.sources import source
 from tumble.inference.start import start_of
-from tumble.inference.step import mean_along, tell
 from tumble.inference.turns_about import TurnsAbout
 from tumble.reduction.observations import Observations
 from tumble.rotation import unit_vector
@@ -80,7 +79,7 @@ class LeftOut:
         for group in () if beside is None else beside.groups:
             if group.name in instrument.members:
                 too_small[instrument.members[group.name]] = group.prior_widened
-        usual = problem.measured[1][1 + first :]
+        usual = problem.prior_u[1 + first :]
         return LeftOut(instrument=instrument, usual=usual, too_small=too_small[first:], moves=moves)
 
     @property
@@ -136,7 +135,7 @@ def groups_in_data(observations: Observations) -> tuple[Problem, Array]:
     the readings of accelerometers, then gyros, at rest, in body axes those of triads, the errors of the turns, the
     integrals over them of the readings of more than three gyros, and gravity."""
     problem = whole_problem(observations)
-    rows, first, shown, last = start_of(problem)[0].rows, problem.instrument.linear_count, list[Array](), 0
+    rows, first, shown, last = start_of(problem)[0], problem.instrument.linear_count, list[Array](), 0
     for block in problem.instrument.blocks:
         of_rests = rows.rest[:, last : last + block.size, 4 + first : -1]
         shown.append(block.axes.T @ of_rests if block.triad else of_rests)
@@ -160,36 +159,33 @@ def with_left_out_by_joint(estimate: Estimate, observations: Observations) -> Es
     values = np.append(linear.point.values, np.zeros(len(instrument.names) - instrument.linear_count))
     point = replace(linear.point, values=values)
     about = None if linear.about is None else TurnsAbout.of(observations, instrument, values)
-    moves = moves_by_likelihood(problem, linearise(problem, point, about), linear.noise.weights(linear.components))
+    moves = moves_by_likelihood(replace(linearise(problem, point, about), noise=linear.noise))
     beside = by_joint(observations)
     if beside is not None and estimate.converged:
         estimate = replace(estimate, linearised=beside.linearised, hyperparameters=beside.hyperparameters)
     return with_left_out(estimate, LeftOut.of(problem, moves, beside), observations.site.gravity)
 
 
-def moves_by_likelihood(problem: Problem, rows: Rows, weights: Weights) -> Array:
+def moves_by_likelihood(rows: Linearisation) -> Array:
     """By how much one of each group moves the parameters (m, k) of the linear model in a fit by the likelihood.
 
     Parameters
     ----------
-    problem
-        The likelihood of the instrument with all groups.
     rows
-        Its rows, whose priors of the linear parameters count.
-    weights
-        Weights of a fit of the linear model.
+        The likelihood of the instrument with all groups, whose priors of the linear parameters count, with the noise of
+        a fit of the linear model.
     """
+    problem, equations = rows.problem, eliminate_rests(rows)
     last = 1 + problem.instrument.linear_count
-    told = tell(problem, rows, weights)
     triangle = np.zeros_like(rows.prior)
     triangle[:last, :last] = rows.prior[:last, :last]
-    fold(told.sessions[0], triangle, triangular=True)
+    fold(equations.session_factors[0], triangle, triangular=True)
     exact = int(triangle[0, 0] == 0.0)  # gravity
     moves = np.zeros((last, len(triangle) - 1 - last))
     moves[exact:] = scipy.linalg.solve_triangular(triangle[exact:last, exact:last], triangle[exact:last, last:-1])
-    if told.process is not None:  # biases are means over the session
+    if equations.wanders:  # biases are means over the session
         both = np.vstack([moves, -np.eye(moves.shape[1])])
-        moves[1 + problem.biases] += mean_along(told)[0][:, :-1] @ both
+        moves[1 + problem.biases] += session_mean_bias(equations)[0][:, :-1] @ both
     return moves[1:]
 
 

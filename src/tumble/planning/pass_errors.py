@@ -28,7 +28,7 @@ import numpy as np
 
 from tumble import usual_setup
 from tumble.earth import EARTH_RATE, earth_rate
-from tumble.inference.noise_components import CORRELATION_TIME
+from tumble.inference.noise import CORRELATION_TIME
 from tumble.methods.paper.four_stages import scalar, sequential
 from tumble.planning.bounds import view
 from tumble.planning.error_propagation import (

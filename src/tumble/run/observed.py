@@ -228,8 +228,8 @@ def observations_in_parts(observed: Observed) -> tuple[Observations, IntArray] |
     matched = _matched(observed)
     if isinstance(matched, Outcome):
         return matched
-    reduction, whole, torn = matched
-    match, numbers = in_parts(reduction, whole)
+    reduction, match_of_rests, torn = matched
+    match, numbers = in_parts(reduction, match_of_rests)
     parts = _observed_again(observed, reduction, match)
     parts = with_mended_samples(replace(parts, notes=(*observed.notes, *parts.notes, *torn))).with_blows()
     return held(parts), numbers
