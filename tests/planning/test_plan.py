@@ -259,7 +259,7 @@ def test_what_a_session_must_state_is_said_and_counts_as_calibrate_counts_it() -
 
 
 def test_linear_terms_have_what_they_leave_out_in_u() -> None:
-    """As `calibrate --terms linear` does, the squares of what each group moves; drifts are in the in-run process too."""
+    """As `calibrate --terms linear` has it: the squares of what each group moves. Drifts are in the process too."""
     setup = Setup.of(clock_ppm_u=0.0)
     linear, bare = plan(setup, terms="linear"), plan(replace(setup, instrument="one without groups"), terms="linear")
     for row in linear.groups:

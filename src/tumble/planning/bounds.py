@@ -241,7 +241,11 @@ def whitened(seen: Linearisation) -> tuple[Array, Array]:
     n = seen.problem.sensors if seen.components.wanders else 0
     rest = np.pad(rest, ((0, 0), (0, n), (0, 0)))
     rest[0, rest.shape[1] - n :, 3 : 3 + n] = np.eye(n)
-    return rest, joint_rows(seen, turn)[:-1]
+    if seen.components.wanders:
+        return rest, joint_rows(seen, turn)[:-1]
+    joint = np.zeros((len(rest), *turn.shape[1:]))
+    joint[seen.problem.before_turn] = turn
+    return rest, joint[:-1]
 
 
 SHORTEST_TIME = 1e-3
