@@ -117,7 +117,7 @@ def calibrate(
         target = out or Path(described[0].name) / "calibration.json"
         result.write(target, force=force)
     if true is not None:
-        from tumble.result.correction import reference_of_parameter
+        from tumble.result.record import reference_of_parameter
         from tumble.simulation.temperature_profile import truth_at
 
         known = truth_at(true, result.reference_temperature, partial(reference_of_parameter, result))

@@ -37,7 +37,7 @@ def new(folder: Path, more: tuple[Path, ...], log: tuple[Path, ...], **options: 
         raise click.UsageError("Missing argument 'LOG': the recording")
     given = ask.given_of(options)
     draft, faults = new_session(folder, [*log, *more], given, progress=tell.with_progress)
-    for sentence in draft.said:
+    for sentence in draft.remarks:
         tell.say(sentence)
     for fault in faults:
         tell.warn(f"look at this: {fault}")
@@ -56,10 +56,7 @@ def session_folders(
     with, has that of the session that is made of it beside it; where the block fails it is there no more.
 
     `every`: say how each part of the session came about."""
-    from tumble.drafting.made_session import session_of_log
-
     first, stated = recordings[0], any(value is not None for value in options.values())
-    given = ask.given_of(options)
     if not stated and (len(recordings) > 1 or not first.is_file() or first.suffix == ".toml"):
         yield recordings
         return
@@ -68,7 +65,9 @@ def session_folders(
             "--latitude, --height, --serial, --sample-rate, --accel, --gyro, --time and units: expected one log with "
             "them, found a session; they stand in its session.toml"
         )
-    with session_of_log(first, given, tell.with_progress) as (folder, state, said, faults):
+    from tumble.drafting.made_session import session_of_log
+
+    with session_of_log(first, ask.given_of(options), tell.with_progress) as (folder, state, said, faults):
         for sentence in said if every else ():
             tell.say(sentence)
         for fault in faults:
@@ -139,7 +138,7 @@ def noise(
             layout = {key: value for key, value in drafts[0].log.items() if key != "file"}
             files = [file for draft in drafts for file in draft.files]
             found = noise_of(*files, layout=layout)
-        for sentence in drafts[0].said:
+        for sentence in drafts[0].remarks:
             tell.say(sentence)
     if picture is not None:
         plot(found.panels, picture)

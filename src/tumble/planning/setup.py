@@ -144,10 +144,11 @@ def time_of(programme: Programme, setup: Setup) -> float:
 
 
 def with_all_groups(setup: Setup) -> Setup:
-    """The set-up with all groups of parameters, of the usual sizes of its grade, or of navigation grade where the
-    instrument is of none."""
-    grade = setup.instrument if setup.instrument in GRADES else usual_setup.GRADE
-    return replace(setup, further=usual_sizes(grade) | dict(setup.further))
+    """The set-up with all groups of parameters, of the usual sizes of its grade where it states none; an instrument of
+    one's own has those that it states."""
+    if setup.instrument not in GRADES:
+        return setup
+    return replace(setup, further=usual_sizes(setup.instrument) | dict(setup.further))
 
 
 def check_setup(setup: Setup) -> None:

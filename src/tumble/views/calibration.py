@@ -95,9 +95,9 @@ def calibration_blocks(
     file, session
         Where the calibration is written and what it is of, for the next command.
     """
-    parameters, whole = calibration.parameters, calibration.evidence
+    parameters, evidence = calibration.parameters, calibration.evidence
     parameters = parameters if every else _usable(calibration, linear_parameters(parameters))
-    several, passport = bool(whole.launches), any(p.deviation is not None for p in parameters)
+    several, passport = bool(evidence.launches), any(p.deviation is not None for p in parameters)
     compared = every or passport or bool(truth)
     by_kind = [*verdicts(calibration)]
     if spared := accepted_groups(calibration):
@@ -131,7 +131,7 @@ def calibration_blocks(
 
             blocks += [shown for shown in tables_of(recordings(calibration)[0]) if shown]
         lines += [] if calibration.prediction is None else [predicted(calibration.prediction)]
-        lines += [rests_said(whole)] if whole.rests and not several else []
+        lines += [rests_said(evidence)] if evidence.rests and not several else []
         lines += [f"remark: {remark}" for remark in remarks_of(calibration)]
         site = calibration.provenance.site
         lines += [gravity_said(site)] if site is not None and not site.gravity_is_unit else []
@@ -143,8 +143,8 @@ def calibration_blocks(
     lines += [f"{c.method} differs from {calibration.method} by {_largest_difference(calibration, c)}" for c in others]
     lines += without_expanded(parameters)
     following = next_commands(calibration, file, session)
-    taken = len(text_of([*blocks, Items(items=(*lines, "")), *following], WIDTH).splitlines())
-    return [*blocks, Items(items=(*lines, *_fitting(calibration, MOST_LINES - taken))), *following]
+    height = len(text_of([*blocks, Items(items=(*lines, "")), *following], WIDTH).splitlines())
+    return [*blocks, Items(items=(*lines, *_fitting(calibration, MOST_LINES - height))), *following]
 
 
 MOST_LINES, WIDTH, MOST_REMARKS = 24, 100, 3
@@ -218,8 +218,8 @@ def _against_truth(calibration: Calibration, truth: Mapping[str, float]) -> str:
     """How far the values are from true ones, in a line."""
     z = [(p.value - truth[p.name]) / p.u for p in calibration.parameters if p.u and p.name in truth]
     rms = math.sqrt(sum(v * v for v in z) / max(len(z), 1))
-    known = f"{len(z)} parameters, rms of (value − truth)/u {rms:.2f}, expected about 1"
-    return f"truth: {known if z else 'no parameter was estimated that it has'}"
+    sentence = f"{len(z)} parameters, rms of (value − truth)/u {rms:.2f}, expected about 1"
+    return f"truth: {sentence if z else 'no parameter was estimated that it has'}"
 
 
 # -------------------- tables --------------------
@@ -316,9 +316,9 @@ def unknown_blocks(calibration: Calibration) -> list[Block]:
         rows.append(row | {"usual": significant(h.usual / size, 3), "unit": unit})
     blocks: list[Block] = [table(rows, words=("unknown", "what it is", "unit"), dense=True)]
     if (integral := calibration.evidence.integral) is not None:
-        said = f"integrated over them at {integral.points} points, effectively {integral.effective:.0f}; "
+        sentence = f"integrated over them at {integral.points} points, effectively {integral.effective:.0f}; "
         weights = f"shape of the Pareto distribution of their weights {fixed(integral.pareto, 2)}"
-        blocks.append(f"{said}{weights}, above 0.7 not to be relied on")
+        blocks.append(f"{sentence}{weights}, above 0.7 not to be relied on")
     units, rows = shown_units(calibration.parameters), []
     for bias in (each for each in calibration.evidence.process_bias if each.name in units):  # means of their processes
         size, unit = units[bias.name]
@@ -345,7 +345,7 @@ def launch_table(
 
     def row(p: Parameter, size: float, unit: str) -> dict[str, str]:
         u = p.u if p.u is None or not of_a_page else (p.k or 0.0) * p.u
-        row = {heading: shown(there.get(p.name), size) for heading, there in zip(headings, by_name, strict=True)}
+        row = {heading: shown(launch.get(p.name), size) for heading, launch in zip(headings, by_name, strict=True)}
         row |= {} if of_a_page else {"mean": shown(p, size)}
         return row | {"run to run": to_digits_of(p.run_to_run, u, size), "unit": unit}
 
@@ -430,9 +430,9 @@ def as_html(calibration: Calibration) -> str:
 
 def _short(calibration: Calibration) -> list[Block]:
     outcome = calibration.outcome
-    said = (*outcome.reasons, *remarks_of(calibration))
+    sentences = (*outcome.reasons, *remarks_of(calibration))
     notes = tuple(f"note: {note}" for note in calibration.provenance.notes)
-    blocks: list[Block] = [calibration.headline, *([Items(items=said)] if said else [])]
+    blocks: list[Block] = [calibration.headline, *([Items(items=sentences)] if sentences else [])]
     return [*blocks, whole_table(calibration), *([Items(items=notes)] if notes else [])]
 
 

@@ -123,11 +123,11 @@ class Database:
     @contextmanager
     def writing(self) -> Iterator[Rows]:
         """The transaction of the only writer, committed when the block ends without an error."""
-        made = False
+        created = False
         try:
             with self._transaction(tumble_writes=True) as begun:
-                made = self.new and not _has_tables(begun, self.name, create=True)
-                if made:
+                created = self.new and not _has_tables(begun, self.name, create=True)
+                if created:
                     _make_tables(begun)
                 yield Rows(connection=begun)
         except BaseException:
@@ -137,7 +137,7 @@ class Database:
             raise
         if self.file is not None and not self.file.is_file():
             raise InputError(f"{self.name}: expected the registry, found that it was removed meanwhile; try again")
-        if made and self.file is not None:  # readers do not wait for writers then; the file remembers it
+        if created and self.file is not None:  # readers do not wait for writers then; the file remembers it
             with suppress(sqlite3.OperationalError), closing(self.engine.raw_connection()) as raw:
                 raw.cursor().execute("PRAGMA journal_mode = WAL")  # or the last of those that opened it at once does
 
