@@ -35,8 +35,9 @@ HELD = 1e-6
 """rad an axis: what a support moves by from one part of a rest to the next."""
 
 
-def in_parts(reduction: Reduction, match: Match) -> tuple[Match, IntArray]:
-    """The rests of a match, those that warm in parts, and the number of the rest that each of these is of."""
+def in_parts(reduction: Reduction, match: Match, least: int = 1) -> tuple[Match, IntArray]:
+    """The rests of a match, those that warm in parts, in so many at `least` where they are long enough, and the number
+    of the rest that each of these is of."""
     by_file = reduction.by_file
     spans: list[RestSpan] = []
     number: list[int] = []
@@ -48,7 +49,7 @@ def in_parts(reduction: Reduction, match: Match) -> tuple[Match, IntArray]:
             tenths = [part.mean(axis=0) for part in np.array_split(warmth, min(10, len(warmth)))]
             change = max(warming_of(warmth), float(np.ptp(tenths, axis=0).max()))
             most = min(MOST_PARTS, int((span.stop - span.start) / SHORTEST_PART))
-            count = max(1, min(int(np.ceil(change / WARMED)), most))
+            count = max(1, min(max(int(np.ceil(change / WARMED)), least), most))
         for first, last in pairwise(np.linspace(span.first, span.last, count + 1).round().astype(int).tolist()):
             edges = span.start if first == span.first else file.edges[first], file.edges[last]
             stop = span.stop if last == span.last else float(edges[1])

@@ -14,13 +14,13 @@ from tumble.result.parts import Launch, Parameter, learned_fraction
 from tumble.sensors.frames import Frame, Framed, carried_further, convert, frame_of, triad_axes
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block
-from tumble.sensors.parameters import LINEAR, group_name, sensor_kind
+from tumble.sensors.parameters import LINEAR, THERMAL, group_name, sensor_kind
 from tumble.units import Array
 
 if TYPE_CHECKING:
     from tumble.result.calibration import Calibration
 
-_VARIABLES = ("time", "temperature", "temperature²")
+_VARIABLES = ("time", *THERMAL)
 _LINEAR = frozenset(group.name for group in LINEAR)
 
 

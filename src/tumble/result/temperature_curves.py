@@ -1,7 +1,8 @@
-"""Parameters over temperature: θ(T) = θ + θ₁ (T − T₀) + θ₂ (T − T₀)² with its uncertainty, and the temperatures at
-which it was measured.
+"""Parameters over temperature: θ(T) = θ + θ₁ (T − T₀) + θ₂ (T − T₀)² + θ₃ (T − T₀)³ with its uncertainty, and the
+temperatures at which it was measured.
 
-θ₁ is the parameter `<name>.t1`, θ₂ `<name>.t2` where a calibration has it; T₀ its reference temperature. Temperatures
+θ₁ is the parameter `<name>.t1`, θ₂ `<name>.t2` and θ₃ `<name>.t3` where a calibration has them; T₀ its reference
+temperature. Where it does not know θ, as of a device that lay in one attitude, it is the change from T₀. Temperatures
 are in °C. Beyond the measured range the polynomial is an extrapolation.
 """
 
@@ -17,9 +18,9 @@ from tumble.result.calibration import Calibration
 from tumble.result.correction import reference_of_parameter
 from tumble.result.parts import RestResult, stated_factor
 from tumble.sensors.model import SensorModel
+from tumble.sensors.parameters import OVER_TEMPERATURE, units_of
 from tumble.units import Array
 
-_ENDINGS = ("t1", "t2")
 _LEAST_SPAN = 0.05
 """K: rests whose temperatures are closer show nothing over temperature."""
 
@@ -76,8 +77,9 @@ def measured_range(calibration: Calibration) -> Range | None:
 
 def changing(calibration: Calibration) -> tuple[str, ...]:
     """Names of the parameters that change with temperature, in the order of the file."""
-    names = {p.name for p in calibration.parameters}
-    return tuple(p.name for p in calibration.parameters if any(f"{p.name}.{ending}" in names for ending in _ENDINGS))
+    bases = (name.rpartition(".") for name in calibration)
+    changed = dict.fromkeys(base for base, _, ending in bases if ending in OVER_TEMPERATURE)
+    return (*(name for name in calibration if name in changed), *(name for name in changed if name not in calibration))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -94,10 +96,10 @@ class Curve:
 
 
 def curve(calibration: Calibration, name: str, temperature: Array) -> Curve:
-    """A parameter over temperatures (N,), °C: value and U = k u with u² = pᵀ Σ p, p = (1, T − T₀, (T − T₀)²), and k by
-    the effective degrees of freedom of the sum."""
+    """A parameter over temperatures (N,), °C: value and U = k u with u² = pᵀ Σ p, p = (1, T − T₀, …), and k by the
+    effective degrees of freedom of the sum."""
     places = {p.name: i for i, p in enumerate(calibration.parameters)}
-    powers = [(0, name), *((d, f"{name}.{ending}") for d, ending in enumerate(_ENDINGS, 1))]
+    powers = [(0, name), *((d, f"{name}.{ending}") for d, ending in enumerate(OVER_TEMPERATURE, 1))]
     known = [(d, places[each]) for d, each in powers if each in places]
     warmer = temperature - reference_of_parameter(calibration, name)
     P = np.stack([warmer**d for d, _ in known], axis=1)
@@ -118,7 +120,7 @@ def curve(calibration: Calibration, name: str, temperature: Array) -> Curve:
         expanded = np.array(factors) * np.sqrt(u2) if len(factors) == len(u2) else None
     return Curve(
         name=name,
-        unit=calibration[name].unit,
+        unit=units_of([name])[0],
         temperature=temperature,
         value=P @ np.array([p.value for p in parameters]),
         expanded=expanded,
@@ -127,15 +129,10 @@ def curve(calibration: Calibration, name: str, temperature: Array) -> Curve:
 
 
 def coefficients(calibration: Calibration, kind: str, what: str) -> Array:
-    """What "bias" or "scale" of the sensors of a kind changes by, by channel: (n, 2), per K and per K²."""
-    compensator = calibration.compensator
-    block = compensator.accel if kind == "accel" else compensator.gyro
+    """What "bias" or "scale" of the sensors of a kind changes by, by channel: (n, 3), per K, K² and K³."""
+    block, _ = calibration.compensator.sensors(kind)
     assert block is not None
-    values = {p.name: p.value for p in calibration.parameters}
-    out = np.zeros((block.size, 2))
-    for sensor, channel in zip(block.sensors, block.channels, strict=True):
-        out[channel] = [values.get(f"{kind}.{what}.{sensor}.{ending}", 0.0) for ending in _ENDINGS]
-    return out
+    return calibration.compensator.changes.get(f"{kind}.{what}", np.zeros((block.size, len(OVER_TEMPERATURE))))
 
 
 def model_at(calibration: Calibration, kind: str, temperature: float) -> SensorModel:
@@ -144,7 +141,7 @@ def model_at(calibration: Calibration, kind: str, temperature: float) -> SensorM
     model = calibration.accel if kind == "accel" else calibration.gyro
     assert model is not None
     warmer = temperature - references(calibration, kind)
-    powers = np.column_stack([warmer, warmer**2])
+    powers = np.column_stack([warmer, warmer**2, warmer**3])
     longer = (coefficients(calibration, kind, "scale") * powers).sum(axis=1) / np.linalg.norm(model.matrix, axis=1)
     bias = model.bias + (coefficients(calibration, kind, "bias") * powers).sum(axis=1)
     return SensorModel(matrix=(1.0 + longer)[:, None] * model.matrix, bias=bias)

@@ -30,10 +30,11 @@ from tumble.recording.log import Log
 from tumble.recording.session import LogSpec, Session
 from tumble.recording.session_file import session_from
 from tumble.reduction.observations import Observations
-from tumble.result.calibration import Calibration, read_calibration
+from tumble.result.calibration import Calibration, calibration_from, read_calibration
 from tumble.result.evidence import Provenance
 from tumble.run.from_estimate import bridged_in, reference_of, result_of, without_result
 from tumble.run.observed import Progress, inspected, observations_for_calibration
+from tumble.run.warming import calibrate_warming, lies_still
 from tumble.sensors.frames import Convention, Frame
 from tumble.sensors.grades import GRADES, guessed_grade
 from tumble.sensors.grades import grade as grade_named
@@ -76,6 +77,7 @@ def calibrate(
     terms: Terms = "full",
     without: Iterable[int] = (),
     prior: Prior | None = None,
+    base: Calibration | FilePath | None = None,
     progress: Progress = Log.chunks,
     **arrays: Unpack[SensorArrays],
 ) -> Calibration:
@@ -99,6 +101,9 @@ def calibrate(
     prior
         What calibrations of other devices of the type say, such as `Registry.prior` gives, in place of sizes that are
         usual for the grade; for the method `joint` with all terms.
+    base
+        Calibration of the device, or its file, whose biases get coefficients over temperature by a recording at rest
+        while it warms or cools; for the method `joint` with all terms.
     progress
         Function that gives the chunks of a log as they are read, such as one that draws a bar.
     **arrays
@@ -143,9 +148,12 @@ def calibrate(
     estimator: Estimator = known[method] if iterations is None else partial(known[method], iterations=iterations)
     if prior is not None and (method != "joint" or terms != "full"):
         raise InputError("prior: expected the method joint with all terms, which takes one, found another")
+    if base is not None and (method != "joint" or terms != "full" or prior is not None or frame != "accelerometer"):
+        raise InputError("base: expected the method joint with all terms, no prior and no frame, found others")
     if frame != "accelerometer":
         Convention(frame=frame, block=given.accel_block)
-    made = _calibrated(given, method, estimator, frame, terms, progress, prior)
+    at_one = None if base is None else calibration_from(base)
+    made = _calibrated(given, method, estimator, frame, terms, progress, prior, at_one)
     if given.log.gyro is not stated.log.gyro:
         made = _with_provenance(made, notes=(*made.provenance.notes, UNSCALED))
     if not given.excluded:
@@ -156,7 +164,7 @@ def calibrate(
     # what is accepted without some rests only is a choice, and no u contains it: the outcome of all counts too
     try:
         every = replace(given, excluded=())
-        whole = _calibrated(every, method, estimator, frame, terms, progress, prior).outcome
+        whole = _calibrated(every, method, estimator, frame, terms, progress, prior, at_one).outcome
     except InputError as error:  # a rest too many for the programme, such as a knocked one
         whole = Outcome(reasons=(str(error),))
     of_whole = f"with what was left out: {whole.verdict}" + (f": {'; '.join(whole.reasons)}" if whole.reasons else "")
@@ -177,12 +185,15 @@ def _calibrated(
     terms: Terms,
     progress: Progress,
     prior: Prior | None,
+    base: Calibration | None,
 ) -> Calibration:
     """The calibration from what a session does not leave out."""
     systematic = systematic_of(session)
     with ThreadPoolExecutor(max_workers=1) as beside:
         observed = inspected(session, progress, beside)
         taken = observations_for_calibration(observed, biases_jump=method == "joint")
+        if base is not None or (method == "joint" and lies_still(taken)):
+            return calibrate_warming(observed, base, provenance_of(observed.sha256))
         known = (estimator, systematic, terms, prior)
         estimate = taken if isinstance(taken, Outcome) else estimated(session, taken, *known)
     provenance, bridged = provenance_of(observed.sha256), (*bridged_in(observed.gaps), *observed.segmentation.unused())

@@ -28,7 +28,7 @@ from tumble.rotation import left_inverse
 from tumble.sensors.compensation import Compensator
 from tumble.sensors.fixed_point import ACROSS, ALONG, TOO_FAST, TOO_MUCH, TOO_WARM, WIDTH, advance
 from tumble.sensors.instrument import Instrument, functions, measured_by
-from tumble.sensors.parameters import FORCE, group_name
+from tumble.sensors.parameters import FORCE, THERMAL, group_name
 from tumble.units import G_STANDARD, ZERO_CELSIUS, Array, BoolArray, IntArray
 
 LONGEST_STEP = 3.5
@@ -436,7 +436,7 @@ class Corrector:
         there = given.compensator
         turned = left_inverse(own.accel_coefficients[:, FORCE]) @ there.accel_coefficients[:, FORCE]
         felt, spun = turned.T @ np.asarray(force), turned.T @ (np.zeros(3) if rate is None else np.asarray(rate))
-        variables = "temperature", "temperature²", "hysteresis"
+        variables = *THERMAL, "hysteresis"
         instrument = Instrument.of(there.accel, there.gyro, {group_name(name) for name in given}, variables=variables)
         values = np.array([given[name].value if name in given else 0.0 for name in instrument.names])
         known = [i for i, name in enumerate(instrument.names) if name in given]
@@ -500,7 +500,7 @@ def derivative(instrument: Instrument, values: Array, warmer: float) -> Array:
     """Derivative ∂K/∂θ (n, 15, m) of the coefficients of accelerometers and gyros at a temperature `warmer` K above the
     reference, on which those by slopes, curvatures and hysteresis depend."""
     D = instrument.linearised(values)[1].copy()
-    by = {"temperature": warmer, "temperature²": warmer**2, "hysteresis": float(warmer != 0.0)}
+    by = {variable: warmer**power for power, variable in enumerate(THERMAL, 1)} | {"hysteresis": float(warmer != 0.0)}
     for own, base, variable in instrument.changes:
         D[:, :, own] = by[variable] * D[:, :, base]
     return D

@@ -48,11 +48,12 @@ def section(calibration: Calibration, name: str) -> Section | None:
         shown = (cells(value, U, size) for value, U in zip(each.value.tolist(), bands, strict=True))
         rows.append((each.name, *(cell for pair in shown for cell in pair), unit))
     columns = ("parameter", *(cell for T in at.tolist() for cell in (f"at {fixed(T, 1)} °C", "U")), "unit")
+    cubic = ", and + θ₃ (T − T₀)³ where there are some in t3" if any(n.endswith(".t3") for n in calibration) else ""
     text = (
         f"Measured from {fixed(measured.low, 1)} to {fixed(measured.high, 1)} °C. All other values in this report are "
         f"those at the reference temperature, {fixed(reference, 1)} °C; at T they are θ + θ₁ (T − T₀) + θ₂ (T − T₀)², "
-        "θ₁ and θ₂ being the parameters that end in t1 and t2. U is that of the whole sum. Beyond the measured range "
-        "the curve is an extrapolation, for which U does not stand."
+        f"θ₁ and θ₂ being the parameters that end in t1 and t2{cubic}. U is that of the whole sum. Beyond the measured "
+        "range the curve is an extrapolation, for which U does not stand."
     )
     text += "".join(f" {said[0].upper()}{said[1:]}." for said in own_thermometers(calibration))
     over = Figure(
