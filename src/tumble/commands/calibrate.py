@@ -30,6 +30,7 @@ _RESTS = ask.Numbers("numbers of rests such as 3,7", int)
         "tumble calibrate LOG0007.TXT --latitude 56.84 --serial A-7",
         "tumble calibrate monday tuesday --out A-7.json",
         "tumble calibrate cold room hot --together --out A-7.json",
+        "tumble calibrate warm.csv --base A-7.json --out A-7-warm.json",
         "tumble calibrate imu-7 --budget",
         "tumble calibrate imu-7 --json",
     )
@@ -41,6 +42,9 @@ _RESTS = ask.Numbers("numbers of rests such as 3,7", int)
 @ask.terms("full")
 @ask.option("--without", "Rests to leave out, by their numbers in the result, such as 3,7.", metavar="N,N", type=_RESTS)
 @click.option("--together", is_flag=True, help="Several sessions, at other temperatures, as one estimate.")
+@ask.option(
+    "--base", "Calibration whose biases get coefficients by a recording at rest over temperature.", type=ask.FILE
+)
 @ask.out("Calibration file to write; default: calibration.json in the session folder.")
 @ask.force("Replace a calibration file that came from another log or method.")
 @ask.option("--truth", "truth.json of a simulated session: show true values beside the result.", type=ask.FILE)
@@ -62,6 +66,7 @@ def calibrate(
     together: bool,
     registry: str | None,
     truth: Path | None,
+    base: Path | None,
     out: Path | None,
     force: bool,
     **options: Any,
@@ -70,7 +75,8 @@ def calibrate(
 
     Several sessions of one device are launches: every launch is shown with the mean and the standard deviation from
     launch to launch, and --out is required. With --together they are one estimate by the method joint, with
-    coefficients over temperature. Several methods are compared: the first one's result is the one written.
+    coefficients over temperature. Several methods are compared: the first one's result is the one written. A device
+    that lies still while it warms or cools gets coefficients over temperature, with --base beside its calibration.
 
     A file that is no session.toml, or anything with --latitude, --height, --serial, --sample-rate, --accel, --gyro,
     --time or units, is a LOG in any dialect: a session is made of it first, as `tumble new` does, in the folder
@@ -102,6 +108,9 @@ def calibrate(
         from tumble.simulation.session import read_truth
 
         true = read_truth(truth)
+    if base is not None and (len(sessions) > 1 or together or methods != ("joint",)):
+        raise InputError("--base: expected one recording and the method joint, found others")
+    estimation |= {} if base is None else {"base": base}
     is_log = any(value is not None for value in options.values()) or (
         len(sessions) == 1 and sessions[0].is_file() and sessions[0].suffix != ".toml"
     )

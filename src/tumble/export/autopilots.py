@@ -78,7 +78,7 @@ from tumble.result.temperature_curves import (
     warm_rests,
 )
 from tumble.sensors.model import SensorKind, SensorModel
-from tumble.sensors.parameters import OVER_TEMPERATURE
+from tumble.sensors.parameters import OVER_TEMPERATURE, group_name
 from tumble.units import DEGREE, TESLA, Array
 
 LAST_COMPENSATED = 3
@@ -159,6 +159,8 @@ class Triad:
         Of the IMU in the autopilot, from 1, and of the device, None where it is not known.
     offset, factor
         (3,): the biases, SI, and 1/Mᵢᵢ, so that what comes out is (1 + E) true; factors of gyros are 1.
+    known
+        Whether these were calibrated; where only changes over temperature were, the file leaves them as they are.
     measured, reference, slopes, coefficients
         Over temperature: between which temperatures it was measured, °C; the reference, °C; (3, 3), how the biases
         change per K, K² and K³ about it; and (3, 3), those of the autopilot's cubic by axis.
@@ -170,6 +172,7 @@ class Triad:
     id: int | None
     offset: Array
     factor: Array
+    known: bool
     measured: Range | None = None
     reference: float = math.nan
     slopes: Array = field(default_factory=lambda: np.zeros((3, 3)))
@@ -242,6 +245,7 @@ def _triads(pilot: Autopilot, target: str, calibration: Calibration, imu: int | 
                 id=None if recorded_as is None else recorded_as.id,
                 offset=model.bias,
                 factor=1.0 / np.diag(model.matrix) if kind == "accel" else np.ones(3),
+                known=any(group_name(name) == f"{kind}.bias" for name in calibration),
                 **over_temperature,
             )
         )
@@ -362,8 +366,8 @@ def _px4(
             "TC_*_ID are not in this file: set them to CAL_ACC*_ID and CAL_GYRO*_ID, or give --sensor-ids; without "
             "them PX4 compensates nothing"
         )
-    changes = {f"{each.kind} offsets": each.offset for each in applied}
-    changes |= {f"{each.kind} scales": each.factor - 1.0 for each in applied[:1] if each.kind == "accel"}
+    changes = {f"{each.kind} offsets": each.offset for each in applied if each.known}
+    changes |= {f"{each.kind} scales": each.factor - 1.0 for each in applied[:1] if each.kind == "accel" and each.known}
     if small := [name for name, three in changes.items() if np.linalg.norm(three) <= LEAST]:
         see_to.append(
             "some releases of PX4 ignore corrections shorter than 0.01 (m/s^2, 1, rad/s), as here: "

@@ -192,7 +192,7 @@ def _calibrated(
     with ThreadPoolExecutor(max_workers=1) as beside:
         observed = inspected(session, progress, beside)
         taken = observations_for_calibration(observed, biases_jump=method == "joint")
-        if base is not None or (method == "joint" and lies_still(taken)):
+        if base is not None or (method == "joint" and lies_still(observed)):
             return calibrate_warming(observed, base, provenance_of(observed.sha256))
         known = (estimator, systematic, terms, prior)
         estimate = taken if isinstance(taken, Outcome) else estimated(session, taken, *known)

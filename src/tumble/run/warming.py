@@ -45,6 +45,7 @@ from tumble.inference.sources import source
 from tumble.inference.variables import both_ways
 from tumble.recording.session import Session
 from tumble.reduction.observations import Observations
+from tumble.reduction.rests.segmentation import find_rests
 from tumble.reduction.rests.thermometer import Thermometers
 from tumble.reduction.rests.warming import OVER_TEMPERATURE as WIDE
 from tumble.result.accepted import accepted_part
@@ -89,12 +90,14 @@ NO_TURN = 1e-9
 """s: what a turn about nothing takes, so that it has a scatter of its own."""
 
 
-def lies_still(observations: Observations | Outcome) -> bool:
+def lies_still(observed: Observed) -> bool:
     """Whether a device lay in one attitude while its temperature changed."""
-    if isinstance(observations, Outcome) or observations.thermometers is None:
+    records = [file.temperature for file in observed.reduction.files if file.temperature is not None]
+    if observed.faults or max((np.ptp(each, axis=0).max() for each in records), default=0.0) < LEAST_CHANGE:
         return False
-    spans = [np.ptp(kelvin, axis=0).max() for _, kelvin in observations.thermometers.files.values()]
-    return not _several_attitudes(observations) and max(spans) >= LEAST_CHANGE
+    rests, files = _at_rest(observed).segmentation.rests, observed.reduction.by_file
+    means = np.array([files[rest.file].accel.mean(rest.first, rest.last) for rest in rests])
+    return len(rests) > 0 and not _several_attitudes(means)
 
 
 def calibrate_warming(observed: Observed, base: Calibration | None, provenance: Provenance) -> Calibration:
@@ -116,7 +119,7 @@ def calibrate_warming(observed: Observed, base: Calibration | None, provenance: 
         For a log without thermometer, and for a calibration of other sensors.
     """
     session = observed.session
-    taken = observations_in_parts(observed, PARTS)
+    taken = observations_in_parts(_at_rest(observed), PARTS)
     if isinstance(taken, Outcome):
         return without_result(session, "joint", taken, provenance)
     observations = taken[0].of_accelerometers() if observed.gyro_faults else taken[0]
@@ -176,9 +179,23 @@ def between_steps(thermometers: Thermometers) -> Thermometers:
     return Thermometers(files=files)
 
 
-def _several_attitudes(observations: Observations) -> bool:
-    """Whether a device lay in attitudes that are far apart."""
-    up = observations.rests.accel / np.linalg.norm(observations.rests.accel, axis=1, keepdims=True)
+def _at_rest(observed: Observed) -> Observed:
+    """The same with the rests that the accelerometers show, where the gyros read alike from one second to the next in
+    each: of a device that warms fast they leave the level that they have at rest."""
+    rests = find_rests(observed.reduction, observed.session.accel_block, None).rests
+    files, limit = observed.reduction.by_file, observed.segmentation.rate_limit
+    second = max(1, round(1.0 / observed.reduction.block_seconds))
+    for rest in rests:
+        means = files[rest.file].gyro.means[rest.first : rest.last]
+        seconds = means[: len(means) // second * second].reshape(-1, second, means.shape[1]).mean(axis=1)
+        if limit is not None and len(seconds) > 1 and np.linalg.norm(np.diff(seconds, axis=0), axis=1).max() > limit:
+            return observed
+    return replace(observed, segmentation=replace(observed.segmentation, rests=rests))
+
+
+def _several_attitudes(means: Array) -> bool:
+    """Whether a device whose accelerometers read these means (N, n) lay in attitudes that are far apart."""
+    up = means / np.linalg.norm(means, axis=1, keepdims=True)
     return bool((up @ up[0]).min() < APART)
 
 
@@ -226,7 +243,7 @@ def _estimated(session: Session, observations: Observations, base: Calibration |
     """The coefficients over temperature by the joint estimate."""
     from tumble.run.calibrate import with_grade
 
-    given, several = with_grade(session, observations), _several_attitudes(observations)
+    given, several = with_grade(session, observations), _several_attitudes(observations.rests.accel)
     turns, thermometers = given.turns, given.thermometers
     assert thermometers is not None
     turned = turns is not None and bool((turns.duration > 0.0).any())
@@ -249,8 +266,10 @@ def _estimated(session: Session, observations: Observations, base: Calibration |
         # at a pole no heading matters: the Earth's rate, constant in an attitude, is put right afterwards
         site=replace(given.site, latitude=0.5 * np.pi),
     )
+    with np.errstate(invalid="ignore"):  # the mean rate of turns about nothing
+        estimate = joint(observations, prior=Prior(parameters=prior))
     return _Found(
-        estimate=joint(observations, prior=Prior(parameters=prior)),
+        estimate=estimate,
         observations=observations,
         latitude=given.site.latitude,
         usual=usual,
