@@ -7,15 +7,19 @@ temperature of the sensor, which follows the thermometer with a lag.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from tumble.sensors.model import SensorModel
 from tumble.units import Array
 
 G = 9.80665
 DEGREE_PER_HOUR = np.pi / 180.0 / 3600.0
+EARTH = 7.292115e-5 * np.sin(np.radians(50.0))
+"""rad/s, upwards."""
+TURN_SECONDS = 3.0
 WHITE = {"accel": 1.5e-3, "gyro": np.radians(0.01)}
 """Densities, SI/√Hz."""
 WANDERING = {"accel": 3e-4, "gyro": 5.0 * DEGREE_PER_HOUR}
@@ -28,8 +32,8 @@ SCALE_SLOPE = 150e-6
 @dataclass(frozen=True, kw_only=True)
 class Warming:
     """A recording: times (N,), readings (N, 3) by kind, the temperature (N,), °C, that the thermometer reads; and what
-    is true of it: the lag, the middle of the range, °C, and by kind the coefficients (3, 3) of the readings in this
-    attitude, by sensor and power."""
+    is true of it: the lags, the middle of the range, °C, by kind the coefficients (3, 3) of the readings in its first
+    attitude and of the biases, by sensor and power, and the slopes (3,) of the accelerometers' scale factors."""
 
     time: Array
     accel: Array
@@ -39,7 +43,7 @@ class Warming:
     middle: float
     readings: dict[str, Array]
     biases: dict[str, Array]
-    constant: dict[str, Array] = field(default_factory=dict)
+    scales: Array
 
     @property
     def arrays(self) -> dict[str, Any]:
@@ -63,9 +67,12 @@ def warming(
     rate: float = 25.0,
     whole_degrees: bool = False,
     creep: float = 0.0,
+    turns: int = 0,
+    models: dict[str, SensorModel] | None = None,
 ) -> Warming:
     """A recording in which the temperature goes through a span, K: by an exponential ("warming", "cooling"), or in a
-    "ramp" up and down. `creep`, rad/√s, lets the board tilt slowly."""
+    "ramp" up and down. `creep`, rad/√s, lets the board tilt slowly; it is turned so many times by a quarter of a turn;
+    its sensors are those of `models` in the middle of the range, else perfect but for their biases."""
     rng = np.random.default_rng(seed)
     time = np.arange(1, int(seconds * rate) + 1) / rate
     constant = rng.uniform(0.2, 0.4) * seconds
@@ -77,22 +84,23 @@ def warming(
     celsius = rng.uniform(-10.0, 30.0) + span * passed
     middle = 0.5 * float(celsius.min() + celsius.max())
     read = celsius + 0.05 * rng.standard_normal(len(time))
-    up = rng.standard_normal(3)
-    up /= np.linalg.norm(up)
-    lags, readings, biases, every, constants = {}, {}, {}, {}, {}
+    up, rates = _attitudes(rng, time, turns)
+    scales = SCALE_SLOPE * rng.standard_normal(3)
+    lags, readings, biases, every = {}, {}, {}, {}
     for kind in ("accel", "gyro"):
         lags[kind] = lag * rng.uniform(0.7, 1.3)
-        sensor = _behind(celsius, 1.0 / rate, lags[kind])
+        d = _behind(celsius, 1.0 / rate, lags[kind]) - middle
         biases[kind] = SLOPE[kind] * rng.standard_normal((3, 3)) * np.array([1.0, 1.0 / 60.0, 1.0 / 3600.0])
         readings[kind] = biases[kind].copy()
-        force = G * up if kind == "accel" else np.zeros(3)
-        readings[kind][:, 0] += SCALE_SLOPE * rng.standard_normal(3) * force
-        d = sensor - middle
-        series = np.stack([d, d**2, d**3], axis=1) @ readings[kind].T
+        series = np.stack([d, d**2, d**3], axis=1) @ biases[kind].T
+        if kind == "accel":
+            readings[kind][:, 0] += scales * G * up[0]
+            series += scales * d[:, None] * G * up
         series += _wandering(rng, len(time), 1.0 / rate, WANDERING[kind], 300.0)
         series += WHITE[kind] * np.sqrt(rate) * rng.standard_normal(series.shape)
-        constants[kind] = force + {"accel": 5e-2, "gyro": 1e-2}[kind] * rng.standard_normal(3)
-        every[kind] = constants[kind] + series
+        true = G * up if kind == "accel" else rates + EARTH * up  # its level part is left out
+        bias = {"accel": 5e-2, "gyro": 1e-2}[kind] * rng.standard_normal(3)
+        every[kind] = series + (true + bias if models is None else models[kind].predict(true))
     if creep:
         tilt = creep * np.cumsum(rng.standard_normal((len(time), 3)), axis=0) / np.sqrt(rate)
         every["accel"] += np.cross(G * up, tilt)
@@ -100,8 +108,26 @@ def warming(
         read = np.round(read)
     return Warming(
         time=time, accel=every["accel"], gyro=every["gyro"], celsius=read, lag=lags, middle=middle,
-        readings=readings, biases=biases, constant=constants,
+        readings=readings, biases=biases, scales=scales,
     )  # fmt: skip
+
+
+def _attitudes(rng: np.random.Generator, time: Array, turns: int) -> tuple[Array, Array]:
+    """The vertical and the rate (N, 3), rad/s, in the body, which is turned so many times in TURN_SECONDS each."""
+    up = rng.standard_normal(3)
+    up /= np.linalg.norm(up)
+    ups, rates = np.tile(up, (len(time), 1)), np.zeros((len(time), 3))
+    for k in range(turns):
+        axis = np.cross(up, rng.standard_normal(3))
+        axis /= np.linalg.norm(axis)
+        x = (time - time[-1] * (k + 1) / (turns + 1)) / TURN_SECONDS
+        within = (x > 0.0) & (x < 1.0)
+        angle = 0.5 * np.pi * np.clip(x - np.sin(2.0 * np.pi * np.clip(x, 0.0, 1.0)) / (2.0 * np.pi), 0.0, 1.0)
+        rates[within] = (0.5 * np.pi / TURN_SECONDS * (1.0 - np.cos(2.0 * np.pi * x[within])))[:, None] * axis
+        later = x > 0.0
+        ups[later] = (np.cos(angle)[:, None] * up - np.sin(angle)[:, None] * np.cross(axis, up))[later]
+        up = ups[-1]
+    return ups, rates
 
 
 def _behind(celsius: Array, step: float, lag: float) -> Array:

@@ -8,8 +8,8 @@ f_p the specific force along its axis, s_pk and b_pk the coefficients of its sca
 process. A rest is cut into parts, which are rows of the joint estimate (`tumble.inference.joint`) as rests are: the
 polynomials are parameter groups with priors of usual size, which decide how high a degree span and noise support; the
 lags of both kinds, the sizes of the processes and their correlation times are integrated over. Neighbouring parts are
-joined by turns about nothing. Each of these leaves the attitude as it is but for a small rotation of unknown size: the
-attitude is a random walk, its size a component of scatter, and its two angles tilt all accelerometers alike.
+joined by turns about nothing, which leave the attitude as it is but for a random walk (`CREEP`), whose two angles tilt
+all accelerometers alike; what a support creeps by beyond it the in-run process takes.
 
 **One attitude.** c_p, f_p and the mean of β_p are not told apart, nor are s_pk and b_pk: what is estimated is the
 coefficient r_pk = b_pk + f_p s_pk of the reading. So the coefficient of the bias and its uncertainty are
@@ -51,6 +51,7 @@ from tumble.reduction.rests.warming import OVER_TEMPERATURE as WIDE
 from tumble.result.accepted import accepted_part
 from tumble.result.calibration import Calibration
 from tumble.result.correction import reference_of_parameter
+from tumble.result.coverage import degrees_through, welch_satterthwaite
 from tumble.result.evidence import Evidence, Provenance
 from tumble.result.parts import CalibratedTemperature, Parameter, SourceContributions, learned_fraction
 from tumble.result.uncertainty_budget import contributions_of
@@ -86,8 +87,8 @@ APART = np.cos(10.0 * DEGREE)
 HELD = 1e-7
 """Standard deviation of scale factors and axis angles where no calibration says anything of them: slopes are known to
 fewer digits than they change them by."""
-NO_TURN = 1e-9
-"""s: what a turn about nothing takes, so that it has a scatter of its own."""
+CREEP = 1e-6
+"""rad/√s: the random walk of the attitude of what lies on a table, 12″ in an hour."""
 
 
 def lies_still(observed: Observed) -> bool:
@@ -247,6 +248,10 @@ def _estimated(session: Session, observations: Observations, base: Calibration |
     turns, thermometers = given.turns, given.thermometers
     assert thermometers is not None
     turned = turns is not None and bool((turns.duration > 0.0).any())
+    if turns is not None:
+        middle = 0.5 * (given.rests.start + given.rests.stop)
+        walked = np.where(turns.duration > 0.0, 0.0, CREEP**2 * (middle[turns.last] - middle[turns.first]))
+        turns = replace(turns, covariance=turns.covariance + walked[:, None, None] * np.eye(3))
     usual, sizes = dict(given.usual), dict[str, float]()
     for kind, separate in (("accel", several), ("gyro", turned)):
         usual[f"{kind}.bias.t3"] = CURVED * usual[f"{kind}.bias.t2"]
@@ -259,7 +264,7 @@ def _estimated(session: Session, observations: Observations, base: Calibration |
     prior = {name: (known[name].u or HELD) if name in known else HELD for name in linear if ".bias" not in name}
     observations = replace(
         given,
-        turns=None if turns is None else replace(turns, duration=np.maximum(turns.duration, NO_TURN)),
+        turns=turns,
         usual=sizes,
         thermometers=between_steps(thermometers),
         start={name: known[name].value for name in linear if name in known},
@@ -377,15 +382,25 @@ def _with_coefficients(base: Calibration, found: _Found, session: Session) -> Ca
         words = "temperature of the calibration"
         lines.append(SourceContributions(name="temperature", words=words, type="B", contributions=sizes))
 
+    every = np.full(len(estimate.names), np.inf) if estimate.degrees is None else estimate.degrees
+    degrees = degrees_through(move, estimate.u, every.tolist())
+    before = np.sqrt(np.diag(move @ estimate.covariance @ move.T))
     u, own_sizes = np.sqrt(np.diag(covariance)), {group.name: group for group in estimate.groups}
     parameters = [replace(base.parameters[i], u=float(u[j])) for j, i in enumerate(kept)]
     for i in range(len(kept), len(names)):
         group = own_sizes[group_name(names[i])]
         size = group.prior * group.prior_widened
-        learned = learned_fraction(float(u[i]), size)
-        unit = units_of([names[i]])[0]
+        of_data = float(before[i - len(kept)]) ** 2, degrees[i - len(kept)]
         parameters.append(
-            Parameter(name=names[i], value=float(values[i]), u=float(u[i]), unit=unit, prior=size, learned=learned)
+            Parameter(
+                name=names[i],
+                value=float(values[i]),
+                u=float(u[i]),
+                unit=units_of([names[i]])[0],
+                dof=welch_satterthwaite([of_data, (float(u[i]) ** 2 - of_data[0], None)]),
+                prior=size,
+                learned=learned_fraction(float(u[i]), size),
+            )
         )
     order = {group.name: i for i, group in enumerate(groups())}
     ranked = sorted(range(len(names)), key=lambda i: order.get(group_name(names[i]), len(order)))
