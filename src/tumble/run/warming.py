@@ -46,7 +46,7 @@ from tumble.inference.variables import both_ways
 from tumble.recording.session import Session
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.segmentation import find_rests
-from tumble.reduction.rests.thermometer import Thermometers
+from tumble.reduction.rests.thermometer_errors import with_thermometer_errors
 from tumble.reduction.rests.warming import OVER_TEMPERATURE as WIDE
 from tumble.result.accepted import accepted_part
 from tumble.result.calibration import Calibration
@@ -160,26 +160,6 @@ def earth_at_rest(up: Array | None, latitude: float | None) -> tuple[Array, Arra
     return EARTH_RATE * np.sin(latitude) * up, level
 
 
-def between_steps(thermometers: Thermometers) -> Thermometers:
-    """The records without the steps of a coarse resolution: straight from one change of the reading to the next, with
-    the mean of both readings at each, and on at both ends by no more than half a step."""
-    files = {}
-    for file, (start, kelvin) in thermometers.files.items():
-        smooth, every = kelvin.copy(), np.arange(len(kelvin), dtype=float)
-        for t, record in enumerate(kelvin.T):
-            at = np.flatnonzero(np.diff(record))
-            if len(at) < 2:  # nothing to go on with
-                continue
-            middle, half = 0.5 * (record[at] + record[at + 1]), 0.5 * np.abs(np.diff(record)[at])
-            smooth[:, t] = np.interp(every, at + 0.5, middle)
-            for end, beside, beyond in ((0, 1, every < at[0]), (-1, -2, every > at[-1] + 1)):
-                slope = (middle[end] - middle[beside]) / (at[end] - at[beside])
-                on = slope * (every[beyond] - at[end] - 0.5)
-                smooth[beyond, t] = middle[end] + np.clip(on, -2.0 * half[end], 2.0 * half[end])
-        files[file] = start, smooth
-    return Thermometers(files=files)
-
-
 def _at_rest(observed: Observed) -> Observed:
     """The same with the rests that the accelerometers show, where the gyros read alike from one second to the next in
     each: of a device that warms fast they leave the level that they have at rest."""
@@ -245,8 +225,7 @@ def _estimated(session: Session, observations: Observations, base: Calibration |
     from tumble.run.calibrate import with_grade
 
     given, several = with_grade(session, observations), _several_attitudes(observations.rests.accel)
-    turns, thermometers = given.turns, given.thermometers
-    assert thermometers is not None
+    turns = given.turns
     turned = turns is not None and bool((turns.duration > 0.0).any())
     if turns is not None:
         middle = 0.5 * (given.rests.start + given.rests.stop)
@@ -263,10 +242,9 @@ def _estimated(session: Session, observations: Observations, base: Calibration |
     linear = [name for block in blocks for name in block.names]
     prior = {name: (known[name].u or HELD) if name in known else HELD for name in linear if ".bias" not in name}
     observations = replace(
-        given,
+        with_thermometer_errors(given),
         turns=turns,
         usual=sizes,
-        thermometers=between_steps(thermometers),
         start={name: known[name].value for name in linear if name in known},
         # at a pole no heading matters: the Earth's rate, constant in an attitude, is put right afterwards
         site=replace(given.site, latitude=0.5 * np.pi),
