@@ -6,12 +6,13 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
 from tumble.commands import ask, tell
-from tumble.errors import InputError
+from tumble.commands.logs import gyros_of, is_log
+from tumble.errors import GyrosAloneError, InputError
 
 if TYPE_CHECKING:
     from tumble.drafting.new_session import Given
@@ -111,11 +112,9 @@ def calibrate(
     if base is not None and (len(sessions) > 1 or together or methods != ("joint",)):
         raise InputError("--base: expected one recording and the method joint, found others")
     estimation |= {} if base is None else {"base": base}
-    is_log = any(value is not None for value in options.values()) or (
-        len(sessions) == 1 and sessions[0].is_file() and sessions[0].suffix != ".toml"
-    )
-    made = _session_of(sessions, ask.given_of(options), every=shown["every"])
-    with made if is_log else nullcontext(sessions) as folders, tell.estimating() as progress:
+    log = any(value is not None for value in options.values()) or (len(sessions) == 1 and is_log(sessions[0]))
+    made = _session_of(sessions, ask.given_of(options), out, force=force, every=shown["every"])
+    with made if log else nullcontext(sessions) as folders, tell.estimating() as progress:
         described = [read_session(folder).without(without or ()) for folder in folders]
         if together:
             from tumble.run.together import calibrate_together
@@ -166,9 +165,11 @@ def _known_in(registry: str, session: Session, frame: Frame, *, several: bool) -
 
 
 @contextmanager
-def _session_of(logs: Sequence[Path], given: Given, *, every: bool) -> Iterator[Sequence[Path]]:
+def _session_of(
+    logs: Sequence[Path], given: Given, out: Path | None, *, force: bool, every: bool
+) -> Iterator[Sequence[Path]]:
     """The folder of a session made of a log, of which `every` sentence is said where that is wanted; it is there no
-    more, or as it was before, where the block fails."""
+    more, or as it was before, where the block fails. A log of gyros alone is calibrated, and the program ends."""
     from tumble.drafting.made_session import session_of_log
 
     if len(logs) > 1 or (logs[0].is_dir() and (logs[0] / "session.toml").exists()) or logs[0].suffix == ".toml":
@@ -176,13 +177,30 @@ def _session_of(logs: Sequence[Path], given: Given, *, every: bool) -> Iterator[
             "--latitude, --height, --serial, --sample-rate, --accel, --gyro, --time and units: expected one log with "
             "them, found a session; they stand in its session.toml"
         )
-    with session_of_log(logs[0], given, tell.with_progress) as (folder, state, said, faults):
-        for sentence in said if every else ():
-            tell.say(sentence)
-        for fault in faults:
-            tell.warn(f"look at this: {fault}")
-        tell.say(state)
-        yield [folder]
+    try:
+        with session_of_log(logs[0], given, tell.with_progress) as (folder, state, said, faults):
+            for sentence in said if every else ():
+                tell.say(sentence)
+            for fault in faults:
+                tell.warn(f"look at this: {fault}")
+            tell.say(state)
+            yield [folder]
+    except GyrosAloneError:
+        _calibrate_gyros(logs[0], given, out, force=force, every=every)
+
+
+def _calibrate_gyros(log: Path, given: Given, out: Path | None, *, force: bool, every: bool) -> NoReturn:
+    """The biases of a log of gyros alone, written beside it."""
+    from tumble.run.gyros_alone import calibrate_gyros
+    from tumble.views.calibration import WIDTH, calibration_blocks
+
+    result = calibrate_gyros(gyros_of(log, given))
+    target = out or log.with_name(f"{log.stem}.calibration.json")
+    result.write(target, force=force)
+    blocks = partial(calibration_blocks, result, every=every, file=target, session=log)
+    tell.show(result.content(), blocks, width=None if every else WIDTH)
+    tell.say(f"written to {target}")
+    tell.end(result.outcome.reasons, "not accepted: ")
 
 
 @click.command(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tumble.commands import ask, tell
-from tumble.errors import InputError
+from tumble.errors import GyrosAloneError, InputError
 
 if TYPE_CHECKING:
     from tumble.drafting.draft import Draft
@@ -55,11 +55,21 @@ def new(folder: Path, more: tuple[Path, ...], log: tuple[Path, ...], **options: 
 @ask.option("--plot/picture", "Draw the recording with its rests into .svg, .png or .pdf.", type=ask.FILE)
 @ask.JSON
 def inspect(session: Path, picture: Path | None) -> None:
-    """Show the rests and turns found in SESSION, and what was rejected and why."""
+    """Show the rests and turns found in SESSION, or in a log, of gyros alone too, and what was rejected and why."""
+    from tumble.commands.logs import gyros_of, session_folder
     from tumble.run.observed import inspect_session
     from tumble.views.inspection import inspection_blocks, plot
 
-    observed = inspect_session(session, progress=tell.with_progress)
+    try:
+        with session_folder(session) as folder:
+            observed = inspect_session(folder, progress=tell.with_progress)
+    except GyrosAloneError:
+        from tumble.drafting.new_session import NOTHING_GIVEN
+        from tumble.views.gyros_alone import gyro_blocks
+
+        found = gyros_of(session, NOTHING_GIVEN)
+        tell.show(found.segmentation, lambda: gyro_blocks(found))
+        sys.exit(0)
     if picture is not None:
         plot(observed, picture)
         tell.say(f"written to {picture}")
