@@ -87,7 +87,8 @@ def gyro_rests(content: Mapping[str, Any], progress: Progress = Log.chunks) -> G
     reduction = reduce_log(log, accel, gyro, chunks)
     segmentation = find_rests(reduction, accel, gyro)
     files = reduction.by_file
-    if not segmentation.rests:
+    # where nothing rests the limit is that of the movement, and no vertical says so
+    if not segmentation.rests or (segmentation.rate_limit or 0.0) > segmentation.tuning.level_drift:
         still = segmentation.tuning.still
         raise InputError(f"{log.name}: expected gyros that lie still for {still} s or longer, found none that do")
     series = [files[rest.file].gyro.means[rest.first : rest.last] for rest in segmentation.rests]
