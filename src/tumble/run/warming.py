@@ -362,20 +362,23 @@ def _with_coefficients(base: Calibration, found: _Found, session: Session) -> Ca
 
     every = np.full(len(estimate.names), np.inf) if estimate.degrees is None else estimate.degrees
     degrees = degrees_through(move, estimate.u, every.tolist())
-    before = np.sqrt(np.diag(move @ estimate.covariance @ move.T))
+    of_lag = sum(c.diagonal() for c, each in zip(budget.covariances, budget.sources, strict=True) if each.name == "lag")
+    of_lag, whole = np.broadcast_to(of_lag, len(new)), np.diag(move @ estimate.covariance @ move.T)
     u, own_sizes = np.sqrt(np.diag(covariance)), {group.name: group for group in estimate.groups}
     parameters = [replace(base.parameters[i], u=float(u[j])) for j, i in enumerate(kept)]
     for i in range(len(kept), len(names)):
         group = own_sizes[group_name(names[i])]
         size = group.prior * group.prior_widened
-        of_data = float(before[i - len(kept)]) ** 2, degrees[i - len(kept)]
+        j = i - len(kept)
+        by_lag, of_data = float(of_lag[j]), float(whole[j])
+        parts = (of_data - by_lag, degrees[j]), (by_lag, _degrees_of_lag(estimate, sensor_kind(names[i])))
         parameters.append(
             Parameter(
                 name=names[i],
                 value=float(values[i]),
                 u=float(u[i]),
                 unit=units_of([names[i]])[0],
-                dof=welch_satterthwaite([of_data, (float(u[i]) ** 2 - of_data[0], None)]),
+                dof=welch_satterthwaite([*parts, (float(u[i]) ** 2 - of_data, None)]),
                 prior=size,
                 learned=learned_fraction(float(u[i]), size),
             )
@@ -397,6 +400,20 @@ def _with_coefficients(base: Calibration, found: _Found, session: Session) -> Ca
         temperature=replace(base.temperature, range=None) if known else _temperature(session, found),
         evidence=replace(base.evidence, rests=(*base.evidence.rests, *rests), budget=_one_line_each(lines)),
     )
+
+
+def _degrees_of_lag(estimate: Estimate, kind: str) -> float | None:
+    """Degrees of freedom of what a lag leaves open: its likelihood is that with the likeliest in-run bias. With ln σ of
+    that known to r, and a share p of it in the noise, the variance is known to 2 p r: ν = 1/(2 p² r²)."""
+    budget = estimate.budget
+    sizes = [h for h in estimate.hyperparameters if h.name == f"{kind}_in_run" and h.high > h.low]
+    if not sizes or budget is None:
+        return None
+    own = [i for i, name in enumerate(estimate.names) if group_name(name) == f"{kind}.bias.t1"]
+    by = dict(zip((s.name for s in budget.sources), budget.covariances[:, own, own].sum(axis=1), strict=True))
+    whole = sum(by.get(f"{kind}.{name}", 0.0) for name in ("noise", "scatter", "in_run"))
+    share, r = by.get(f"{kind}.in_run", 0.0) / max(whole, 1e-300), 0.5 * np.log(sizes[0].high / sizes[0].low)
+    return 0.5 / max(float(share * r), 1e-6) ** 2
 
 
 def _temperature(session: Session, found: _Found) -> CalibratedTemperature:
