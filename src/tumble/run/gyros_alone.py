@@ -88,7 +88,8 @@ def gyro_rests(content: Mapping[str, Any], progress: Progress = Log.chunks) -> G
     segmentation = find_rests(reduction, accel, gyro)
     files = reduction.by_file
     # where nothing rests the limit is that of the movement, and no vertical says so
-    if not segmentation.rests or (segmentation.rate_limit or 0.0) > segmentation.tuning.level_drift:
+    moved = session.log.accel.scale_stated and (segmentation.rate_limit or 0.0) > segmentation.tuning.level_drift
+    if not segmentation.rests or moved:
         still = segmentation.tuning.still
         raise InputError(f"{log.name}: expected gyros that lie still for {still} s or longer, found none that do")
     series = [files[rest.file].gyro.means[rest.first : rest.last] for rest in segmentation.rests]
@@ -105,8 +106,13 @@ def gyro_rests(content: Mapping[str, Any], progress: Progress = Log.chunks) -> G
 
 
 def calibrate_gyros(found: GyroRests) -> Calibration:
-    """The biases of gyros alone, Eq. (1)."""
+    """The biases of gyros alone, Eq. (1). Raises InputError for counts of unknown scale."""
     session, N = found.session, len(found.mean)
+    if not session.log.accel.scale_stated:
+        raise InputError(
+            f"{session.device.serial}: expected gyros in a unit, found counts whose worth nothing tells; state "
+            "--gyro-unit, or log the accelerometers too; `tumble noise` tells the noise in counts"
+        )
     block = replace(session.accel_block, kind="gyro")
     seconds = np.array([rest.stop - rest.start for rest in found.segmentation.rests])
     white = float(np.median(found.noise * np.sqrt(seconds)[:, None]))
