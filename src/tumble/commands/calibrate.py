@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from tumble.commands import ask, tell
-from tumble.commands.logs import gyros_of, is_log
+from tumble.commands.recordings import gyros_of, session_folders
 from tumble.errors import GyrosAloneError, InputError
 
 if TYPE_CHECKING:
-    from tumble.drafting.new_session import Given
     from tumble.recording.session import Session
     from tumble.result.calibration import Calibration
     from tumble.run.calibrate import Method
@@ -49,9 +48,6 @@ _RESTS = ask.Numbers("numbers of rests such as 3,7", int)
 @ask.out("Calibration file to write; default: calibration.json in the session folder.")
 @ask.force("Replace a calibration file that came from another log or method.")
 @ask.option("--truth", "truth.json of a simulated session: show true values beside the result.", type=ask.FILE)
-@ask.SERIAL
-@ask.LATITUDE
-@ask.HEIGHT
 @ask.LOG
 @ask.registry(
     "Of other units of the device's type: for one session a prior instead of what is usual of its grade, for several "
@@ -112,9 +108,8 @@ def calibrate(
     if base is not None and (len(sessions) > 1 or together or methods != ("joint",)):
         raise InputError("--base: expected one recording and the method joint, found others")
     estimation |= {} if base is None else {"base": base}
-    log = any(value is not None for value in options.values()) or (len(sessions) == 1 and is_log(sessions[0]))
-    made = _session_of(sessions, ask.given_of(options), out, force=force, every=shown["every"])
-    with made if log else nullcontext(sessions) as folders, tell.estimating() as progress:
+    made = session_folders(sessions, dict(options), every=shown["every"])
+    with _of_gyros(sessions, options, out, force=force), made as folders, tell.estimating() as progress:
         described = [read_session(folder).without(without or ()) for folder in folders]
         if together:
             from tumble.run.together import calibrate_together
@@ -133,7 +128,7 @@ def calibrate(
         target = out or Path(described[0].name) / "calibration.json"
         result.write(target, force=force)
     if true is not None:
-        from tumble.result.correction import reference_of_parameter
+        from tumble.result.record import reference_of_parameter
         from tumble.simulation.temperature_profile import truth_at
 
         known = truth_at(true, result.reference_temperature, partial(reference_of_parameter, result))
@@ -165,42 +160,20 @@ def _known_in(registry: str, session: Session, frame: Frame, *, several: bool) -
 
 
 @contextmanager
-def _session_of(
-    logs: Sequence[Path], given: Given, out: Path | None, *, force: bool, every: bool
-) -> Iterator[Sequence[Path]]:
-    """The folder of a session made of a log, of which `every` sentence is said where that is wanted; it is there no
-    more, or as it was before, where the block fails. A log of gyros alone is calibrated, and the program ends."""
-    from tumble.drafting.made_session import session_of_log
-
-    if len(logs) > 1 or (logs[0].is_dir() and (logs[0] / "session.toml").exists()) or logs[0].suffix == ".toml":
-        raise InputError(
-            "--latitude, --height, --serial, --sample-rate, --accel, --gyro, --time and units: expected one log with "
-            "them, found a session; they stand in its session.toml"
-        )
+def _of_gyros(logs: Sequence[Path], stated: dict[str, Any], out: Path | None, *, force: bool) -> Iterator[None]:
+    """Where a log turns out to be one of gyros alone, their biases, written beside it, and the end of the program."""
     try:
-        with session_of_log(logs[0], given, tell.with_progress) as (folder, state, said, faults):
-            for sentence in said if every else ():
-                tell.say(sentence)
-            for fault in faults:
-                tell.warn(f"look at this: {fault}")
-            tell.say(state)
-            yield [folder]
+        yield
     except GyrosAloneError:
-        _calibrate_gyros(logs[0], given, out, force=force, every=every)
+        from tumble.run.gyros_alone import calibrate_gyros
+        from tumble.views.calibration import WIDTH, calibration_blocks
 
-
-def _calibrate_gyros(log: Path, given: Given, out: Path | None, *, force: bool, every: bool) -> NoReturn:
-    """The biases of a log of gyros alone, written beside it."""
-    from tumble.run.gyros_alone import calibrate_gyros
-    from tumble.views.calibration import WIDTH, calibration_blocks
-
-    result = calibrate_gyros(gyros_of(log, given))
-    target = out or log.with_name(f"{log.stem}.calibration.json")
-    result.write(target, force=force)
-    blocks = partial(calibration_blocks, result, every=every, file=target, session=log)
-    tell.show(result.content(), blocks, width=None if every else WIDTH)
-    tell.say(f"written to {target}")
-    tell.end(result.outcome.reasons, "not accepted: ")
+        result = calibrate_gyros(gyros_of(logs[0], ask.given_of(stated)))
+        target = out or logs[0].with_name(f"{logs[0].stem}.calibration.json")
+        result.write(target, force=force)
+        tell.show(result.content(), lambda: calibration_blocks(result, file=target, session=logs[0]), width=WIDTH)
+        tell.say(f"written to {target}")
+        tell.end(result.outcome.reasons, "not accepted: ")
 
 
 @click.command(

@@ -161,6 +161,8 @@ def check_setup(setup: Setup) -> None:
         expect(name, getattr(setup, name), least="more than 0")
     if not 1.0 <= setup.gravity <= 100.0:
         raise InputError(f"gravity: expected 1 to 100 m/s^2, as a planet has, found {setup.gravity:g}")
+    if setup.turn_rate > 1e5 * DEGREE:
+        raise InputError(f"turn_rate: expected at most 1e5 deg/s, found {setup.turn_rate / DEGREE:g}")
     for name in ("table_error", "mounting_error", "gravity_u", "clock_u"):
         expect(name, getattr(setup, name), least="0 or more")
     for noise in fields(setup.noise):

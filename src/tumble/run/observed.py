@@ -229,8 +229,8 @@ def observations_in_parts(observed: Observed, least: int = 1) -> tuple[Observati
     matched = _matched(observed)
     if isinstance(matched, Outcome):
         return matched
-    reduction, whole, torn = matched
-    match, numbers = in_parts(reduction, whole, least)
+    reduction, match_of_rests, torn = matched
+    match, numbers = in_parts(reduction, match_of_rests, least)
     parts = _observed_again(observed, reduction, match)
     parts = with_mended_samples(replace(parts, notes=(*observed.notes, *parts.notes, *torn))).with_blows()
     return held(parts), numbers

@@ -40,7 +40,7 @@ from tumble.earth import EARTH_RATE
 from tumble.errors import InputError
 from tumble.inference.estimate import Estimate, Outcome
 from tumble.inference.joint import joint
-from tumble.inference.likelihood import Prior
+from tumble.inference.problem import Prior
 from tumble.inference.sources import source
 from tumble.inference.variables import both_ways
 from tumble.recording.session import Session
@@ -50,10 +50,10 @@ from tumble.reduction.rests.thermometer_errors import with_thermometer_errors
 from tumble.reduction.rests.warming import OVER_TEMPERATURE as WIDE
 from tumble.result.accepted import accepted_part
 from tumble.result.calibration import Calibration
-from tumble.result.correction import reference_of_parameter
 from tumble.result.coverage import degrees_through, welch_satterthwaite
 from tumble.result.evidence import Evidence, Provenance
 from tumble.result.parts import CalibratedTemperature, Parameter, SourceContributions, learned_fraction
+from tumble.result.record import reference_of_parameter
 from tumble.result.uncertainty_budget import contributions_of
 from tumble.run.from_estimate import (
     device_of,
@@ -135,13 +135,16 @@ def calibrate_warming(observed: Observed, base: Calibration | None, provenance: 
     found = _estimated(session, observations, base)
     known = _nominal(session, found) if base is None else base
     made = _with_coefficients(known, found, session)
-    own = made.provenance
+    own, digest = made.provenance, provenance.log_sha256
+    if base is not None:
+        from tumble.run.launches import digest_of_all
+
+        digest = digest_of_all([own.log_sha256 or "", digest or ""])
     return replace(
         made,
         provenance=replace(
             own,
-            log_sha256=provenance.log_sha256,
-            calibrated_log_sha256=None if base is None else own.log_sha256,
+            log_sha256=digest,
             software=provenance.software,
             created=provenance.created,
             sample_rate=own.sample_rate or observed.rate,

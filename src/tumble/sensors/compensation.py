@@ -101,7 +101,7 @@ class Solver:
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Compensator:
     """An instrument as what corrects its readings: blocks of sensors and the coefficients K (n, 15) of each, and what
-    biases and scale factors change by per K, K² and K³ of temperature, `changes` (n, 3), about the
+    biases and scale factors change by per K, K² and K³ of temperature, `polynomials` (n, 3), about the
     `references` (n,), °C, by kind, where there are such; the sensors of a kind follow their thermometers with a time
     constant, s, that stands in `lags`. Lever arms (n, 3), m, need the motion: `tumble.use.corrector`. The `delays` (n,)
     of the accelerometers, s, are not undone."""
@@ -110,7 +110,7 @@ class Compensator:
     gyro: Block | None
     accel_coefficients: Array
     gyro_coefficients: Array
-    changes: Mapping[str, Array]
+    polynomials: Mapping[str, Array]
     levers: Array
     delays: Array
     references: Mapping[str, Array] = field(default_factory=dict)
@@ -140,7 +140,7 @@ class Compensator:
             gyro=gyro if models[1] is not None else None,
             accel_coefficients=coefficients[0],
             gyro_coefficients=coefficients[1],
-            changes=_changes(blocks, values),
+            polynomials=_changes(blocks, values),
             levers=instrument.levers(further),
             delays=instrument.delays(further),
             references=references,
@@ -157,7 +157,7 @@ class Compensator:
     @property
     def warm(self) -> bool:
         """Whether anything changes with temperature."""
-        return bool(self.changes)
+        return bool(self.polynomials)
 
     @property
     def several_thermometers(self) -> bool:
@@ -169,11 +169,29 @@ class Compensator:
         """The sensors of a kind, None where there are none, and their coefficients (n, 15)."""
         return (self.accel, self.accel_coefficients) if kind == "accel" else (self.gyro, self.gyro_coefficients)
 
-    def model(self, kind: str) -> SensorModel:
-        """Matrix and bias of a kind of sensors, without what is beyond them."""
+    def model(self, kind: str, celsius: float | None = None) -> SensorModel:
+        """Matrix and bias of a kind of sensors at a temperature by all its thermometers, that of the reference where
+        None, without what is beyond them. A scale factor that changes changes the length of its row."""
         block, K = self.sensors(kind)
         assert block is not None
-        return SensorModel(matrix=K[:, measured_by(block)], bias=K[:, CONSTANT])
+        matrix, bias = K[:, measured_by(block)], K[:, CONSTANT]
+        if celsius is None:
+            return SensorModel(matrix=matrix, bias=bias)
+        warmer = celsius - self.reference(kind)
+        powers = np.column_stack([warmer, warmer**2, warmer**3])
+        bias_change, scale_change = ((self.changes(kind, what) * powers).sum(axis=1) for what in ("bias", "scale"))
+        longer = 1.0 + scale_change / np.linalg.norm(matrix, axis=1)
+        return SensorModel(matrix=longer[:, None] * matrix, bias=bias + bias_change)
+
+    def reference(self, kind: str) -> Array:
+        """Reference temperatures (n,), °C, of the channels of a kind of sensors; zero where nothing changes with
+        temperature."""
+        return np.asarray(self.references.get(kind, np.zeros(len(self.sensors(kind)[1]))))
+
+    def changes(self, kind: str, what: str) -> Array:
+        """Changes (n, 3) of "bias" or "scale" of the channels of a kind of sensors, per K, K² and K³."""
+        nothing = np.zeros((len(self.sensors(kind)[1]), len(OVER_TEMPERATURE)))
+        return np.asarray(self.polynomials.get(f"{kind}.{what}", nothing))
 
     @cached_property
     def accelerometers(self) -> Solver:
@@ -203,8 +221,8 @@ class Compensator:
         """Reference temperature, °C, and changes of biases and sensitivities per K, K² and K³ (n, 7)."""
         if not self.warm or block.kind not in self.references:
             return None
-        changes = [self.changes[f"{block.kind}.{what}"] for what in ("bias", "scale")]
-        return np.column_stack([self.references[block.kind], *changes])
+        changes = (self.changes(block.kind, what) for what in ("bias", "scale"))
+        return np.column_stack([self.reference(block.kind), *changes])
 
 
 def _changes(blocks: tuple[Block, Block | None], values: Mapping[str, float]) -> dict[str, Array]:
