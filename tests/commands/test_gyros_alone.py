@@ -59,6 +59,7 @@ def test_a_log_of_gyros_has_rests_and_biases_and_says_what_would_give_more(read:
     lines = {line.name for line in made.uncertainty_budget("gyro.bias.x")}
     assert {"gyro.noise", "earth", "prior.gyro.g_sensitivity"} <= lines
     _, rate = made.apply(np.zeros((1, 3)), BIAS[None])
+    assert rate is not None
     assert np.abs(rate).max() < 1e-3
     parameters = tumble("export", tmp_path / "gyro.calibration.json", "--to", "ardupilot", "-o", tmp_path / "a.parm")
     assert parameters.exit_code == 0

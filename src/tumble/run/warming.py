@@ -87,6 +87,8 @@ APART = np.cos(10.0 * DEGREE)
 HELD = 1e-7
 """Standard deviation of scale factors and axis angles where no calibration says anything of them: slopes are known to
 fewer digits than they change them by."""
+FEWEST_DEGREES = 4.0
+"""Of what a lag leaves open."""
 CREEP = 1e-6
 """rad/√s: the random walk of the attitude of what lies on a table, 12″ in an hour."""
 
@@ -407,7 +409,8 @@ def _with_coefficients(base: Calibration, found: _Found, session: Session) -> Ca
 
 def _degrees_of_lag(estimate: Estimate, kind: str) -> float | None:
     """Degrees of freedom of what a lag leaves open: its likelihood is that with the likeliest in-run bias. With ln σ of
-    that known to r, and a share p of it in the noise, the variance is known to 2 p r: ν = 1/(2 p² r²)."""
+    that known to r, and a share p of it in the noise, the variance is known to 2 p r: ν = 1/(2 p² r²), but no fewer than
+    FEWEST_DEGREES, white noise, which is known, being beside it."""
     budget = estimate.budget
     sizes = [h for h in estimate.hyperparameters if h.name == f"{kind}_in_run" and h.high > h.low]
     if not sizes or budget is None:
@@ -416,7 +419,7 @@ def _degrees_of_lag(estimate: Estimate, kind: str) -> float | None:
     by = dict(zip((s.name for s in budget.sources), budget.covariances[:, own, own].sum(axis=1), strict=True))
     whole = sum(by.get(f"{kind}.{name}", 0.0) for name in ("noise", "scatter", "in_run"))
     share, r = by.get(f"{kind}.in_run", 0.0) / max(whole, 1e-300), 0.5 * np.log(sizes[0].high / sizes[0].low)
-    return 0.5 / max(float(share * r), 1e-6) ** 2
+    return max(0.5 / max(float(share * r), 1e-6) ** 2, FEWEST_DEGREES)
 
 
 def _temperature(session: Session, found: _Found) -> CalibratedTemperature:
