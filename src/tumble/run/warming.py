@@ -409,8 +409,8 @@ def _with_coefficients(base: Calibration, found: _Found, session: Session) -> Ca
 
 def _degrees_of_lag(estimate: Estimate, kind: str) -> float | None:
     """Degrees of freedom of what a lag leaves open: its likelihood is that with the likeliest in-run bias. With ln σ of
-    that known to r, and a share p of it in the noise, the variance is known to 2 p r: ν = 1/(2 p² r²), but no fewer than
-    FEWEST_DEGREES, white noise, which is known, being beside it."""
+    that known to r, and a share p of it in the noise, the variance is known to 2 p r: ν = 1/(2 p² r²), but
+    no fewer than FEWEST_DEGREES, white noise, which is known, being beside it."""
     budget = estimate.budget
     sizes = [h for h in estimate.hyperparameters if h.name == f"{kind}_in_run" and h.high > h.low]
     if not sizes or budget is None:
