@@ -58,10 +58,7 @@ def session_folders(
     it is there no more.
 
     `every`: say how each part of the session came about."""
-    from tumble.drafting.made_session import session_of_log
-
     first, stated = recordings[0], any(value is not None for value in options.values())
-    given = ask.given_of(options)
     if not stated and (len(recordings) > 1 or not _is_log(first)):
         yield recordings
         return
@@ -70,7 +67,9 @@ def session_folders(
             "--latitude, --height, --serial, --sample-rate, --accel, --gyro, --time and units: expected one log with "
             "them, found a session; they stand in its session.toml"
         )
-    with session_of_log(first, given, tell.with_progress) as (folder, state, said, faults):
+    from tumble.drafting.made_session import session_of_log
+
+    with session_of_log(first, ask.given_of(options), tell.with_progress) as (folder, state, said, faults):
         for sentence in said if every else ():
             tell.say(sentence)
         for fault in faults:

@@ -44,7 +44,7 @@ from tumble.recording.log import open_log
 from tumble.reduction.blocks.reducer import Reduction, reduce_log
 from tumble.reduction.blocks.tuning import USUAL, Tuning
 from tumble.reduction.rests.rests import sphere_through
-from tumble.reduction.rests.segmentation import RestSpan, find_rests
+from tumble.reduction.rests.segmentation import Stretch, find_rests
 from tumble.rotation import unit_vector
 from tumble.run.observed import LARGEST_SQUARED, Progress
 from tumble.sensors.model import Block
@@ -164,7 +164,7 @@ def _with_windows(reduction: Reduction, factor: float, magnitude: float, widths:
     seconds = (f.name for f in fields(Tuning) if f.metadata["unit"] == "s")
     tuning = replace(USUAL, **{name: factor * getattr(USUAL, name) for name in seconds})
     channels, files = (*reduction.accel_channels, *reduction.gyro_channels), reduction.by_file
-    spans: tuple[RestSpan, ...] = ()
+    spans: tuple[Stretch, ...] = ()
     if max(max(-c.minimum, c.maximum) for c in channels) < LARGEST_SQUARED:
         with np.errstate(invalid="ignore"):  # of a stretch of zeros
             found = find_rests(replace(reduction, tuning=tuning), _TRIAD, None).rests
@@ -239,7 +239,7 @@ def length_and_zero(means: Array, widths: Widths = WIDTHS) -> tuple[float, float
 
 
 def _turns(
-    reduction: Reduction, spans: tuple[RestSpan, ...], up: Array, rates: Array
+    reduction: Reduction, spans: tuple[Stretch, ...], up: Array, rates: Array
 ) -> list[tuple[Array, Array, Array]]:
     """Turns between rests of different attitude, the shortest first: integrals of the gyros above their bias (m, 3),
     and the vertical before and after.

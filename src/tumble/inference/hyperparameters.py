@@ -59,8 +59,8 @@ from tumble.inference.normal_equations import (
 )
 from tumble.inference.problem import Problem
 from tumble.inference.variables import at_two_temperatures, both_ways
-from tumble.sensors.parameters import poorer, prior_sizes, variable_of
-from tumble.units import Array, BoolArray
+from tumble.sensors.parameters import group_of, poorer, prior_sizes, variable_of
+from tumble.units import Array, BoolArray, IntArray
 
 IN_RUN_WITHIN = float(np.log(30.0) / 1.645)
 """Standard deviation of the logarithms of its size and of its correlation time about the usual ones: nine of ten are
@@ -94,7 +94,7 @@ class QuadraticForms:
             square=self.square + other.square, trace=self.trace + other.trace, double=self.double + other.double
         )
 
-    def sum(self, some: slice) -> QuadraticForms:
+    def sum(self, some: slice | IntArray) -> QuadraticForms:
         """Of some of the variances together, as if each were seen by itself."""
         return QuadraticForms(
             square=self.square[..., some].sum(), trace=self.trace[..., some].sum(), double=self.double[..., some].sum()
@@ -266,14 +266,14 @@ class WorkingVariates:
                 along = (r[:, None, :] @ WZ)[:, 0] * solution.components.variances[place[some]]
                 out[..., column] += 2.0 * (WZ @ along[:, :, None])[:, :, 0]
 
-    def add_sizes(self, column: int, sensors: slice) -> None:
+    def add_sizes(self, column: int, sensors: slice | IntArray) -> None:
         """Those of the size of in-run biases: the residuals of the steps."""
         if self.solution.equations.wanders:
             steps, begins = self._residual_steps
             self.steps[:, sensors, column] += 2.0 * steps[:, sensors]
             self.begins[:, sensors, column] += 2.0 * begins[:, sensors]
 
-    def add_times(self, column: int, sensors: slice) -> None:
+    def add_times(self, column: int, sensors: slice | IntArray) -> None:
         """Those of the correlation time. With S β the steps, of variances V, and w = V⁻¹ S β, it changes the covariance
         S⁻¹ V S⁻ᵀ of the states so that the variate is −V^{−½} (−∂S β − V S⁻ᵀ ∂Sᵀ w + ∂V w)."""
         noise, first = self.solution.equations.noise, [part.rests.start for part in self.solution.problem.parts]
@@ -283,7 +283,7 @@ class WorkingVariates:
         slope, residual = rho * lapse, np.zeros_like(b)
         residual[:-1] = (b[1:] - rho[:-1] * b[:-1]) / step[:-1] ** 2  # w of the step that follows a rest
         back = np.ascontiguousarray(-slope * residual)
-        along_chains(rho[:, :, None] * np.eye(b.shape[1]), back)
+        along_chains(rho[:, :, None] * np.eye(b.shape[1]), back[:, :, None])
         after = np.append(back[1:], np.zeros((1, b.shape[1])), axis=0)
         changed = slope * b - step**2 * after - 2.0 * rho * slope * residual
         self.steps[:, sensors, column] -= np.where(follows, changed / step, 0.0)[:, sensors]
@@ -313,7 +313,7 @@ class Hyperparameter:
     words: str
     usual: float
     within: float = 0.0
-    members: slice = field(default_factory=lambda: slice(None))
+    members: slice | IntArray = field(default_factory=lambda: slice(None))
 
     @property
     def centre(self) -> float:
@@ -534,13 +534,17 @@ def hyperparameters_of(problem: Problem, noise: NoiseModel, seen: BoolArray) -> 
     held = {"lag", "temperature²" if two else "lag", "lag" if both_sides else "hysteresis"}
     common = {name: members for name, members in problem.instrument.members.items() if variable_of(name) not in held}
     for kind_of_size, groups in ((GroupSize, common), (LocalGroupSize, problem.local_members)):
-        for name, members in groups.items():
+        for name in groups:
+            if group_of(name).sized_with in groups:
+                continue
+            with_it = [groups[other] for other in groups if other == name or group_of(other).sized_with == name]
+            members = np.concatenate([np.arange(each.start, each.stop) for each in with_it])
             too_small = observations.too_small.get(name, STATED)
             out.append(kind_of_size(**_factor(name, f"size of {name} over the usual one", too_small, members)))
     return tuple(out)
 
 
-def _factor(name: str, words: str, too_small: float, members: slice) -> dict[str, Any]:
+def _factor(name: str, words: str, too_small: float, members: slice | IntArray) -> dict[str, Any]:
     """The fields of p of a size λ = exp(max(p, 0)) that may be too small by a factor."""
     within = float(np.log(too_small))
     return {"name": name, "unit": "1", "words": words, "usual": 1.0, "within": within, "members": members}
@@ -632,8 +636,8 @@ def average_information(hyperparameters: Sequence[Hyperparameter], solution: Sol
         beside(rows, columns)
         for rows, columns in ((equations.rest_rows, variates.rest), (equations.turn_rows, variates.turn))
     )
-    joints = joint_rows(linearisation, joints)
     if equations.wanders:
+        joints = joint_rows(linearisation, joints)
         joints[:, variates.turn.shape[1] :, sides] = variates.steps
     width, p = rest.shape[2] - d, len(problem.prior_u)
     common = np.zeros((p + D + 1, p + D + 1), order="F")

@@ -93,6 +93,7 @@ class Setup(Brief):
         latitude_deg: float = usual_setup.LATITUDE_DEG,
         gravity: float | None = None,
         gravity_u: float = usual_setup.GRAVITY_U,
+        clock_ppm_u: float = 1e6 * USUAL_CLOCK_U,
         noise_factor: float = 1.0,
         instability_time: float = usual_setup.INSTABILITY_TIME,
         terms: Terms = "linear",
@@ -135,6 +136,7 @@ class Setup(Brief):
             latitude=latitude,
             gravity=normal_gravity(latitude, usual_setup.HEIGHT) if gravity is None else gravity,
             gravity_u=gravity_u,
+            clock_u=1e-6 * clock_ppm_u,
         )
 
 
@@ -144,10 +146,11 @@ def time_of(programme: Programme, setup: Setup) -> float:
 
 
 def with_all_groups(setup: Setup) -> Setup:
-    """The set-up with all groups of parameters, of the usual sizes of its grade, or of navigation grade where the
-    instrument is of none."""
-    grade = setup.instrument if setup.instrument in GRADES else usual_setup.GRADE
-    return replace(setup, further=usual_sizes(grade) | dict(setup.further))
+    """The set-up with all groups of parameters, of the usual sizes of its grade where it states none; an instrument of
+    one's own has those that it states."""
+    if setup.instrument not in GRADES:
+        return setup
+    return replace(setup, further=usual_sizes(setup.instrument) | dict(setup.further))
 
 
 def check_setup(setup: Setup) -> None:

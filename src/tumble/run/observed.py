@@ -38,8 +38,8 @@ from tumble.reduction.blocks.reducer import Reduction, reduce_log
 from tumble.reduction.blocks.tuning import USUAL, Tuning
 from tumble.reduction.observations import Observations, observe
 from tumble.reduction.rests.blemishes import without_blemishes
-from tumble.reduction.rests.matching import Match, match_rests, without_jump, without_numbered, without_times
-from tumble.reduction.rests.segmentation import RestSpan, Segmentation, find_rests
+from tumble.reduction.rests.matching import match_rests, without_jump, without_numbered, without_times
+from tumble.reduction.rests.segmentation import Segmentation, Stretch, find_rests
 from tumble.reduction.together import held, in_parts
 from tumble.reduction.turns.turns import torn_turns, without_unknown_turns
 from tumble.rotation import onto_body
@@ -198,13 +198,12 @@ def inspected(session: Session, progress: Progress, beside: Executor, tuning: Tu
     )
 
 
-def _observed(session: Session, reduction: Reduction, rests: tuple[RestSpan, ...]) -> Observations | None:
+def _observed(session: Session, reduction: Reduction, rests: tuple[Stretch, ...]) -> Observations | None:
     """The observations of all of these rests; None where there is none, or numbers that have no squares."""
     channels = (*reduction.accel_channels, *reduction.gyro_channels)
     if not rests or max(max(-each.minimum, each.maximum) for each in channels) > LARGEST_SQUARED:
         return None
-    match = Match(rests=rests, programme=None, position=None)
-    return observe(reduction, match, session.accel_block, session.gyro_block, session.site)
+    return observe(reduction, rests, session.accel_block, session.gyro_block, session.site)
 
 
 def observations_for_calibration(observed: Observed, *, biases_jump: bool = False) -> Observations | Outcome:
@@ -216,7 +215,7 @@ def observations_for_calibration(observed: Observed, *, biases_jump: bool = Fals
         return matched
     reduction, match, torn = matched
     if biases_jump and observed.gyro_bias_faults:
-        reduction = without_jump(reduction, match, observed.segmentation.jump, observed.session.gyro_block)
+        reduction = without_jump(reduction, match, observed.session.gyro_block)
     every = _observed_again(observed, reduction, match)
     every = with_mended_samples(replace(every, notes=(*observed.notes, *every.notes, *torn))).with_blows()
     spoiled = observed.gyro_faults or (observed.gyro_bias_faults and not biases_jump)
@@ -236,16 +235,17 @@ def observations_in_parts(observed: Observed, least: int = 1) -> tuple[Observati
     return held(parts), numbers
 
 
-def _observed_again(observed: Observed, reduction: Reduction, match: Match) -> Observations:
+def _observed_again(observed: Observed, reduction: Reduction, match: Segmentation) -> Observations:
     """The observations of these rests and turns, made anew where they are others."""
     session, before = observed.session, observed.observations
     if before is not None and match.rests == observed.segmentation.rests and reduction is observed.reduction:
         return replace(before, programme=match.programme, position=match.position)
     arrays = None if before is None or observed.gyro_bias_faults else before.arrays
-    return observe(reduction, match, session.accel_block, session.gyro_block, session.site, arrays)
+    again = observe(reduction, match.rests, session.accel_block, session.gyro_block, session.site, arrays)
+    return replace(again, programme=match.programme, position=match.position)
 
 
-def _matched(observed: Observed) -> tuple[Reduction, Match, tuple[str, ...]] | Outcome:
+def _matched(observed: Observed) -> tuple[Reduction, Segmentation, tuple[str, ...]] | Outcome:
     """The rests of a session's programme, or all, the reduction without the turns that are left out, and notes of those
     that were not recorded as a whole."""
     session = observed.session
