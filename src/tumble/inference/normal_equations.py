@@ -238,7 +238,7 @@ def eliminate_rests(linearisation: Linearisation) -> NormalEquations:
     *stack, N, _, width = rest.shape
     factors, size = np.empty((*stack, N, d, d + width)), width - d
     triangles = np.swapaxes(np.zeros((*stack, len(problem.parts), size, size)), -1, -2)
-    joints = joint_rows(linearisation, turn)
+    joints = joint_rows(linearisation, turn) if d > 3 else turn
     begins = np.zeros((d, d + width))  # a chain of states begins as its process is
     begins[3:, 3:d] = np.eye(d - 3)
     for at in np.ndindex(*stack):
@@ -280,14 +280,15 @@ def whiten(linearisation: Linearisation, rest_whitening: Array, turn_whitening: 
 
 def joint_rows(linearisation: Linearisation, turn: Array) -> Array:
     """The rows (N, t + n, 2 d + w) that join each rest to the next: those of its `turn` (K, t, 2 d + w), zero where it
-    has none, and the steps of the n states of the biases (19); the turns alone where biases do not wander."""
+    has none, and the steps of the n states of the biases (19)."""
     problem, noise = linearisation.problem, linearisation.noise
-    if not noise.components.wanders:
-        return turn
     *stack, _, t, width = turn.shape
-    n, d = problem.sensors, 3 + problem.sensors
+    n = problem.sensors if noise.components.wanders else 0
+    d = 3 + n
     joints = np.zeros((*stack, len(problem.link), t + n, width))
     joints[..., problem.before_turn, :t, :] = turn
+    if n == 0:
+        return joints
     sensor, here, step = np.arange(n), np.flatnonzero(noise.follows)[:, None], noise.bias_step[..., noise.follows, :]
     joints[..., here, t + sensor, d - n + sensor] = -noise.bias_rho[..., noise.follows, :] / step
     joints[..., here, t + sensor, 2 * d - n + sensor] = 1.0 / step

@@ -35,15 +35,8 @@ HELD = 1e-6
 
 
 def in_parts(reduction: Reduction, whole: Segmentation) -> tuple[Segmentation, IntArray]:
-    """Divide the rests that warm, a part for each WARMED.
-
-    Returns
-    -------
-    Segmentation
-        With the parts in place of the rests.
-    number
-        The number of the rest that each part (N,) belongs to.
-    """
+    """Divide the rests that warm, a part for each WARMED: the parts in place of the rests, and the number (N,) of the
+    rest that each of them belongs to."""
     by_file, spans, number = reduction.by_file, list[Stretch](), list[int]()
     for i, span in enumerate(whole.rests):
         file = by_file[span.file]
@@ -64,17 +57,8 @@ def in_parts(reduction: Reduction, whole: Segmentation) -> tuple[Segmentation, I
 
 
 def joined(sessions: Sequence[Observations], names: Sequence[str], numbers: Sequence[IntArray]) -> Observations:
-    """Join the observations of several sessions of one device at one place.
-
-    Parameters
-    ----------
-    sessions
-        The observations of each session.
-    names
-        The name of each session.
-    numbers
-        For each session the numbers (N,) of its rests; parts of a rest have the same.
-    """
+    """Join the observations of several sessions of one device at one place. `numbers`: for each session the numbers
+    (N,) of its rests; parts of a rest have the same."""
     counts = [len(each.rests) for each in sessions]
     rests, turns, readings = list[Rests](), list[Turns](), list[TurnReadings]()
     samples, records = list[tuple[int, TurnSamples]](), dict[int, tuple[float, Array]]()
