@@ -17,9 +17,15 @@ and the average information rᵀPDPDPr. F_i is of the density that has the same 
     ln f = ln p(φ) − ½ ν ln(u + w) − ½ s/(u + w),   w = v/v̂
     1/(u + 1) = v̂ rᵀPDPDPr/rᵀPDPr,   ν = v̂ tr PD (u + 1),   s = v̂ rᵀPDPr (u + 1)²
 
-Of a correlation time it is half that by the curvature and half the prior, of a size of a group the density along it
-through the maximum; of a size λ = exp(max(p, 0)) half of it is that of p < 0, by the prior. z has the correlations of
-the average information.
+Of a correlation time it is the density along it through the maximum, with a part of the prior, the in-run bias being as
+large in the session as there: of a bias that changes slowly a session of length T shows but
+
+    σ_b² (1 − 2 (x − 1 + e^{−x})/x²),   x = T/τ
+
+about its mean, and the density along σ_b at a τ is that of as large a w. For the average information the geometric
+mean of those along φ_i and of its marginal is taken. Of a size of a group it is the density along it through the
+maximum; of a size λ = exp(max(p, 0)) half of it is that of p < 0, by the prior. z has the correlations of the average
+information.
 The points z are of two fixed low-discrepancy sequences, each moved so that its mean and covariance are exactly those of
 the normal distribution, so that a result is the same to the last digit. With the weights w ∝ e^ℓ/q, smoothed by the
 Pareto distribution that fits the largest (Vehtari et al. 2024, Pareto smoothed importance sampling), and the step m and
@@ -27,16 +33,17 @@ covariance V at each
 
     x̄ = Σ w m,    C = Σ w (V + m mᵀ) − x̄ x̄ᵀ
 
-and the coverage factor k of a parameter is the half width at 95.45 % of its mixture of Gaussians over its u, of which u
-is half where a few points far out would make it more. The two sequences are independent: half the difference of what
-each finds for u is the error of u by the points. As long as it exceeds ROUGH of u there are twice as many points, up
-to MOST_POINTS.
+and the coverage factor k of a parameter is the half width at 95.45 % of its mixture of Gaussians over its u, of which
+u is half where a few points far out would make it more. The two sequences are independent: half the difference of what
+each finds for u is the error of u by the points. As long as it exceeds SETTLED of u there are twice as many points,
+until there are MOST_POINTS.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import scipy
@@ -46,6 +53,7 @@ from tumble.inference.hyperparameters import (
     CorrelationTime,
     GroupSize,
     Hyperparameter,
+    InRunSize,
     QuadraticForms,
     Score,
     log_prior,
@@ -54,6 +62,7 @@ from tumble.inference.hyperparameters import (
 )
 from tumble.inference.linearisation import Linearisation
 from tumble.inference.maximum import Maximum
+from tumble.inference.noise import NoiseModel
 from tumble.inference.normal_equations import (
     NormalEquations,
     Solution,
@@ -66,9 +75,9 @@ from tumble.inference.normal_equations import (
 from tumble.inference.uncertainty_budget import contributions, scaled_to
 from tumble.units import Array, IntArray
 
-POINTS, MOST_POINTS = 32, 128
-"""Points of ψ, at first and at most."""
-SIZES = 8
+POINTS, MOST_POINTS = 32, 256
+"""Points of ψ, at first, twice as many where there are no sizes of groups to be folded in, and at most."""
+SIZES = 16
 """Sizes of groups that are folded into the triangle of each."""
 SPARE = 3
 """Points of each sequence more than ψ has elements, at least: fewer have no covariance that could be made right."""
@@ -84,14 +93,15 @@ FINE = 241
 """Points of the densities along the elements."""
 KNOTS = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0])
 """Standard deviations beyond the usual size at which the density along a size of a group is taken."""
+TIMES = np.array([-3.0, -2.0, -1.4, -0.9, -0.4, 0.0, 0.4, 0.9, 1.4, 2.0, 3.0])
+"""Standard deviations of its prior, from its middle, at which the likelihood along a correlation time is taken."""
+DEFENCE = 0.15
+"""The part of the prior in the density along a correlation time."""
 REACH = 8.0
 """Standard deviations that densities along standard deviations reach."""
-ROUGH = 0.1
-"""Of u, for the parameter of which it is largest: an error by the points with which there are twice as many, and which
-is said where it remains."""
-POOR, ENOUGH = 0.7, 10.0
-"""Shape of the Pareto distribution of the weights from which on the integral is not to be relied on where fewer points
-than this are effective."""
+SETTLED, ROUGH = 0.07, 0.1
+"""Of u, for the parameter of which it is largest: an error by the points above which there are twice as many, and above
+which it is said."""
 SHOWN = 0.2
 """Twice the members of a group of which the session learns something where it is as large as its prior allows for: of
 less, its size is not shown at all, and stays that of the sheet."""
@@ -144,9 +154,9 @@ def posterior(fitted: Maximum, *, integrate: bool = True) -> Posterior:
     if proposal is None or not (len(proposal.outer) or len(proposal.inner)):
         return _at_maximum(fitted)
     np.empty(KEPT_MEMORY, dtype=np.uint8)
-    count = max(POINTS, 2 * (len(proposal.outer) + SPARE))
+    count = max(POINTS if len(proposal.inner) else 2 * POINTS, 2 * (len(proposal.outer) + SPARE))
     drawn = [_drawn(fitted, proposal, count // 2, sequence) for sequence in (0, 1)]
-    while count < MOST_POINTS and _is_rough(drawn):
+    while count < MOST_POINTS and _u_error(drawn) > SETTLED:
         count *= 2
         drawn = [_drawn(fitted, proposal, count // 2, sequence) for sequence in (0, 1)]
     both = Draws.joined(drawn)
@@ -200,7 +210,8 @@ def _at_maximum(fitted: Maximum) -> Posterior:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Density:
-    """A density along an element of φ: at points `phi` its logarithm, and the distribution function."""
+    """A density along an element of φ: at points `phi` (FINE,) its logarithm, and the distribution function; or a stack
+    of densities at the same points."""
 
     phi: Array
     log_density: Array
@@ -209,25 +220,37 @@ class Density:
     @staticmethod
     def of(phi: Array, log_density: Array) -> Density:
         """A density from its logarithm less any constant at evenly spaced points."""
-        density = np.exp(log_density - log_density.max())
-        cumulative = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]))])
-        log_density = np.log(np.maximum(density, 1e-300)) - np.log(cumulative[-1] * (phi[1] - phi[0]))
-        return Density(phi=phi, log_density=log_density, cumulative=cumulative / cumulative[-1])
+        density = np.exp(log_density - log_density.max(axis=-1, keepdims=True))
+        cumulative = np.zeros_like(density)
+        np.cumsum(0.5 * (density[..., 1:] + density[..., :-1]), axis=-1, out=cumulative[..., 1:])
+        whole = cumulative[..., -1:]
+        log_density = np.log(np.maximum(density, 1e-300)) - np.log(whole * (phi[1] - phi[0]))
+        return Density(phi=phi, log_density=log_density, cumulative=cumulative / whole)
 
     def drawn(self, z: Array) -> tuple[Array, Array]:
-        """The values at normal z, and the logarithms of the densities of their elements over that of z."""
-        phi = np.interp(scipy.special.ndtr(z), self.cumulative, self.phi)
-        return phi, np.interp(phi, self.phi, self.log_density) + 0.5 * z**2
+        """The values at normal z (P,), and the logarithms of the densities of their elements over that of z."""
+        share = scipy.special.ndtr(z)
+        if self.cumulative.ndim == 1:
+            phi = np.interp(share, self.cumulative, self.phi)
+            return phi, np.interp(phi, self.phi, self.log_density) + 0.5 * z**2
+        rows = zip(share, self.cumulative, strict=True)
+        phi = np.array([np.interp(each, cumulative, self.phi) for each, cumulative in rows])
+        log_density = [np.interp(at, self.phi, each) for at, each in zip(phi, self.log_density, strict=True)]
+        return phi, np.array(log_density) + 0.5 * z**2
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Proposal:
     """The Gaussian copula: which elements are of ψ (`outer`) and which are sizes of groups that are shown (`inner`),
-    the densities along them, and a root of the correlations of ψ."""
+    the densities along them, those along sizes of in-run biases that the data see exp(shift) times as large, each with
+    the element of its correlation time, on which `spread` says how that depends, and a root of the correlations of ψ.
+    """
 
     outer: IntArray
     inner: IntArray
     densities: dict[int, Density]
+    in_run: dict[int, tuple[int, Callable[[Array], Density]]]
+    spread: Callable[[Array], Array]
     root: Array
 
     @staticmethod
@@ -238,27 +261,37 @@ class Proposal:
         sizes = [i for i, h in enumerate(hyperparameters) if isinstance(h, GroupSize)]
         if sizes:
             densities |= _densities_of_sizes(fitted, sizes)
-        inner = list(densities)
-        outer = list[int]()
-        for i, h in enumerate(hyperparameters):
-            if isinstance(h, GroupSize):
-                continue
-            outer.append(i)
-            if isinstance(h, CorrelationTime):
-                densities[i] = _time_density(h, phi[i], B[i, i])
-            else:
-                densities[i] = _size_density(h, phi[i], h.forms(score), B[i, i])
+        inner, outer = list(densities), [i for i in range(len(hyperparameters)) if i not in sizes]
+        spread = partial(_spread_in_session, fitted.linearisation.noise)
+        in_run = dict[int, tuple[int, Callable[[Array], Density]]]()
+        along = np.eye(len(hyperparameters))
+        times = _times_of(hyperparameters)
+        for i, time in times.items():
+            along[i, time] = (spread(phi[time] - 0.1) - spread(phi[time] + 0.1)) / 0.2
         free = [i for i in (*outer, *inner) if not (hyperparameters[i].bounded and phi[i] <= 0.0)]
-        size = np.sqrt(np.maximum(B[free, free], 1e-12))
-        value, vectors = np.linalg.eigh(B[np.ix_(free, free)] / np.outer(size, size))
-        whole = np.eye(len(hyperparameters))
-        whole[np.ix_(free, free)] = (vectors / np.maximum(value, 0.1)) @ vectors.T
-        root = np.linalg.cholesky(whole[np.ix_(outer, outer)])
+        B = (along.T @ B @ along)[np.ix_(free, free)]
+        size = np.sqrt(np.maximum(B.diagonal(), 1e-12))
+        value, vectors = np.linalg.eigh(B / np.outer(size, size))
+        correlations = (vectors / np.maximum(value, 0.1)) @ vectors.T
+        longer = np.sqrt(correlations.diagonal())
+        whole, curvature = np.eye(len(hyperparameters)), fitted.curvature.diagonal().copy()
+        whole[np.ix_(free, free)] = correlations / np.outer(longer, longer)
+        curvature[free] = size**2 / longer
+        densities |= _densities_of_times(fitted, spread)
+        for i in (each for each in outer if each not in densities):
+            h = hyperparameters[i]
+            density = partial(_size_density, h, phi[i], h.forms(score), curvature[i])
+            if i in times:
+                in_run[i] = times[i], density
+            else:
+                densities[i] = density()
         return Proposal(
             outer=np.array(outer, dtype=int),
             inner=np.array(inner, dtype=int),
             densities=densities,
-            root=np.asarray(root),
+            in_run=in_run,
+            spread=spread,
+            root=np.asarray(np.linalg.cholesky(whole[np.ix_(outer, outer)])),
         )
 
     def points(self, best: Array, count: int, sequence: int) -> tuple[Array, Array]:
@@ -267,8 +300,14 @@ class Proposal:
         phi, log_q = np.tile(best, (count, sizes, 1)), np.zeros((count, sizes))
         normal = normal_points(count, len(self.outer), sequence)
         log_q -= 0.5 * (normal**2).sum(axis=1)[:, None]
-        for i, z in zip(self.outer.tolist(), (normal @ self.root.T).T, strict=True):
-            values, log_density = self.densities[i].drawn(z)
+        along = dict(zip(self.outer.tolist(), (normal @ self.root.T).T, strict=True))
+        for i in sorted(along, key=self.in_run.__contains__):
+            if i in self.in_run:
+                time, density = self.in_run[i]
+                seen = self.spread(phi[:, 0, time]) - self.spread(best[time])
+                values, log_density = density(seen).drawn(along[i])
+            else:
+                values, log_density = self.densities[i].drawn(along[i])
             phi[:, :, i] = values[:, None]
             log_q += log_density[:, None]
         for i, z in zip(self.inner.tolist(), normal_points(count * sizes, len(self.inner), sequence).T, strict=True):
@@ -278,27 +317,63 @@ class Proposal:
         return phi, log_q
 
 
-def _size_density(h: Hyperparameter, phi: float, forms: QuadraticForms, curvature: float) -> Density:
+def _times_of(hyperparameters: Sequence[Hyperparameter]) -> dict[int, int]:
+    """Of every size of in-run biases the element that is their correlation time."""
+    sizes, times = (
+        [i for i, h in enumerate(hyperparameters) if isinstance(h, kind)] for kind in (InRunSize, CorrelationTime)
+    )
+    return dict(zip(sizes, times, strict=True))
+
+
+def _spread_in_session(noise: NoiseModel, log_time: Array) -> Array:
+    """The logarithm of the standard deviation of an in-run bias about its mean over a session, in parts of its size, at
+    logarithms of its correlation time: of a bias that changes slowly a session shows but that."""
+    chains = np.isinf(noise.interval).sum()
+    x = np.exp(-log_time) * noise.interval[np.isfinite(noise.interval)].sum() / max(chains, 1)
+    x = np.maximum(x, 1e-3)
+    return np.asarray(0.5 * np.log(1.0 - 2.0 * (x + np.expm1(-x)) / x**2))
+
+
+def _size_density(
+    h: Hyperparameter, phi: float, forms: QuadraticForms, curvature: float, shift: float | Array = 0.0
+) -> Density:
     """The density along a standard deviation by the quadratic forms of its variance and the curvature of −ℓ at the
-    maximum."""
+    maximum; a stack of them where the data see it exp(shift) times as large as there."""
     square, trace = max(float(forms.square), 1e-6), max(float(forms.trace), 1e-6)
     informed = curvature - float(h.log_prior(np.array(phi))[2])
     share = float(np.clip(informed / (2.0 * square), 1e-3, 1.0 - 1e-6))  # 1/(u + 1)
     half = REACH * float(np.clip(curvature**-0.5, 0.5, 1.5))
     grid = np.linspace(min(-3.0 * h.within, phi - half) if h.bounded else phi - half, phi + half, FINE)
     above = np.maximum(grid, 0.0) - max(phi, 0.0) if h.bounded else grid - phi
-    w = 1.0 / share - 1.0 + np.exp(2.0 * above)
+    w = 1.0 / share - 1.0 + np.exp(2.0 * (above + np.asarray(shift)[..., None]))
     likelihood = -0.5 * trace / share * np.log(w) - 0.5 * square / share**2 / w
     return Density.of(grid, h.log_prior(grid)[0] + likelihood)
 
 
-def _time_density(h: Hyperparameter, phi: float, curvature: float) -> Density:
-    """The density along a correlation time, whose likelihood levels off on both sides: in equal parts normal by the
-    curvature of −ℓ at the maximum, and the prior."""
-    reach = 4.0 * h.within
-    grid = np.linspace(min(phi, h.centre) - reach, max(phi, h.centre) + reach, FINE)
-    near = np.sqrt(curvature) * np.exp(-0.5 * curvature * (grid - phi) ** 2)
-    return Density.of(grid, np.log(near + np.exp(h.log_prior(grid)[0]) / h.within + 1e-300))
+def _densities_of_times(fitted: Maximum, spread: Callable[[Array], Array]) -> dict[int, Density]:
+    """The densities along correlation times through the maximum, in-run biases being as large in the session as there,
+    and a part of the prior."""
+    hyperparameters, phi, out = fitted.hyperparameters, fitted.phi, dict[int, Density]()
+    times = _times_of(hyperparameters)
+    if not times:
+        return out
+    every, knots = np.tile(phi, (len(times), 1 + len(TIMES), 1)), list[Array]()
+    for rows, (size, time) in zip(every, times.items(), strict=True):
+        h = hyperparameters[time]
+        knots.append(np.sort(np.append(h.centre + TIMES * h.within, phi[time])))
+        rows[:, time] = knots[-1]
+        rows[:, size] += spread(phi[time]) - spread(knots[-1])
+    flat = every.reshape(-1, len(phi))
+    posterior = restricted_likelihood(fitted.linearisation, hyperparameters, flat).log_posterior
+    likelihood = (posterior - log_prior(hyperparameters, flat)[0].sum(axis=-1)).reshape(every.shape[:2])
+    for time, x, y in zip(times.values(), knots, likelihood, strict=True):
+        h = hyperparameters[time]
+        grid = np.linspace(x[0] - h.within, x[-1] + h.within, FINE)
+        log_prior_there = h.log_prior(grid)[0]
+        prior, density = (np.exp(each) for each in (log_prior_there, np.interp(grid, x, y - y.max()) + log_prior_there))
+        mixed = (1.0 - DEFENCE) * density / density.sum() + DEFENCE * prior / prior.sum()
+        out[time] = Density.of(grid, np.log(mixed + 1e-300))
+    return out
 
 
 # -------------------- sizes folded into triangles --------------------
@@ -543,15 +618,6 @@ def _drawn(fitted: Maximum, proposal: Proposal, count: int, sequence: int) -> Dr
     )
 
 
-def _is_rough(drawn: Sequence[Draws]) -> bool:
-    """Whether two sets of draws are too few: by the error of u, or by the shape of the weights of all and their
-    effective number."""
-    both = Draws.joined(drawn)
-    weight, pareto = smoothed(both.log_weight)
-    effective = float(1.0 / (both.by_point(weight) ** 2).sum())
-    return _u_error(drawn) > ROUGH or (pareto > POOR and effective < ENOUGH)
-
-
 def _u_error(drawn: Sequence[Draws]) -> float:
     """Half the difference of u by two sets of draws, relative, of the parameter of which it is largest."""
     first, second = (np.sqrt(np.diag(within + between)) for _, within, between in map(_moments, drawn))
@@ -613,9 +679,8 @@ def conditional(solution: Solution) -> Conditional:
 
 
 def rough(integral: Integral) -> bool:
-    """Whether an integral rests on a few points: by the error of u, or by the shape of the weights and their effective
-    number."""
-    return integral.u_error > ROUGH or (integral.pareto > POOR and integral.effective < ENOUGH)
+    """Whether an integral rests on a few points: by the error of u."""
+    return integral.u_error > ROUGH
 
 
 def normal_points(points: int, dimensions: int, sequence: int = 0) -> Array:
