@@ -27,7 +27,7 @@ from accuracy_formulas import (
 )
 
 from tumble.earth import EARTH_RATE, earth_rate, normal_gravity
-from tumble.inference.noise_components import CORRELATION_TIME
+from tumble.inference.noise import CORRELATION_TIME
 from tumble.planning.error_propagation import METHODS_OF_PAPER, MethodOfPaper
 from tumble.planning.itinerary import itinerary_of
 from tumble.planning.plan import plan

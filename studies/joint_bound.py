@@ -25,10 +25,9 @@ from tests.support.staged import staged
 from tumble.inference.estimate import Estimate
 from tumble.inference.fits import TOTAL
 from tumble.inference.joint import joint
-from tumble.inference.likelihood import Point, Problem, weights
 from tumble.inference.linearisation import linearise
-from tumble.inference.noise_components import Components
-from tumble.inference.step import solve
+from tumble.inference.normal_equations import solve
+from tumble.inference.problem import Point, Problem
 from tumble.inference.turns_about import TurnsAbout
 from tumble.methods.paper.four_stages import scalar, sequential
 from tumble.planning.setup import GROUPS, Setup
@@ -95,7 +94,7 @@ def _bound(scenario: Scenario, observations: Observations, truth: Array, number:
     point = Point(values=truth, gravity=scenario.site.gravity, attitudes=way.attitudes)
     problem = Problem.of(observations)
     rows = linearise(problem, point, TurnsAbout.of(observations, problem.instrument, truth))
-    step = solve(problem, rows, weights(problem, rows, Components()))
+    step = solve(rows)
     return np.asarray(step.covariance[1:, 1:])
 
 

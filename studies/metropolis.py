@@ -23,9 +23,11 @@ from pathlib import Path
 import numpy as np
 
 from tumble.inference.estimate import Outcome
+from tumble.inference.hyperparameters import log_prior, restricted_likelihood, score
 from tumble.inference.integral import SHOWN, conditional, posterior
-from tumble.inference.likelihood import NO_PRIOR, Problem, instruments_of
-from tumble.inference.maximum import Evaluated, Maximum, maximum
+from tumble.inference.maximum import Maximum, maximum
+from tumble.inference.normal_equations import Solution
+from tumble.inference.problem import NO_PRIOR, Problem, instruments_of
 from tumble.inference.start import start_of
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
@@ -53,45 +55,49 @@ class Compared:
 
 def shown(fitted: Maximum) -> list[int]:
     """The elements of φ of which the session shows something, or that are no sizes."""
-    best, out = fitted.best, list[int]()
-    for i, h in enumerate(fitted.entries):
-        phi = best.phi.copy()
-        phi[i] += best.information[i, i] ** -0.5
-        at_bound = h.bounded and best.phi[i] <= 0.0
-        if not at_bound or evaluated(fitted, phi).information[i, i] - h.within**-2 > SHOWN:
+    out, information = list[int](), score(fitted.hyperparameters, fitted.solution)[1]
+    for i, h in enumerate(fitted.hyperparameters):
+        phi = fitted.phi.copy()
+        phi[i] += information[i, i] ** -0.5
+        at_bound = h.bounded and fitted.phi[i] <= 0.0
+        there = score(fitted.hyperparameters, evaluated(fitted, phi))[1]
+        if not at_bound or there[i, i] - h.within**-2 > SHOWN:
             out.append(i)
     return out
 
 
-def evaluated(fitted: Maximum, phi: Array) -> Evaluated:
+def evaluated(fitted: Maximum, phi: Array) -> Solution:
     """ℓ at φ."""
-    return Evaluated.of(fitted.free, fitted.entries, fitted.at, phi)
+    return restricted_likelihood(fitted.linearisation, fitted.hyperparameters, phi)
 
 
 def sampled(fitted: Maximum, draws: int, seed: int) -> tuple[Array, Array, float]:
     """Mean and covariance of gravity and the parameters by so many draws after a quarter as many that burn in, and the
     accepted part of the steps of the random walk."""
-    rng, entries, burn = np.random.default_rng(seed), fitted.entries, draws // 4
+    rng, entries, burn = np.random.default_rng(seed), fitted.hyperparameters, draws // 4
     every = shown(fitted)
     walking, sizes = ([i for i in every if entries[i].bounded is bounded] for bounded in (False, True))
-    phi, D = fitted.best.phi.copy(), len(walking)
-    steps = np.linalg.inv(fitted.best.information[np.ix_(walking, walking)])
-    value, path, accepted = evaluated(fitted, phi).value, list[Array](), 0
+    phi, D = fitted.phi.copy(), len(walking)
+    steps = np.linalg.inv(score(entries, fitted.solution)[1][np.ix_(walking, walking)])
+    value, path, accepted = evaluated(fitted, phi).log_posterior, list[Array](), 0
     means, within = list[Array](), np.zeros((1 + len(fitted.point.values),) * 2)
     for i in range(-burn, draws):
         if i < 0 and i % 50 == 0 and len(path) > 10 * D:
             steps = np.cov(np.array(path[len(path) // 3 :]).T) + 1e-6 * np.eye(D)
         tried = phi.copy()
         tried[walking] += np.linalg.cholesky(steps) @ rng.standard_normal(D) * 2.38 / np.sqrt(D)
-        there = evaluated(fitted, tried).value
+        there = evaluated(fitted, tried).log_posterior
         if np.log(rng.uniform()) < there - value:
             phi, value = tried, there
             accepted += i >= 0
         for size in sizes:  # from the prior, so that of ℓ the likelihood alone counts
             tried = phi.copy()
             tried[size] = rng.normal(0.0, entries[size].within)
-            there = evaluated(fitted, tried).value
-            if np.log(rng.uniform()) < there - entries.prior(tried)[0, size] - value + entries.prior(phi)[0, size]:
+            there = evaluated(fitted, tried).log_posterior
+            if (
+                np.log(rng.uniform())
+                < there - log_prior(entries, tried)[0, size] - value + log_prior(entries, phi)[0, size]
+            ):
                 phi, value = tried, there
         path.append(phi[walking])
         if i >= 0:
@@ -105,7 +111,7 @@ def compared(fitted: Maximum, *, draws: int, seed: int) -> Compared:
     """The integral about a maximum and a sampler."""
     integral = posterior(fitted)
     mean, covariance, accepted = sampled(fitted, draws, seed)
-    linear = slice(1, 1 + fitted.free.instrument.linear_count)
+    linear = slice(1, 1 + fitted.problem.instrument.linear_count)
     u, other = (np.sqrt(np.diag(each))[linear] for each in (covariance, integral.covariance))
     return Compared(
         means=float(np.abs((integral.step - mean)[linear] / u).max()),
@@ -118,9 +124,9 @@ def compared(fitted: Maximum, *, draws: int, seed: int) -> Compared:
 
 def fitted_of(session: Observations) -> Maximum:
     """The maximum of a session."""
-    instrument, own = instruments_of(session)
-    problem = Problem.of(session, NO_PRIOR, instrument=instrument, own=own, usual=session.usual)
-    return maximum(problem, start_of(problem)[0])
+    instrument, local = instruments_of(session)
+    problem = Problem.of(session, NO_PRIOR, instrument=instrument, local=local, usual=session.usual)
+    return maximum(start_of(problem)[0])
 
 
 def sessions(kind: str, seed: int) -> Observations:

@@ -27,8 +27,8 @@ from scipy import stats
 
 from tumble.inference.estimate import Estimate, Fit
 from tumble.inference.joint import joint
-from tumble.inference.noise_components import Components
-from tumble.inference.step import solve
+from tumble.inference.noise import NO_COMPONENTS
+from tumble.inference.normal_equations import solve
 from tumble.planning.setup import Setup
 from tumble.programme.positions import ANY_MOVE, Programme, programme
 from tumble.reduction.observations import Observations
@@ -303,7 +303,7 @@ def without_scatter(estimate: Estimate) -> tuple[Array, Array]:
     """Values and u of an estimate with the noise within rests alone, whatever the residuals are."""
     likelihood = estimate.linearised
     assert likelihood is not None
-    step = solve(likelihood.problem, likelihood.rows, likelihood.noise.weights(Components()))
+    step = solve(likelihood, NO_COMPONENTS)
     return likelihood.point.values + step.parameters[1:], np.sqrt(np.diag(step.covariance)[1:])
 
 

@@ -24,9 +24,9 @@ from tumble.diagnosis.misfit import misfit
 from tumble.diagnosis.projection import (
     FALSE_ALARMS,
     Projection,
-    Remaining,
     SumOfSquares,
     by_north,
+    judged_solution,
     projections,
     standing_out,
 )
@@ -37,7 +37,7 @@ from tumble.earth import NORMAL_GRAVITY_U
 from tumble.inference.estimate import Estimate, Outcome
 from tumble.inference.joint import joint
 from tumble.inference.linearisation import linearise
-from tumble.inference.noise_components import Components
+from tumble.inference.noise import NO_COMPONENTS
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
 from tumble.result.calibration import Calibration
@@ -107,7 +107,7 @@ def test_turns_beyond_the_model_are_refused_where_they_are_aliased_too() -> None
     assert observations.turns is not None
     aliased = replace(observations.turns, aliased=np.full(len(observations.turns), scatter**2))
     problem = replace(linearised.problem, observations=replace(observations, turns=aliased))
-    twice = replace(linearised, problem=problem, components=replace(linearised.components, aliased=2.0))
+    twice = replace(linearised, problem=problem).with_components(replace(linearised.components, aliased=2.0))
     found = misfit(replace(estimate, linearised=twice))
     assert found is not None
     (said,) = [sentence for _, sentence in found.reasons if "where rates jump from sample to sample" in sentence]
@@ -322,7 +322,7 @@ def test_a_latitude_that_the_gyros_contradict_is_named() -> None:
 def _projected(estimate: Estimate, rest: Array, turn: Array) -> Projection:
     """The projection of columns with the noise alone."""
     assert estimate.linearised is not None
-    (found,) = projections(estimate.linearised, Components(), rest, turn)
+    (found,) = projections(estimate.linearised, NO_COMPONENTS, rest, turn)
     return found
 
 
@@ -356,19 +356,19 @@ def test_a_projection_is_that_of_all_unknowns_at_once() -> None:
     estimate = joint(replace(estimated("none")[1], usual={}))
     linearised = estimate.linearised
     assert linearised is not None
-    problem, rows = linearised.problem, linearised.rows
+    problem, rows = linearised.problem, linearised
     rng, (N, r), (K, t) = np.random.default_rng(2), rows.rest.shape[:2], rows.turn.shape[:2]
     rest, turn = rng.normal(0.0, 1e-4, (N, r, 2)), rng.normal(0.0, 1e-4, (K, t, 2))
-    left = Remaining.of(linearised, Components())
-    W, p = left.step.told.weights, len(rows.prior) - 1
+    equations, p = judged_solution(linearised, NO_COMPONENTS).equations, len(rows.prior) - 1
+    W_rest, W_turn = equations.rest_whitening, equations.turn_whitening
     A = np.zeros((N * r + K * t + p, 3 * N + p + 3))
     for i in range(N):
-        A[i * r : (i + 1) * r, 3 * i : 3 * i + 3] = W.rest[i] @ rows.rest[i, :, :3]
-        A[i * r : (i + 1) * r, 3 * N :] = W.rest[i] @ np.hstack([rows.rest[i, :, 3:-1], rest[i], rows.rest[i, :, -1:]])
+        A[i * r : (i + 1) * r, 3 * i : 3 * i + 3] = W_rest[i] @ rows.rest[i, :, :3]
+        A[i * r : (i + 1) * r, 3 * N :] = W_rest[i] @ np.hstack([rows.rest[i, :, 3:-1], rest[i], rows.rest[i, :, -1:]])
     for k, i in enumerate(problem.before_turn):
         own = slice(N * r + k * t, N * r + (k + 1) * t)
-        A[own, 3 * i : 3 * i + 6] = W.turn[k] @ rows.turn[k, :, :6]
-        A[own, 3 * N :] = W.turn[k] @ np.hstack([rows.turn[k, :, 6:-1], turn[k], rows.turn[k, :, -1:]])
+        A[own, 3 * i : 3 * i + 6] = W_turn[k] @ rows.turn[k, :, :6]
+        A[own, 3 * N :] = W_turn[k] @ np.hstack([rows.turn[k, :, 6:-1], turn[k], rows.turn[k, :, -1:]])
     A[-p:, 3 * N : 3 * N + p], A[-p:, -1] = rows.prior[:-1, :-1], rows.prior[:-1, -1]
     A = np.delete(np.delete(A, -p, axis=0), 3 * N, axis=1)  # gravity, which is exact here
     unknowns, columns, residual = A[:, :-3], A[:, -3:-1], A[:, -1]
@@ -399,7 +399,7 @@ def test_the_rate_along_north_is_predicted_at_rest_and_in_the_turns() -> None:
     still = replace(problem, earth=problem.earth * np.array([0.0, 1.0, 1.0]))
     without = linearise(still, linearised.point, linearised.about)
     for found, there, here in zip(
-        by_north(linearised), (without.rest, without.turn), (linearised.rows.rest, linearised.rows.turn), strict=True
+        by_north(linearised), (without.rest, without.turn), (linearised.rest, linearised.turn), strict=True
     ):
         expected = there[..., -1] - here[..., -1]
         assert np.abs(expected).max() > 0.0
@@ -412,14 +412,14 @@ def test_a_cause_that_is_put_in_comes_out() -> None:
     estimate, _ = estimated("none", setting=1)
     linearised = estimate.linearised
     assert linearised is not None
-    rows, rng = linearised.rows, np.random.default_rng(1)
+    rows, rng = linearised, np.random.default_rng(1)
     rest, turn = (rng.normal(0.0, 1e-4, (*each.shape[:2], 2)) for each in (rows.rest, rows.turn))
     values = np.array([1.0, -0.5])
     shifted = replace(rows, rest=rows.rest.copy(), turn=rows.turn.copy())
     shifted.rest[..., -1] += rest @ values
     shifted.turn[..., -1] += turn @ values
     before = _projected(estimate, rest, turn).explained(slice(0, 2))
-    after = _projected(replace(estimate, linearised=replace(linearised, rows=shifted)), rest, turn)
+    after = _projected(replace(estimate, linearised=shifted), rest, turn)
     found = after.explained(slice(0, 2))
     assert before is not None
     assert found is not None

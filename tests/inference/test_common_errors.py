@@ -11,8 +11,7 @@ import pytest
 import tumble
 from tests.support.shared import copy_of, session
 from tumble.inference.joint import joint
-from tumble.inference.likelihood import Problem, noise_of
-from tumble.inference.linearisation import linearise
+from tumble.inference.problem import Problem
 from tumble.inference.sources import by_time_base, clocked, common_rounding
 from tumble.inference.start import start_of
 from tumble.planning.setup import Setup
@@ -160,6 +159,6 @@ def test_the_noise_of_a_turn_is_a_covariance_however_unlike_its_gyros_are(noise:
     instrument = Instrument.of(observations.accel_block, observations.gyro_block, observations.usual)
     problem = Problem.of(observations, instrument=instrument, usual=observations.usual)
     at, _ = start_of(problem)
-    found = noise_of(problem, linearise(problem, at.point, at.about)).turn
+    found = at.noise.turn
     size = np.sqrt(np.diagonal(found, axis1=1, axis2=2))
     assert np.linalg.eigvalsh(found / size[:, :, None] / size[:, None, :]).min() > 0.0

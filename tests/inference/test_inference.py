@@ -3,6 +3,7 @@ maximum does not depend on the start, and the integral is what a sampler finds."
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import fields, replace
 from typing import Any
 
@@ -14,15 +15,25 @@ from tests.support.wandering_biases import middles
 from tumble.diagnosis.verdict import verdict
 from tumble.inference import elimination, integral
 from tumble.inference import joint as of_joint
-from tumble.inference.hyperparameters import Hyperparameters
-from tumble.inference.in_run import InRun
+from tumble.inference.hyperparameters import (
+    CorrelationTime,
+    GroupSize,
+    Hyperparameter,
+    InRunSize,
+    LocalGroupSize,
+    Scatter,
+    SensorFactor,
+    restricted_likelihood,
+    score,
+)
 from tumble.inference.integral import posterior, smoothed
 from tumble.inference.joint import joint
-from tumble.inference.likelihood import NO_PRIOR, Problem, instruments_of, noise_of, weights
-from tumble.inference.maximum import At, Evaluated, Maximum, Status, maximum
-from tumble.inference.noise_components import Components
+from tumble.inference.linearisation import Linearisation, linearise
+from tumble.inference.maximum import Maximum, Status, maximum
+from tumble.inference.noise import VarianceComponents
+from tumble.inference.normal_equations import session_mean_bias, solve
+from tumble.inference.problem import NO_PRIOR, Problem, instruments_of
 from tumble.inference.start import start_of
-from tumble.inference.step import mean_along, solve
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
 from tumble.reduction.together import joined
@@ -82,18 +93,17 @@ def of_pyramids() -> Observations:
 SESSIONS = {"pyramids": of_pyramids, "accelerometers": accelerometers_alone, "two sessions": two_sessions}
 
 
-def started(session: Observations) -> tuple[Problem, At]:
-    """The problem of a session, and its start."""
-    instrument, own = instruments_of(session)
-    problem = Problem.of(session, NO_PRIOR, instrument=instrument, own=own, usual=session.usual)
-    return problem, start_of(problem)[0]
+def started(session: Observations) -> Linearisation:
+    """The rows of a session at its start."""
+    instrument, local = instruments_of(session)
+    return start_of(Problem.of(session, NO_PRIOR, instrument=instrument, local=local, usual=session.usual))[0]
 
 
 def fitted_of(session: Observations) -> Maximum:
-    return maximum(*started(session))
+    return maximum(started(session))
 
 
-def away_from_bounds(entries: Hyperparameters, seed: int = 5) -> Array:
+def away_from_bounds(entries: Sequence[Hyperparameter], seed: int = 5) -> Array:
     """φ where nothing is at its most likely, and no size at its bound."""
     rng = np.random.default_rng(seed)
     return np.array([0.5 if h.bounded else h.centre for h in entries]) + 0.3 * rng.uniform(-1.0, 1.0, len(entries))
@@ -105,29 +115,30 @@ def away_from_bounds(entries: Hyperparameters, seed: int = 5) -> Array:
 @pytest.mark.parametrize("name", SESSIONS)
 def test_the_score_is_the_derivative_of_the_likelihood(name: str) -> None:
     """By central differences at one linearisation, of every kind of hyperparameter there is."""
-    problem, at = started(SESSIONS[name]())
-    entries = maximum(problem, at, iterations=1).entries
+    at = started(SESSIONS[name]())
+    entries = maximum(at, iterations=1).hyperparameters
     phi, step = away_from_bounds(entries), 1e-4
-    here = Evaluated.of(problem, entries, at, phi)
-    kinds = dict[tuple[str, ...], list[int]]()
+    gradient, _ = score(entries, restricted_likelihood(at, entries, phi))
+    kinds = dict[tuple[object, ...], list[int]]()
     for i, h in enumerate(entries):
-        key = (h.place, h.name) if h.place in ("scatter", "in-run", "time") else (h.place,)
+        key = (type(h),) if h.bounded else (type(h), h.name)
         kinds.setdefault(key, []).append(i)
     some = [i for members in kinds.values() for i in (members[0], members[-1])]
     for i in sorted(set(some)):
         by_one = step * np.eye(len(phi))[i]
-        more, less = (Evaluated.of(problem, entries, at, phi + sign * by_one).value for sign in (1.0, -1.0))
-        numeric = (more - less) / (2.0 * step)
-        assert here.gradient[i] == pytest.approx(numeric, rel=1e-5, abs=1e-4), entries[i].name
+        more, less = (restricted_likelihood(at, entries, phi + sign * by_one) for sign in (1.0, -1.0))
+        numeric = (more.log_posterior - less.log_posterior) / (2.0 * step)
+        assert gradient[i] == pytest.approx(numeric, rel=1e-5, abs=1e-4), entries[i].name
 
 
 def test_sessions_of_the_score_have_every_kind_of_hyperparameter() -> None:
-    """Of scatter all eight, and of the others every place."""
-    found = {(h.place, h.name) for make in SESSIONS.values() for h in maximum(*started(make()), iterations=1).entries}
-    assert {name for place, name in found if place == "scatter"} == {
+    """Of scatter all eight, and of the others every kind."""
+    found = [h for make in SESSIONS.values() for h in maximum(started(make()), iterations=1).hyperparameters]
+    assert {h.name for h in found if isinstance(h, Scatter)} == {
         *("accel", "gyro", "turn", "velocity", "apart", "jumps", "aliased", "aliased_apart")
     }
-    assert {place for place, _ in found} == {"scatter", "in-run", "time", "unlike", "group", "own group"}
+    every = {Scatter, InRunSize, CorrelationTime, SensorFactor, GroupSize, LocalGroupSize}
+    assert {type(h) for h in found} == every
 
 
 # -------------------- the elimination --------------------
@@ -155,14 +166,15 @@ def in_two_files(session: Observations, after: int) -> Observations:
     return replace(parts, rests=replace(parts.rests, file=(np.arange(len(parts.rests)) > after).astype(np.int64)))
 
 
-def everything_at_once(problem: Problem, at: At, components: Components) -> tuple[Array, Array, float]:
+def everything_at_once(at: Linearisation, components: VarianceComponents) -> tuple[Array, Array, float]:
     """By ordinary weighted least squares with biases of every rest whose covariance is σ² exp(−|Δt|/τ), written down:
     estimates and covariance of the angles of all rests, of gravity and the parameters, and of the biases (SI) rest by
     rest, and twice the negative logarithm of the restricted likelihood."""
-    observations, rows = problem.observations, at.rows
+    problem, rows, noise = at.problem, at, at.noise
+    observations = problem.observations
     turns, n, N = observations.turns, problem.sensors, len(rows.rest)
     assert turns is not None
-    p, noise = len(rows.prior) - 1, noise_of(problem, rows)
+    p = len(rows.prior) - 1
     lines, residual, determinant = [], [], 0.0
     for which, own, directions in (
         ("rest", rows.rest, noise.rest_directions),
@@ -199,12 +211,12 @@ def everything_at_once(problem: Problem, at: At, components: Components) -> tupl
     covariance = np.linalg.inv(scaled) / np.outer(scale, scale)
     values = np.linalg.solve(scaled, right / scale) / scale
     determinant += np.linalg.slogdet(scaled)[1] + 2.0 * np.log(scale).sum()
-    sizes = problem.measured[1][1 + problem.instrument.linear_count :]
+    sizes = problem.prior_u[1 + problem.instrument.linear_count :]
     square = float(y @ y + prior[:, -1] @ prior[:, -1] - right @ values)
     return values, covariance, square + determinant + 2.0 * float(np.log(sizes).sum())
 
 
-IN_RUN = Components(
+IN_RUN = VarianceComponents(
     turn=1e-5,
     velocity=1e-3,
     accel_in_run=8e-4,
@@ -220,11 +232,11 @@ def test_states_of_biases_are_those_of_everything_at_once(cut: bool) -> None:
     """Values and covariances of parameters and states, the restricted likelihood, and the biases as the means over the
     session."""
     session = observed(by_hand(9), full=True)
-    problem, at = started(in_two_files(session, 4) if cut else session)
-    step = solve(problem, at.rows, weights(problem, at.rows, IN_RUN))
-    values, covariance, deviance = everything_at_once(problem, at, IN_RUN)
-    again, _, other = everything_at_once(problem, at, replace(IN_RUN, gyro_time=100.0, turn=5e-5))
-    N, n, p = len(problem.link), problem.sensors, len(at.rows.prior) - 1
+    at = started(in_two_files(session, 4) if cut else session)
+    problem, step = at.problem, solve(at, IN_RUN)
+    values, covariance, deviance = everything_at_once(at, IN_RUN)
+    again, _, other = everything_at_once(at, replace(IN_RUN, gyro_time=100.0, turn=5e-5))
+    N, n, p = len(problem.link), problem.sensors, len(at.prior) - 1
     u = np.sqrt(np.diag(covariance))
     inside, states = slice(3 * N, 3 * N + p), slice(3 * N + p, None)
     sigma, _ = IN_RUN.in_run(3, 3)
@@ -236,14 +248,14 @@ def test_states_of_biases_are_those_of_everything_at_once(cut: bool) -> None:
     )
     own = np.diagonal(step.covariances(slice(3, None))[0], axis1=1, axis2=2)
     np.testing.assert_allclose(np.sqrt(own).ravel() * np.tile(sigma, N), u[states], rtol=1e-5)
-    changed = solve(problem, at.rows, weights(problem, at.rows, replace(IN_RUN, gyro_time=100.0, turn=5e-5)))
+    changed = solve(at, replace(IN_RUN, gyro_time=100.0, turn=5e-5))
     assert changed.deviance - step.deviance == pytest.approx(other - deviance, abs=1e-3)
     assert np.abs(again - values).max() > 0.0
     mean = np.zeros((n, len(values)))
     mean[np.arange(n), 3 * N + 1 + problem.biases] = 1.0
     for s in range(n):
         mean[s, 3 * N + p + s + n * np.arange(N)] = 1.0 / N
-    by, noise = mean_along(step.told)
+    by, noise = session_mean_bias(step.equations)
     more, apart = by @ np.append(step.parameters, -1.0), np.einsum("ibd,icd->bc", noise, noise)
     to_session = np.eye(n, p, 1)
     to_session[:] = 0.0
@@ -266,19 +278,18 @@ def test_the_elimination_of_many_states_is_that_of_few(monkeypatch: pytest.Monke
     session = in_two_files(observed(by_hand(9), full=True), 4)
     if not latitude:
         session = replace(session, site=replace(session.site, latitude=None))
-    problem, at = started(session)
-    weight = weights(problem, at.rows, IN_RUN)
-    few = solve(problem, at.rows, weight)
+    at = started(session)
+    few = solve(at, IN_RUN)
+    few_states = few.covariances(slice(3, None))
     monkeypatch.setattr(elimination, "LARGE", 0)
-    many = solve(problem, at.rows, weight)
+    many = solve(at, IN_RUN)
     u = np.sqrt(np.diag(few.covariance))
     np.testing.assert_allclose(many.parameters / u, few.parameters / u, atol=1e-6)
     np.testing.assert_allclose(many.covariance / np.outer(u, u), few.covariance / np.outer(u, u), atol=1e-7)
     np.testing.assert_allclose(many.unknowns[:, 3:], few.unknowns[:, 3:], atol=1e-6)
-    states = slice(3, None)
-    np.testing.assert_allclose(many.covariances(states), few.covariances(states), atol=1e-7)
+    np.testing.assert_allclose(many.covariances(slice(3, None)), few_states, atol=1e-7)
     assert many.deviance == pytest.approx(few.deviance, abs=1e-6)
-    assert not np.array_equal(many.told.factor, few.told.factor)  # it did go another way
+    assert not np.array_equal(many.equations.rest_factors, few.equations.rest_factors)  # it did go another way
 
 
 def test_a_session_in_two_files_is_the_same_but_for_the_chain_that_begins_anew() -> None:
@@ -290,9 +301,9 @@ def test_a_session_in_two_files_is_the_same_but_for_the_chain_that_begins_anew()
     short, long = (replace(IN_RUN, accel_time=t, gyro_time=t) for t in (0.1, 300.0))
     steps = []
     for each in (one, two):
-        problem, at = started(each)
-        steps.append([solve(problem, at.rows, weights(problem, at.rows, c)) for c in (short, long)])
-        begins = InRun.of(problem, long).rho[4]
+        at = started(each)
+        steps.append([solve(at, c) for c in (short, long)])
+        begins = at.noise.at(long).bias_rho[4]
         assert np.all(begins == 0.0) == (each is two)
     u = np.sqrt(np.diag(steps[0][0].covariance))
     np.testing.assert_allclose(steps[1][0].parameters / u, steps[0][0].parameters / u, atol=1e-6)
@@ -312,24 +323,23 @@ def test_a_session_in_two_files_is_the_same_but_for_the_chain_that_begins_anew()
 @pytest.mark.parametrize("name", ["by hand", *SESSIONS])
 def test_two_starts_have_one_maximum(name: str) -> None:
     """From above and from below everything that is likely: ℓ within a fifth, and the parameters within a fifth of u."""
-    problem, at = started(SESSIONS[name]() if name in SESSIONS else observed(by_hand()))
-    first = maximum(problem, at)
+    at = started(SESSIONS[name]() if name in SESSIONS else observed(by_hand()))
+    first = maximum(at)
     found = [first]
     for away in (-1.5, 1.5):
-        phi = np.array([max(away, 0.0) if h.bounded else h.centre + away for h in first.entries])
-        found.append(maximum(problem, at, phi))
-    linear = slice(problem.instrument.linear_count)
-    u = np.sqrt(first.best.step.covariance.diagonal()[1:])[linear]
+        phi = np.array([max(away, 0.0) if h.bounded else h.centre + away for h in first.hyperparameters])
+        found.append(maximum(at, phi))
+    linear = slice(at.problem.instrument.linear_count)
+    u = np.sqrt(first.solution.covariance.diagonal()[1:])[linear]
     for each in found:
         assert each.converged
-        assert each.best.value == pytest.approx(first.best.value, abs=0.2)
+        assert each.solution.log_posterior == pytest.approx(float(first.solution.log_posterior), abs=0.2)
         np.testing.assert_allclose((each.point.values - first.point.values)[linear] / u, 0.0, atol=0.2)
 
 
 def test_a_status_that_ran_out_is_not_converged_and_not_accepted(monkeypatch: pytest.MonkeyPatch) -> None:
     session = observed(by_hand())
-    problem, at = started(session)
-    short = maximum(problem, at, iterations=1)
+    short = maximum(started(session), iterations=1)
     assert short.status is Status.ran_out
     assert not short.converged
     assert joint(session).converged
@@ -343,14 +353,14 @@ def test_more_rests_never_make_the_mean_of_a_process_worse() -> None:
     """With the same components, u of every bias as the mean of its process falls with every rest, however long the
     process lasts."""
     session = observed(by_hand(14))
-    point = started(session)[1].point
+    point = started(session).point
     for seconds in (3.0, 100.0, 3000.0):
         before = np.full(6, np.inf)
         for count in (8, 10, 12, 14):
-            problem, at = started(with_turns(session, np.arange(13) < count - 1, count))
-            here = At.of(problem, replace(point, attitudes=point.attitudes[:count]), at.about)
-            step = here.solved(problem, replace(IN_RUN, accel_time=seconds, gyro_time=seconds))
-            u = np.sqrt(step.covariance.diagonal()[1:][problem.biases])
+            at = started(with_turns(session, np.arange(13) < count - 1, count))
+            here = linearise(at.problem, replace(point, attitudes=point.attitudes[:count]), at.about)
+            step = solve(here, replace(IN_RUN, accel_time=seconds, gyro_time=seconds))
+            u = np.sqrt(step.covariance.diagonal()[1:][at.problem.biases])
             assert np.all(u < before * (1.0 + 1e-6))
             before = u
 

@@ -10,11 +10,11 @@ import pytest
 
 from tests.support.formula_setup import device_setup
 from tumble.inference.elimination import fold
-from tumble.inference.likelihood import NO_PRIOR, Point, Prior, Problem, Rows, bases, noise_of, weights
-from tumble.inference.linearisation import inverse_left_jacobian, linearise
+from tumble.inference.linearisation import Linearisation, inverse_left_jacobian, linearise
 from tumble.inference.maximum import heading_information
-from tumble.inference.noise_components import Components
-from tumble.inference.step import left, solve
+from tumble.inference.noise import NO_COMPONENTS, VarianceComponents
+from tumble.inference.normal_equations import solve
+from tumble.inference.problem import NO_PRIOR, Point, Prior, Problem, bases
 from tumble.inference.turns_about import TurnsAbout
 from tumble.planning.setup import Setup
 from tumble.programme.positions import programme
@@ -162,12 +162,12 @@ def test_the_jacobian_of_rotation_vectors_is_that_of_differences(angle: float) -
 # -------------------- elimination --------------------
 
 
-def dense(problem: Problem, rows: Rows, scatter: Components) -> tuple[Array, Array, list[tuple[str, int]]]:
+def dense(rows: Linearisation, scatter: VarianceComponents) -> tuple[Array, Array, list[tuple[str, int]]]:
     """All whitened rows over all unknowns at once: angles of rest 0, 1, …, then the parameters; and which they are, the
     rows of a rest or of a turn."""
-    weight, turns = weights(problem, rows, scatter), problem.observations.turns
+    (W_rest, W_turn), turns = rows.noise.at(scatter).whitening(), rows.problem.observations.turns
     assert turns is not None
-    rest, turn = weight.rest @ rows.rest, weight.turn @ rows.turn
+    rest, turn = W_rest @ rows.rest, W_turn @ rows.turn
     N, p = len(rest), len(rows.prior) - 1
     lines, right, which = [], [], []
     every = (("rest", rest, range(N), 3), ("turn", turn, turns.first.tolist(), 6))
@@ -196,9 +196,9 @@ def test_elimination_is_least_squares(axes: Array, only_programmed: bool) -> Non
         problem = Problem.of(observations)
         about = TurnsAbout.of(observations, problem.instrument, point.values)
         assert np.sum(problem.link < 0) == 6
-    rows, scatter = linearise(problem, point, about), Components(accel=1e-5, gyro=1e-8, turn=1e-6)
-    step = solve(problem, rows, weights(problem, rows, scatter))
-    jacobian, residual, which = dense(problem, rows, scatter)
+    rows, scatter = linearise(problem, point, about), VarianceComponents(accel=1e-5, gyro=1e-8, turn=1e-6)
+    step = solve(rows, scatter)
+    jacobian, residual, which = dense(rows, scatter)
     scale = np.linalg.norm(jacobian, axis=0)
     Q, R = np.linalg.qr(jacobian / scale)
     all_at_once = np.linalg.solve(R, Q.T @ residual) / scale
@@ -215,11 +215,11 @@ def test_elimination_is_least_squares(axes: Array, only_programmed: bool) -> Non
         rtol=0.0,
         atol=1e-7,
     )
-    found = left(problem, step)
+    found = {"rest": step.rest_residuals, "turn": step.turn_residuals}
     after, projected = residual - Q @ (Q.T @ residual), np.eye(len(Q)) - Q @ Q.T
     at = 0
     for kind, k in which:
-        found_residual, found_covariance = (part[k] for part in getattr(found, kind))
+        found_residual, found_covariance = (part[k] for part in found[kind])
         own = slice(at, at := at + len(found_residual))
         np.testing.assert_allclose(found_residual, after[own], rtol=1e-6, atol=1e-5)
         np.testing.assert_allclose(found_covariance, projected[own, own], rtol=0.0, atol=1e-6)
@@ -233,8 +233,8 @@ def test_a_free_heading_takes_no_information() -> None:
     observations = problem.observations
     problem = Problem.of(replace(observations, site=replace(observations.site, latitude=None)))
     rows = linearise(problem, point, about)
-    step = solve(problem, rows, weights(problem, rows, Components()))
-    jacobian, residual, which = dense(problem, rows, Components())
+    step = solve(rows)
+    jacobian, residual, which = dense(rows, NO_COMPONENTS)
     scale = np.linalg.norm(jacobian, axis=0)
     U, s, Vt = np.linalg.svd(jacobian / scale, full_matrices=False)
     assert s[-2] > 1e-9 > 1e3 * s[-1]
@@ -243,8 +243,8 @@ def test_a_free_heading_takes_no_information() -> None:
     m = len(u)
     far = np.abs(by_all[-m:] / u).max()  # the step is many sigmas long
     np.testing.assert_allclose(step.parameters[1:] / u, by_all[-m:] / u, rtol=0.0, atol=1e-6 * far)
-    found = left(problem, step)
-    freedom = sum(float(np.trace(getattr(found, kind)[1][k])) for kind, k in which)
+    covariances = {"rest": step.rest_residuals[1], "turn": step.turn_residuals[1]}
+    freedom = sum(float(np.trace(covariances[kind][k])) for kind, k in which)
     # the row of gravity is not among them, and no data show it; the priors of the parameters take next to nothing
     assert freedom == pytest.approx(len(rows.rest) * 6 + 3 * len(rows.turn) + 1 - (3 * 15 - 1) - (m + 1), abs=1e-3)
 
@@ -260,7 +260,7 @@ def bound(setup: Setup, only_programmed: bool) -> Array:
     point = Point(values=values, gravity=setup.gravity, attitudes=true_attitudes(chosen, 3))
     problem = Problem.of(observations)
     rows = linearise(problem, point, TurnsAbout.of(observations, problem.instrument, values))
-    variance = np.diag(solve(problem, rows, weights(problem, rows, Components())).covariance)[1:]
+    variance = np.diag(solve(rows).covariance)[1:]
     return np.sqrt([variance[i:j].mean() for i, j in ((0, 3), (3, 6), (6, 9), (9, 12), (12, 15), (15, 21))])
 
 
@@ -268,14 +268,15 @@ def test_rests_and_turns_say_of_a_heading_by_how_much_their_rows_change_with_it(
     """All attitudes turn about the vertical by ε: the rows of the accelerometers stay, the others change by the Earth's
     rate, those of the turns by the more the longer they last."""
     problem, point, about = problem_at(scenario(), 0.0)
-    weight, turn = weights(problem, linearise(problem, point, about), Components()), 1e-4
+    turn = 1e-4
     angles = np.zeros((len(point.attitudes), 3))
     angles[:, 2] = turn
     here, there = (linearise(problem, p, about) for p in (point, point.moved(np.zeros(1 + len(point.values)), angles)))
-    found = heading_information(problem, solve(problem, here, weight))
+    found = heading_information(solve(here))
+    W_rest, W_turn = here.noise.whitening()
     first = problem.observations.turns.first  # type: ignore[union-attr]
-    at_rest = weight.rest @ (there.rest - here.rest)[..., -1:] / turn
-    in_turns = weight.turn @ (there.turn - here.turn)[..., -1:] / turn
+    at_rest = W_rest @ (there.rest - here.rest)[..., -1:] / turn
+    in_turns = W_turn @ (there.turn - here.turn)[..., -1:] / turn
     expected = (at_rest**2).sum(axis=(1, 2))
     expected[first] += (in_turns**2).sum(axis=(1, 2))
     np.testing.assert_allclose(found, expected, rtol=1e-3)
@@ -287,7 +288,7 @@ def test_velocities_scatter_across_the_vertical_of_the_point_however_wrong_the_r
     problem, point, about = problem_at(scenario(full=True), 0.0)
     turns = problem.observations.turns
     assert turns is not None
-    noise = noise_of(problem, linearise(problem, point, about))
+    noise = linearise(problem, point, about).noise
     of_velocity = noise.turn[:, 3:6, 3:6] - turns.velocity_covariance
     by_gyros = (point.gravity * turns.duration) ** 2 * np.trace(turns.covariance, axis1=1, axis2=2) / 9.0
     east, up = (
@@ -312,7 +313,7 @@ def test_noise_of_nothing_is_no_scatter() -> None:
     problem, point, about = problem_at(scenario(setup=replace(SETUP, noise=NoiseModel(accel_white=1e-3))), 0.0)
     rows = linearise(problem, point, about)
     variance = 1e-6 / 120.0
-    np.testing.assert_allclose(weights(problem, rows, Components()).rest[:, 0, 0], variance**-0.5, rtol=1e-6)
+    np.testing.assert_allclose(rows.noise.whitening()[0][:, 0, 0], variance**-0.5, rtol=1e-6)
 
 
 def test_other_chains_are_refused() -> None:

@@ -11,16 +11,11 @@ import pytest
 
 from tests.inference.test_inference import by_hand, fitted_of, observed, two_sessions, without_gyros
 from tumble.inference.estimate import Estimate
-from tumble.inference.hyperparameters import components_of, sized
-from tumble.inference.in_run import InRun
-from tumble.inference.integral import conditional
 from tumble.inference.joint import joint
-from tumble.inference.likelihood import Problem, Rows
-from tumble.inference.linearisation import with_priors
-from tumble.inference.maximum import Evaluated, Maximum, without_outliers
-from tumble.inference.noise_components import SCATTER, Weights
-from tumble.inference.step import mean_along, solve
-from tumble.inference.uncertainty_budget import averaged, contributions, noise_roots
+from tumble.inference.maximum import Maximum, without_outliers
+from tumble.inference.noise import SCATTER
+from tumble.inference.normal_equations import session_mean_bias, solve
+from tumble.inference.uncertainty_budget import contributions
 from tumble.methods.ellipsoid import ellipsoid
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
@@ -69,30 +64,24 @@ OTHERS: dict[str, Callable[[], Observations]] = {
 }
 
 
-def by_source(fitted: Maximum) -> dict[str, Array]:
-    """At the hyperparameters of the maximum."""
-    here = Evaluated.of(fitted.free, fitted.entries, fitted.at, fitted.best.phi[None])
-    return averaged(np.ones(1), [contributions(here, conditional(here).mean, noise_roots(fitted.free, fitted.at))])
-
-
 @pytest.mark.parametrize("name", [*SESSIONS, *OTHERS])
 def test_the_sources_are_the_covariance(name: str) -> None:
     """At given hyperparameters, that of the elimination, biases being those of the session."""
     fitted = fitted_of((SESSIONS | OTHERS)[name]())
     if name == "an outlier":
         fitted = without_outliers(fitted)
-        assert fitted.at.noise.kept[0].min() < 1.0 or fitted.at.noise.kept[1].min() < 1.0
-    problem, rows, weight = at_best(fitted)
-    step = solve(problem, rows, weight)
+        noise = fitted.linearisation.noise
+        assert noise.rest_weights.min() < 1.0 or noise.turn_weights.min() < 1.0
+    problem, step = fitted.problem, fitted.solution
     expected = step.covariance.copy()
-    if step.told.process is not None and len(problem.parts) == 1:
-        q, biases = len(problem.own_known), 1 + problem.biases
-        along, noise = mean_along(step.told)
+    if step.equations.wanders and len(problem.parts) == 1:
+        q, biases = len(problem.local_u), 1 + problem.biases
+        along, by_noise = session_mean_bias(step.equations)
         to_session = np.eye(len(expected))
         to_session[biases] += along[:, q:-1]
         expected = to_session @ expected @ to_session.T
-        expected[np.ix_(biases, biases)] += np.einsum("ibd,icd->bc", noise, noise)
-    found = by_source(fitted)
+        expected[np.ix_(biases, biases)] += np.einsum("ibd,icd->bc", by_noise, by_noise)
+    found = contributions(fitted.solution)
     u = np.sqrt(np.diag(expected)[1:])
     together = np.sum(list(found.values()), axis=0)[1:, 1:]
     np.testing.assert_allclose(together / np.outer(u, u), expected[1:, 1:] / np.outer(u, u), rtol=0.0, atol=1e-12)
@@ -115,24 +104,15 @@ def test_the_sources_of_an_estimate_are_its_covariance(name: str) -> None:
     assert len({each.name for each in estimate.budget.sources}) == len(estimate.budget.sources)
 
 
-def at_best(fitted: Maximum) -> tuple[Problem, Rows, Weights]:
-    """The problem, rows and weights at the maximum."""
-    components = components_of(fitted.entries, fitted.best.phi)
-    problem = sized(fitted.free, fitted.entries, fitted.best.phi)
-    rows = with_priors(fitted.at.rows, problem, fitted.at.point, fitted.at.about)
-    return problem, rows, fitted.at.noise.weights(components)
-
-
 @pytest.mark.parametrize("name", SESSIONS)
 def test_every_source_is_what_a_session_varies_by_where_it_alone_does(name: str) -> None:
     """A step is linear in readings, rotations, velocities, biases and what is known beforehand. So the covariance by a
     source is the sum, over the columns of a root of its covariance, of what a session that has such a column as its
     error, and no other, is estimated wrongly by."""
     fitted = fitted_of(SESSIONS[name]())
-    problem = at_best(fitted)[0]
-    expected = by_source(fitted)
+    expected = contributions(fitted.solution)
     u = np.sqrt(np.sum([np.diag(each) for each in expected.values()], axis=0))[1:]
-    one = OneSource(fitted, problem)
+    one = OneSource(fitted)
     for source, covariance in expected.items():
         errors = np.array(list(one.errors(source)))[:, 1:]
         np.testing.assert_allclose(
@@ -144,16 +124,13 @@ def test_every_source_is_what_a_session_varies_by_where_it_alone_does(name: str)
 class OneSource:
     """Sessions in which one source alone is in error, and what is estimated from them less what is true."""
 
-    def __init__(self, fitted: Maximum, problem: Problem) -> None:
-        self.fitted, self.problem = fitted, problem
-        self.components = components_of(fitted.entries, fitted.best.phi)
-        point, about = fitted.at.point, fitted.at.about
-        self.rows = with_priors(fitted.at.rows, problem, point, about)
-        self.weight = fitted.at.noise.weights(self.components)
+    def __init__(self, fitted: Maximum) -> None:
+        self.problem, self.components = fitted.problem, fitted.components
+        self.rows = fitted.linearisation.with_priors(fitted.problem).with_components(fitted.components)
 
     def errors(self, source: str) -> Iterator[Array]:
         """The error of gravity and the parameters by each column of a root of the covariance of a source."""
-        problem, noise, n = self.problem, self.fitted.at.noise, self.problem.instrument.accel.size
+        problem, noise, n = self.problem, self.rows.noise, self.problem.instrument.accel.size
         kind, _, what = source.partition(".")
         if what == "noise" and kind in ("accel", "gyro"):
             own = slice(n) if kind == "accel" else slice(n, problem.sensors)
@@ -169,7 +146,7 @@ class OneSource:
             yield from self._by_rows(whole, "turn", slice(None))
         elif what == "scatter":
             size, place = getattr(self.components, kind), SCATTER.index(kind)
-            for (Z, of), out in ((noise.at_rest(self.components), "rest"), (noise.turn_directions, "turn")):
+            for (Z, of), out in ((noise.scaled_rest_directions, "rest"), (noise.turn_directions, "turn")):
                 along = size * Z[:, :, of == place]
                 yield from self._by_rows(along @ np.swapaxes(along, 1, 2), out, slice(None))
         elif what == "in_run":
@@ -178,12 +155,12 @@ class OneSource:
                 rest[:, : problem.sensors, -1] = biases
                 first = problem.before_turn
                 turn[..., -1] = (self.rows.bias @ (0.5 * (biases[first] + biases[first + 1]))[..., None])[..., 0]
-                truth = np.zeros(len(problem.measured[0]))
+                truth = np.zeros(len(problem.prior_mean))
                 truth[1 + problem.biases] = biases.mean(axis=0)
                 yield self._estimated(rest=rest, turn=turn) - truth
         else:
             assert kind in ("prior", "gravity"), source
-            size = problem.measured[1]
+            size = problem.prior_u
             for k in range(len(size))[self._beforehand(source)]:
                 prior = self._nothing()[2]
                 prior[:-1, -1] = prior[:-1, k] * size[k]
@@ -206,14 +183,14 @@ class OneSource:
 
     def _biases(self, kind: str) -> Iterator[Array]:
         """The in-run biases (N, n) of a kind of sensor at the rests, those of the other zero, by each step of each."""
-        process, n = InRun.of(self.problem, self.components), self.problem.instrument.accel.size
-        for sensor in range(n) if kind == "accel" else range(n, len(process.sigma)):
-            for k in range(len(process.rho)):
-                states = np.zeros(process.rho.shape)
-                states[k, sensor] = 1.0 if k == 0 else process.deviation[k - 1, sensor]
+        noise, n = self.rows.noise, self.problem.instrument.accel.size
+        for sensor in range(n) if kind == "accel" else range(n, len(noise.bias_sigma)):
+            for k in range(len(noise.bias_rho)):
+                states = np.zeros(noise.bias_rho.shape)
+                states[k, sensor] = 1.0 if k == 0 else noise.bias_step[k - 1, sensor]
                 for i in range(k + 1, len(states)):
-                    states[i] = process.rho[i - 1] * states[i - 1]
-                yield states * process.sigma
+                    states[i] = noise.bias_rho[i - 1] * states[i - 1]
+                yield states * noise.bias_sigma
 
     def _beforehand(self, source: str) -> slice:
         if source == "gravity":
@@ -225,11 +202,11 @@ class OneSource:
 
     def _estimated(self, **rows: Array) -> Array:
         """The step of gravity and the parameters, biases being those of the session."""
-        nothing = dict(zip(("rest", "turn", "prior"), self._nothing(), strict=True))
-        step = solve(self.problem, replace(self.rows, **(nothing | rows)), self.weight)
+        every = dict(zip(("rest", "turn", "prior"), self._nothing(), strict=True)) | rows
+        step = solve(replace(self.rows, rest=every["rest"], turn=every["turn"], prior=every["prior"]))
         out = step.parameters.copy()
-        if step.told.process is not None:
-            out[1 + self.problem.biases] += mean_along(step.told)[0] @ np.append(step.parameters, -1.0)
+        if step.equations.wanders:
+            out[1 + self.problem.biases] += session_mean_bias(step.equations)[0] @ np.append(step.parameters, -1.0)
         return out
 
 

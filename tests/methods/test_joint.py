@@ -32,11 +32,10 @@ from tumble.diagnosis.verdict import verdict
 from tumble.inference.estimate import Estimate
 from tumble.inference.fits import TOTAL
 from tumble.inference.joint import QUICK_STEPS, joint
-from tumble.inference.likelihood import Prior, Problem, weights
 from tumble.inference.linearisation import linearise
-from tumble.inference.noise_components import Components
+from tumble.inference.normal_equations import solve
+from tumble.inference.problem import Prior, Problem
 from tumble.inference.start import start_of
-from tumble.inference.step import solve
 from tumble.inference.turns_about import TurnsAbout
 from tumble.planning.setup import Setup
 from tumble.programme.positions import from_attitudes
@@ -126,7 +125,7 @@ def unscattered(session: Observations, found: Estimate) -> Array:
     turned = found.gyro is not None and session.turns is not None
     about = TurnsAbout.of(session, problem.instrument, found.values) if turned else None
     rows = linearise(problem, replace(at.point, values=found.values), about)
-    return solve(problem, rows, weights(problem, rows, Components())).covariance[1:, 1:]
+    return solve(rows).covariance[1:, 1:]
 
 
 # -------------------- with noise --------------------

@@ -12,10 +12,9 @@ from hypothesis import strategies as st
 from tests.support.formula_setup import bound, bound_of, device_setup
 from tumble.diagnosis.observability import in_words
 from tumble.errors import InputError
-from tumble.inference.likelihood import Point, Problem, weights
 from tumble.inference.linearisation import linearise
-from tumble.inference.noise_components import Components
-from tumble.inference.step import solve
+from tumble.inference.normal_equations import solve
+from tumble.inference.problem import Point, Problem
 from tumble.inference.turns_about import TurnsAbout
 from tumble.planning.itinerary import Itinerary, itinerary_of
 from tumble.planning.setup import GROUPS, NAMES, Setup
@@ -156,7 +155,7 @@ def test_the_bound_is_that_of_the_joint_likelihood() -> None:
     problem = Problem.of(observations)
     point = Point(values=np.zeros(len(NAMES)), gravity=GRAVITY, attitudes=way_of(TILTED).attitudes)
     rows = linearise(problem, point, TurnsAbout.of(observations, problem.instrument, point.values))
-    found = solve(problem, rows, weights(problem, rows, Components())).covariance[1:, 1:]
+    found = solve(rows).covariance[1:, 1:]
     assert off(found, expected) < 2e-5
 
 

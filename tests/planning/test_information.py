@@ -14,7 +14,7 @@ import pytest
 
 from tests.support.formula_setup import bound_of
 from tumble.earth import earth_rate
-from tumble.inference.noise_components import CORRELATION_TIME
+from tumble.inference.noise import CORRELATION_TIME
 from tumble.planning.itinerary import Itinerary, itinerary_of
 from tumble.planning.setup import Setup
 from tumble.rotation import axes_matrix, rotation_matrix, rotation_vector

@@ -16,14 +16,13 @@ from click.testing import CliRunner
 from tumble.cli import main
 from tumble.diagnosis.linearised_session import LinearisedSession
 from tumble.diagnosis.misfit import misfit
-from tumble.diagnosis.projection import Remaining, projections
+from tumble.diagnosis.projection import judged_solution, projections
 from tumble.diagnosis.verdict import verdict
 from tumble.errors import InputError
 from tumble.inference.joint import joint
-from tumble.inference.likelihood import OWN, Point, Problem, noise_of
 from tumble.inference.linearisation import linearise
-from tumble.inference.noise_components import Components
-from tumble.inference.step import solve
+from tumble.inference.normal_equations import solve
+from tumble.inference.problem import OWN, Point, Problem
 from tumble.inference.turns_about import TurnsAbout
 from tumble.inference.variables import variables_of
 from tumble.planning.setup import Setup
@@ -94,13 +93,13 @@ def problem_of(observations: Observations) -> Problem:
     instrument = Instrument.of(accel, gyro, usual, set(variables_of(observations)) - set(OWN))
     every = Instrument.of(accel, gyro, usual, OWN)
     own = replace(every, further=tuple(group for group in every.further if group.variable in OWN))
-    return Problem.of(observations, instrument=instrument, own=own, usual=usual)
+    return Problem.of(observations, instrument=instrument, local=own, usual=usual)
 
 
 def somewhere(problem: Problem, seed: int = 3) -> Point:
     """A point with values of the usual size."""
     rng, observations = np.random.default_rng(seed), problem.observations
-    values = 0.1 * problem.measured[1][1:] * rng.standard_normal(len(problem.instrument.names))
+    values = 0.1 * problem.prior_u[1:] * rng.standard_normal(len(problem.instrument.names))
     values[problem.instrument.linear_count - 21 : problem.instrument.linear_count] *= 0.01
     values[list(problem.lags.values())] = 40.0, 20.0
     force = observations.rests.accel
@@ -111,7 +110,7 @@ def somewhere(problem: Problem, seed: int = 3) -> Point:
         values=values,
         gravity=observations.site.gravity,
         attitudes=np.stack([np.cross(up, east), up, east], axis=1),
-        own=problem.own_known * rng.standard_normal((len(problem.parts), len(problem.own_known))),
+        local=problem.local_u * rng.standard_normal((len(problem.parts), len(problem.local_u))),
     )
 
 
@@ -126,14 +125,14 @@ def test_rows_of_temperature_and_of_each_session_are_those_of_finite_differences
     observations, m = problem.observations, len(point.values)
     about = TurnsAbout.of(observations, problem.instrument, point.values, problem.changed_in_turns(point))
     rows = linearise(problem, point, about)
-    size = np.concatenate([problem.measured[1][1:], problem.own_known])
+    size = np.concatenate([problem.prior_u[1:], problem.local_u])
     thermal = [i for i, name in enumerate(problem.instrument.names) if name.rpartition(".")[2] in ("t1", "t2")]
     thermal += [i for i, name in enumerate(problem.instrument.names) if name.endswith("hysteresis")]
     assert len(thermal) == 30
-    for i in [*thermal, *range(m, m + len(problem.own_known))]:
+    for i in [*thermal, *range(m, m + len(problem.local_u))]:
         step = 1e-3 * size[i] * np.eye(len(size))[i]
         ends = [
-            linearise(problem, replace(point, values=point.values + d[:m], own=point.own + d[m:]), about)
+            linearise(problem, replace(point, values=point.values + d[:m], local=point.local + d[m:]), about)
             for d in (step, -step)
         ]
         for which, first in (("rest", 3), ("turn", 6)):
@@ -147,12 +146,12 @@ def test_rows_of_temperature_and_of_each_session_are_those_of_finite_differences
 def dense(problem: Problem, point: Point) -> Array:
     """The covariance of gravity and the parameters by ordinary least squares of everything at once."""
     rows = linearise(problem, point, TurnsAbout.of(problem.observations, problem.instrument, point.values))
-    weight = noise_of(problem, rows).weights(Components())
+    W_rest, W_turn = rows.noise.whitening()
     turns = problem.observations.turns
     assert turns is not None
-    N, m, q, S = len(problem.link), len(point.values), len(problem.own_known), len(problem.parts)
+    N, m, q, S = len(problem.link), len(point.values), len(problem.local_u), len(problem.parts)
     blocks = []
-    every = (weight.rest @ rows.rest, np.arange(N), 3), (weight.turn @ rows.turn, turns.first, 6)
+    every = (W_rest @ rows.rest, np.arange(N), 3), (W_turn @ rows.turn, turns.first, 6)
     for place, (found, first, wide) in enumerate(every):
         for own, i, s in zip(found, first, problem.of_session[place], strict=True):
             block = np.zeros((len(own), 3 * N + S * q + 1 + m))
@@ -162,7 +161,7 @@ def dense(problem: Problem, point: Point) -> Array:
     prior = np.zeros((1 + m, 3 * N + S * q + 1 + m))
     prior[:, 3 * N + S * q :] = rows.prior[:-1, :-1]
     own_prior = np.zeros((S * q, 3 * N + S * q + 1 + m))
-    own_prior[:, 3 * N : 3 * N + S * q] = np.diag(np.tile(1.0 / problem.own_known, S))
+    own_prior[:, 3 * N : 3 * N + S * q] = np.diag(np.tile(1.0 / problem.local_u, S))
     A = np.concatenate([*blocks, prior, own_prior])
     scale = np.linalg.norm(A, axis=0)
     triangle = np.asarray(np.linalg.qr(A / scale, mode="r"))
@@ -176,12 +175,12 @@ def test_the_step_is_that_of_everything_at_once() -> None:
     problem = problem_of(together(device("mems", SHORT, hysteresis=True), UP_AND_DOWN))
     point = somewhere(problem)
     rows = linearise(problem, point, TurnsAbout.of(problem.observations, problem.instrument, point.values))
-    step = solve(problem, rows, noise_of(problem, rows).weights(Components()))
-    S, q = step.own.shape
+    step = solve(rows)
+    S, q = step.local.shape
     expected = dense(problem, point)
     u = np.sqrt(np.diag(expected))
     np.testing.assert_allclose(np.sqrt(np.diag(step.covariance)), u[S * q :], rtol=1e-5)
-    own = np.diagonal(step.own_covariance, axis1=1, axis2=2)[:, :q]
+    own = np.diagonal(step.session_covariances, axis1=1, axis2=2)[:, :q]
     np.testing.assert_allclose(np.sqrt(own).ravel(), u[: S * q], rtol=1e-5)
 
 
@@ -268,7 +267,7 @@ def test_each_session_alone_knows_what_all_know() -> None:
     """With what the others say, parameters are as well known from one session as from all."""
     estimate = joint(together(device("mems", SHORT, seed=5), [ramp(t, t) for t in (0.0, 40.0)]), quick=True)
     assert estimate.linearised is not None
-    rows = estimate.linearised.rows
+    rows = estimate.linearised
     nothing = np.zeros((*rows.rest.shape[:2], 1)), np.zeros((*rows.turn.shape[:2], 1))
     known = np.array([each.u for each in projections(estimate.linearised, estimate.linearised.components, *nothing)])
     linear = estimate.instrument.linear_count if estimate.instrument is not None else 0
@@ -280,7 +279,7 @@ def test_a_cause_is_named_in_the_session_it_is_in() -> None:
     observations = together(device("mems", SHORT, seed=5), [ramp(t, t) for t in (0.0, 40.0)])
     estimate = joint(observations, quick=True)
     assert estimate.linearised is not None
-    rows, (_, part) = estimate.linearised.rows, estimate.linearised.problem.parts
+    rows, (_, part) = estimate.linearised, estimate.linearised.problem.parts
     N, K, last = len(rows.rest), len(rows.turn), part.rests.start + 6
     at_rest = 50.0 * DEGREE_PER_HOUR * np.outer((np.arange(N) > last) & (np.arange(N) < part.rests.stop), np.ones(3))
     turns = np.arange(K)[:, None]
@@ -290,7 +289,7 @@ def test_a_cause_is_named_in_the_session_it_is_in() -> None:
     jumping = replace(rows, rest=rows.rest.copy(), turn=rows.turn.copy())
     jumping.rest[..., -1] += rest.sum(axis=2)
     jumping.turn[..., -1] += turn.sum(axis=2)
-    found = misfit(replace(estimate, linearised=replace(estimate.linearised, rows=jumping)))
+    found = misfit(replace(estimate, linearised=jumping))
     assert found is not None
     (said,) = [sentence for _, sentence in (*found.reasons, *found.remarks) if "jump" in sentence]
     assert "session-2: " in said
@@ -309,9 +308,9 @@ def test_each_session_with_what_the_others_say_knows_what_all_know_and_a_warm_up
     assert linearised is not None
     assert estimate.instrument is not None
     linear = estimate.instrument.linear_count
-    nothing = [np.zeros((*rows.shape[:2], 1)) for rows in (linearised.rows.rest, linearised.rows.turn)]
+    nothing = [np.zeros((*rows.shape[:2], 1)) for rows in (linearised.rest, linearised.turn)]
     known = np.array([each.u[:linear] for each in projections(linearised, linearised.components, *nothing)])
-    whole = np.sqrt(Remaining.of(linearised, linearised.components).step.covariance.diagonal())[1 : 1 + linear]
+    whole = np.sqrt(judged_solution(linearised, linearised.components).covariance.diagonal())[1 : 1 + linear]
     np.testing.assert_allclose(known, np.broadcast_to(whole, (2, linear)), rtol=0.05)
     found = misfit(estimate)
     assert found is not None

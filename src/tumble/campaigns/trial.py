@@ -20,8 +20,8 @@ from tumble.diagnosis.verdict import verdict
 from tumble.errors import InputError
 from tumble.inference.estimate import Estimate
 from tumble.inference.joint import joint
-from tumble.inference.likelihood import Point, Problem
-from tumble.inference.linearisation import linearised
+from tumble.inference.linearisation import linearise
+from tumble.inference.problem import Point, Problem
 from tumble.inference.turns_about import TurnsAbout
 from tumble.planning.bounds import bound_by, components_of
 from tumble.planning.setup import Setup
@@ -88,6 +88,6 @@ def bound(scenario: Scenario, attitudes: Array, observations: Observations) -> d
     problem = Problem.of(observations, instrument=instrument, usual=observations.usual)
     about = TurnsAbout.of(observations, instrument, truth)
     point = Point(values=truth, gravity=scenario.setup.gravity, attitudes=attitudes)
-    seen = linearised(problem, point, about, components_of(scenario.setup.noise))
+    seen = linearise(problem, point, about, components_of(scenario.setup.noise))
     least = bound_by(seen, scenario.setup.turn_rate)
     return {name: float(u) for name, u in zip(least.names, least.u, strict=True) if np.isfinite(u)}

@@ -24,12 +24,11 @@ from tumble.diagnosis.linearised_session import (
     LinearisedSession,
     sized,
 )
-from tumble.diagnosis.projection import FALSE_ALARMS, Projection, Remaining, projections
+from tumble.diagnosis.projection import FALSE_ALARMS, Projection, judged_solution, projections
 from tumble.earth import earth_rate
-from tumble.inference.likelihood import Linearised
-from tumble.inference.linearisation import linearise
-from tumble.inference.noise_components import Components
-from tumble.inference.step import Step
+from tumble.inference.linearisation import Linearisation, linearise
+from tumble.inference.noise import VarianceComponents
+from tumble.inference.normal_equations import Solution
 from tumble.inference.turns_about import TurnsAbout
 from tumble.rotation import skew
 from tumble.sensors.instrument import functions
@@ -121,7 +120,7 @@ class Candidate:
         )
 
 
-def tested(linearised: Linearised, candidates: Sequence[Candidate]) -> list[list[Cause]]:
+def tested(linearised: Linearisation, candidates: Sequence[Candidate]) -> list[list[Cause]]:
     """Of each session the candidates that it sees, of each name and kind of sensor the most likely with its probability
     as that of one of many."""
     rest, turn = (np.concatenate([c.columns[rows] for c in candidates], axis=2) for rows in (0, 1))
@@ -129,7 +128,7 @@ def tested(linearised: Linearised, candidates: Sequence[Candidate]) -> list[list
     instrument = linearised.problem.instrument
     groups = positions_by_group(instrument.names[: instrument.linear_count])
     whole = list(projections(linearised, linearised.components, rest, turn))
-    alone = projections(linearised, Components(), rest, turn) if whole[0].scatters else whole
+    alone = projections(linearised, VarianceComponents(), rest, turn) if whole[0].scatters else whole
     tried = dict[tuple[str, Concerns], int]()
     for candidate in candidates:
         key = candidate.name, candidate.concerns
@@ -214,7 +213,7 @@ def jumps(session: LinearisedSession) -> Iterator[Candidate]:
     all scatter of the rests and lasted as long as the session, would step by the most beside its usual steps."""
     rests, before_turn, first = session.observations.rests, session.problem.before_turn, 0
     components, longest = session.linearised.components, max(float(np.ptp(rests.start)), 1.0)
-    wandering = Components(
+    wandering = VarianceComponents(
         accel_in_run=float(np.hypot(components.accel, components.accel_in_run)),
         gyro_in_run=float(np.hypot(components.gyro, components.gyro_in_run)),
         accel_time=longest,
@@ -222,7 +221,7 @@ def jumps(session: LinearisedSession) -> Iterator[Candidate]:
     )
     if not wandering.wanders:
         return
-    step = Remaining.of(session.linearised, wandering).step
+    step = judged_solution(session.linearised, wandering)
     N, most = len(rests), max(part.rests.stop - part.rests.start for part in session.problem.parts)
     for kind, block in session.kinds:
         falls = _falls(step, slice(first, first + block.size))
@@ -287,23 +286,22 @@ def shifts(session: LinearisedSession, about: TurnsAbout, gyro: Block) -> Iterat
         )
 
 
-def _falls(step: Step, sensors: slice) -> Array:
+def _falls(step: Solution, sensors: slice) -> Array:
     """By how much chi-square falls (N,) without the step of the processes of some sensors after each rest; 0 where none
     follows, or where the data say nothing of it."""
-    process = step.told.process
-    assert process is not None
-    n = len(process.sigma)
+    noise = step.equations.noise
+    n = sum(noise.sensors)
     states = step.covariances(slice(-n, None))[:, :, sensors, sensors]
-    values, rho = step.unknowns[:, -n:][:, sensors], process.rho[:, sensors]
+    values, rho = step.unknowns[:, -n:][:, sensors], noise.bias_rho[:, sensors]
     here, following, across = states[0, :-1], states[0, 1:], states[1, :-1] * rho[:-1, :, None]
-    deviation = process.deviation[:-1, sensors]
+    deviation = noise.bias_step[:-1, sensors]
     steps = (values[1:] - rho[:-1] * values[:-1]) / deviation
     covariance = following - across - np.swapaxes(across, 1, 2) + rho[:-1, :, None] * here * rho[:-1, None]
     covariance /= deviation[:, :, None] * deviation[:, None]
     told, directions = np.linalg.eigh(np.eye(covariance.shape[1]) - covariance)
     along = (steps[:, None] @ directions)[:, 0]
     fall = np.where(told > FREE, along**2 / np.maximum(told, FREE), 0.0).sum(axis=1)
-    return np.append(np.where(process.follows[:-1], fall, 0.0), 0.0)
+    return np.append(np.where(noise.follows[:-1], fall, 0.0), 0.0)
 
 
 # ---- readings that depend on where the sensors come from
@@ -405,7 +403,7 @@ def latitude_error(session: LinearisedSession, latitude: float) -> Candidate:
     """An error of the latitude of the site, rad, by a difference."""
     step = 1e-4
     moved = replace(session.problem, earth=np.array(earth_rate(latitude + step)))
-    rows, there = session.linearised.rows, linearise(moved, session.linearised.point, session.linearised.about)
+    rows, there = session.linearised, linearise(moved, session.linearised.point, session.linearised.about)
     rest, turn = ((a - b)[..., None] / step for a, b in zip(rows.residuals, there.residuals, strict=True))
     return Candidate(
         name="latitude",

@@ -34,12 +34,12 @@ from tumble.diagnosis.undetermined import linear_names
 from tumble.inference.elimination import fold
 from tumble.inference.estimate import Estimate, GroupFinding
 from tumble.inference.joint import joint
-from tumble.inference.likelihood import Problem, instruments_of
 from tumble.inference.linearisation import linearise
+from tumble.inference.normal_equations import eliminate_rests, session_mean_bias
 from tumble.inference.prediction import prediction
+from tumble.inference.problem import Problem, instruments_of
 from tumble.inference.sources import source
 from tumble.inference.start import start_of
-from tumble.inference.step import mean_along, tell
 from tumble.inference.turns_about import TurnsAbout
 from tumble.reduction.observations import Observations
 from tumble.rotation import unit_vector
@@ -79,7 +79,7 @@ class LeftOut:
         for group in () if beside is None else beside.groups:
             if group.name in instrument.members:
                 too_small[instrument.members[group.name]] = group.prior_widened
-        usual = problem.measured[1][1 + first :]
+        usual = problem.prior_u[1 + first :]
         return LeftOut(instrument=instrument, usual=usual, too_small=too_small[first:], moves=moves)
 
     @property
@@ -129,7 +129,7 @@ def left_out_by_passes(observations: Observations, derivative: Array, beside: Es
     """What a method leaves out whose result has the `derivative` (m, 6N + 3K + 1) by the readings of accelerometers,
     then gyros, at rest, by the errors of the turns, all in body axes, and by gravity; without gyros (m, 3N + 1)."""
     problem = whole_problem(observations)
-    rows, first, shown = start_of(problem)[0].rows, problem.instrument.linear_count, list[Array]()
+    rows, first, shown = start_of(problem)[0], problem.instrument.linear_count, list[Array]()
     for k, block in enumerate(problem.instrument.blocks):
         of_rests = rows.rest[:, 3 * k : 3 * k + 3, 4 + first : -1]
         shown.append(block.axes.T @ of_rests)
@@ -148,17 +148,17 @@ def with_left_out_by_joint(estimate: Estimate, observations: Observations) -> Es
     values = np.append(linear.point.values, np.zeros(len(instrument.names) + 1 - last))
     point = replace(linear.point, values=values)
     about = None if linear.about is None else TurnsAbout.of(observations, instrument, values)
-    rows = linearise(problem, point, about)
-    told = tell(problem, rows, linear.noise.weights(linear.components))
+    rows = replace(linearise(problem, point, about), noise=linear.noise)
+    equations = eliminate_rests(rows)
     triangle = np.zeros_like(rows.prior)
     triangle[:last, :last] = rows.prior[:last, :last]
-    fold(told.sessions[0], triangle, triangular=True)
+    fold(equations.session_factors[0], triangle, triangular=True)
     exact = int(triangle[0, 0] == 0.0)  # gravity
     moves = np.zeros((last, len(values) + 1 - last))
     moves[exact:] = scipy.linalg.solve_triangular(triangle[exact:last, exact:last], triangle[exact:last, last:-1])
-    if told.process is not None:  # biases are means over the session
+    if equations.wanders:  # biases are means over the session
         both = np.vstack([moves, -np.eye(moves.shape[1])])
-        moves[1 + problem.biases] += mean_along(told)[0][:, :-1] @ both
+        moves[1 + problem.biases] += session_mean_bias(equations)[0][:, :-1] @ both
     beside = by_joint(observations)
     if beside is not None and estimate.converged:
         estimate = replace(estimate, linearised=beside.linearised, hyperparameters=beside.hyperparameters)

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from tumble.inference.likelihood import Linearised
+from tumble.inference.linearisation import Linearisation
 from tumble.reduction.observations import Observations
 from tumble.reduction.together import apart
 from tumble.rotation import rotation_matrix, rotation_vector
@@ -36,7 +36,7 @@ class LinearisedSession:
     """What candidate causes of one or several sessions are made of: own forces of the accelerometers at rest (N, n) and
     on the way to the next (K, steps, n), and where the rows of a kind of sensor stand."""
 
-    def __init__(self, linearised: Linearised) -> None:
+    def __init__(self, linearised: Linearisation) -> None:
         self.linearised = linearised
         self.problem = linearised.problem.warmed(linearised.point)
         self.observations = self.problem.observations
@@ -85,7 +85,7 @@ class LinearisedSession:
 
     def nothing(self, q: int) -> tuple[Array, Array]:
         """Columns (N, r, q) and (K, t, q) of nothing."""
-        rows = self.linearised.rows
+        rows = self.linearised
         return np.zeros((*rows.rest.shape[:2], q)), np.zeros((*rows.turn.shape[:2], q))
 
     def biased(self, kind: str, at_rest: Array, in_turn: Array) -> tuple[Array, Array]:
@@ -96,7 +96,7 @@ class LinearisedSession:
         rest, turn = self.nothing(n)
         rest[:, first : first + n] = at_rest[:, :, None] * np.eye(n)
         if len(turn):
-            turn = self.linearised.rows.bias[:, :, first : first + n] * in_turn.mean(axis=1)[:, None, :]
+            turn = self.linearised.bias[:, :, first : first + n] * in_turn.mean(axis=1)[:, None, :]
         if kind == "accel" and about is not None:
             turned = np.swapaxes(self.steps, 2, 3) @ np.linalg.pinv(self.accel.axes)  # C s_p
             self.put_velocity(turn, np.einsum("ksip,ksp,k->kip", turned, in_turn, about.moments.T / PATH_STEPS))

@@ -22,9 +22,10 @@ import numpy as np
 
 from tumble.diagnosis.causes import Candidate, Cause
 from tumble.diagnosis.linearised_session import SHORTEST_TURN, LinearisedSession
-from tumble.diagnosis.projection import UNSEEN, Remaining, SumOfSquares
-from tumble.inference.likelihood import Linearised
-from tumble.inference.noise_components import SCATTER, Components
+from tumble.diagnosis.projection import UNSEEN, SumOfSquares, judged_solution
+from tumble.inference.linearisation import Linearisation
+from tumble.inference.noise import SCATTER, VarianceComponents
+from tumble.inference.normal_equations import Solution
 from tumble.inference.turns_about import TurnsAbout
 from tumble.recording.rows.gaps import REGULAR_HINT
 from tumble.reduction.observations import Observations
@@ -73,13 +74,13 @@ def jittering(observations: Observations) -> str:
     )
 
 
-def of_turns(session: LinearisedSession, whole: Remaining) -> list[Candidate]:
+def of_turns(session: LinearisedSession, whole: Solution) -> list[Candidate]:
     """A loss in the turn of each session that lacks samples most likely, by what is left of residuals with the
     components of variance of the estimate; none where time stamps would show it."""
     if not (any(session.turned) and session.observations.unstamped):
         return []
     turn = _columns(session)
-    W, (residual, covariance) = whole.step.told.weights.turn, whole.left.turn
+    W, (residual, covariance) = whole.equations.turn_whitening, whole.turn_residuals
     whitened = W @ turn
     length = np.sqrt((whitened**2).sum(axis=1))
     B = whitened / np.maximum(length, 1e-300)[:, None]
@@ -120,7 +121,7 @@ def _turned_about(about: TurnsAbout, turns: slice) -> Array:
 def _columns(session: LinearisedSession) -> Array:
     """The columns (K, t, q) of a loss in each turn: of the rotation, and, where velocities are seen, of what that does
     to them."""
-    about, rows = session.linearised.about, session.linearised.rows
+    about, rows = session.linearised.about, session.linearised
     assert about is not None
     axis = np.where(about.moments.T[:, None] < SHORTEST_TURN, 0.0, _turned_about(about, slice(None)))
     seen = session.problem.instrument.in_velocities
@@ -154,7 +155,7 @@ def samples_held(observations: Observations) -> Cause | None:
     )
 
 
-def turns_to_blame(linearised: Linearised) -> Remaining:
+def turns_to_blame(linearised: Linearisation) -> Solution:
     """What is left of residuals where rotations and velocities of turns alone scatter, each by as much as its residuals
     do, and groups of parameters are of their usual sizes: lost samples make rotations err, and an estimate may have
     taken that for rests that scatter, or for groups; accelerometers that are late err in velocities, and the rotations
@@ -162,20 +163,20 @@ def turns_to_blame(linearised: Linearised) -> Remaining:
     Z, of = linearised.noise.turn_directions
     names = ("turn", "velocity") if linearised.problem.instrument.in_velocities else ("turn",)
     along = {name: Z[:, :, of == SCATTER.index(name)] for name in names}
-    components = Components(aliased=linearised.components.aliased)
-    remaining = Remaining.of(linearised, components, usual=True)
+    components = VarianceComponents(aliased=linearised.components.aliased)
+    remaining = judged_solution(linearised, components, usual=True)
     for step in range(ROUNDS):
-        W, scatter = remaining.step.told.weights.turn, dict[str, Any]()
+        W, scatter = remaining.equations.turn_whitening, dict[str, Any]()
         for name in names:
-            square, before = SumOfSquares.along(W @ along[name], *remaining.left.turn), getattr(components, name)
+            square, before = SumOfSquares.along(W @ along[name], *remaining.turn_residuals), getattr(components, name)
             variance = square.excess if step == 0 else before**2 * square.square / max(square.mean, LEAST)
             scatter[name] = float(np.sqrt(variance))
         components = replace(components, **scatter)
-        remaining = Remaining.of(linearised, components, usual=True)
+        remaining = judged_solution(linearised, components, usual=True)
     return remaining
 
 
-def lost_in_all_turns(session: LinearisedSession, s: int, blamed: Remaining) -> Cause:
+def lost_in_all_turns(session: LinearisedSession, s: int, blamed: Solution) -> Cause:
     """Rotations of turns of session s that err about their own axis, with the angle, more than across it, where turns
     are to blame: samples that are missing or held. Both are scatter, so that what is compared is one with the other.
     Every sample that is lost makes a turn shorter, so that scale factors of the gyros are less by the share that is
@@ -185,9 +186,12 @@ def lost_in_all_turns(session: LinearisedSession, s: int, blamed: Remaining) -> 
     assert about is not None
     axis = _turned_about(about, part)
     size = np.sqrt(about.moments.body_rates[part][:, [0, 3, 5]].sum(axis=1))[:, None, None]
-    W, (residual, covariance) = blamed.step.told.weights.turn[part, :, :3], (each[part] for each in blamed.left.turn)
+    W, (residual, covariance) = (
+        blamed.equations.turn_whitening[part, :, :3],
+        (each[part] for each in blamed.turn_residuals),
+    )
     along, across = (
-        SumOfSquares.along(W @ (size * of), residual, covariance)
+        SumOfSquares.along(W @ (size * of), residual[part], covariance[part])
         for of in (axis[..., None], np.swapaxes(tangent_basis(axis), 1, 2))
     )
     jitter = jittering(observed)

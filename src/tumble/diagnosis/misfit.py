@@ -26,10 +26,12 @@ from tumble.diagnosis.lost_samples import (
     stamps_remedy,
     turns_to_blame,
 )
-from tumble.diagnosis.projection import Remaining, SumOfSquares, standing_out
+from tumble.diagnosis.projection import SumOfSquares, judged_solution, standing_out
 from tumble.inference.estimate import Estimate, HyperparameterEstimate
-from tumble.inference.likelihood import Linearised, SessionSpan
-from tumble.inference.noise_components import REST_MODES, SCATTER, Components, typical_noise
+from tumble.inference.linearisation import Linearisation
+from tumble.inference.noise import REST_SCATTER, SCATTER, VarianceComponents, typical_noise
+from tumble.inference.normal_equations import Solution
+from tumble.inference.problem import SessionSpan
 from tumble.reduction.observations import Observations
 from tumble.sensors.parameters import group_of, shown_in
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, two_digits
@@ -74,12 +76,12 @@ class Group:
     words: str
     unit: tuple[float, str]
 
-    def scatter(self, components: Components) -> float:
+    def scatter(self, components: VarianceComponents) -> float:
         """Its scatter, with that of the in-run bias."""
         in_run = {"accel": components.accel_in_run, "gyro": components.gyro_in_run}.get(self.name, 0.0)
         return float(np.hypot(getattr(components, self.name), in_run))
 
-    def beyond_model(self, ratio: float, components: Components) -> bool:
+    def beyond_model(self, ratio: float, components: VarianceComponents) -> bool:
         """Whether its scatter, so many times the noise, is no disturbance of a model that otherwise holds."""
         return ratio > MANY and self.scatter(components) > NOTHING[self.name]
 
@@ -91,13 +93,14 @@ class Group:
             covariances |= {"turn": turns.covariance, "velocity": turns.velocity_covariance}
         return typical_noise(covariances[self.name])
 
-    def chance(self, linearised: Linearised, alone: Remaining, part: SessionSpan) -> float:
+    def chance(self, linearised: Linearisation, alone: Solution, part: SessionSpan) -> float:
         """Probability that chance alone makes the residuals of a session as large as they are beside the noise within
         rests, in the directions of the scatter."""
-        noise, weights, after = linearised.noise, alone.step.told.weights, alone.left
-        rests = self.name in REST_MODES
+        noise, equations = linearised.noise, alone.equations
+        rests = self.name in REST_SCATTER
         Z, of = noise.rest_directions if rests else noise.turn_directions
-        W, (residual, covariance) = (weights.rest, after.rest) if rests else (weights.turn, after.turn)
+        W = equations.rest_whitening if rests else equations.turn_whitening
+        residual, covariance = alone.rest_residuals if rests else alone.turn_residuals
         some = part.rests if rests else part.turns
         along = Z[:, :, np.isin(of, [SCATTER.index(name) for name in (self.name, *self.beside)])]
         return SumOfSquares.along(W[some] @ along[some], residual[some], covariance[some]).chance
@@ -137,7 +140,7 @@ def misfit(estimate: Estimate) -> Misfit | None:
     linearised = estimate.linearised
     if linearised is None:
         return None
-    alone, whole = Remaining.of(linearised, Components()), Remaining.of(linearised, linearised.components)
+    alone, whole = judged_solution(linearised, VarianceComponents()), judged_solution(linearised, linearised.components)
     session, together = LinearisedSession(linearised), linearised.problem.observations.together
     chances = [{group: group.chance(linearised, alone, part) for group in GROUPS} for part in linearised.problem.parts]
     causes = _causes(session, whole)
@@ -168,7 +171,7 @@ def misfit(estimate: Estimate) -> Misfit | None:
     return joined if estimate.method == "joint" else joined.each("by the method joint, ", (AT_RANDOM, CONTAINED))
 
 
-def _causes(session: LinearisedSession, whole: Remaining) -> list[list[Cause]]:
+def _causes(session: LinearisedSession, whole: Solution) -> list[list[Cause]]:
     """Of each session all causes, the most significant first, one of a name and kind of sensor, by what is left of the
     residuals with the noise alone and with the components of variance of the estimate."""
     by_probability = attrgetter("probability")
@@ -178,7 +181,7 @@ def _causes(session: LinearisedSession, whole: Remaining) -> list[list[Cause]]:
         causes += quantisation(session, s)
         lost = [cause for cause in causes if cause.name == "lost samples"]
         held = samples_held(session.observed[s])
-        if held is None and session.turned[s] and blamed.step.told.weights.components.turn > NOTHING["turn"]:
+        if held is None and session.turned[s] and blamed.components.turn > NOTHING["turn"]:
             lost.append(lost_in_all_turns(session, s, blamed))
         likely = held or min(lost, key=by_probability, default=None)
         causes[:] = [cause for cause in causes if cause not in lost] + ([likely] if likely is not None else [])
@@ -187,7 +190,7 @@ def _causes(session: LinearisedSession, whole: Remaining) -> list[list[Cause]]:
 
 
 def _of_session(
-    linearised: Linearised,
+    linearised: Linearisation,
     observations: Observations,
     chances: Mapping[Group, float],
     causes: list[Cause],
@@ -225,7 +228,7 @@ def _of_session(
     reasons, remarks = [damaging(cause) for cause in harmful], list[Said]()
     for group, ratio in larger.items():
         said = _larger(group, ratio, linearised)
-        if group.name not in REST_MODES and group.beyond_model(ratio, components) and not jittering(observations):
+        if group.name not in REST_SCATTER and group.beyond_model(ratio, components) and not jittering(observations):
             reasons.append((OF_TURNS, said.removesuffix(AT_RANDOM)))
         elif group.name not in known:
             remarks.append(((group.concerns,), said))
@@ -238,7 +241,7 @@ def _of_session(
     )
 
 
-def _restless(linearised: Linearised) -> list[Said]:
+def _restless(linearised: Linearisation) -> list[Said]:
     """Kinds of sensors whose biases change from one rest to the next by more than MANY times the noise of a rest.
 
     The in-run bias changes by σ_b √(2 − 2 e^{−Δt/τ}) from rest to rest. A device that wanders or warms up changes by a
@@ -269,7 +272,7 @@ def damaging(cause: Cause) -> Said:
     return tuple(err), f"{cause.sentence}; without it parameters of {', '.join(err)} err by {by}"
 
 
-def _larger(group: Group, ratio: float, linearised: Linearised) -> str:
+def _larger(group: Group, ratio: float, linearised: Linearisation) -> str:
     """That a group of residuals is larger than its noise, with its size."""
     observations, components = linearised.problem.observations, linearised.components
     scatter, beyond, jumps = group.scatter(components), group.beyond_model(ratio, components), ""
@@ -287,7 +290,7 @@ def _larger(group: Group, ratio: float, linearised: Linearised) -> str:
     said = f"the {group.words} scatter by {sized(scatter, group.unit)}, {ratio:.2g} times their noise"
     if beyond:
         said += f", more than {MANY:.0f}: something is there that the model does not have"
-        if group.name not in REST_MODES:
+        if group.name not in REST_SCATTER:
             said += f"; look for lost or held samples{jittering(observations)}"
     said += f"; and {jumps}: turn smoothly, or sample faster" if jumps else ""
     return f"{said}{AT_RANDOM}"
@@ -315,7 +318,7 @@ def _groups_beyond_usual(estimate: Estimate) -> Iterator[tuple[tuple[str], tuple
         yield (kind,), tuple(groups), remark
 
 
-def _wandering(estimate: Estimate, linearised: Linearised) -> Iterator[tuple[tuple[str], str, str]]:
+def _wandering(estimate: Estimate, linearised: Linearisation) -> Iterator[tuple[tuple[str], str, str]]:
     """What changes within the session far beyond what is usual, by the sizes that were estimated: drifts of biases and
     of scale factors, in-run biases of kinds of sensors, and of single ones. The group that each concerns, the name of
     the cause, and a remark."""
@@ -363,10 +366,10 @@ def _beyond(size: HyperparameterEstimate) -> bool:
     return size.low > BEYOND_USUAL * size.usual
 
 
-def _slope(name: str, estimate: Estimate, linearised: Linearised) -> float:
+def _slope(name: str, estimate: Estimate, linearised: Linearisation) -> float:
     """The largest change a second of a group of drifts, of the instrument or of the sessions."""
     problem = linearised.problem
     if name in problem.instrument.members:
         return float(np.abs(estimate.values[problem.instrument.members[name]]).max())
     assert estimate.own is not None
-    return float(np.abs(estimate.own.values[:, problem.own_members[name]]).max())
+    return float(np.abs(estimate.own.values[:, problem.local_members[name]]).max())

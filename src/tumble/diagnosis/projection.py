@@ -30,10 +30,10 @@ import numpy as np
 import scipy
 
 from tumble.inference.elimination import fold
-from tumble.inference.likelihood import Linearised, Problem, Rows
-from tumble.inference.linearisation import with_priors
-from tumble.inference.noise_components import Components, Noise
-from tumble.inference.step import Left, Step, inverse_of, left, solve, tell, with_own
+from tumble.inference.linearisation import Linearisation
+from tumble.inference.noise import VarianceComponents
+from tumble.inference.normal_equations import Solution, eliminate_rests, inverse_of, solve, with_local_prior
+from tumble.inference.problem import Problem
 from tumble.units import Array, IntArray
 
 SEEN_HEADING = 0.05
@@ -101,17 +101,21 @@ class Projection:
         return float(scipy.special.fdtrc(q, others, overstated * fall / q / (rest / others)))
 
 
-def projections(linearised: Linearised, components: Components, rest: Array, turn: Array) -> Iterator[Projection]:
+def projections(
+    linearised: Linearisation, components: VarianceComponents, rest: Array, turn: Array
+) -> Iterator[Projection]:
     """Of every session what its unknowns leave of columns of the rests (N, r, c) and turns (K, t, c), SI, with
     components of variance."""
-    problem, rows, noise = _judged_rows(linearised)
-    q, c, p, m = len(problem.own_known), rest.shape[2], len(rows.prior) - 1, len(problem.instrument.names)
+    rows = _judged_rows(linearised).with_components(components)
+    problem, noise = rows.problem, rows.noise
+    q, c, p, m = len(problem.local_u), rest.shape[2], len(rows.prior) - 1, len(problem.instrument.names)
     rows = rows.beside(rest, turn)
-    told = tell(problem, rows, noise.weights(components))
-    triangles = [with_own(problem.own_known, *each)[q:, q:] for each in zip(told.sessions, rows.own, strict=True)]
+    equations = eliminate_rests(rows)
+    of_sessions = zip(equations.session_factors, rows.local_prior, strict=True)
+    triangles = [with_local_prior(problem.local_u, *each)[q:, q:] for each in of_sessions]
     common = np.append(np.arange(p), p + c)
     for s, part in enumerate(problem.parts):
-        places = (told.whitened[0][part.rests], told.whitened[1][part.turns])
+        places = (equations.rest_rows[part.rests], equations.turn_rows[part.turns])
         length = np.sqrt(sum((each[..., -1 - c : -1] ** 2).sum(axis=(0, 1)) for each in places))
         triangle, others = triangles[s].copy(), 0
         for o, each in enumerate(triangles):
@@ -124,8 +128,10 @@ def projections(linearised: Linearised, components: Components, rest: Array, tur
         triangle[:, p : p + c] /= np.where(length > 0.0, length, 1.0)
         first = int(triangle[0, 0] == 0.0)  # gravity is taken as exact
         inverse = inverse_of(triangle[first:p, first:p])
-        hidden = np.count_nonzero(told.factor[part.rests].diagonal(0, 1, 2)[:, :3] == 0.0)
-        kept = (noise.kept[0][part.rests] ** 2).sum() + (noise.kept[1][part.turns] ** 2).sum()  # rows not left out
+        hidden = np.count_nonzero(equations.rest_factors[part.rests].diagonal(0, 1, 2)[:, :3] == 0.0)
+        kept = (noise.rest_weights[part.rests] ** 2).sum() + (
+            noise.turn_weights[part.turns] ** 2
+        ).sum()  # rows not left out
         yield Projection(
             triangle=triangle[p : p + c, p : p + c],
             along=triangle[p : p + c, -1],
@@ -138,73 +144,63 @@ def projections(linearised: Linearised, components: Components, rest: Array, tur
         )
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Remaining:
-    """The step from where the rows were linearised with components of variance, and what it leaves of residuals."""
-
-    step: Step
-    left: Left
-
-    @staticmethod
-    def of(linearised: Linearised, components: Components, *, usual: bool = False) -> Remaining:
-        """What is left of all rows, beside priors of groups as wide as these are large, or of `usual` size."""
-        problem, rows, noise = _judged_rows(linearised, usual)
-        step = solve(problem, rows, noise.weights(components))
-        return Remaining(step=step, left=left(problem, step))
+def judged_solution(linearised: Linearisation, components: VarianceComponents, *, usual: bool = False) -> Solution:
+    """The solution from where the rows were linearised with components of variance, beside priors of groups as wide as
+    these are large, or of `usual` size."""
+    return solve(_judged_rows(linearised, usual), components)
 
 
-def _judged_rows(linearised: Linearised, usual: bool = False) -> tuple[Problem, Rows, Noise]:
-    """The problem, the rows with its priors, and their noise, by which residuals and causes are judged."""
+def _judged_rows(linearised: Linearisation, usual: bool = False) -> Linearisation:
+    """The rows, with their priors and their noise, by which residuals and causes are judged."""
     problem = linearised.problem
     if usual:
-        problem = replace(problem, measured=problem.usual, own_known=problem.own_usual)
+        problem = replace(problem, prior_u=problem.usual_u, local_u=problem.usual_local_u)
     else:
         problem = _as_large_as_they_are(linearised)
-    rows, noise = _with_norths(linearised, with_priors(linearised.rows, problem, linearised.point, linearised.about))
-    return problem, rows, noise
+    return _with_norths(linearised.with_priors(problem))
 
 
-def _as_large_as_they_are(linearised: Linearised) -> Problem:
+def _as_large_as_they_are(linearised: Linearisation) -> Problem:
     """The problem with the prior of every group at least as wide as the group is large: no cause is to gain from a
     prior that the estimate contradicts."""
     problem, point = linearised.problem, linearised.point
-    known, own = problem.measured[1].copy(), problem.own_known.copy()
-    off = np.append(0.0, point.values) - np.append(0.0, problem.measured[0][1:])
+    known, own = problem.prior_u.copy(), problem.local_u.copy()
+    off = np.append(0.0, point.values) - np.append(0.0, problem.prior_mean[1:])
     for members in problem.instrument.members.values():
         some = slice(members.start + 1, members.stop + 1)
         known[some] *= max(1.0, float(np.sqrt(np.mean((off[some] / known[some]) ** 2))))
-    if problem.own is not None:
-        for members in problem.own.members.values():
-            some = slice(members.start - problem.own.linear_count, members.stop - problem.own.linear_count)
-            own[some] *= max(1.0, float(np.sqrt(np.mean((point.own[:, some] / own[some]) ** 2))))
-    return replace(problem, measured=(problem.measured[0], known), own_known=own)
+    if problem.local is not None:
+        for members in problem.local.members.values():
+            some = slice(members.start - problem.local.linear_count, members.stop - problem.local.linear_count)
+            own[some] *= max(1.0, float(np.sqrt(np.mean((point.local[:, some] / own[some]) ** 2))))
+    return replace(problem, prior_u=known, local_u=own)
 
 
-def _with_norths(linearised: Linearised, rows: Rows) -> tuple[Rows, Noise]:
+def _with_norths(rows: Linearisation) -> Linearisation:
     """The rows with the part of the Earth's rate along north as an unknown, 0 ± 1, of every chain whose heading is
     hardly seen, and the noise: of a single rest it is a part of that."""
-    problem, noise = linearised.problem, linearised.noise
+    problem, noise = rows.problem, rows.noise
     gyro, n = problem.observations.gyro_block, problem.observations.accel_block.size
     if gyro is None or problem.earth[0] == 0.0:
-        return rows, noise
+        return rows
     of_gyros = slice(n, n + gyro.size)
     variance = np.diagonal(noise.rest, axis1=1, axis2=2)[:, of_gyros]
     hardly = np.bincount(problem.chain, (rows.headings[:, of_gyros] ** 2 / variance).sum(axis=1)) < SEEN_HEADING**-2
     single = np.bincount(problem.chain) == 1
-    rest, turn = by_north(linearised)
+    rest, turn = by_north(rows)
     alone = rest * (hardly & single)[problem.chain][:, None]
     chains = np.flatnonzero(hardly & ~single)
     own = problem.chain[:, None] == chains
     wide = rows.beside(rest[:, :, None] * own[:, None], turn[:, :, None] * own[problem.before_turn][:, None])
     unknown = np.arange(len(rows.prior) - 1, len(wide.prior) - 1)
     wide.prior[unknown, unknown] = 1.0
-    return wide, replace(noise, rest=noise.rest + alone[:, :, None] * alone[:, None])
+    return replace(wide, noise=replace(noise, rest=noise.rest + alone[:, :, None] * alone[:, None]))
 
 
-def by_north(linearised: Linearised) -> tuple[Array, Array]:
+def by_north(rows: Linearisation) -> tuple[Array, Array]:
     """What the part of the Earth's rate along north predicts of the rows of the rests (N, r) and of the turns (K, t):
     the rate that gyros read at rest, T Ω_N along north of a rotation, and ½ T² Ω_N g along east of a velocity."""
-    problem, rows, L = linearised.problem, linearised.rows, linearised.point.attitudes
+    problem, L = rows.problem, rows.point.attitudes
     gyro, n, north = problem.observations.gyro_block, problem.observations.accel_block.size, problem.earth[0]
     assert gyro is not None
     rest, turn = np.zeros(rows.rest.shape[:2]), np.zeros(rows.turn.shape[:2])
@@ -214,7 +210,7 @@ def by_north(linearised: Linearised) -> tuple[Array, Array]:
         T, start = turns.duration[:, None], L[turns.first]
         turn[:, :3] = T * north * start[:, 0]
         if problem.instrument.in_velocities:
-            turn[:, 3:6] = 0.5 * T**2 * north * linearised.point.gravity * start[:, 2]
+            turn[:, 3:6] = 0.5 * T**2 * north * rows.point.gravity * start[:, 2]
     return rest, turn
 
 

@@ -22,7 +22,7 @@ from tumble.sensors.parameters import LINEAR
 from tumble.units import Array, BoolArray
 
 if TYPE_CHECKING:
-    from tumble.inference.likelihood import Linearised
+    from tumble.inference.linearisation import Linearisation
 
 DETERMINED = 10.0
 """How many times better than the spreads the data must know a combination of parameters for it to count as seen. One
@@ -275,7 +275,7 @@ class Estimate(Brief):
     """What corrected readings are known to."""
     gyro_rest_sigmas: Array = field(default_factory=lambda: np.empty(0))
     """How far the gyros alone are from the fit at each rest (N,); empty where the method does not judge them."""
-    linearised: Linearised | None = None
+    linearised: Linearisation | None = None
     """The likelihood about the estimate, or where the method has none, that by which it is judged."""
     own: OwnEstimate | None = None
     """Of several sessions, what each has of its own."""

@@ -13,19 +13,17 @@ below LEAST_WEIGHT are left out, by number; the estimate is that of all others, 
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import scipy
 
 from tumble.inference.estimate import Fit
-from tumble.inference.likelihood import Problem
-from tumble.inference.noise_components import Components, Noise, Weights
-from tumble.inference.step import Left
+from tumble.inference.noise import NoiseModel
+from tumble.inference.normal_equations import Solution
+from tumble.inference.problem import Problem
 from tumble.units import Array, BoolArray
 
 GROUPS = ("accelerometers", "gyro rests", "gyro turns", "velocities of turns")
-SCATTER_OF = ("accel", "gyro", "turn", "velocity")
+SCATTER_NAMES = ("accel", "gyro", "turn", "velocity")
 SCATTER_UNITS = ("m/s^2", "rad/s", "rad", "m/s")
 TOTAL = "noise within rests"
 """The name of the fit of everything before any scatter."""
@@ -51,15 +49,17 @@ directions in which it has residuals; of what is left out, the chi-square of its
 predict."""
 
 
-def residuals(problem: Problem, noise: Noise, weights: Weights, after: Left) -> Falls:
-    """How far rests and turns are from a fit by what it leaves of the rows of these weights."""
-    rest, turn = (weights.rest, after.rest, noise.kept[0]), (weights.turn, after.turn, noise.kept[1])
-    groups = *((*rest, rows) for rows in _of_sensors(problem)), (*turn, slice(None))
+def chi_square_falls(solution: Solution) -> Falls:
+    """How far rests and turns are from a fit by what it leaves of its rows."""
+    equations, noise = solution.equations, solution.linearisation.noise
+    rest = equations.rest_whitening, solution.rest_residuals, noise.rest_weights
+    turn = equations.turn_whitening, solution.turn_residuals, noise.turn_weights
+    groups = *((*rest, rows) for rows in _rows_of_sensors(solution.problem)), (*turn, slice(None))
     falls, counts = zip(*(_falls(*group) for group in groups), strict=True)
     return list(falls), list(counts)
 
 
-def _of_sensors(problem: Problem) -> tuple[slice, slice]:
+def _rows_of_sensors(problem: Problem) -> tuple[slice, slice]:
     """The rows of a rest that are the accelerometers' and the gyros'."""
     n = problem.observations.accel_block.size
     return slice(n), slice(n, n + problem.observations.rests.gyro.shape[1])
@@ -90,32 +90,32 @@ def _falls(W: Array, after: tuple[Array, Array], kept: Array, rows: slice) -> tu
     return fall, count
 
 
-def student(shown: Falls) -> list[Array]:
+def student_weights(shown: Falls) -> list[Array]:
     """The weights of Student-t rows: of the accelerometers and of the gyros at rest, by rest, and of the turns."""
     return [np.minimum((NU + count) / (NU + fall), 1.0) for fall, count in zip(*shown, strict=True)]
 
 
-def weighted(problem: Problem, noise: Noise, weights: list[Array]) -> Noise:
+def weighted(problem: Problem, noise: NoiseModel, weights: list[Array]) -> NoiseModel:
     """The noise with weights of the accelerometers and of the gyros at rest, by rest, and of the turns."""
     rest, turn = np.ones(noise.rest.shape[:2]), np.broadcast_to(np.sqrt(weights[2])[:, None], noise.turn.shape[:2])
-    for rows, own in zip(_of_sensors(problem), weights, strict=False):
-        rest[:, rows] = np.sqrt(own)[:, None]
-    return replace(noise, kept=(rest, turn))
+    for rows, weight in zip(_rows_of_sensors(problem), weights, strict=False):
+        rest[:, rows] = np.sqrt(weight)[:, None]
+    return noise.weighted(rest, turn)
 
 
-def left_out(problem: Problem, noise: Noise) -> tuple[BoolArray, BoolArray, BoolArray]:
+def left_out(problem: Problem, noise: NoiseModel) -> tuple[BoolArray, BoolArray, BoolArray]:
     """The rests whose accelerometers, and whose gyros, and the turns that are left out."""
-    parts = *(noise.kept[0][:, rows] for rows in _of_sensors(problem)), noise.kept[1]
-    accel, gyro, by_turn = (np.any(part < LEAST_WEIGHT**0.5, axis=1) for part in parts)
-    return accel, gyro, by_turn
+    parts = *(noise.rest_weights[:, rows] for rows in _rows_of_sensors(problem)), noise.turn_weights
+    accel, gyro, turn = (np.any(part < LEAST_WEIGHT**0.5, axis=1) for part in parts)
+    return accel, gyro, turn
 
 
-def sigmas(problem: Problem, noise: Noise, weights: Weights, after: Left) -> tuple[Array, Array, Array]:
+def sigmas(solution: Solution) -> tuple[Array, Array, Array]:
     """How far each rest is from the fit by its accelerometers and by its gyros (N,), and each turn (K,), as Gaussian
     sigmas of the same probability: by Fisher's distribution, for the scale is that of the others."""
-    shown, fits = residuals(problem, noise, weights, after), chi_squares(problem, after)
-    every = list[Array]()
-    for fall, count, omitted, name in zip(*shown, left_out(problem, noise), GROUPS[:3], strict=True):
+    shown, fits, every = chi_square_falls(solution), chi_squares(solution), list[Array]()
+    omitted_parts = left_out(solution.problem, solution.linearisation.noise)
+    for fall, count, omitted, name in zip(*shown, omitted_parts, GROUPS[:3], strict=True):
         degrees = fits[name].degrees if name in fits else 0.0
         k = np.maximum(count, 1)
         others = np.maximum(degrees - k * max(1, omitted.sum()), 1.0)
@@ -125,20 +125,22 @@ def sigmas(problem: Problem, noise: Noise, weights: Weights, after: Left) -> tup
     return accel, gyro, turn
 
 
-def chi_squares(problem: Problem, after: Left, components: Components | None = None) -> dict[str, Fit]:
+def chi_squares(solution: Solution) -> dict[str, Fit]:
     """Chi-square of every group of residuals there is, with the scatter beside the noise."""
-    v, turn = 6 if problem.instrument.in_velocities else 3, np.arange(after.turn[0].shape[1])
-    accel, gyro = (np.arange(rows.start or 0, rows.stop) for rows in _of_sensors(problem))
-    rows = (after.rest, accel), (after.rest, gyro), (after.turn, np.r_[turn[:3], turn[v:]]), (after.turn, turn[3:v])
+    problem = solution.problem
+    v, turn = 6 if problem.instrument.in_velocities else 3, np.arange(solution.turn_residuals[0].shape[1])
+    accel, gyro = (np.arange(rows.start or 0, rows.stop) for rows in _rows_of_sensors(problem))
+    rest, turns = solution.rest_residuals, solution.turn_residuals
+    rows = (rest, accel), (rest, gyro), (turns, np.r_[turn[:3], turn[v:]]), (turns, turn[3:v])
     there = 1 if problem.observations.gyro_block is None else 4 if problem.instrument.in_velocities else 3
     out = dict[str, Fit]()
-    for name, component, unit, ((residual, covariance), own) in zip(
-        GROUPS[:there], SCATTER_OF, SCATTER_UNITS, rows, strict=False
+    for name, component, unit, ((residual, covariance), some) in zip(
+        GROUPS[:there], SCATTER_NAMES, SCATTER_UNITS, rows, strict=False
     ):
         out[name] = Fit(
-            chi_square=float((residual[:, own] ** 2).sum()),
-            degrees=float(np.diagonal(covariance, axis1=1, axis2=2)[:, own].sum()),
-            scatter=0.0 if components is None else float(getattr(components, component)),
+            chi_square=float((residual[:, some] ** 2).sum()),
+            degrees=float(np.diagonal(covariance, axis1=1, axis2=2)[:, some].sum()),
+            scatter=float(getattr(solution.components, component)),
             unit=unit,
         )
     return out

@@ -30,9 +30,10 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from tumble.inference.maximum import Evaluated, Maximum
-from tumble.inference.step import Told, mean_along
-from tumble.inference.uncertainty_budget import averaged, contributions, noise_roots
+from tumble.inference.hyperparameters import log_prior, restricted_likelihood, score
+from tumble.inference.maximum import Maximum
+from tumble.inference.normal_equations import NormalEquations, Solution, session_mean_bias
+from tumble.inference.uncertainty_budget import contributions, scaled_to
 from tumble.units import Array
 
 POINTS = 64
@@ -90,9 +91,9 @@ class Posterior:
 
 def posterior(fitted: Maximum, points: int = POINTS) -> Posterior:
     """The posterior about a maximum; with a single point that at the maximum itself."""
-    best = fitted.best
+    best = fitted.solution
     np.empty(KEPT_MEMORY, dtype=np.uint8)
-    points = 1 if len(best.step.parameters) > MOST_PARAMETERS else points
+    points = 1 if len(best.parameters) > MOST_PARAMETERS else points
     axes, correlation = _axes(fitted) if points > 1 else ([], np.zeros((0, 0)))
     points = max(points, POINTS_EACH * len(axes)) if axes else 1
     phi, log_q = best.phi[None].repeat(points, axis=0), np.zeros(points)
@@ -105,10 +106,7 @@ def posterior(fitted: Maximum, points: int = POINTS) -> Posterior:
             x = np.interp(scipy.special.ndtr(own), axis.cumulative, axis.phi)
             phi[:, axis.element] = x
             log_q += np.interp(x, axis.phi, axis.log_density) + 0.5 * own**2
-    every, by_source, roots = list[Conditional](), [], noise_roots(fitted.free, fitted.at)
-    for _, here in _at_once(fitted, phi):
-        every.append(conditional(here))
-        by_source.append(contributions(here, every[-1].mean, roots))
+    every = [conditional(here) for _, here in _at_once(fitted, phi)]
 
     def of_points(name: str) -> Array:
         return np.concatenate([getattr(each, name) for each in every])
@@ -120,8 +118,10 @@ def posterior(fitted: Maximum, points: int = POINTS) -> Posterior:
     steps, process = of_points("step"), of_points("process_step")
     deviations = np.sqrt(np.diagonal(of_points("covariance"), axis1=1, axis2=2))
     mean, process_mean = weight @ steps, weight @ process
-    sources = averaged(weight, by_source)
-    sources["hyperparameters"] = ((steps - mean).T * weight) @ (steps - mean)
+    sources = contributions(best)
+    if points > 1:
+        sources = scaled_to(sources, np.tensordot(weight, of_points("covariance"), axes=1))
+        sources["hyperparameters"] = ((steps - mean).T * weight) @ (steps - mean)
     covariance = np.sum(list(sources.values()), axis=0)
     factor = coverage_factors(steps - mean, deviations, weight, np.sqrt(np.diag(covariance)))
     shorter = np.where(factor > 0.0, np.minimum(0.5 * factor, 1.0), 1.0)
@@ -151,36 +151,34 @@ class _Axis:
     cumulative: Array
 
 
-def _at_once(fitted: Maximum, phi: Array, told: Told | None = None) -> Iterator[tuple[slice, Evaluated]]:
+def _at_once(fitted: Maximum, phi: Array, equations: NormalEquations | None = None) -> Iterator[tuple[slice, Solution]]:
     """ℓ at points (P, D), by stacks, and which these are."""
-    many = max(1, RESTS_AT_ONCE // len(fitted.free.link))
+    many = max(1, RESTS_AT_ONCE // len(fitted.usual_problem.link))
     for some in (slice(first, first + many) for first in range(0, len(phi), many)):
-        yield some, Evaluated.of(fitted.free, fitted.entries, fitted.at, phi[some], told)
+        yield some, restricted_likelihood(fitted.linearisation, fitted.hyperparameters, phi[some], equations)
 
 
 def _axes(fitted: Maximum) -> tuple[list[_Axis], Array]:
     """ℓ along the elements of φ of which the session shows something, and their correlations (k, k) by its
     curvature."""
-    best, entries = fitted.best, fitted.entries
-    at_bound, within = entries.bounded & (best.phi <= 0.0), np.array([h.within for h in entries])
-    bend = np.where(at_bound, best.information.diagonal(), fitted.curvature.diagonal())
-    size = 1.0 / np.sqrt(np.maximum(bend, best.prior[2]))
-    of_group = np.array([h.place in ("group", "own group") for h in entries], dtype=bool)
-    usual = at_bound & of_group  # the rows tell the same of them
-    there = [{0.0: (0.0, best.gradient, 0.0)} for _ in entries]
+    best, entries = fitted.solution, fitted.hyperparameters
+    gradient, information = score(entries, best)
+    prior_curvature = log_prior(entries, best.phi)[2]
+    at_bound = np.array([h.bounded for h in entries], dtype=bool) & (best.phi <= 0.0)
+    within = np.array([h.within for h in entries])
+    bend = np.where(at_bound, information.diagonal(), fitted.curvature.diagonal())
+    size = 1.0 / np.sqrt(np.maximum(bend, prior_curvature))
+    there = [{0.0: (0.0, gradient, 0.0)} for _ in entries]
 
     def look(elements: Iterable[int], knots: tuple[float, ...]) -> None:
-        for told in (best.told, None):
-            of = [i for i in elements if usual[i] == (told is not None)]
-            pairs = [(i, away) for i in of for away in knots if away > 0.0 or not at_bound[i]]
-            phi = np.tile(best.phi, (len(pairs), 1))
-            for own, (i, away) in zip(phi, pairs, strict=True):
-                own[i] += away * size[i]
-            for some, here in _at_once(fitted, phi, told):
-                gradient, learned = here.of_groups if told else (here.gradient, np.diagonal(here.information, 0, 1, 2))
-                values = zip(pairs[some], here.value - best.value, gradient, learned, strict=True)
-                for (i, away), value, slopes, shown in values:
-                    there[i][away] = value, slopes, shown[i]
+        for i in elements:
+            for away in knots:
+                if away > 0.0 or not at_bound[i]:
+                    phi = best.phi.copy()
+                    phi[i] += away * size[i]
+                    here = restricted_likelihood(fitted.linearisation, entries, phi)
+                    slopes, learned = score(entries, here)
+                    there[i][away] = float(here.log_posterior - best.log_posterior), slopes, learned[i, i]
 
     every = range(len(entries))
     look(every, KNOTS)
@@ -228,37 +226,34 @@ def _axis(element: int, centre: float, knots: list[tuple[float, float, float]], 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Conditional:
     """ℓ at φ, and there the step of gravity and the parameters (1 + m,) and its covariance, both with the biases of the
-    session, which are by the `mean` of the processes along it where there are some, and the step and the covariance of
-    the biases of the processes."""
+    session, and the step and the covariance of the biases of the processes."""
 
     value: Array
-    mean: tuple[Array, Array] | None
     step: Array
     covariance: Array
     process_step: Array
     process_covariance: Array
 
 
-def conditional(here: Evaluated) -> Conditional:
+def conditional(solution: Solution) -> Conditional:
     """The posterior at φ, or at a stack of them."""
-    known, biases, mean = here.known, 1 + here.problem.biases, None
-    step, roots = known.parameters.copy(), known.roots[..., 0, :, :]
-    root = roots[..., len(here.problem.own_usual) :, :].copy()
-    process = root[..., biases, :]
-    if here.told.process is not None and len(here.problem.parts) == 1:
-        mean = mean_along(here.told)
-        step[..., biases] += (mean[0] @ known.others[..., 0, :, None])[..., 0]
-        root[..., biases, :] += mean[0][..., :-1] @ roots
+    biases, problem = 1 + solution.problem.biases, solution.problem
+    step, roots = solution.parameters.copy(), solution.roots[..., 0, :, :]
+    root = roots[..., len(problem.usual_local_u) :, :].copy()
+    process, by_noise = root[..., biases, :], None
+    if solution.equations.wanders and len(problem.parts) == 1:
+        by_shared, by_noise = session_mean_bias(solution.equations)
+        step[..., biases] += (by_shared @ solution.shared[..., 0, :, None])[..., 0]
+        root[..., biases, :] += by_shared[..., :-1] @ roots
     covariance = root @ np.swapaxes(root, -1, -2)
-    if mean is not None:
-        along = np.swapaxes(mean[1], -3, -2).reshape(*step.shape[:-1], len(biases), -1)
+    if by_noise is not None:
+        along = np.swapaxes(by_noise, -3, -2).reshape(*step.shape[:-1], len(biases), -1)
         covariance[..., biases[:, None], biases] += along @ np.swapaxes(along, -1, -2)
     return Conditional(
-        value=here.value,
-        mean=mean,
+        value=solution.log_posterior,
         step=step,
         covariance=covariance,
-        process_step=known.parameters[..., biases],
+        process_step=solution.parameters[..., biases],
         process_covariance=process @ np.swapaxes(process, -1, -2),
     )
 
@@ -339,12 +334,12 @@ def degrees_of(factor: Array) -> Array:
 def _summary(fitted: Maximum, phi: Array, weight: Array) -> Array:
     """Median and the limits of the middle 68 % of every hyperparameter (D, 3); of those that are not integrated over by
     the curvature at the maximum."""
-    out = np.empty((len(fitted.entries), 3))
-    for i, h in enumerate(fitted.entries):
-        at, order = fitted.best.phi[i], np.argsort(phi[:, i])
-        limits = at + np.array([0.0, -1.0, 1.0]) / np.sqrt(max(fitted.curvature[i, i], fitted.best.prior[2, i]))
+    out, prior_curvature = np.empty((len(fitted.phi), 3)), log_prior(fitted.hyperparameters, fitted.phi)[2]
+    for i, h in enumerate(fitted.hyperparameters):
+        at, order = fitted.phi[i], np.argsort(phi[:, i])
+        limits = at + np.array([0.0, -1.0, 1.0]) / np.sqrt(max(fitted.curvature[i, i], prior_curvature[i]))
         if np.ptp(phi[:, i]) > 0.0:
             share = np.cumsum(weight[order]) - 0.5 * weight[order]
             limits = np.interp([0.5, 0.16, 0.84], share, phi[order, i])
-        out[i] = [h.value(float(p)) for p in limits]
+        out[i] = h.value(limits)
     return out

@@ -2,7 +2,7 @@
 
 All parameters of the instrument, the attitudes of all rests, in-run biases and local gravity are found at once from the
 rest means of both blocks, the rotations and velocities of the turns, the Earth's rate and the measured gravity
-(`tumble.inference.likelihood`), at the joint maximum with what the model does not know about itself
+(`tumble.inference.problem`), at the joint maximum with what the model does not know about itself
 (`tumble.inference.maximum`), over which the posterior is then integrated (`tumble.inference.integral`). The table's
 angles are not used. The estimate reaches the Cramér–Rao bound.
 
@@ -30,14 +30,14 @@ from tumble.inference.estimate import (
 from tumble.inference.fits import TOTAL, chi_squares, left_out, sigmas
 from tumble.inference.integral import POINTS, Posterior, posterior
 from tumble.inference.lag import maximum_with_lags
-from tumble.inference.likelihood import NO_PRIOR, Linearised, Prior, Problem, instruments_of
 from tumble.inference.linearisation import at_reference
 from tumble.inference.maximum import MAX_ITERATIONS, Maximum, without_outliers
-from tumble.inference.noise_components import SCATTER, Components, typical_noise
+from tumble.inference.noise import NO_COMPONENTS, SCATTER, typical_noise
+from tumble.inference.normal_equations import solve
 from tumble.inference.prediction import prediction
+from tumble.inference.problem import NO_PRIOR, Prior, Problem, instruments_of
 from tumble.inference.sources import UncertaintyBudget, common_covariances, source
 from tumble.inference.start import start_of
-from tumble.inference.step import left
 from tumble.inference.turns_about import TurnsAbout
 from tumble.reduction.observations import Observations
 from tumble.sensors.compensation import specific_force
@@ -61,10 +61,10 @@ def joint(
     sigmas say which they are. Without `intervals` the covariance is that at the maximum, not integrated over what the
     model does not know of itself. A `quick` one is the maximum alone, settled or not: it is for a page that follows a
     session and cannot wait for one that contradicts itself."""
-    usual, own = instruments_of(observations)
-    problem = Problem.of(observations, prior, instrument=instrument or usual, own=own, usual=observations.usual)
-    at, first = start_of(problem)
-    fitted, by_lag = maximum_with_lags(problem, at, QUICK_STEPS if quick else MAX_ITERATIONS)
+    usual, local = instruments_of(observations)
+    problem = Problem.of(observations, prior, instrument=instrument or usual, local=local, usual=observations.usual)
+    start, first = start_of(problem)
+    fitted, by_lag = maximum_with_lags(start, QUICK_STEPS if quick else MAX_ITERATIONS)
     if fitted.converged and not quick:
         fitted = without_outliers(fitted)
     shown = posterior(fitted, POINTS if intervals and not quick else 1)
@@ -72,13 +72,14 @@ def joint(
 
 
 def _estimate(fitted: Maximum, shown: Posterior, increments: tuple[Array, ...], by_lag: Array) -> Estimate:
-    problem, instrument, noise, best = fitted.problem, fitted.problem.instrument, fitted.at.noise, fitted.best
-    accel_sigmas, gyro_sigmas, turn_sigmas = sigmas(problem, noise, best.told.weights, best.left)
-    alone = chi_squares(problem, left(problem, fitted.at.solved(problem, Components()))).values()
+    problem, linearisation, best = fitted.problem, fitted.linearisation, fitted.solution
+    instrument = problem.instrument
+    accel_sigmas, gyro_sigmas, turn_sigmas = sigmas(best)
+    alone = chi_squares(solve(linearisation.with_priors(problem), NO_COMPONENTS)).values()
     chi_square, degrees = (sum(getattr(fit, name) for fit in alone) for name in ("chi_square", "degrees"))
     total = Fit(chi_square=chi_square, degrees=degrees, scatter=0.0, unit="")
     observations, linear = problem.observations, instrument.linear_count
-    values = fitted.at.point.values + shown.step[1:]
+    values = fitted.linearisation.point.values + shown.step[1:]
     common = {**common_covariances(observations, instrument), "lag": by_lag}
     budget = _budget(fitted, shown, common)
     in_common = np.sum(list(common.values()), axis=0)
@@ -107,7 +108,7 @@ def _estimate(fitted: Maximum, shown: Posterior, increments: tuple[Array, ...], 
         gyro_rest_sigmas=gyro_sigmas,
         turn_sigmas=turn_sigmas,
         increments=increments,
-        fits={**chi_squares(problem, best.left, fitted.components), TOTAL: total},
+        fits={**chi_squares(best), TOTAL: total},
         converged=fitted.converged,
         instrument=instrument,
         groups=findings,
@@ -117,21 +118,21 @@ def _estimate(fitted: Maximum, shown: Posterior, increments: tuple[Array, ...], 
             values,
             covariance,
             gravity=observations.site.gravity,
-            rate=_usual_rate(fitted.at.about),
+            rate=_usual_rate(fitted.linearisation.about),
         ),
-        linearised=_linearised(fitted),
-        own=_own(fitted),
+        linearised=linearisation.with_priors(problem).with_components(fitted.components),
+        own=_local(fitted),
         hyperparameters=tuple(_hyperparameters(fitted, shown)),
         integral=Integral(points=shown.points, effective=shown.effective, pareto=shown.pareto),
         process_bias=tuple(_process_bias(fitted, shown, in_common)),
         budget=budget,
-        left_out=Omitted(**dict(zip(("accel", "gyro", "turn"), left_out(problem, noise), strict=True))),
+        left_out=Omitted(**dict(zip(("accel", "gyro", "turn"), left_out(problem, linearisation.noise), strict=True))),
     )
 
 
 def _hyperparameters(fitted: Maximum, shown: Posterior) -> Iterator[HyperparameterEstimate]:
     """What the session says of every hyperparameter."""
-    for h, (value, low, high) in zip(fitted.entries, shown.hyperparameters.tolist(), strict=True):
+    for h, (value, low, high) in zip(fitted.hyperparameters, shown.hyperparameters.tolist(), strict=True):
         yield HyperparameterEstimate(
             name=h.name, unit=h.unit, words=h.words, value=value, low=low, high=high, usual=h.usual
         )
@@ -141,7 +142,7 @@ def _budget(fitted: Maximum, shown: Posterior, common: Mapping[str, Array]) -> U
     """The covariance by source, and of each source its standard uncertainty, where it is one quantity's. A standard
     deviation known to a relative σ stands for 1/(2 σ²) degrees of freedom (GUM E.4.3, G.4.2), σ being that of its
     logarithm by the middle 68 %."""
-    problem, noise = fitted.problem, fitted.at.noise
+    problem, noise = fitted.problem, fitted.linearisation.noise
     observations, instrument, rests = problem.observations, problem.instrument, problem.observations.rests
     sizes = dict[str, tuple[float, str, float | None]]()
     for kind, covariance in (("accel", rests.accel_covariance), ("gyro", rests.gyro_covariance)):
@@ -157,7 +158,7 @@ def _budget(fitted: Maximum, shown: Posterior, common: Mapping[str, Array]) -> U
     site, clock = observations.site, max(map(abs, observations.by_clock.values()), default=0.0)
     sizes |= {"gravity": (site.gravity_u, "m/s^2", None), "clock": (clock, "1", None)}
     for name, own in instrument.members.items():
-        sizes[f"prior.{name}"] = float(problem.measured[1][1:][own][0]), instrument.units[own.start], None
+        sizes[f"prior.{name}"] = float(problem.prior_u[1:][own][0]), instrument.units[own.start], None
     covariances = {name: covariance[1:, 1:] for name, covariance in shown.sources.items()} | dict(common)
     covariances = {name: covariance for name, covariance in covariances.items() if covariance.any()}
     return UncertaintyBudget(
@@ -172,7 +173,7 @@ def _process_bias(fitted: Maximum, shown: Posterior, common: Array) -> Iterator[
     accelerometers = problem.instrument.accel.size
     sigma, _ = components.in_run(accelerometers, problem.sensors - accelerometers)
     variances = np.diag(shown.process_covariance) + np.diag(common)[biases]
-    values = fitted.at.point.values[biases] + shown.process_step
+    values = fitted.linearisation.point.values[biases] + shown.process_step
     for i, value, variance, own in zip(biases.tolist(), values.tolist(), variances.tolist(), sigma, strict=True):
         u, next_u = np.sqrt(variance), np.sqrt(variance + own**2)
         yield ProcessBias(name=problem.instrument.names[i], value=value, u=float(u), next_u=float(next_u))
@@ -187,19 +188,6 @@ def _undetermined(covariance: Array) -> Array:
     return np.asarray(combinations[:, variance > DETERMINED**-2].T)
 
 
-def _linearised(fitted: Maximum) -> Linearised:
-    """The likelihood about the solution."""
-    at = fitted.at
-    return Linearised(
-        problem=fitted.problem,
-        point=at.point,
-        about=at.about,
-        rows=at.rows,
-        noise=at.noise,
-        components=fitted.components,
-    )
-
-
 def _usual_rate(about: TurnsAbout | None) -> float | None:
     """The rate of the session's turns, rad/s, root mean square; None without turns."""
     if about is None or not len(about.moments):
@@ -210,35 +198,34 @@ def _usual_rate(about: TurnsAbout | None) -> float | None:
 
 def _force(fitted: Maximum, values: Array) -> Array:
     """Specific forces (N, 3) at rest by the whole model with these parameters."""
-    problem, at = fitted.problem, fitted.at
+    problem = fitted.problem
     accel = problem.observations.rests.accel
     if "temperature" in problem.variables:
-        accel = at_reference(problem, at.point, at.rows)
+        accel = at_reference(fitted.linearisation)
     return specific_force(problem.instrument, values, accel)
 
 
-def _own(fitted: Maximum) -> OwnEstimate | None:
+def _local(fitted: Maximum) -> OwnEstimate | None:
     """What each of several sessions has of its own."""
-    own = fitted.problem.own
-    if own is None:
+    local, q = fitted.problem.local, len(fitted.problem.local_u)
+    if local is None:
         return None
-    first, q = own.linear_count, len(fitted.problem.own_known)
-    variance = np.diagonal(fitted.best.step.own_covariance, axis1=1, axis2=2)[:, :q]
+    variance = np.diagonal(fitted.solution.session_covariances, axis1=1, axis2=2)[:, :q]
     return OwnEstimate(
-        names=own.names[first:],
-        units=own.units[first:],
-        values=fitted.point.own,
+        names=local.names[local.linear_count :],
+        units=local.units[local.linear_count :],
+        values=fitted.point.local,
         u=np.sqrt(variance),
-        priors=fitted.problem.own_known,
+        priors=fitted.problem.local_u,
     )
 
 
 def _findings(fitted: Maximum, by_lag: Array) -> Iterator[GroupFinding]:
     """What the session says of each further group, beside a prior of the size at the maximum; of lags by the variances
     (m,) that they leave."""
-    known = fitted.best.step.covariance.diagonal()[1:]
+    known = fitted.solution.covariance.diagonal()[1:]
     problem = fitted.problem
-    instrument, sized, usual = problem.instrument, problem.measured[1][1:], problem.usual[1][1:]
+    instrument, sized, usual = problem.instrument, problem.prior_u[1:], problem.usual_u[1:]
     for group in instrument.further:
         own = instrument.members[group.name]
         if group.variable == "lag":

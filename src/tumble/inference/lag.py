@@ -28,9 +28,12 @@ from dataclasses import replace
 import numpy as np
 import scipy
 
+from tumble.inference.hyperparameters import restricted_likelihood
 from tumble.inference.integral import conditional, coverage_factors
-from tumble.inference.likelihood import Problem
-from tumble.inference.maximum import At, Evaluated, Maximum, likeliest, maximum
+from tumble.inference.linearisation import Linearisation, linearise
+from tumble.inference.maximum import Maximum, likeliest, maximum
+from tumble.inference.normal_equations import Solution
+from tumble.inference.problem import Problem
 from tumble.sensors.parameters import THERMAL, sensor_kind, variable_of
 from tumble.units import Array
 
@@ -46,15 +49,13 @@ LAG_ROUNDS = 3
 """Solutions with lags of which each shows the one before to be wrong, at most."""
 
 
-def maximum_with_lags(problem: Problem, at: At, iterations: int) -> tuple[Maximum, Array]:
+def maximum_with_lags(start: Linearisation, iterations: int) -> tuple[Maximum, Array]:
     """The maximum with the likeliest lags, which are held, and the covariance (m, m) that they leave.
 
     Parameters
     ----------
-    problem
-        The session, with or without lags among its parameters.
-    at
-        The linearisation to begin from.
+    start
+        The linearisation to begin from, of a session with or without lags among its parameters.
     iterations
         Linearisations at most.
 
@@ -65,15 +66,16 @@ def maximum_with_lags(problem: Problem, at: At, iterations: int) -> tuple[Maximu
     spread
         By how much the covariance (m, m) of the parameters is greater because the lags are not known.
     """
+    problem = start.problem
     lags, spread = problem.lags, np.zeros((len(problem.instrument.names),) * 2)
     if not lags:
-        return likeliest(problem, at, iterations), spread
+        return likeliest(start, iterations), spread
     usual = {kind: problem.observations.usual[f"{kind}.lag"] for kind in lags}
 
-    def held(values: Array, near: At) -> tuple[Problem, At]:
-        """The problem with the lags among values (m,), and the linearisation there."""
-        known = free.with_lags(values)
-        return known, At.of(known, replace(near.point, values=values), near.about, near.noise.kept)
+    def held(values: Array, near: Linearisation) -> Linearisation:
+        """The linearisation where the lags are known to be those among values (m,)."""
+        there = linearise(free.with_lags(values), replace(near.point, values=values), near.about)
+        return replace(there, noise=there.noise.weighted(near.noise.rest_weights, near.noise.turn_weights))
 
     def with_lag(values: Array, kind: str, lag: float) -> Array:
         out = values.copy()
@@ -85,19 +87,19 @@ def maximum_with_lags(problem: Problem, at: At, iterations: int) -> tuple[Maximu
         return np.asarray((lag / usual[kind]) ** 2)
 
     def again(values: Array) -> Maximum:
-        return maximum(*held(values, replace(fitted.at, point=fitted.point)), fitted.best.phi, iterations)
+        return maximum(held(values, replace(fitted.linearisation, point=fitted.point)), fitted.phi, iterations)
 
-    def with_lags(phi: Array, kind: str, tried: Array) -> list[Evaluated]:
+    def with_lags(phi: Array, kind: str, tried: Array) -> list[Solution]:
         """The solutions at φ with lags of a kind."""
-        near = replace(fitted.at, point=fitted.point)
+        near = replace(fitted.linearisation, point=fitted.point)
         every = (held(with_lag(fitted.point.values, kind, lag), near) for lag in tried.tolist())
-        return [Evaluated.of(known, fitted.entries, there, phi) for known, there in every]
+        return [restricted_likelihood(there, fitted.hyperparameters, phi) for there in every]
 
     def likelihood(phi: Array, kind: str) -> Callable[[Array], tuple[Array, Array]]:
         """−2 ln of the posterior of lags."""
 
         def at_lags(tried: Array) -> tuple[Array, Array]:
-            value = np.array([each.value for each in with_lags(phi, kind, tried)])
+            value = np.array([each.log_posterior for each in with_lags(phi, kind, tried)])
             return penalty(kind, tried) - 2.0 * value, tried
 
         return at_lags
@@ -106,25 +108,28 @@ def maximum_with_lags(problem: Problem, at: At, iterations: int) -> tuple[Maximu
         """The same at the φ of the maximum, with covariances and values (L, m, m + 1) of the parameters."""
 
         def at_lags(tried: Array) -> tuple[Array, Array]:
-            every = with_lags(fitted.best.phi, kind, tried)
-            found = [(each.covariance, fitted.point.values + each.step[1:]) for each in map(conditional, every)]
+            every = [conditional(each) for each in with_lags(fitted.phi, kind, tried)]
             value = np.array([each.value for each in every])
-            both = np.array([np.column_stack([C[1:, 1:], values]) for C, values in found])
+            values = fitted.point.values
+            both = np.array([np.column_stack([each.covariance[1:, 1:], values + each.step[1:]]) for each in every])
             return penalty(kind, tried) - 2.0 * value, both
 
         return at_lags
 
     def goodness(fit: Maximum) -> float:
         """ln of the posterior of φ and the lags."""
-        return float(fit.best.value) - 0.5 * sum(float(penalty(kind, fit.point.values[i])) for kind, i in lags.items())
+        return float(fit.solution.log_posterior) - 0.5 * sum(
+            float(penalty(kind, fit.point.values[i])) for kind, i in lags.items()
+        )
 
     free = problem
-    fitted = likeliest(*held(at.point.values, at), iterations)
-    free = replace(problem, bias_after=fitted.free.bias_after)
+    fitted = likeliest(held(start.point.values, start), iterations)
+    free = replace(problem, bias_after=fitted.problem.bias_after)
     tried = {tuple(fitted.point.values[list(lags.values())])}
+    centre = np.array([h.centre for h in fitted.hyperparameters])
     for _ in range(LAG_ROUNDS):
         candidates = []
-        for phi in (fitted.best.phi, fitted.entries.centre):  # the first may hide another maximum
+        for phi in (fitted.phi, centre):  # the first may hide another maximum
             values = fitted.point.values
             for kind in lags:
                 grid, weight, _ = resolved(likelihood(phi, kind), np.array(LAGS))
@@ -137,7 +142,7 @@ def maximum_with_lags(problem: Problem, at: At, iterations: int) -> tuple[Maximu
         if best is fitted:
             break
         fitted = best
-    means, prior_u = fitted.point.values.copy(), fitted.problem.measured[1][1:]
+    means, prior_u = fitted.point.values.copy(), fitted.problem.prior_u[1:]
     others = np.delete(np.arange(len(means)), list(lags.values()))
     for kind, i in lags.items():
         at_lags, own = solutions(kind), coefficients(fitted.problem, kind)

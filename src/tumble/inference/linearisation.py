@@ -1,15 +1,18 @@
-"""Residuals and Jacobians of the likelihood at a point (`tumble.inference.likelihood`): rows of rests and turns, of
-spare gyros, of attitudes known beforehand, and of the priors."""
+"""Rows of the likelihood, linearised at a point: rests and turns, spare gyros, attitudes known beforehand, priors.
+
+The residuals are those of `tumble.inference.problem`, docs/explanation/mathematics.md (4), (13) and (15), their
+Jacobians in closed form.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tumble.inference.elimination import fold
-from tumble.inference.likelihood import Linearised, Point, Problem, Rows, bases, noise_of
-from tumble.inference.noise_components import NO_COMPONENTS, Components
+from tumble.inference.noise import NO_COMPONENTS, NoiseModel, VarianceComponents
+from tumble.inference.problem import Point, Problem, bases, noise_model
 from tumble.inference.turns_about import TurnsAbout
 from tumble.inference.variables import GROWING
 from tumble.rotation import UP, rotation_matrix, rotation_vector, skew
@@ -19,44 +22,127 @@ from tumble.sensors.parameters import CONSTANT, FORCE, OWN_CUBE, OWN_SIZE, PAIRS
 from tumble.units import Array
 
 
-def linearise(problem: Problem, point: Point, about: TurnsAbout | None) -> Rows:
-    """Residuals and Jacobians at a point; `about` is None where there are no turns."""
-    problem = problem.warmed(point)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Linearisation:
+    """Residuals and Jacobians of a problem at a point, SI, not whitened.
+
+    Parameters
+    ----------
+    problem, point, about
+        The problem, the point, and the turns integrated about parameters near it, None where there are none.
+    rest : (N, r, 3 + p + q + 1)
+        Rows of the rests: coefficients of the three angles of the attitude, of p = 1 + m numbers, gravity and the
+        parameters, and of the q that each session has beside; then the residual, observed less predicted.
+    turn : (K, t, 6 + p + q + 1)
+        Rows of the turns: angles of the rest before and of the rest after, and as above.
+    bias : (K, t, n)
+        Coefficients of the turns for a bias of the accelerometers, then of the gyros, in the turn.
+    gained : (K, 3)
+        Velocity, m/s, that gravity gives the turns, in the body at their start.
+    prior : (p + 1, p + 1)
+        The prior of gravity and the parameters, whitened: a triangle, and the residual in the last column.
+    local_prior : (S, q)
+        Whitened residuals of the priors of what each session has beside.
+    noise
+        The noise of the rows, at components of variance.
+    """
+
+    problem: Problem
+    point: Point
+    about: TurnsAbout | None
+    rest: Array
+    turn: Array
+    bias: Array
+    gained: Array
+    prior: Array
+    local_prior: Array
+    noise: NoiseModel
+
+    @property
+    def components(self) -> VarianceComponents:
+        """The components of variance."""
+        return self.noise.components
+
+    @property
+    def residuals(self) -> tuple[Array, Array]:
+        """Observed less predicted, of the rests (N, r) and of the turns (K, t)."""
+        return self.rest[..., -1], self.turn[..., -1]
+
+    @property
+    def headings(self) -> Array:
+        """The coefficients (N, r) of the rests for their heading."""
+        return np.asarray(self.rest[..., 2])
+
+    @property
+    def rotations(self) -> Array:
+        """The rotations (K, 3, 3) of the turns, body at the end → body at the start, by the gyros of the point."""
+        about, changes = self.about, self.problem.changed_in_turns(self.point)
+        assert about is not None
+        return about.rotations(self.problem.instrument, self.point.values, 0.0 if changes is None else changes)
+
+    def with_components(self, components: VarianceComponents) -> Linearisation:
+        """The same with other components of variance."""
+        return replace(self, noise=self.noise.at(components))
+
+    def with_priors(self, problem: Problem) -> Linearisation:
+        """The same rows with the priors of a problem."""
+        return replace(
+            self,
+            problem=problem,
+            prior=prior_rows(problem, self.point, self.about),
+            local_prior=-self.point.local / problem.local_u[..., None, :],
+        )
+
+    def beside(self, rest: Array, turn: Array) -> Linearisation:
+        """The same with further common parameters after those of the instrument, of which nothing is known beforehand,
+        by their columns (N, r, c) and (K, t, c)."""
+        before, c = -1 - self.local_prior.shape[1], rest.shape[2]
+        wide_rest, wide_turn = (
+            np.concatenate([rows[..., :before], columns, rows[..., before:]], axis=2)
+            for rows, columns in ((self.rest, rest), (self.turn, turn))
+        )
+        p = len(self.prior) - 1
+        prior = np.zeros((p + c + 1, p + c + 1))
+        keep = np.append(np.arange(p), p + c)
+        prior[np.ix_(keep, keep)] = self.prior
+        return replace(self, rest=wide_rest, turn=wide_turn, prior=prior)
+
+
+def linearise(
+    problem: Problem, point: Point, about: TurnsAbout | None, components: VarianceComponents = NO_COMPONENTS
+) -> Linearisation:
+    """Residuals and Jacobians at a point, with their noise.
+
+    Parameters
+    ----------
+    problem, point
+        The problem, and where it is linearised.
+    about
+        The turns integrated about parameters near the point; None where there are none.
+    components
+        The components of variance.
+    """
+    warmed = problem.warmed(point)
     model = problem.instrument.linearised(point.values)
     turn = np.zeros((0, problem.rows_of_turn, 8 + problem.width))
     bias = np.zeros((0, problem.rows_of_turn, problem.sensors))
+    gained = np.zeros((0, 3))
     if about is not None:
-        turn, bias = _turn_rows(problem, point, about, model)
-    return Rows(
-        rest=_rest_rows(problem, point, model),
+        turn, bias = _turn_rows(warmed, point, about, model)
+    if (turns := problem.observations.turns) is not None:
+        gained = point.gravity * turns.duration[:, None] * (UP @ point.attitudes[turns.first])
+    return Linearisation(
+        problem=problem,
+        point=point,
+        about=about,
+        rest=_rest_rows(warmed, point, model),
         turn=turn,
-        prior=priors(problem, point, about),
         bias=bias,
-        gained=_gained(problem, point),
-        own=-point.own / problem.own_known[..., None, :],
+        gained=gained,
+        prior=prior_rows(problem, point, about),
+        local_prior=-point.local / problem.local_u[..., None, :],
+        noise=noise_model(problem, gained).at(components),
     )
-
-
-def linearised(
-    problem: Problem, point: Point, about: TurnsAbout | None, components: Components = NO_COMPONENTS
-) -> Linearised:
-    """The likelihood about a point, with these components of variance."""
-    rows = linearise(problem, point, about)
-    noise = noise_of(problem, rows)
-    return Linearised(problem=problem, point=point, about=about, rows=rows, noise=noise, components=components)
-
-
-def _gained(problem: Problem, point: Point) -> Array:
-    """The velocity (K, 3), m/s, that gravity gives the turns, in the body at their start."""
-    turns = problem.observations.turns
-    if turns is None:
-        return np.zeros((0, 3))
-    return np.asarray(point.gravity * turns.duration[:, None] * (UP @ point.attitudes[turns.first]))
-
-
-def with_priors(rows: Rows, problem: Problem, point: Point, about: TurnsAbout | None = None) -> Rows:
-    """The same rows with the priors of a problem."""
-    return replace(rows, prior=priors(problem, point, about), own=-point.own / problem.own_known[..., None, :])
 
 
 def _rest_rows(problem: Problem, point: Point, model: tuple[Array, Array]) -> Array:
@@ -113,12 +199,12 @@ def _add_changes(
     rows[:, :, -1] -= (by @ values)[:, :, 0]
 
 
-def at_reference(problem: Problem, point: Point, rows: Rows) -> Array:
+def at_reference(linearisation: Linearisation) -> Array:
     """Readings (N, n) of the accelerometers at rest as they would be at the reference temperature, in the middle of a
     session and without what differs from launch to launch."""
-    accel = problem.observations.rests.accel
-    by = rows.rest[:, : accel.shape[1], 4 + problem.changed[0]]
-    return np.asarray(accel - (by @ problem.changes_in(point, 0)[:, :, None])[:, :, 0])
+    problem, accel = linearisation.problem, linearisation.problem.observations.rests.accel
+    by = linearisation.rest[:, : accel.shape[1], 4 + problem.changed[0]]
+    return np.asarray(accel - (by @ problem.changes_in(linearisation.point, 0)[:, :, None])[:, :, 0])
 
 
 def _turn_rows(problem: Problem, point: Point, about: TurnsAbout, model: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -213,10 +299,10 @@ def _attitude_rows(problem: Problem, point: Point) -> Array:
     return rows
 
 
-def priors(problem: Problem, point: Point, about: TurnsAbout | None = None) -> Array:
+def prior_rows(problem: Problem, point: Point, about: TurnsAbout | None) -> Array:
     """Measured gravity and the prior of the parameters, whitened: a triangle, of a diagonal and a right-hand side; with
     what arrays say of themselves in motion."""
-    expected, u = problem.measured
+    expected, u = problem.prior_mean, problem.prior_u
     rows = np.swapaxes(np.zeros((*u.shape[:-1], u.shape[-1] + 1, u.shape[-1] + 1)), -1, -2)
     if problem.prior.covariance is None:
         i = np.arange(u.shape[-1])
@@ -225,9 +311,9 @@ def priors(problem: Problem, point: Point, about: TurnsAbout | None = None) -> A
         rows[..., :-1, :-1] = root_of_inverse(problem.prior.covariance)
     rows[..., :-1, -1] = rows[..., :-1, :-1] @ (expected - np.append(point.gravity, point.values))
     for array in () if about is None else about.arrays:
-        own = np.insert(array.rows(problem.instrument, point.values), 0, 0.0, axis=1)
+        in_motion = np.insert(array.rows(problem.instrument, point.values), 0, 0.0, axis=1)
         for at in np.ndindex(u.shape[:-1]):
-            fold(own.copy(), rows[at])
+            fold(in_motion.copy(), rows[at])
     return rows
 
 

@@ -24,8 +24,8 @@ from dataclasses import replace
 import numpy as np
 
 from tumble.inference.lag import maximum_with_lags
-from tumble.inference.likelihood import NO_PRIOR, Problem, instruments_of
 from tumble.inference.maximum import MAX_ITERATIONS, without_outliers
+from tumble.inference.problem import NO_PRIOR, Problem, instruments_of
 from tumble.inference.start import start_of
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.blemishes import BadSamples, bad_sample_notes
@@ -93,9 +93,9 @@ def _impossible(samples: TurnSamples, suspects: BadSamples) -> BoolArray:
 def _closing_best(as_recorded: Observations, suspects: BadSamples, runs: IntArray, impossible: BoolArray) -> BoolArray:
     """Which runs (r,) of suspects are replaced, those that are `impossible` (m,) being replaced in any case."""
     linear = replace(as_recorded, usual={})
-    instrument, own = instruments_of(linear)
-    problem = Problem.of(linear, NO_PRIOR, instrument=instrument, own=own, usual={})
-    fitted, _ = maximum_with_lags(problem, start_of(problem)[0], MAX_ITERATIONS)
+    instrument, local = instruments_of(linear)
+    problem = Problem.of(linear, NO_PRIOR, instrument=instrument, local=local, usual={})
+    fitted, _ = maximum_with_lags(start_of(problem)[0], MAX_ITERATIONS)
     if fitted.converged:
         fitted = without_outliers(fitted)
     turns, samples, gyro = linear.turns, linear.turn_samples, linear.gyro_block

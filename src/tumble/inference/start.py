@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from tumble.earth import EARTH_RATE
-from tumble.inference.likelihood import Point, Problem
-from tumble.inference.maximum import At
+from tumble.inference.linearisation import Linearisation, linearise
+from tumble.inference.problem import Point, Problem
 from tumble.inference.turns_about import TurnsAbout
 from tumble.rotation import UP, rotation_matrix, skew, tangent_basis, unit_vector
 from tumble.units import Array
@@ -21,19 +21,19 @@ ROUGH_EFFECT = 1e-3  # rad: second-order effect that the start puts up with
 VERTICAL = 1e-2  # a north with so little across the vertical is none, and any is taken
 
 
-def start_of(problem: Problem) -> tuple[At, tuple[Array, ...]]:
-    """A point near the solution, in closed form, and the step there from zero."""
+def start_of(problem: Problem) -> tuple[Linearisation, tuple[Array, ...]]:
+    """The rows at a point near the solution, found in closed form, and the step there from zero."""
     observations, instrument = problem.observations, problem.instrument
-    values = problem.measured[0][1:].copy()
+    values = problem.prior_mean[1:].copy()
     force = problem.accel_model(values).apply(observations.rests.accel)
     vertical = unit_vector(force)
     about = None
     if instrument.gyro is not None:
         about, values[instrument.own(instrument.gyro)] = _started_gyros(problem, values, vertical)
     attitudes = headings(problem, vertical, values, about)
-    own = np.zeros((len(problem.parts), len(problem.own_known)))
-    point = Point(values=values, gravity=observations.site.gravity, attitudes=attitudes, own=own)
-    return At.of(problem, point, about), (values,)
+    local = np.zeros((len(problem.parts), len(problem.local_u)))
+    point = Point(values=values, gravity=observations.site.gravity, attitudes=attitudes, local=local)
+    return linearise(problem, point, about), (values,)
 
 
 def _started_gyros(problem: Problem, values: Array, vertical: Array) -> tuple[TurnsAbout | None, Array]:

@@ -19,47 +19,49 @@ weight below 1 counts as one of so much more noise, from every source alike.
 Z needs no large matrix. The unknowns of the rests are a chain, δ_i = A_i δ_{i+1} + B_i x + a_i + R_i⁻¹ e_i, with x what
 the session has of its own, gravity and the common parameters, and so δ_i = M_i x + …, M_i = A_i M_{i+1} + B_i.
 y = Y x + Σ_i c_i R_i⁻¹ e_i, where the mean of the biases over a session is followed along the chain from its first rest
-(`tumble.inference.step.mean_along`); then
+(`tumble.inference.normal_equations.session_mean_bias`); then
 
     Z_x = Cov(x) Yᵀ,   Z_i = M_i Z_x + N_i,   N_i = A_i N_{i+1} + R_i⁻¹ (c_i R_i⁻¹)ᵀ                               (39)
 
-Integrated over the hyperparameters, C is the mean of (38) over the points, and what
-the estimate moves by from point to point is the source that the hyperparameters are.
+Integrated over the hyperparameters, the covariance C is another one. The sources S at the maximum, which sum up to
+C_max, are then T S Tᵀ, with the symmetric T for which T C_max Tᵀ is C less what the estimate moves by from point to
+point (`scaled_to`); that is the source that the hyperparameters are.
 
 Source: JCGM 100:2008 (GUM), 5.1; EA-4/02 M:2022, section 4.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from tumble.inference.elimination import along_chains
-from tumble.inference.likelihood import Problem, unseen_rate
-from tumble.inference.linearisation import root_of_inverse
-from tumble.inference.maximum import At, Evaluated
-from tumble.inference.noise_components import SCATTER
-from tumble.inference.step import by_others, times
+from tumble.inference.linearisation import Linearisation, root_of_inverse
+from tumble.inference.noise import SCATTER
+from tumble.inference.normal_equations import Solution, session_mean_bias, times
+from tumble.inference.problem import unseen_rate
 from tumble.rotation import skew
 from tumble.units import Array, IntArray
 
-Roots = tuple[dict[str, slice], Array]
-"""Names of sources, and where each stands among the roots F (N, r, Q) of their covariances of rows, S = F Fᵀ over the
-columns of a name."""
+Roots = dict[str, Array]
+"""By source roots F (N, r, k) of its covariances of rows, S = F Fᵀ."""
 
 
-def noise_roots(problem: Problem, at: At) -> tuple[Roots, Roots]:
+def noise_roots(linearisation: Linearisation) -> tuple[Roots, Roots]:
     """The sources of the noise of the rows of rests and of turns; where the Earth's rate is not known, it turns what
-    the velocities go with, too. Of scatter the directions, which σ is yet to multiply."""
-    turns, noise, instrument = problem.observations.turns, at.noise, problem.instrument
+    the velocities go with, too."""
+    problem, noise = linearisation.problem, linearisation.noise
+    turns, instrument = problem.observations.turns, problem.instrument
     n, sensors, earth = instrument.accel.size, problem.sensors, unseen_rate(problem)
     kinds = {"accel.noise": slice(n), "gyro.noise": slice(n, sensors), "attitude": slice(sensors, noise.rest.shape[1])}
     rests = {name: np.zeros_like(noise.rest) for name in kinds}
-    for name, own in kinds.items():
-        rests[name][:, own, own] = noise.rest[:, own, own]
+    for name, rows in kinds.items():
+        rests[name][:, rows, rows] = noise.rest[:, rows, rows]
     if earth > 0.0 and sensors > n:
-        axes, own = instrument.blocks[1].axes, kinds["gyro.noise"]
+        axes, rows = instrument.blocks[1].axes, kinds["gyro.noise"]
         rests["earth"] = np.zeros_like(noise.rest)
-        rests["earth"][:, own, own] = earth * axes @ axes.T
+        rests["earth"][:, rows, rows] = earth * axes @ axes.T
         rests["gyro.noise"] = rests["gyro.noise"] - rests["earth"]
     in_turns = dict[str, Array]()
     if turns is not None and instrument.in_velocities:
@@ -69,114 +71,102 @@ def noise_roots(problem: Problem, at: At) -> tuple[Roots, Roots]:
         along = np.zeros((*noise.turn.shape[:2], 3))
         along[:, :3] = turns.duration[:, None, None] * np.eye(3)
         if instrument.in_velocities:
-            along[:, 3:6] = skew(-0.5 * at.rows.gained) @ along[:, :3]
+            along[:, 3:6] = skew(-0.5 * linearisation.gained) @ along[:, :3]
         in_turns["earth"] = earth * along @ np.swapaxes(along, 1, 2)
     in_turns["turn.gyro.noise"] = noise.turn - sum(in_turns.values())
 
     def roots(sources: dict[str, Array], directions: tuple[Array, IntArray]) -> Roots:
-        columns = dict[str, Array]()
+        out, (Z, place) = dict[str, Array](), directions
         for name, S in sources.items():
             size = np.sqrt(np.maximum(np.diagonal(S, axis1=1, axis2=2), 0.0))
             unit = np.where(size > 0.0, size, 1.0)
             value, vectors = np.linalg.eigh(S / unit[:, :, None] / unit[:, None, :])
             F = size[:, :, None] * vectors * np.sqrt(np.maximum(value, 0.0))[:, None]
-            columns[name] = F[:, :, F.any(axis=(0, 1))]
-        Z, of = directions
-        columns |= {f"{SCATTER[place]}.scatter": Z[:, :, of == place] for place in np.unique(of).tolist()}
-        last = np.cumsum([each.shape[2] for each in columns.values()]).tolist()
-        where = {name: slice(end - F.shape[2], end) for (name, F), end in zip(columns.items(), last, strict=True)}
-        return where, np.concatenate(list(columns.values()), axis=2)
+            out[name] = F[:, :, F.any(axis=(0, 1))]
+        for number in np.unique(place).tolist():
+            sigma = float(getattr(noise.components, SCATTER[number]))
+            if sigma > 0.0:
+                out[f"{SCATTER[number]}.scatter"] = sigma * Z[:, :, place == number]
+        return out
 
-    return roots(rests, noise.rest_directions), roots(in_turns, noise.turn_directions)
+    return roots(rests, noise.scaled_rest_directions), roots(in_turns, noise.turn_directions)
 
 
-def contributions(
-    here: Evaluated, mean: tuple[Array, Array] | None, roots: tuple[Roots, Roots]
-) -> tuple[dict[str, Array], dict[str, Array]]:
-    """By source the covariance (1 + m, 1 + m) of gravity and the parameters, at hyperparameters or at a stack of them,
-    and of what is known beforehand the rows K (k, 1 + m) of which Kᵀ K is one; the biases are those of the session
-    where their `mean` is given (`mean_along`)."""
-    at, out, beforehand = here.at, dict[str, Array](), dict[str, Array]()
+def contributions(solution: Solution) -> dict[str, Array]:
+    """By source the covariance (1 + m, 1 + m) of gravity and the parameters, biases being those of the session where
+    there is one and they wander."""
+    problem, equations, linearisation = solution.problem, solution.equations, solution.linearisation
+    noise, (inverse, by_next, follow) = equations.noise, equations.back_substitution
+    d, q, size, biases = equations.unknowns, solution.local.shape[-1], len(solution.parameters), 1 + problem.biases
+    accelerometers, rest_weights, turn_weights = problem.instrument.accel.size, noise.rest_weights, noise.turn_weights
+    whitening = equations.rest_whitening / rest_weights[:, None], equations.turn_whitening / turn_weights[:, None]
+    roots, reduced = noise_roots(linearisation.with_components(noise.components)), equations.reduced_rows(problem)
+    both = equations.rest_rows, equations.turn_rows
+    mean = session_mean_bias(equations) if equations.wanders and len(problem.parts) == 1 else None
+    out = dict[str, Array]()
 
     def add(name: str, K: Array) -> None:
-        """Kᵀ K of rows (…, k, y)."""
-        square = np.swapaxes(K, -1, -2) @ K
-        out[name] = out[name] + square if name in out else square
-
-    problem, told, known = here.problem, here.told, here.known
-    d, q, size, biases = told.factor.shape[-2], len(problem.own_usual), known.parameters.shape[-1], 1 + problem.biases
-    components, process, (inverse, by_next, by) = told.weights.components, told.process, told.solved
-    stack, reduced, own_known = known.parameters.shape[:-1], by_others(problem, told), problem.own_known[..., None]
-    sigma = {f"{name}.scatter": np.asarray(getattr(components, name)) for name in SCATTER}
-    rooted = list[Array]()
-    for (where, F), W, weights in zip(roots, (told.weights.rest, told.weights.turn), at.noise.kept, strict=True):
-        longer = np.ones((*stack, F.shape[2]))
-        for name in where.keys() & sigma.keys():
-            longer[..., where[name]] = sigma[name][..., None]
-        if F is roots[0][1] and components.unlike.size:
-            longer[..., -problem.sensors :] *= components.unlike
-        rooted.append((W / weights[:, None]) @ (F * longer[..., None, None, :]))
+        """Kᵀ K of rows (…, y)."""
+        K = K.reshape(-1, K.shape[-1])
+        out[name] = out.get(name, 0.0) + K.T @ K
 
     for s, part in enumerate(problem.parts):
         # Z (39): of the unknowns of the rests what is beside that by the others, N, concerns the biases alone
-        Y, own = np.tile(np.eye(q + size)[q:], (*stack, 1, 1)), part.rests
-        first, accelerometers = own.start + part.first, problem.instrument.accel.size
-        places = ((own, (own,)), (part.turns, (first, first + 1)))
+        Y, rests, first = np.eye(q + size)[q:], part.rests, part.rests.start + part.first
+        N = None
         if mean is not None:
-            Y[..., biases, :] += mean[0][..., :-1]
+            Y[biases] += mean[0][:, :-1]
             N = inverse @ np.swapaxes(mean[1], -1, -2)
             along_chains(by_next, N)
-        Z_x = known.roots[..., s, :, :] @ (np.swapaxes(known.roots[..., s, :, :], -1, -2) @ np.swapaxes(Y, -1, -2))
+        Z_x = solution.roots[s] @ (solution.roots[s].T @ Y.T)
 
         # covariances by source (38)
-        kinds = zip(roots, rooted, reduced, told.whitened, places, strict=True)
-        for (where, _), F, E, rows, (some, ends) in kinds:
-            K = times(E[..., some, :, :-1], Z_x)
-            if mean is not None:
+        places = (rests, (rests,)), (part.turns, (first, first + 1))
+        for F_by_source, W, E, rows, (some, ends) in zip(roots, whitening, reduced, both, places, strict=True):
+            K = times(E[some, :, :-1], Z_x)
+            if N is not None:
                 for e, after in enumerate(ends):
-                    K[..., biases] += rows[..., some, :, e * d : (e + 1) * d] @ N[..., after, :, :]
-            F = F[..., some, :, :]
-            H = np.empty((*stack, F.shape[-1], K.shape[-3], size))
-            np.matmul(np.swapaxes(F, -1, -2), K, out=np.swapaxes(H, -3, -2))
-            for name, columns in where.items():
-                if np.any(sigma.get(name, 1.0)):
-                    add(name, H[..., columns, :, :].reshape(*stack, -1, size))
-        if process is not None:
-            states = times(by[..., own, 3:, :-1], Z_x)
-            if mean is not None:
-                states[..., biases] += N[..., own, 3:, :]
-            rho, deviation = (each[..., own, :][..., :-1, :, None] for each in (process.rho, process.deviation))
-            steps = states[..., 1:, :, :] * (1.0 / deviation)
-            steps -= states[..., :-1, :, :] * (rho / deviation)
-            for K in (states[..., :1, :, :], steps):
-                add("accel.in_run", K[..., :accelerometers, :].reshape(*stack, -1, size))
-                add("gyro.in_run", K[..., accelerometers:, :].reshape(*stack, -1, size))
-        for name, members in problem.own_members.items():
-            K, before = Z_x[..., members, :] / own_known[..., members, :], beforehand.get(f"prior.{name}")
-            beforehand[f"prior.{name}"] = K if before is None else np.concatenate([before, K], axis=-2)
+                    K[..., biases] += rows[some, :, e * d : (e + 1) * d] @ N[after]
+            for name, F in F_by_source.items():
+                add(name, np.swapaxes(W[some] @ F[some], -1, -2) @ K)
+        if equations.wanders:
+            states = times(follow[rests, 3:, :-1], Z_x)
+            if N is not None:
+                states[..., biases] += N[rests, 3:]
+            rho, step = noise.bias_rho[rests][:-1, :, None], noise.bias_step[rests][:-1, :, None]
+            for K in (states[:1], (states[1:] - rho * states[:-1]) / step):
+                add("accel.in_run", K[:, :accelerometers])
+                add("gyro.in_run", K[:, accelerometers:])
+        for name, members in problem.local_members.items():
+            add(f"prior.{name}", Z_x[members] / problem.local_u[members, None])
 
-    common, u, instrument = Z_x[..., q:, :], problem.measured[1], problem.instrument
+    common, u, instrument = Z_x[q:], problem.prior_u, problem.instrument
     if problem.prior.covariance is not None:
-        beforehand["prior"] = root_of_inverse(problem.prior.covariance) @ common
+        add("prior", root_of_inverse(problem.prior.covariance) @ common)
     else:
-        K = common / np.where(u > 0.0, u, np.inf)[..., None]
-        beforehand |= {"gravity": K[..., :1, :], "prior.linear": K[..., 1 : 1 + instrument.linear_count, :]}
+        K = common / np.where(u > 0.0, u, np.inf)[:, None]
+        add("gravity", K[:1])
+        add("prior.linear", K[1 : 1 + instrument.linear_count])
         for name, members in instrument.members.items():
-            beforehand[f"prior.{name}"] = K[..., 1:, :][..., members, :]
-    arrays = () if at.about is None else at.about.arrays
-    if arrays:
-        rows = np.concatenate([array.rows(instrument, at.point.values)[:, :-1] for array in arrays])
-        beforehand["arrays"] = rows @ common[..., 1:, :]
-    return out, beforehand
-
-
-def averaged(weight: Array, points: list[tuple[dict[str, Array], dict[str, Array]]]) -> dict[str, Array]:
-    """The means by source of the contributions of stacks of points with weights (P,), where there are any."""
-    out = dict[str, Array]()
-    for name in points[0][0]:
-        out[name] = np.tensordot(weight, np.concatenate([covariances[name] for covariances, _ in points]), axes=1)
-    for name in points[0][1]:
-        K = np.concatenate([beforehand[name] for _, beforehand in points]) * np.sqrt(weight)[:, None, None]
-        K = K.reshape(-1, K.shape[-1])
-        out[name] = K.T @ K
+            add(f"prior.{name}", K[1:][members])
+    for array in () if linearisation.about is None else linearisation.about.arrays:
+        add("arrays", array.rows(instrument, linearisation.point.values)[:, :-1] @ common[1:])
     return {name: covariance for name, covariance in out.items() if covariance.any()}
+
+
+def scaled_to(sources: Mapping[str, Array], covariance: Array) -> dict[str, Array]:
+    """Sources (1 + m, 1 + m) each as T S Tᵀ, so that they sum up to a covariance, T being symmetric in units of u and
+    the nearest to 1 (the optimal transport from one normal distribution to the other)."""
+    before = np.sum(list(sources.values()), axis=0)
+    seen = np.flatnonzero((np.diag(before) > 0.0) & (np.diag(covariance) > 0.0))
+    index, u = np.ix_(seen, seen), np.sqrt(np.diag(before)[seen])
+    value, vectors = np.linalg.eigh(before[index] / np.outer(u, u))
+    root = np.sqrt(np.maximum(value, value[-1] * 1e-12))
+    half, inverse = (vectors * root) @ vectors.T, (vectors / root) @ vectors.T
+    value, vectors = np.linalg.eigh(half @ (covariance[index] / np.outer(u, u)) @ half)
+    T = inverse @ ((vectors * np.sqrt(np.maximum(value, 0.0))) @ vectors.T) @ inverse * u[:, None] / u
+    out = dict[str, Array]()
+    for name, source in sources.items():
+        out[name] = np.zeros_like(covariance)
+        out[name][index] = T @ source[index] @ T.T
+    return out

@@ -35,12 +35,12 @@ import numpy as np
 import scipy
 
 from tumble.inference.estimate import DETERMINED, Fit
-from tumble.inference.likelihood import Point, Prior, Problem, weights
 from tumble.inference.linearisation import linearise
 from tumble.inference.maximum import integrated, moved
-from tumble.inference.noise_components import Components
+from tumble.inference.noise import VarianceComponents
+from tumble.inference.normal_equations import eliminate_rests, solve
+from tumble.inference.problem import Point, Prior, Problem
 from tumble.inference.start import headings
-from tumble.inference.step import solve, tell
 from tumble.inference.turns_about import TurnsAbout
 from tumble.reduction.observations import Observations
 from tumble.rotation import unit_vector
@@ -80,7 +80,7 @@ class CheckPrior:
     inverse_degrees: Array
     turned_on_inverse_degrees: Array
     to_temperature: Array
-    components: Components
+    components: VarianceComponents
 
     @property
     def covariance(self) -> Array:
@@ -346,20 +346,21 @@ class SessionRows:
         """
         self._problem = problem = replace(self._problem, prior=Prior(covariance=covariance))
         for _ in range(MAX_ITERATIONS):
-            rows = linearise(problem, self._point, self._about)
-            step = solve(problem, rows, weights(problem, rows, self._components))
-            point, change = moved(problem, self._point, step)
+            step = solve(linearise(problem, self._point, self._about, self._components))
+            point, change = moved(step)
             about = integrated(problem, point, self._about)
             u = np.sqrt(np.diag(step.covariance)[1:])
             if about is self._about and np.all(np.abs(change) <= CONVERGED * u):
                 break
             self._point, self._about = point, about
-        rows = linearise(problem, self._point, self._about)
-        eliminated = tell(problem, rows, weights(problem, rows, self._components))
-        session, off = eliminated.sessions[0], np.append(self._point.gravity, self._point.values) - problem.measured[0]
-        angles = int(np.count_nonzero(np.diagonal(eliminated.factor, axis1=1, axis2=2)[:, :3]))
+        equations = eliminate_rests(linearise(problem, self._point, self._about, self._components))
+        session, off = (
+            equations.session_factors[0],
+            np.append(self._point.gravity, self._point.values) - problem.prior_mean,
+        )
+        angles = int(np.count_nonzero(np.diagonal(equations.rest_factors, axis1=1, axis2=2)[:, :3]))
         R = session[:-1, :-1]
-        degrees = sum(each.shape[0] * each.shape[1] for each in eliminated.whitened) - angles
+        degrees = sum(each.shape[0] * each.shape[1] for each in (equations.rest_rows, equations.turn_rows)) - angles
         return R, session[:-1, -1] + R @ off, session[-1, -1] ** 2, degrees
 
 

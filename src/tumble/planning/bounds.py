@@ -1,8 +1,8 @@
 """What `calibrate` will state of a recording that has not been made: the one answer for every question of planning.
 
-The rows are those of `tumble.inference.likelihood`, linearised at perfect sensors and at the attitudes of the
+The rows are those of `tumble.inference.problem`, linearised at perfect sensors and at the attitudes of the
 programme, which are unknowns and are eliminated. With the white noise of the instrument, with its in-run biases as
-Gauss–Markov processes (`tumble.inference.in_run`), of which a bias is the mean over the session, and with the usual
+Gauss–Markov processes (`tumble.inference.noise`), of which a bias is the mean over the session, and with the usual
 sizes of the groups beyond the linear model as priors, the covariance is the Cramér–Rao bound of the joint likelihood.
 `stated` adds what `calibrate` does not know of a recording:
 
@@ -33,13 +33,12 @@ from tumble.earth import earth_rate
 from tumble.errors import InputError
 from tumble.inference.elimination import fold
 from tumble.inference.hyperparameters import size_factors
-from tumble.inference.in_run import InRun
-from tumble.inference.likelihood import Linearised, Point, Problem
-from tumble.inference.linearisation import linearised
-from tumble.inference.noise_components import Components
+from tumble.inference.linearisation import Linearisation, linearise
+from tumble.inference.noise import VarianceComponents
+from tumble.inference.normal_equations import eliminate_rests, joint_rows, session_mean_bias, whiten
 from tumble.inference.prior import Prior
+from tumble.inference.problem import Point, Problem
 from tumble.inference.sources import by_time_base, clocked
-from tumble.inference.step import joining, mean_along, tell, whitened_rows
 from tumble.inference.turns_about import TurnsAbout
 from tumble.methods.least_squares import least_squares
 from tumble.planning.expected_sizes import expected
@@ -117,7 +116,7 @@ def stated(setup: Setup, *, gyros: bool = True, prior: Prior | None = None) -> B
         return _mean([stated(each, gyros=gyros, prior=prior) for each in _in_some_orders(setup)])
     course = itinerary_of(setup).as_logged(setup.ramp, USUAL.margin_of(setup.rest))
     seen, by_type = view(course, setup, gyros=gyros), None
-    seen = expected(replace(seen, components=_with_drifts(seen, setup.further)))
+    seen = expected(seen.with_components(_with_drifts(seen, setup.further)))
     if prior is not None:
         problem = seen.problem
         known = prior.places(problem.instrument.names)
@@ -158,7 +157,7 @@ def instrument_of(setup: Setup, gyros: bool) -> Instrument:
     return Instrument.of(ACCEL, GYRO if gyros else None, tuple(prior_sizes(setup.instrument, usual=setup.further)))
 
 
-def bound_by(seen: Linearised, rate: float, clock_u: float = 0.0, by_type: Array | None = None) -> Bound:
+def bound_by(seen: Linearisation, rate: float, clock_u: float = 0.0, by_type: Array | None = None) -> Bound:
     """The covariance of the parameters that a linearised likelihood of one session gives.
 
     Parameters
@@ -180,15 +179,15 @@ def bound_by(seen: Linearised, rate: float, clock_u: float = 0.0, by_type: Array
     problem, instrument = seen.problem, seen.problem.instrument
     linear, m = instrument.linear_count, len(instrument.names)
     spread, own = problem.spread[:linear], slice(1, 1 + linear)
-    told = tell(problem, seen.rows, seen.noise.weights(seen.components))
-    size = problem.measured[1].copy()
+    equations = eliminate_rests(seen)
+    size = problem.prior_u.copy()
     size[own] = 0.0
     if by_type is not None:
         size[1:][by_type.any(axis=0)] = 0.0
     prior = np.diag(np.divide(1.0, size, out=np.zeros(1 + m), where=size > 0.0))
     rows = np.zeros((0, 1 + m)) if by_type is None else np.pad(by_type, ((0, 0), (1, 0)))
     triangle = np.diag(np.append(np.diag(prior), 0.0))
-    fold(told.sessions[0], triangle, triangular=True)
+    fold(equations.session_factors[0], triangle, triangular=True)
     if len(rows):
         fold(np.pad(rows, ((0, 0), (0, 1))), triangle)
     triangle = triangle[:-1, :-1]
@@ -209,8 +208,8 @@ def bound_by(seen: Linearised, rate: float, clock_u: float = 0.0, by_type: Array
 
     # biases are means over the session of their processes
     mean, wander = np.eye(1 + m), np.zeros((1 + m, 1 + m))
-    if told.process is not None:
-        by, noise = mean_along(told)
+    if equations.wanders:
+        by, noise = session_mean_bias(equations)
         mean[1 + problem.biases] += by[:, :-1]
         wander[np.ix_(1 + problem.biases, 1 + problem.biases)] = np.einsum("ibd,icd->bc", noise, noise)
     # sensors that read rates and forces have the time base in their scale factors; increments would not
@@ -231,32 +230,31 @@ def bound_by(seen: Linearised, rate: float, clock_u: float = 0.0, by_type: Array
     )
 
 
-def whitened(seen: Linearised) -> tuple[Array, Array]:
+def whitened(seen: Linearisation) -> tuple[Array, Array]:
     """Whitened rows as `tumble.inference.elimination` takes them: those of the rests (N, r + n, d + p + 1), with
     d = 3 + n unknowns each, and those that join each rest to the next (N − 1, t + n, 2d + p + 1). The last n rows of
     the first rest say that a chain begins with its n in-run biases as a stationary process has them; of others they
     are zero."""
-    process = InRun.of(seen.problem, seen.components) if seen.components.wanders else None
-    rest, turn = whitened_rows(seen.problem, seen.rows, seen.noise.weights(seen.components), process)
-    n = 0 if process is None else seen.problem.sensors
+    rest, turn = whiten(seen, *seen.noise.whitening())
+    n = seen.problem.sensors if seen.components.wanders else 0
     rest = np.pad(rest, ((0, 0), (0, n), (0, 0)))
     rest[0, rest.shape[1] - n :, 3 : 3 + n] = np.eye(n)
-    return rest, joining(seen.problem, turn, process)[:-1]
+    return rest, joint_rows(seen, turn)[:-1]
 
 
 SHORTEST_TIME = 1e-3
 """s: of the correlation of biases that are drawn anew at every rest."""
 
 
-def components_of(noise: NoiseModel) -> Components:
+def components_of(noise: NoiseModel) -> VarianceComponents:
     """The in-run instability of an instrument."""
     time = max(noise.instability_time, SHORTEST_TIME)
-    return Components(
+    return VarianceComponents(
         accel_in_run=noise.accel_instability, gyro_in_run=noise.gyro_instability, accel_time=time, gyro_time=time
     )
 
 
-def _with_drifts(seen: Linearised, further: Mapping[str, float]) -> Components:
+def _with_drifts(seen: Linearisation, further: Mapping[str, float]) -> VarianceComponents:
     """The in-run biases of sensors that drift too, for which the estimate has no group: its process takes it.
 
     A line d t over a session of length T has the variance σ₁² = (d T)²/12, and from rest to rest changes by d Δt, as a
@@ -275,7 +273,7 @@ def _with_drifts(seen: Linearised, further: Mapping[str, float]) -> Components:
     return components
 
 
-def view(course: Itinerary, setup: Setup, *, gyros: bool) -> Linearised:
+def view(course: Itinerary, setup: Setup, *, gyros: bool) -> Linearisation:
     """The likelihood of a course, linearised at perfect sensors and its attitudes, with white noise and in-run biases.
     Raises InputError for values that make no sense, and where there is no noise."""
     check_setup(setup)
@@ -315,4 +313,4 @@ def view(course: Itinerary, setup: Setup, *, gyros: bool) -> Linearised:
     if turns is not None:
         about = TurnsAbout.of(observations, instrument, point.values)
     problem = Problem.of(observations, instrument=instrument, usual=observations.usual)
-    return linearised(problem, point, about, components_of(noise))
+    return linearise(problem, point, about, components_of(noise))

@@ -22,13 +22,11 @@ from typing import Any
 import numpy as np
 import scipy
 
-from tumble.inference.hyperparameters import table
+from tumble.inference.hyperparameters import LEAST_DEGREES, GroupSize, InRunSize, Scatter, Score, hyperparameters_of
 from tumble.inference.integral import SHOWN
-from tumble.inference.likelihood import Linearised
-from tumble.inference.linearisation import with_priors
-from tumble.inference.maximum import LEAST_DEGREES
-from tumble.inference.noise_components import OF_TURNS, SCATTER
-from tumble.inference.step import in_run_scores, left, scatter_score, solve
+from tumble.inference.linearisation import Linearisation
+from tumble.inference.noise import SCATTER, TURN_SCATTER
+from tumble.inference.normal_equations import solve
 from tumble.units import Array
 
 FINE = 400
@@ -40,33 +38,29 @@ CHANCES = (np.arange(64) + 0.5) / 64
 """Of what sessions show, over which is averaged."""
 
 
-def expected(seen: Linearised) -> Linearised:
+def expected(seen: Linearisation) -> Linearisation:
     """A linearised likelihood with the scatter and the sizes of groups that `joint` will find on the average, from one
     at perfect sensors with the noise of the set-up."""
-    problem, noise, components = seen.problem, seen.noise, seen.components
-    step = solve(problem, seen.rows, noise.weights(components))
-    information = scatter_score(noise, step, left(problem, step))[1].diagonal()
-    entries, usual, found = table(problem, noise, information > 0.0), problem.measured[1][1:], dict[str, Any]()
-    for h in entries:
-        if h.place == "scatter":
-            degrees = 2.0 * float(information[SCATTER.index(h.name)]) * h.usual**4
+    problem, components, solution = seen.problem, seen.components, solve(seen)
+    score, usual, found = Score(solution), problem.prior_u[1:], dict[str, Any]()
+    products = score.scatter_products.diagonal()
+    hyperparameters = hyperparameters_of(problem, seen.noise, products > 0.0)
+    for h in hyperparameters:
+        if isinstance(h, Scatter):
+            degrees = float(products[SCATTER.index(h.name)]) * h.usual**4
             if degrees > LEAST_DEGREES:
-                found[h.name] = h.usual * _expected_scatter(degrees, of_turns=h.name in OF_TURNS)
-        elif h.place == "in-run" and step.told.process is not None:
-            states = in_run_scores(step.told.process, step)[2][h.members]
+                found[h.name] = h.usual * _expected_scatter(degrees, of_turns=h.name in TURN_SCATTER)
+        elif isinstance(h, InRunSize) and solution.equations.wanders:
+            states = score.biases.double[h.members]
             share = float(np.clip(states.mean() / len(problem.link), 1e-6, 1.0 - 1e-6))
             every = np.ones(len(states) * len(problem.link))
             factor = _expected_size(every, (1.0 - share) * every, h.within, two_sided=True)[0]
             found[h.name] = getattr(components, h.name) * float(factor)
     components = replace(components, **found)
     for _ in range(ROUNDS):  # each group is beside what is expected of all others
-        rows = with_priors(seen.rows, problem, seen.point, seen.about)
-        sizes, variances = (
-            problem.measured[1].copy(),
-            np.diag(solve(problem, rows, noise.weights(components)).covariance),
-        )
-        for h in entries:
-            if h.place != "group":
+        sizes, variances = problem.prior_u.copy(), np.diag(solve(seen.with_priors(problem), components).covariance)
+        for h in hyperparameters:
+            if not isinstance(h, GroupSize):
                 continue
             s, size, v = usual[h.members], sizes[1:][h.members], variances[1:][h.members]
             v = 1.0 / (1.0 / v - 1.0 / size**2 + 1.0 / s**2)  # beside a prior of the usual size
@@ -74,8 +68,8 @@ def expected(seen: Linearised) -> Linearised:
             larger = np.exp(2.0 * (2.0 * learned.sum() + h.within**-2) ** -0.5)
             shown = 2.0 * (larger * learned / (larger * learned + 1.0 - learned)).sum() > SHOWN
             sizes[1:][h.members] = s * _expected_size(s, v, h.within) if shown else s
-        problem = replace(problem, measured=(problem.measured[0], sizes))
-    return replace(seen, problem=problem, components=components)
+        problem = replace(problem, prior_u=sizes)
+    return replace(seen, problem=problem).with_components(components)
 
 
 def _expected_scatter(degrees: float, *, of_turns: bool = False) -> float:

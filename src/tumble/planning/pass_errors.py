@@ -28,7 +28,7 @@ import numpy as np
 
 from tumble.earth import EARTH_RATE, earth_rate
 from tumble.errors import InputError
-from tumble.inference.noise_components import CORRELATION_TIME
+from tumble.inference.noise import CORRELATION_TIME
 from tumble.planning.error_propagation import (
     STEP,
     MethodOfPaper,

@@ -27,10 +27,9 @@ Attitudes change in the body, L → L exp([δ×]), with δ in the basis t₁, t�
 J_l(r) is the left Jacobian of the rotation group, J_r(r) = J_l(r)ᵀ. In this basis the coefficients of a heading that
 the gyros do not see vanish exactly: it stays free and takes no information from the others.
 
-Noise (16), (17). Beside that within rests a session has components of variance
-(`tumble.inference.hyperparameters.Components`), and the bias of every sensor is a process in time
-(`tumble.inference.in_run`), with its states among the unknowns of the rests. Without a latitude the Earth's rate is
-noise, Ω/√3 an axis.
+Noise (16), (17). Beside that within rests a session has components of variance, and the bias of every sensor is a
+process in time (`tumble.inference.noise`), with its states among the unknowns of the rests. Without a latitude the
+Earth's rate is noise, Ω/√3 an axis.
 """
 
 from __future__ import annotations
@@ -42,8 +41,7 @@ from functools import cached_property
 import numpy as np
 
 from tumble.earth import EARTH_RATE, earth_rate
-from tumble.inference.noise_components import NO_COMPONENTS, Components, Noise, Weights
-from tumble.inference.turns_about import TurnsAbout
+from tumble.inference.noise import NoiseModel
 from tumble.inference.variables import GROWING, KINDS, Variables, variables_of
 from tumble.reduction.observations import Observations
 from tumble.rotation import UP, rotation_matrix, skew
@@ -81,9 +79,9 @@ class Point:
     values: Array
     gravity: float
     attitudes: Array
-    own: Array = field(default_factory=lambda: np.zeros((1, 0)))
+    local: Array = field(default_factory=lambda: np.zeros((1, 0)))
 
-    def moved(self, parameters: Array, angles: Array, own: Array | None = None) -> Point:
+    def moved(self, parameters: Array, angles: Array, local: Array | None = None) -> Point:
         """The point after steps of gravity and the parameters (1 + m,), of the angles (N, 3) of the attitudes, and of
         what each session has of its own (S, q). The heading turns everything about the vertical, exactly: it may be off
         by much."""
@@ -92,53 +90,13 @@ class Point:
             values=self.values + parameters[1:],
             gravity=self.gravity + parameters[0],
             attitudes=rotation_matrix(angles[:, 2:] * UP) @ self.attitudes @ rotation_matrix(tilt),
-            own=self.own if own is None else self.own + own,
+            local=self.local if local is None else self.local + local,
         )
 
 
 def bases(attitudes: Array) -> Array:
     """Columns t₁, t₂, u (N, 3, 3) of every rest: north, west and up in the body."""
     return np.stack([attitudes[:, 0], -attitudes[:, 2], attitudes[:, 1]], axis=2)
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Rows:
-    """The linearised residuals, in SI: [coefficients | residual], residual = observed less predicted, columns as
-    `tumble.inference.elimination` has them with three unknowns a rest, the parameters being gravity and those of the
-    instrument, and then what a session has of its own. `prior` (1 + p, 1 + p) is whitened, and a triangle; `own` (S, q)
-    the whitened residuals of the priors of what each session has of its own. `bias` are the coefficients (K, t, n) of
-    the turns for a bias of the accelerometers, then of the gyros, in the turn; `gained` (K, 3), m/s, is what gravity
-    gives the turns of velocity, in the body at their start."""
-
-    rest: Array
-    turn: Array
-    prior: Array
-    bias: Array
-    gained: Array
-    own: Array = field(default_factory=lambda: np.zeros((1, 0)))
-
-    @property
-    def residuals(self) -> tuple[Array, Array]:
-        """Observed less predicted, of the rests (N, r) and of the turns (K, t)."""
-        return self.rest[..., -1], self.turn[..., -1]
-
-    @property
-    def headings(self) -> Array:
-        """The coefficients (N, r) of the rests for their heading."""
-        return np.asarray(self.rest[..., 2])
-
-    def beside(self, rest: Array, turn: Array) -> Rows:
-        """The same with further common parameters after those of the instrument, of which nothing is known beforehand,
-        by their columns (N, r, c) and (K, t, c)."""
-        before, c = -1 - self.own.shape[1], rest.shape[2]
-        pairs = zip((self.rest, self.turn), (rest, turn), strict=True)
-        every = (np.concatenate([a[..., :before], b, a[..., before:]], axis=2) for a, b in pairs)
-        p = len(self.prior) - 1
-        prior = np.zeros((p + c + 1, p + c + 1))
-        keep = np.append(np.arange(p), p + c)
-        prior[np.ix_(keep, keep)] = self.prior
-        wide_rest, wide_turn = every
-        return replace(self, rest=wide_rest, turn=wide_turn, prior=prior)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -154,9 +112,40 @@ class SessionSpan:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Problem:
-    """A session as the likelihood sees it: `link` (N,), the turn after each rest or −1, `chain` (N,), the number of
-    each rest's chain, the Earth's rate (3,), zero where the latitude is not known, and `measured`, gravity and the
-    parameters (1 + m,) as they were known before, with standard deviations; zero where gravity is taken as exact."""
+    """A session, or several of one instrument, as the likelihood sees it.
+
+    Parameters
+    ----------
+    observations, instrument, prior
+        What was observed, the parameters that sessions have in common, and what is known beforehand.
+    link : (N,)
+        The turn after each rest, or −1.
+    chain : (N,)
+        The number of the chain of turns that each rest belongs to.
+    earth : (3,)
+        The Earth's rate, rad/s; zero where the latitude is not known.
+    prior_mean, prior_u : (1 + m,)
+        Gravity and the parameters as they were known before, and their standard deviations; of gravity zero where it is
+        taken as exact.
+    usual_u : (1 + m,)
+        `prior_u` with every group of its usual size.
+    variables
+        What parameters may change with.
+    parts
+        Where the sessions stand.
+    of_session : ((N,), (K,))
+        The session of every rest and turn.
+    before_turn : (K,)
+        The rest before each turn.
+    local
+        What each of several sessions has beside the linear model that others do not share, None of a single session.
+    local_u, usual_local_u : (q,)
+        Standard deviations of the priors of these, and those of usual size.
+    at_lags
+        The lags at which the variables are.
+    bias_after
+        The share of the in-run bias of a turn that is that of the rest after it; the other is of the rest before.
+    """
 
     observations: Observations
     instrument: Instrument
@@ -164,27 +153,18 @@ class Problem:
     link: IntArray
     chain: IntArray
     earth: Array
-    measured: tuple[Array, Array]
+    prior_mean: Array
+    prior_u: Array
+    usual_u: Array
     variables: Variables
-    """What parameters may change with."""
     parts: tuple[SessionSpan, ...]
-    """The sessions."""
     of_session: tuple[IntArray, IntArray]
-    """The session of every rest (N,) and turn (K,)."""
     before_turn: IntArray
-    """The rest (K,) before each turn."""
-    own: Instrument | None = None
-    """What each of several sessions has of its own, beside the linear model, and"""
-    own_known: Array = field(default_factory=lambda: np.zeros(0))
-    """the standard deviations (q,) of its priors."""
+    local: Instrument | None
+    local_u: Array
+    usual_local_u: Array
     at_lags: tuple[float, ...] = ()
-    """The lags at which the variables are."""
-    usual: tuple[Array, Array] = (np.zeros(0), np.zeros(0))
-    """`measured` with every group of its usual size, and"""
-    own_usual: Array = field(default_factory=lambda: np.zeros(0))
-    """`own_known` likewise."""
     bias_after: float = 0.5
-    """The share of the in-run bias of a turn that is that of the rest after it; the other is of the rest before."""
 
     @staticmethod
     def of(
@@ -192,12 +172,27 @@ class Problem:
         prior: Prior = NO_PRIOR,
         *,
         instrument: Instrument | None = None,
-        own: Instrument | None = None,
+        local: Instrument | None = None,
         usual: Mapping[str, float] | None = None,
     ) -> Problem:
-        """A session, or several, with the parameters of an instrument (those of the linear model where None), and with
-        the groups of `own` in each session; `usual` are the priors of further groups by name. Raises ValueError unless
-        turns join neighbouring rests, at most one each."""
+        """The problem of one session or of several.
+
+        Parameters
+        ----------
+        observations, prior
+            What was observed, and what is known beforehand.
+        instrument
+            The parameters; those of the linear model where None.
+        local
+            Groups that every session has by itself.
+        usual
+            Standard deviations of the priors of further groups, SI, by name.
+
+        Raises
+        ------
+        ValueError
+            Unless turns join neighbouring rests, at most one each.
+        """
         accel, gyro, site = observations.accel_block, observations.gyro_block, observations.site
         instrument = instrument or Instrument(accel=accel, gyro=gyro)
         link = np.full(len(observations.rests), -1, dtype=np.int64)
@@ -206,19 +201,17 @@ class Problem:
             if np.any(turns.last != turns.first + 1) or np.bincount(turns.first).max() > 1:
                 raise ValueError("turns: expected at most one between neighbouring rests, found others")
             link[turns.first] = np.arange(len(turns))
-        known = limits_of(instrument.names)
+        u = limits_of(instrument.names)
         for name, members in instrument.members.items():
-            known[members] = (usual or {}).get(name, known[members])
+            u[members] = (usual or {}).get(name, u[members])
             if variable_of(name) == "lag":  # the estimate holds it: `tumble.inference.lag`
-                known[members] = LAG_HELD
-        known = np.array([prior.parameters.get(n, k) for n, k in zip(instrument.names, known.tolist(), strict=True)])
+                u[members] = LAG_HELD
+        u = np.array([prior.parameters.get(n, size) for n, size in zip(instrument.names, u.tolist(), strict=True)])
         start = np.array([observations.start.get(name, 0.0) for name in instrument.names])
-        own_known = [np.zeros(0)]
-        if own is not None:
-            own_known += [
-                np.full(len(group.names(own.block(group))), (usual or {}).get(group.name, group.limit))
-                for group in own.further
-            ]
+        local_u = np.zeros(0)
+        for group in () if local is None else local.further:
+            size = (usual or {}).get(group.name, group.limit)
+            local_u = np.append(local_u, np.full(len(group.names(local.block(group))), size))  # type: ignore[union-attr]
         before = np.zeros(0, dtype=np.int64) if turns is None else turns.first
         session = np.zeros(len(link), dtype=np.int64) if observations.session is None else observations.session
         edges, turn_edges = (np.searchsorted(of, np.arange(session[-1] + 2)) for of in (session, session[before]))
@@ -231,7 +224,7 @@ class Problem:
             )
             for rest, rest_end, turn, turn_end in zip(edges, edges[1:], turn_edges, turn_edges[1:], strict=False)
         )
-        measured = np.append(site.gravity, start), np.append(site.gravity_u, known)
+        prior_u = np.append(site.gravity_u, u)
         return Problem(
             observations=observations,
             instrument=instrument,
@@ -239,36 +232,38 @@ class Problem:
             link=link,
             chain=np.append(0, np.cumsum(link[:-1] < 0)),
             earth=np.zeros(3) if site.latitude is None else np.array(earth_rate(site.latitude)),
-            measured=measured,
-            usual=measured,
+            prior_mean=np.append(site.gravity, start),
+            prior_u=prior_u,
+            usual_u=prior_u,
             variables=variables_of(observations),
             parts=parts,
             of_session=(session, session[before]),
             before_turn=before,
-            own=own,
-            own_known=np.concatenate(own_known),
-            own_usual=np.concatenate(own_known),
+            local=local,
+            local_u=local_u,
+            usual_local_u=local_u,
         )
 
     @cached_property
     def changes(self) -> list[tuple[slice, slice, Variable]]:
         """Where the parameters stand that are changes of others, those of each session after the common ones, where
         the others stand, and what they go with."""
-        if self.own is None:
+        if self.local is None:
             return self.instrument.changes
-        further = len(self.instrument.names) - self.own.linear_count
+        further = len(self.instrument.names) - self.local.linear_count
         shifted = [
-            (slice(own.start + further, own.stop + further), base, variable) for own, base, variable in self.own.changes
+            (slice(own.start + further, own.stop + further), base, variable)
+            for own, base, variable in self.local.changes
         ]
         return self.instrument.changes + shifted
 
     @cached_property
-    def own_members(self) -> dict[str, slice]:
+    def local_members(self) -> dict[str, slice]:
         """Where the groups stand among what each session has of its own."""
-        if self.own is None:
+        if self.local is None:
             return {}
-        first, members = self.own.linear_count, self.own.members
-        return {g.name: slice(members[g.name].start - first, members[g.name].stop - first) for g in self.own.further}
+        first, members = self.local.linear_count, self.local.members
+        return {g.name: slice(members[g.name].start - first, members[g.name].stop - first) for g in self.local.further}
 
     @property
     def biases(self) -> IntArray:
@@ -289,9 +284,9 @@ class Problem:
 
     def with_lags(self, values: Array) -> Problem:
         """The problem in which the lags are known to have the values they have among those of the parameters (m,)."""
-        expected, at = self.measured[0].copy(), list(self.lags.values())
-        expected[1:][at] = values[at]
-        return replace(self, measured=(expected, self.measured[1]))
+        mean, at = self.prior_mean.copy(), list(self.lags.values())
+        mean[1:][at] = values[at]
+        return replace(self, prior_mean=mean)
 
     def warmed(self, point: Point) -> Problem:
         """The problem with the temperatures that the sensors have by the lags at a point."""
@@ -334,14 +329,16 @@ class Problem:
     def changes_in(self, point: Point, place: int) -> Array:
         """The values (·, c) of the changes at every rest (`place` 0) or turn (1), those of its session."""
         of, own = self.of_session[place], self.changed[0]
-        if not len(self.own_known):
+        if not len(self.local_u):
             return np.broadcast_to(point.values[own], (len(of), len(own)))
-        every = np.concatenate([np.broadcast_to(point.values, (len(point.own), len(point.values))), point.own], axis=1)
+        every = np.concatenate(
+            [np.broadcast_to(point.values, (len(point.local), len(point.values))), point.local], axis=1
+        )
         return np.asarray(every[:, own][of])
 
     @cached_property
-    def noise(self) -> Noise:
-        """What the noise of the rows has that does not change with the parameters."""
+    def noise(self) -> NoiseModel:
+        """The part of the noise of the rows that does not change with the parameters."""
         return _noise_of_session(self)
 
     @property
@@ -364,7 +361,7 @@ class Problem:
     @property
     def width(self) -> int:
         """How many parameters there are, with what a session has of its own."""
-        return len(self.instrument.names) + len(self.own_known)
+        return len(self.instrument.names) + len(self.local_u)
 
     @cached_property
     def earth_turned(self) -> Array:
@@ -396,26 +393,6 @@ class Problem:
         return self.instrument.model(self.observations.gyro_block, values)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Linearised:
-    """The likelihood about the estimate: the point, the turns about it, the rows there, their noise, and the components
-    of variance beside it."""
-
-    problem: Problem
-    point: Point
-    about: TurnsAbout | None
-    rows: Rows
-    noise: Noise
-    components: Components
-
-    @property
-    def rotations(self) -> Array:
-        """The rotations (K, 3, 3) of the turns, body at the end → body at the start, by the gyros of the point."""
-        about, changes = self.about, self.problem.changed_in_turns(self.point)
-        assert about is not None
-        return about.rotations(self.problem.instrument, self.point.values, 0.0 if changes is None else changes)
-
-
 def instruments_of(observations: Observations) -> tuple[Instrument, Instrument | None]:
     """The instrument with all groups whose usual size observations know and which they may show; and, of several
     sessions, that with what each has of its own."""
@@ -428,16 +405,25 @@ def instruments_of(observations: Observations) -> tuple[Instrument, Instrument |
     return Instrument.of(*blocks, usual, variables - set(OWN)), own
 
 
-# Noise
+# -------------------- noise --------------------
 
 
-def noise_of(problem: Problem, rows: Rows) -> Noise:
-    """Covariance of the rows without scatter, and the directions of the components of scatter."""
+def noise_model(problem: Problem, gained: Array) -> NoiseModel:
+    """The noise of the rows of a problem, docs/explanation/mathematics.md (16), (17), without scatter.
+
+    Parameters
+    ----------
+    problem
+        The session or sessions.
+    gained : (K, 3)
+        Velocity, m/s, that gravity gives each turn, in the body at its start. What errs in a rotation on the way turns
+        it, and so errs in the velocity of the turn too.
+    """
     noise, turns = problem.noise, problem.observations.turns
     Z, component = noise.turn_directions
     if turns is None or not len(Z) or not problem.instrument.in_velocities:
         return noise
-    across, Z, turn = skew(-0.5 * rows.gained), Z.copy(), noise.turn.copy()
+    across, Z, turn = skew(-0.5 * gained), Z.copy(), noise.turn.copy()
     rotation, constant = turn[:, :3, :3], turns.duration[:, None, None] ** 2 * unseen_rate(problem)
     by_rotation = across @ (rotation - constant * np.eye(3)) @ np.swapaxes(across, 1, 2)
     turn[:, 3:6, :3] = across @ rotation
@@ -453,9 +439,9 @@ def unseen_rate(problem: Problem) -> float:
     return EARTH_RATE**2 / 3.0 if problem.observations.site.latitude is None else 0.0
 
 
-def _noise_of_session(problem: Problem) -> Noise:
-    """All of it that does not change with the parameters: without what an error of the rotation on the way does to the
-    velocity, of the turns docs/explanation/mathematics.md (16)."""
+def _noise_of_session(problem: Problem) -> NoiseModel:
+    """The part of the noise that does not change with the parameters: without what an error of the rotation on the way
+    does to the velocity."""
     observations, rests, turns = problem.observations, problem.observations.rests, problem.observations.turns
     gyro, n, earth = observations.gyro_block, rests.accel.shape[1], unseen_rate(problem)
     blocks = [rests.accel_covariance]
@@ -466,9 +452,9 @@ def _noise_of_session(problem: Problem) -> Noise:
     rest, t, v = _diagonal(blocks), problem.rows_of_turn, 3 if problem.instrument.in_velocities else 0
     sensors, spare = n + rests.gyro.shape[1], t - v - 3
     at_rest = np.broadcast_to(np.eye(rest.shape[1], sensors), (len(rests), rest.shape[1], sensors))
-    of_rest = np.repeat([0, 1], [n, sensors - n])
-    of_turn = np.repeat([2, 3, 4, 5, 7, 6], [3, v, spare, v, spare, 3])  # places in SCATTER
-    turn, Z = np.zeros((0, t, t)), np.zeros((len(problem.before_turn), t, len(of_turn)))
+    rest_places = np.repeat([0, 1], [n, sensors - n])
+    turn_places = np.repeat([2, 3, 4, 5, 7, 6], [3, v, spare, v, spare, 3])  # in SCATTER
+    turn, Z = np.zeros((0, t, t)), np.zeros((len(problem.before_turn), t, len(turn_places)))
     if turns is not None and len(turns):
         blocks = [turns.covariance + turns.duration[:, None, None] ** 2 * earth * np.eye(3)]
         if v:
@@ -483,8 +469,20 @@ def _noise_of_session(problem: Problem) -> Noise:
         Z[:, 3 : 3 + v, t : t + v] = jumps[:, None, None] * np.eye(v)
         Z[:, 3 + v :, t + v : -3] = aliased[:, None, None] * np.eye(spare)
         Z[:, :3, -3:] = aliased[:, None, None] * np.eye(3)
-    kept = np.ones(rest.shape[:2]), np.ones(turn.shape[:2])
-    return Noise(rest=rest, turn=turn, rest_directions=(at_rest, of_rest), turn_directions=(Z, of_turn), kept=kept)
+    middle, session = 0.5 * (rests.start + rests.stop), problem.of_session[0]
+    follows = np.append(session[1:] == session[:-1], np.zeros(1, dtype=bool))
+    interval = np.append(np.where(rests.file[1:] == rests.file[:-1], np.abs(np.diff(middle)), np.inf), np.inf)
+    return NoiseModel(
+        rest=rest,
+        turn=turn,
+        rest_directions=(at_rest, rest_places),
+        turn_directions=(Z, turn_places),
+        rest_weights=np.ones(rest.shape[:2]),
+        turn_weights=np.ones(turn.shape[:2]),
+        interval=interval,
+        follows=follows,
+        sensors=(problem.instrument.accel.size, problem.sensors - problem.instrument.accel.size),
+    )
 
 
 def _diagonal(blocks: list[Array]) -> Array:
@@ -496,8 +494,3 @@ def _diagonal(blocks: list[Array]) -> Array:
         out[:, first:last, first:last] = block
         first = last
     return out
-
-
-def weights(problem: Problem, rows: Rows, components: Components = NO_COMPONENTS) -> Weights:
-    """The weights of the rows from the noise within rests and components of variance."""
-    return noise_of(problem, rows).weights(components)

@@ -1,0 +1,200 @@
+"""Noise of the rows of rests and turns: covariances, scatter along known directions, and in-run biases as a process.
+
+Rows. The covariance of the rows of a rest or a turn is N of the noise of its samples and, along a few directions Z, the
+variances v of the components of scatter, docs/explanation/mathematics.md (16) to (18):
+
+    Σ = N + Σ_a v_a Z_a Z_aᵀ
+
+Biases. The bias of a sensor at rest k is b + σ β_k, b its parameter, β a stationary Gauss–Markov chain of unit variance
+(19),
+
+    β_0 ~ N(0, 1),   β_{k+1} − ρ_k β_k ~ N(0, 1 − ρ_k²),   ρ_k = e^{−Δt/τ}
+
+Δt is the time between the middles of two rests; a recording that begins anew begins the chain anew. A turn has
+σ (β_k + β_{k+1})/2 or, where biases are anew at every rest and that is likelier, σ β_k or σ β_{k+1}. The β_k are
+unknowns of the rests, their steps rows that join neighbouring rests as turns do, so that the elimination from rest to
+rest has them at a cost that is linear in rests. τ short makes a scatter from rest to rest, τ long a random walk, in
+which a drift is, and a warm-up of any shape.
+
+The parameter b is the mean of the process, what the bias of another day or of the next minute is about; what was
+observed is the mean over the rests of the session, b + σ mean β.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from tumble.inference.elimination import whitening
+from tumble.units import Array, BoolArray, IntArray
+
+SCATTER_WORDS = {
+    "accel": ("m/s^2", "readings of the accelerometers at rest"),
+    "gyro": ("rad/s", "readings of the gyros at rest"),
+    "turn": ("rad", "rotations of the turns"),
+    "velocity": ("m/s", "velocities of the turns"),
+    "apart": ("rad", "what spare gyros say of the turns"),
+    "jumps": ("1", "velocities over jumps between samples"),
+    "aliased": ("1", "rotations over jumps between samples"),
+    "aliased_apart": ("1", "what spare gyros say over jumps between samples"),
+}
+SCATTER = tuple(SCATTER_WORDS)
+"""The components of scatter, white from rest to rest and from turn to turn."""
+TURN_SCATTER = SCATTER[2:]
+"""Those that concern turns alone."""
+REST_SCATTER = SCATTER[:2]
+"""Those of readings at rest."""
+CORRELATION_TIME = 300.0
+"""s: the usual correlation time of an in-run bias."""
+
+
+def typical_noise(covariance: Array) -> float:
+    """Standard deviation of a component of the median row, of covariances (N, n, n)."""
+    return float(np.sqrt(np.median(np.trace(covariance, axis1=1, axis2=2)) / covariance.shape[1]))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class VarianceComponents:
+    """Standard deviations of the components of variance beside the noise within rests.
+
+    Parameters
+    ----------
+    accel, gyro
+        Scatter of the readings at rest, m/s² and rad/s, from rest to rest.
+    turn, velocity, apart
+        Scatter of rotations, rad, and velocities, m/s, of turns, and of the integrals of gyros beyond the rotation of
+        the body, rad.
+    jumps
+        The error of the integral over a jump between samples in parts of its size times the interval (18).
+    aliased, aliased_apart
+        The error of a rotation, and of what gyros say beyond it, in parts of what aliased samples would make it.
+    accel_in_run, gyro_in_run, accel_time, gyro_time
+        Size, SI, and correlation time, s, of the in-run bias of each kind of sensor.
+    unlike : (n,)
+        How many times larger the scatter at rest and the in-run bias of a sensor are than those of its kind,
+        accelerometers before gyros; 1 where empty.
+
+    Notes
+    -----
+    Of a stack of components each number is an array (P,), `unlike` (P, n).
+    """
+
+    accel: float = 0.0
+    gyro: float = 0.0
+    turn: float = 0.0
+    velocity: float = 0.0
+    apart: float = 0.0
+    jumps: float = 0.0
+    aliased: float = 0.0
+    aliased_apart: float = 0.0
+    accel_in_run: float = 0.0
+    gyro_in_run: float = 0.0
+    accel_time: float = CORRELATION_TIME
+    gyro_time: float = CORRELATION_TIME
+    unlike: Array = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def variances(self) -> Array:
+        """The squares of those of SCATTER."""
+        return _stacked([getattr(self, name) for name in SCATTER]) ** 2
+
+    @property
+    def wanders(self) -> bool:
+        """Whether biases are a process in time."""
+        return bool(np.any(self.accel_in_run) or np.any(self.gyro_in_run))
+
+    def in_run(self, accelerometers: int, gyros: int) -> tuple[Array, Array]:
+        """Standard deviations and correlation times (n,) of the in-run biases of sensors, accelerometers first."""
+        kind = np.repeat([0, 1], [accelerometers, gyros])
+        sigma = _stacked([self.accel_in_run, self.gyro_in_run])[..., kind]
+        tau = _stacked([self.accel_time, self.gyro_time])[..., kind]
+        return sigma * self.unlike if self.unlike.size else sigma, tau
+
+
+NO_COMPONENTS = VarianceComponents()
+
+
+def _stacked(numbers: list[Any]) -> Array:
+    """Numbers, some of which may be arrays (...), as one array (..., n)."""
+    out = np.empty((*max((np.shape(each) for each in numbers), key=len), len(numbers)))
+    for i, each in enumerate(numbers):
+        out[..., i] = each
+    return out
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class NoiseModel:
+    """The noise of the rows at given components of variance.
+
+    Parameters
+    ----------
+    rest, turn : (N, r, r) and (K, t, t)
+        Covariances N of the rows without scatter.
+    rest_directions, turn_directions : ((N, r, q), (q,)) and ((K, t, q), (q,))
+        Directions Z of the components of scatter, each with the place in SCATTER of the one it belongs to.
+    rest_weights, turn_weights : (N, r) and (K, t)
+        Square roots of the weights that single rows have beside that: 1 but for those that do not fit.
+    interval : (N,)
+        Time, s, from the middle of each rest to that of the next one, infinite where the chain of biases begins anew.
+    follows : (N,)
+        Whether a rest of the same session follows.
+    sensors : (2,)
+        Numbers of accelerometers and of gyros.
+    components
+        The components of variance.
+    """
+
+    rest: Array
+    turn: Array
+    rest_directions: tuple[Array, IntArray]
+    turn_directions: tuple[Array, IntArray]
+    rest_weights: Array
+    turn_weights: Array
+    interval: Array
+    follows: BoolArray
+    sensors: tuple[int, int]
+    components: VarianceComponents = NO_COMPONENTS
+
+    def at(self, components: VarianceComponents) -> NoiseModel:
+        """The same with other components of variance."""
+        return replace(self, components=components)
+
+    def weighted(self, rest: Array, turn: Array) -> NoiseModel:
+        """The same with other square roots of the weights of single rows."""
+        return replace(self, rest_weights=rest, turn_weights=turn)
+
+    @property
+    def scaled_rest_directions(self) -> tuple[Array, IntArray]:
+        """The directions of the scatter at rest, those of sensors unlike others longer, and their places in SCATTER."""
+        (Z, place), unlike = self.rest_directions, self.components.unlike
+        return (Z * unlike[..., None, None, :] if unlike.size else Z), place
+
+    def whitening(self) -> tuple[Array, Array]:
+        """Inverses of the Cholesky factors of the covariances of the rows of rests (N, r, r) and turns (K, t, t)."""
+        variances = self.components.variances
+        rest = whitening(self.rest, *self.scaled_rest_directions, variances) * self.rest_weights[:, None]
+        turn = whitening(self.turn, *self.turn_directions, variances) * self.turn_weights[:, None]
+        return rest, turn
+
+    @cached_property
+    def bias_sigma(self) -> Array:
+        """σ (n,) of the in-run bias of every sensor."""
+        return self.components.in_run(*self.sensors)[0]
+
+    @cached_property
+    def bias_lapse(self) -> Array:
+        """Δt/τ (N, n) from every rest to the next one."""
+        return np.asarray(self.interval[:, None] / self.components.in_run(*self.sensors)[1][..., None, :])
+
+    @cached_property
+    def bias_rho(self) -> Array:
+        """ρ (N, n), the correlation of the in-run bias with that at the next rest."""
+        return np.exp(-self.bias_lapse)
+
+    @cached_property
+    def bias_step(self) -> Array:
+        """√(1 − ρ²) (N, n), the standard deviation of a step of the states."""
+        return np.sqrt(-np.expm1(-2.0 * self.bias_lapse))

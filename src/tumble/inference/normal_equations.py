@@ -1,0 +1,427 @@
+"""Least squares of a linearised likelihood in square-root form, its restricted likelihood, and what it leaves of
+residuals: docs/explanation/mathematics.md, sections 7 and 8.
+
+    whiten              rows times Σ^{−½}; the steps of the in-run biases are rows of covariance 1
+    eliminate_rests     angles and states of biases of every rest eliminated: of each session a triangle is left
+    add_priors          priors folded into these triangles; gravity and the parameters solved for
+    back_substitute     the unknowns of the rests, given all others
+
+With V the covariance of all rows, P₀ the precision of the priors and R every triangle of the elimination,
+
+    −2 ln L = rᵀV⁻¹r + x̂ᵀP₀x̂ + ln |V| − ln |P₀| + 2 Σ ln |diag R|                      (restricted likelihood, 23)
+
+every determinant a sum of logarithms of diagonals that are there.
+
+Components of variance and sizes of priors may be a stack of several, for which all is done at once: then every array
+that depends on them has further axes before those that are stated.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import scipy
+
+from tumble.inference.elimination import along_chains, eliminate, fold, given_parameters, given_unknowns, put_back
+from tumble.inference.linearisation import Linearisation
+from tumble.inference.noise import NoiseModel, VarianceComponents
+from tumble.inference.problem import Problem, SessionSpan
+from tumble.units import Array, IntArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class NormalEquations:
+    """Square-root information of one linearisation, before priors.
+
+    Parameters
+    ----------
+    noise
+        The noise by which rows are whitened.
+    rest_whitening, turn_whitening : (N, r, r) and (K, t, t)
+        Σ^{−½} of the rows of rests and turns.
+    rest_rows, turn_rows : (N, r, d + w) and (K, t, 2 d + w)
+        Whitened rows: the d unknowns of a rest, or of both rests of a turn, then the w − 1 that are left, what the
+        session has beside, gravity and the parameters, and the right-hand side.
+    rest_factors : (N, d, 2 d + w)
+        Triangular factors by which the unknowns of each rest are back-substituted.
+    session_factors : (S, w, w)
+        Of each session a triangle of what is left when its rests are eliminated.
+    """
+
+    noise: NoiseModel
+    rest_whitening: Array
+    turn_whitening: Array
+    rest_rows: Array
+    turn_rows: Array
+    rest_factors: Array
+    session_factors: Array
+
+    @property
+    def unknowns(self) -> int:
+        """d, the unknowns of a rest: three angles, and the state of the bias of each sensor where biases wander."""
+        return int(self.rest_factors.shape[-2])
+
+    @property
+    def wanders(self) -> bool:
+        """Whether states of biases are among the unknowns of the rests."""
+        return self.noise.components.wanders
+
+    @cached_property
+    def back_substitution(self) -> tuple[Array, Array, Array]:
+        """The unknowns of the rests given others (`tumble.inference.elimination.put_back`)."""
+        return put_back(self.rest_factors)
+
+    def reduced_rows(self, problem: Problem) -> tuple[Array, Array]:
+        """Whitened rows of rests (N, r, w) and of turns (K, t, w) with the unknowns of the rests as they follow from
+        all others."""
+        follow = self.back_substitution[2]
+        return (
+            given_unknowns(self.rest_rows, follow, np.arange(len(problem.link))),
+            given_unknowns(self.turn_rows, follow, problem.before_turn),
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Solution:
+    """The least-squares solution of a linearised likelihood with priors.
+
+    Parameters
+    ----------
+    linearisation
+        The rows, with the problem whose priors are in the solution.
+    equations
+        The normal equations it solves.
+    parameters : (1 + m,)
+        The step of gravity and the parameters.
+    local : (S, q)
+        The step of what each session has beside.
+    roots : (S, q + 1 + m, q + 1 + m)
+        Of each session a triangle U of the covariance U Uᵀ of what it has beside, gravity and the parameters.
+    square
+        The sum of squares that is left, priors included.
+    deviance
+        −2 ln of the restricted likelihood, less its constant.
+    phi, log_prior
+        The hyperparameters (D,) it is at, and the logarithm of their prior density less a constant; empty and 0 where
+        components of variance were given.
+    """
+
+    linearisation: Linearisation
+    equations: NormalEquations
+    parameters: Array
+    local: Array
+    roots: Array
+    square: Array
+    deviance: Array
+    phi: Array = field(default_factory=lambda: np.zeros(0))
+    log_prior: Array | float = 0.0
+
+    @property
+    def problem(self) -> Problem:
+        """The problem, with its priors."""
+        return self.linearisation.problem
+
+    @property
+    def components(self) -> VarianceComponents:
+        """The components of variance."""
+        return self.equations.noise.components
+
+    @property
+    def log_posterior(self) -> Array:
+        """ℓ(φ) (23)."""
+        return np.asarray(self.log_prior - 0.5 * self.deviance)
+
+    @cached_property
+    def shared(self) -> Array:
+        """Of each session what it has beside, gravity and the parameters, and −1 (S, q + 1 + m + 1)."""
+        common = np.broadcast_to(self.parameters[..., None, :], (*self.local.shape[:-1], self.parameters.shape[-1]))
+        return np.concatenate([self.local, common, np.full((*self.local.shape[:-1], 1), -1.0)], axis=-1)
+
+    @cached_property
+    def session_covariances(self) -> Array:
+        """Of each session the covariance (S, q + 1 + m, q + 1 + m) of what it has beside, gravity and the
+        parameters."""
+        return np.asarray(self.roots @ np.swapaxes(self.roots, -1, -2))
+
+    @property
+    def covariance(self) -> Array:
+        """The covariance (1 + m, 1 + m) of gravity and the parameters."""
+        q = self.local.shape[-1]
+        return np.asarray(self.session_covariances[..., 0, q:, q:])
+
+    @cached_property
+    def unknowns(self) -> Array:
+        """The unknowns (N, d) of the rests, by back substitution: angles, then states of in-run biases."""
+        follow, shared = self.equations.back_substitution[2], np.moveaxis(self.shared, -2, 0)[..., None, :, None]
+        parts = zip(self.problem.parts, shared, strict=True)
+        return np.concatenate([(follow[..., part.rests, :, :] @ x)[..., 0] for part, x in parts], axis=-2)
+
+    @property
+    def angles(self) -> Array:
+        """The step of the angles (N, 3) of the attitudes."""
+        return self.unknowns[..., :3]
+
+    @cached_property
+    def conditional_covariances(self) -> Array:
+        """Covariances of the unknowns of the rests given all others, with themselves and with those of the next rest
+        (2, N, d, d)."""
+        inverse, by_next, _ = self.equations.back_substitution
+        return given_parameters(inverse, by_next)
+
+    def along(self, unknowns: slice) -> Array:
+        """How unknowns of the rests (N, k, p) go with what the others are uncertain by, a root of their covariance."""
+        follow = self.equations.back_substitution[2][..., unknowns, :-1]
+        parts = enumerate(self.problem.parts)
+        return np.concatenate(
+            [times(follow[..., part.rests, :, :], self.roots[..., s, :, :]) for s, part in parts], axis=-3
+        )
+
+    def covariances(self, unknowns: slice) -> Array:
+        """Covariances of unknowns of the rests with themselves and those of the next (2, N, k, k)."""
+        root, out = self.along(unknowns), self.conditional_covariances[:, :, unknowns, unknowns].copy()
+        out[0] += root @ np.swapaxes(root, 1, 2)
+        out[1, :-1] += root[:-1] @ np.swapaxes(root[1:], 1, 2)
+        return out
+
+    @cached_property
+    def rest_residuals(self) -> tuple[Array, Array]:
+        """Whitened residuals (N, r) of the rests, and their covariances (N, r, r), 1 where the fit has no part in
+        them."""
+        return self._residuals[0]
+
+    @cached_property
+    def turn_residuals(self) -> tuple[Array, Array]:
+        """The same (K, t) and (K, t, t) of the turns."""
+        return self._residuals[1]
+
+    @cached_property
+    def _residuals(self) -> list[tuple[Array, Array]]:
+        """Of rests and turns. With A the columns of the unknowns of a rest, or of two, of covariance S for given
+        others, and E what the others, of covariance U Uᵀ, do to a row directly and by these, the covariance is
+
+            1 − A S Aᵀ − (E U)(E U)ᵀ"""
+        problem, equations, i = self.problem, self.equations, self.problem.before_turn
+        (own, with_next), out = self.conditional_covariances, list[tuple[Array, Array]]()
+        across = with_next[i]
+        upper, lower = (
+            np.concatenate(pair, axis=-1) for pair in ((own[i], across), (np.swapaxes(across, -1, -2), own[i + 1]))
+        )
+        both = np.concatenate([upper, lower], axis=-2)
+        kinds = (equations.rest_rows, own), (equations.turn_rows, both)
+        places = [part.rests for part in problem.parts], [part.turns for part in problem.parts]
+        for (rows, S), E, parts in zip(kinds, equations.reduced_rows(problem), places, strict=True):
+            A = rows[..., : S.shape[-1]]
+            residual, EU = np.empty(E.shape[:-1]), np.empty((*E.shape[:-1], E.shape[-1] - 1))
+            for s, part in enumerate(parts):
+                residual[part] = -times(E[part], self.shared[s, :, None])[..., 0]
+                EU[part] = times(E[part, :, :-1], self.roots[s])
+            fitted = A @ S @ np.swapaxes(A, -1, -2) + EU @ np.swapaxes(EU, -1, -2)
+            out.append((residual, np.eye(fitted.shape[-1]) - fitted))
+        return out
+
+
+def solve(linearisation: Linearisation, components: VarianceComponents | None = None) -> Solution:
+    """The least-squares solution of a linearised likelihood, at its components of variance or at others."""
+    if components is not None:
+        linearisation = linearisation.with_components(components)
+    return add_priors(linearisation, eliminate_rests(linearisation))
+
+
+def eliminate_rests(linearisation: Linearisation) -> NormalEquations:
+    """The normal equations of every session, the unknowns of its rests eliminated (22)."""
+    problem, noise = linearisation.problem, linearisation.noise
+    whitening = noise.whitening()
+    rest, turn = whiten(linearisation, *whitening)
+    d = 3 + problem.sensors if noise.components.wanders else 3
+    *stack, N, _, width = rest.shape
+    factors, size = np.empty((*stack, N, d, d + width)), width - d
+    triangles = np.swapaxes(np.zeros((*stack, len(problem.parts), size, size)), -1, -2)
+    joints = joint_rows(linearisation, turn)
+    begins = np.zeros((d, d + width))  # a chain of states begins as its process is
+    begins[3:, 3:d] = np.eye(d - 3)
+    for at in np.ndindex(*stack):
+        for part, triangle in zip(problem.parts, triangles[at], strict=True):
+            between, link = joints[at][part.rests if d > 3 else part.turns], session_links(part, wanders=d > 3)
+            eliminate(rest[at][part.rests], between, link, factors[at][part.rests], triangle, begins)
+    return NormalEquations(
+        noise=noise,
+        rest_whitening=whitening[0],
+        turn_whitening=whitening[1],
+        rest_rows=rest,
+        turn_rows=turn,
+        rest_factors=factors,
+        session_factors=triangles,
+    )
+
+
+def whiten(linearisation: Linearisation, rest_whitening: Array, turn_whitening: Array) -> tuple[Array, Array]:
+    """The whitened rows of rests and turns as the elimination has them: after the unknowns of the rests what a session
+    has beside, then gravity and the common parameters."""
+    problem, noise, bias = linearisation.problem, linearisation.noise, linearisation.bias
+    n, q = problem.sensors if noise.components.wanders else 0, len(problem.usual_local_u)
+
+    def whitened(W: Array, *columns: Array) -> Array:
+        last = columns[-1].shape[2] - 1 - q
+        others = columns[-1][:, :, last:-1], columns[-1][:, :, :last], columns[-1][:, :, -1:]
+        return np.asarray(W @ np.concatenate([*columns[:-1], *others], axis=2))
+
+    rest, turn = linearisation.rest, linearisation.turn
+    states = np.broadcast_to(np.eye(rest.shape[1], n), (*rest.shape[:2], n))
+    here, after = (share * bias[:, :, :n] for share in (1.0 - problem.bias_after, problem.bias_after))
+    rest = whitened(rest_whitening, rest[:, :, :3], states, rest[:, :, 3:])
+    turn = whitened(turn_whitening, turn[:, :, :3], here, turn[:, :, 3:6], after, turn[:, :, 6:])
+    if n:
+        for by_states in (rest[..., 3 : 3 + n], turn[..., 3 : 3 + n], turn[..., 6 + n : 6 + 2 * n]):
+            by_states *= noise.bias_sigma[..., None, None, :]
+    return rest, turn
+
+
+def joint_rows(linearisation: Linearisation, turn: Array) -> Array:
+    """The rows (N, t + n, 2 d + w) that join each rest to the next: those of its `turn` (K, t, 2 d + w), zero where it
+    has none, and the steps of the n states of the biases (19); the turns alone where biases do not wander."""
+    problem, noise = linearisation.problem, linearisation.noise
+    if not noise.components.wanders:
+        return turn
+    *stack, _, t, width = turn.shape
+    n, d = problem.sensors, 3 + problem.sensors
+    joints = np.zeros((*stack, len(problem.link), t + n, width))
+    joints[..., problem.before_turn, :t, :] = turn
+    sensor, here, step = np.arange(n), np.flatnonzero(noise.follows)[:, None], noise.bias_step[..., noise.follows, :]
+    joints[..., here, t + sensor, d - n + sensor] = -noise.bias_rho[..., noise.follows, :] / step
+    joints[..., here, t + sensor, 2 * d - n + sensor] = 1.0 / step
+    return joints
+
+
+def session_links(part: SessionSpan, *, wanders: bool) -> IntArray:
+    """What joins each rest of a session to the next, −1 where nothing does: its turn, or the steps of the biases with
+    it."""
+    return np.append(np.arange(len(part.link) - 1), -1) if wanders else part.link
+
+
+def add_priors(
+    linearisation: Linearisation,
+    equations: NormalEquations,
+    phi: Array | None = None,
+    log_prior: Array | float = 0.0,
+) -> Solution:
+    """The solution of normal equations with the priors of a linearisation, those of single sessions folded in first,
+    what these have beside eliminated, and then the common ones."""
+    problem = linearisation.problem
+    q, S, p, u = len(problem.usual_local_u), len(problem.parts), linearisation.prior.shape[-1] - 1, problem.prior_u
+    stack = np.broadcast_shapes(linearisation.prior.shape[:-2], equations.session_factors.shape[:-3])
+    factors = np.broadcast_to(equations.session_factors, (*stack, S, q + p + 1, q + p + 1))
+    prior = np.broadcast_to(linearisation.prior, (*stack, p + 1, p + 1))
+    local_u, residuals = (
+        np.broadcast_to(x, (*stack, *x.shape[-n:])) for x, n in ((problem.local_u, 1), (linearisation.local_prior, 2))
+    )
+    parameters, local = np.zeros((*stack, p)), np.zeros((*stack, S, q))
+    roots, pivots, square = np.zeros((*stack, S, q + p, q + p)), np.empty((*stack, S * q + p)), np.empty(stack)
+    for at in np.ndindex(*stack):
+        triangle, heads = fold_sessions(prior[at], factors[at], local_u[at], residuals[at])
+        exact = int(triangle[0, 0] == 0.0)  # gravity, of which the step is zero then
+        root = np.zeros((p, p))
+        root[exact:, exact:] = inverse_of(triangle[exact:p, exact:p])
+        parameters[at][exact:] = root[exact:, exact:] @ triangle[exact:p, p]
+        for s, head in enumerate(heads):
+            local[at][s], roots[at][s] = _local_solution(head, parameters[at], root)
+        pivots[at], square[at] = np.concatenate([h.diagonal() for h in (*heads, triangle[:p])]), triangle[p, p] ** 2
+    sizes = _logarithms(u[..., 1 + problem.instrument.linear_count :]) + S * _logarithms(problem.local_u)
+    deviance = 2.0 * (_logarithms(pivots) + sizes) + rests_deviance(equations) + square
+    return Solution(
+        linearisation=linearisation,
+        equations=equations,
+        parameters=parameters,
+        local=local,
+        roots=roots,
+        square=square,
+        deviance=deviance,
+        phi=np.zeros(0) if phi is None else phi,
+        log_prior=log_prior,
+    )
+
+
+def fold_sessions(prior: Array, factors: Array, local_u: Array, residuals: Array) -> tuple[Array, list[Array]]:
+    """The triangle (p + 1, p + 1) of the common parameters with their prior, and of each session the rows
+    (q, q + p + 1) that give what it has beside."""
+    triangle, heads, q = prior, list[Array](), len(local_u)
+    for factor, residual in zip(factors, residuals, strict=True):
+        wide = with_local_prior(local_u, factor, residual)
+        heads.append(wide[:q])
+        fold(triangle, wide[q:, q:], triangular=True)
+        triangle = wide[q:, q:]
+    return triangle, heads
+
+
+def with_local_prior(local_u: Array, factor: Array, residual: Array) -> Array:
+    """The triangle of a session with the prior of what it has beside, of standard deviations `local_u` and whitened
+    residual (q,)."""
+    wide, q = factor.copy(order="F"), len(residual)
+    if q:
+        prior = np.zeros((q, len(wide)))
+        prior[:, :q], prior[:, -1] = np.diag(1.0 / local_u), residual
+        fold(prior, wide, triangular=True)
+    return wide
+
+
+def _local_solution(head: Array, parameters: Array, root: Array) -> tuple[Array, Array]:
+    """What a session has beside (q,), from the rows (q, q + p + 1) that give it once the parameters are known, and a
+    root (q + p, q + p) of its covariance with them."""
+    q = len(head)
+    if q == 0:
+        return np.zeros(0), root
+    inverse, whole = inverse_of(head[:, :q]), np.zeros((q + len(root), q + len(root)))
+    by_parameter = -inverse @ head[:, q:-1]
+    whole[:q, :q], whole[:q, q:], whole[q:, q:] = inverse, by_parameter @ root, root
+    return inverse @ head[:, -1] + by_parameter @ parameters, whole
+
+
+def rests_deviance(equations: NormalEquations) -> Array:
+    """ln |V| + 2 Σ ln |diag R| of the rows and of the unknowns of the rests."""
+    noise, both = equations.noise, (equations.rest_whitening, equations.turn_whitening)
+    whitened = sum(np.log(W.diagonal(0, -2, -1)).sum(axis=(-2, -1)) for W in both)
+    steps = np.log(noise.bias_step[..., noise.follows, :]).sum(axis=(-2, -1)) if equations.wanders else 0.0
+    return np.asarray(2.0 * (_logarithms(equations.rest_factors.diagonal(0, -2, -1)).sum(axis=-1) + steps - whitened))
+
+
+def _logarithms(values: Array) -> Array:
+    """The sum of the logarithms (…) of values (…, n) that are not zero."""
+    size = np.abs(values)
+    return np.asarray(np.log(np.where(size > 0.0, size, 1.0)).sum(axis=-1))
+
+
+def inverse_of(triangle: Array) -> Array:
+    """The inverse of an upper triangle. Raises LinAlgError where it has none."""
+    inverse, singular = scipy.linalg.lapack.dtrtri(triangle)
+    if singular:
+        raise np.linalg.LinAlgError("Singular matrix")
+    return np.asarray(inverse)
+
+
+def times(rows: Array, matrix: Array) -> Array:
+    """Rows (…, K, t, p) times a matrix (…, p, y), in one product."""
+    flat = rows.reshape(*rows.shape[:-3], -1, rows.shape[-1])
+    return np.asarray(flat @ matrix).reshape(*rows.shape[:-1], matrix.shape[-1])
+
+
+def session_mean_bias(equations: NormalEquations) -> tuple[Array, Array]:
+    """The mean over the rests of a session of its in-run biases (20).
+
+    Returns
+    -------
+    by_shared : (n, q + 1 + m + 1)
+        What it changes with what the session has beside, gravity and the common parameters, and its value where these
+        are zero, with the sign turned round.
+    by_noise : (N, n, d)
+        What it changes with the noise e of every rest, followed along the chain of unknowns
+        u_i = A_i u_{i+1} + B_i x + a_i + R_i⁻¹ e_i from the first.
+    """
+    (inverse, by_next, follow), sigma = equations.back_substitution, equations.noise.bias_sigma
+    (*stack, N, d, _), n = inverse.shape, sigma.shape[-1]
+    carried, back = np.zeros((*stack, N, d, n)), np.zeros((*stack, N, d, d))  # transposed, from the last rest on
+    carried[..., d - n :, :] = sigma[..., None, None, :] * np.eye(n) / N
+    back[..., :-1, :, :] = np.swapaxes(by_next[..., -2::-1, :, :], -1, -2)
+    along_chains(back, carried)
+    by_noise = np.swapaxes(carried[..., ::-1, :, :], -1, -2) @ inverse
+    return sigma[..., None] * follow[..., d - n :, :].mean(axis=-3), by_noise

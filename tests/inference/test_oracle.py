@@ -1,0 +1,101 @@
+"""ℓ, its score, the estimate and its uncertainty are those of dense matrices with the attitudes projected out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+
+from tests.inference.oracle import dense
+from tests.inference.test_inference import (
+    SESSIONS,
+    away_from_bounds,
+    by_hand,
+    in_two_files,
+    observed,
+    started,
+    without_gyros,
+)
+from tumble.inference.hyperparameters import (
+    CorrelationTime,
+    GroupSize,
+    InRunSize,
+    Scatter,
+    SensorFactor,
+    log_prior,
+    restricted_likelihood,
+    score,
+)
+from tumble.inference.integral import conditional
+from tumble.inference.maximum import maximum
+from tumble.planning.setup import Setup
+from tumble.reduction.observations import Observations
+from tumble.sensors.parameters import usual_sizes
+from tumble.simulation.scenario import scenario_of
+
+
+def on_a_table(seed: int, programme: str = "rough-table", *, full: bool = False) -> Observations:
+    setup = Setup.of(grade="tactical", programme=programme)
+    return observed(scenario_of(setup, np.random.default_rng([seed, 1])), seed, full=full)
+
+
+def one_of_its_kind(name: str, _: int) -> Observations:
+    return SESSIONS[name]()
+
+
+MADE: dict[str, Callable[[int], Observations]] = {
+    "by hand": lambda seed: observed(by_hand(seed=seed), seed),
+    "by hand, all groups": lambda seed: observed(by_hand(9, seed), seed, full=True),
+    "table": on_a_table,
+    "table, all groups": lambda seed: on_a_table(seed, full=True),
+    "cube, accelerometers": lambda seed: without_gyros(on_a_table(seed, "cube-26", full=True), usual_sizes("mems")),
+    "two files": lambda seed: in_two_files(observed(by_hand(9, seed), seed, full=True), 4),
+    **{name: partial(one_of_its_kind, name) for name in SESSIONS},
+}
+
+
+EVERY = [(name, seed) for name in MADE for seed in range(1, 2 if name in SESSIONS else 4)]
+
+
+@pytest.mark.parametrize(("name", "seed"), EVERY)
+def test_likelihood_score_and_estimate_are_those_of_dense_matrices(name: str, seed: int) -> None:
+    start = started(MADE[name](seed))
+    if seed == 3:  # biases that are anew at every rest
+        start = replace(start, problem=replace(start.problem, bias_after=1.0))
+    fitted = maximum(start, iterations=1)
+    hyperparameters, at = fitted.hyperparameters, fitted.linearisation
+    phi, S, q = away_from_bounds(hyperparameters, seed), len(at.problem.parts), len(at.problem.local_u)
+    here = restricted_likelihood(at, hyperparameters, phi)
+    expected = here.problem.prior_mean - np.append(at.point.gravity, at.point.values)
+    u = np.append(np.tile(here.problem.local_u, S), here.problem.prior_u)
+    found = dense(here.problem, at, at.noise, here.components, (u, np.append(-at.point.local.ravel(), expected)))
+
+    # the likelihood and its score
+    assert here.deviance == pytest.approx(found.deviance, abs=1e-9)
+    gradient, of_prior = score(hyperparameters, here)[0], log_prior(hyperparameters, phi)[1]
+    for h, slope in zip(hyperparameters, gradient - of_prior, strict=True):
+        if isinstance(h, (Scatter, InRunSize, CorrelationTime)):
+            by = found.by_component[h.name]
+        elif isinstance(h, SensorFactor):
+            by = float(found.by_sensor[h.members].sum())
+        elif isinstance(h, GroupSize):
+            by = float(found.by_prior[S * q + 1 :][h.members].sum())
+        else:
+            by = float(found.by_prior[: S * q].reshape(S, q)[:, h.members].sum())
+        assert slope == pytest.approx(by, abs=1e-7, rel=1e-9), h.name
+
+    # the estimate, and that with the biases of the session
+    x, session, shared = np.append(here.local, here.parameters), conditional(here), slice(S * q, None)
+    seen, u = np.diag(found.covariance) > 0.0, np.sqrt(np.maximum(np.diag(found.covariance), 1e-300))
+    np.testing.assert_allclose(((x - found.x) / u)[seen], 0.0, atol=1e-9)
+    for ours, theirs in (
+        (here.covariance, found.covariance[shared, shared]),
+        (session.covariance, found.session_covariance[shared, shared]),
+    ):
+        size = np.sqrt(np.maximum(np.diag(theirs), 1e-300))
+        np.testing.assert_allclose((ours - theirs) / np.outer(size, size), 0.0, atol=1e-9)
+    off = (session.step - found.session_x[shared])[1:]
+    np.testing.assert_allclose(off / np.sqrt(np.diag(found.session_covariance)[shared])[1:], 0.0, atol=1e-9)
