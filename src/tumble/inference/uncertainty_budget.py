@@ -133,7 +133,7 @@ def contributions(solution: Solution) -> dict[str, Array]:
             states = times(follow[rests, 3:, :-1], Z_x)
             if N is not None:
                 states[..., biases] += N[rests, 3:]
-            rho, step = noise.bias_rho[rests][:-1, :, None], noise.bias_step[rests][:-1, :, None]
+            rho, step = noise.state_rho[rests][:-1, :, None], noise.state_step[rests][:-1, :, None]
             for K in (states[:1], (states[1:] - rho * states[:-1]) / step):
                 add("accel.in_run", K[:, :accelerometers])
                 add("gyro.in_run", K[:, accelerometers:])

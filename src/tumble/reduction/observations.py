@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
@@ -31,9 +32,11 @@ from tumble.reduction.noise.rounding import Rounding, rounding_notes
 from tumble.reduction.rests.blemishes import BadSamples, bad_sample_notes, blemish_notes
 from tumble.reduction.rests.matching import Match
 from tumble.reduction.rests.rests import Rests, reduced_rests, rows_of, thermometers_of
+from tumble.reduction.rests.segmentation import unrecorded
 from tumble.reduction.rests.sway import sway_notes, sway_of
 from tumble.reduction.rests.thermometer import Thermometers
 from tumble.reduction.turns.array_motion import ArrayMoments, MovedArray, array_moments
+from tumble.reduction.turns.links import Links, links_of, stretched
 from tumble.reduction.turns.moments import (
     NO_OWN_AXES,
     Compensation,
@@ -48,6 +51,7 @@ from tumble.reduction.turns.turns import (
     TurnSamples,
     aliased_rotations,
     linear_compensation,
+    no_turns,
     reduced_turns,
     turn_readings,
     unread_velocities,
@@ -106,6 +110,8 @@ class Observations(Brief):
     """By group, what its usual size rests on, in words."""
     too_small: Mapping[str, float] = field(default_factory=dict)
     """By group, the factor of the order of which its usual size may be too small: by where it is from."""
+    links: Links | None = None
+    """Motion that is no turn between rests, from node to node."""
     in_run: Mapping[str, float] = field(default_factory=dict)
     """Usual standard deviation of the in-run bias, SI, of the accelerometers, "accel", and of the gyros, "gyro"."""
 
@@ -199,10 +205,27 @@ def observe(
     gyro: Block | None,
     site: Site,
     arrays: tuple[ArrayMoments, ...] | None = None,
+    *,
+    moving: bool = False,
 ) -> Observations:
-    """Reduce the rests and turns of a log to observations. At least one rest is needed. What an array reads in motion
-    does not depend on the rests: it is made unless it is given, of the same log with other rests."""
+    """Reduce the rests and turns of a log to observations, and, of a `moving` device, the links of what is no turn. At
+    least one rest is needed unless it is moving. What an array reads in motion does not depend on the rests: it is made
+    unless it is given, of the same log with other rests."""
     spans = match.rests
+    links = links_of(reduction, spans) if moving and gyro is not None else None
+    if links is not None:
+        linked = [pair for pair in pairwise(spans) if stretched(*pair)]
+        reduction = replace(
+            reduction, gaps=(*reduction.gaps, *(unrecorded(a, b, 1, "links", why="") for a, b in linked))
+        )
+    if links is not None and not spans:
+        never, of_accel = np.zeros(0), np.zeros((0, accel.size))
+        of_gyro = np.zeros((0, 0 if gyro is None else gyro.size))
+        rests = Rests.of_white_noise(never, never, accel=of_accel, gyro=of_gyro, densities=(0.0, 0.0))
+        none, no_samples = no_turns(links.samples.samples)
+        return Observations(
+            accel_block=accel, gyro_block=gyro, site=site, rests=rests, turns=none, turn_samples=no_samples, links=links
+        )
     rests, accel_quiet, gyro_noise, rounded = reduced_rests(reduction, spans, accel, gyro)
     notes, turns, samples, readings = list[str](), None, None, None
     count = reduction.accel_channels[0].samples
@@ -245,6 +268,7 @@ def observe(
         position=match.position,
         turn_readings=readings,
         arrays=arrays or (),
+        links=links,
         rounding=rounded,
         notes=(*notes, *rounding_notes(rounded)),
         thermometers=None if rests.temperatures is None else thermometers_of(reduction),

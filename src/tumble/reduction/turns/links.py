@@ -17,15 +17,150 @@ of the samples, of density N_g and N_a, follows the same recursion.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from tumble.reduction.blocks.motion_samples import MotionSamples
+from tumble.reduction.blocks.reducer import Reduction
+from tumble.reduction.rests.segmentation import RestSpan
+from tumble.reduction.turns.turns import TurnSamples
 from tumble.rotation import rotation_matrix, skew
-from tumble.units import Array
+from tumble.units import Array, BoolArray, IntArray
 
 PARTS = 4
 """Parts of a link in which its sensitivities are integrated."""
+NODE_SECONDS = 0.5
+"""s: from node to node."""
+STRETCH = 3.0
+"""s: motion between two rests that lasts longer is cut into links; a shorter one is a turn."""
+FOURTH_DIFFERENCES = 70.0
+"""The variance of a fourth difference of independent samples of variance 1."""
+QUIET = 0.25
+"""The share of the links whose noise counts as that of the samples: what moves fast adds to the others."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Links:
+    """K links between M stations, which are the rests and the nodes of a recording in order of time.
+
+    Parameters
+    ----------
+    file, time : (M,)
+        The file of each station, and its time, s: the middle of a rest.
+    rest : (N,)
+        The station of each rest.
+    before : (K,)
+        The station before each link; the one after it is the next.
+    free : (K,)
+        Whether both ends of a link are nodes: then places are compared.
+    duration : (K,)
+        s.
+    samples : TurnSamples
+        The samples of the PARTS of each link, one after the other.
+    rates, forces : (K PARTS, 2, 3)
+        Rates, rad/s, and specific forces, m/s², of nominal sensors at both ends of each part.
+    gyro_density, accel_density
+        Of white noise, rad²/s and m²/s³.
+    """
+
+    file: IntArray
+    time: Array
+    rest: IntArray
+    before: IntArray
+    free: BoolArray
+    duration: Array
+    samples: TurnSamples
+    rates: Array
+    forces: Array
+    gyro_density: float
+    accel_density: float
+
+    def __len__(self) -> int:
+        return len(self.before)
+
+
+def links_of(reduction: Reduction, spans: Sequence[RestSpan]) -> Links | None:
+    """The links of all motion of a recording that is no turn between rests; None where there is none."""
+    if reduction.samples is None:
+        return None
+    blocks = max(1, round(NODE_SECONDS / reduction.block_seconds))
+    file, time, before, free = list[int](), list[float](), list[int](), list[bool]()
+    rest, edges, duration = list[int](), list[tuple[int, int]](), list[float]()
+    for f in reduction.files:
+        own = [span for span in spans if span.file == f.file]
+        starts, stops = [0, *(span.last for span in own)], [*(span.first for span in own), len(f)]
+        torn = [gap for gap in reduction.gaps if gap.file == f.file and not gap.integrable]
+        for k, (start, stop) in enumerate(zip(starts, stops, strict=True)):
+            if k > 0:
+                rest.append(len(time))
+                file.append(f.file)
+                time.append(0.5 * (own[k - 1].start + own[k - 1].stop))
+            inner = 0 < k < len(own)
+            if stop - start < blocks or (inner and not stretched(own[k - 1], own[k])):
+                continue
+            cuts = np.linspace(start, stop, max(1, round((stop - start) / blocks)) + 1).astype(np.int64).tolist()
+            nodes = cuts[(1 if k > 0 else 0) : (-1 if k < len(own) else None)]
+            first = len(time) - (k > 0)
+            file += [f.file] * len(nodes)
+            time += [float(f.edges[cut]) for cut in nodes]
+            for j, (a, b) in enumerate(zip(cuts, cuts[1:], strict=False)):
+                if any(gap.time < f.edges[b] and gap.stop > f.edges[a] for gap in torn):
+                    continue
+                before.append(first + j)
+                free.append((k == 0 or j > 0) and (k == len(own) or j < len(cuts) - 2))
+                edges.append((f.sample_at(a), f.sample_at(b)))
+                duration.append(reduction.clock_rate * float(f.edges[b] - f.edges[a]))
+    if not before:
+        return None
+    parts = np.array([np.linspace(a, b, PARTS + 1).astype(np.int64) for a, b in edges])
+    samples = TurnSamples(samples=reduction.samples, start=parts[:, :-1].ravel(), stop=parts[:, 1:].ravel())
+    rates, forces = _ends(reduction.samples, parts)
+    gyro_density, accel_density = _densities(samples, np.array(duration))
+    return Links(
+        file=np.array(file),
+        time=np.array(time),
+        rest=np.array(rest, dtype=np.int64),
+        before=np.array(before, dtype=np.int64),
+        free=np.array(free, dtype=bool),
+        duration=np.array(duration),
+        samples=samples,
+        rates=rates,
+        forces=forces,
+        gyro_density=gyro_density,
+        accel_density=accel_density,
+    )
+
+
+def stretched(before: RestSpan, after: RestSpan) -> bool:
+    """Whether the motion between two rests is cut into links."""
+    return before.file == after.file and after.start - before.stop >= STRETCH
+
+
+def _ends(stored: MotionSamples, parts: IntArray) -> tuple[Array, Array]:
+    """Rates and forces (K PARTS, 2, 3) at both ends of each part, means of the samples on both sides."""
+    first, last = int(parts.min()), int(parts.max())
+    rates, forces, _ = stored.read(first, last)
+    out = []
+    for values in (rates, forces):
+        edges = parts - first
+        at = 0.5 * (values[np.maximum(edges - 1, 0)] + values[np.minimum(edges, len(values) - 1)])
+        out.append(np.stack([at[:, :-1], at[:, 1:]], axis=2).reshape(-1, 2, 3))
+    return out[0], out[1]
+
+
+def _densities(samples: TurnSamples, duration: Array) -> tuple[float, float]:
+    """Densities of white noise of the rates and of the forces, by the fourth differences of the quietest links."""
+    variances = np.zeros((len(samples.lengths), 2))
+    for pieces in samples.pieces():
+        for part, start, stop in zip(pieces.turn, pieces.start, pieces.stop, strict=True):
+            for kind, values in enumerate((pieces.rates, pieces.forces)):
+                steps = values[start:stop] * pieces.intervals[start:stop, None]
+                variances[part, kind] = (np.diff(steps, n=4, axis=0) ** 2).sum() / (3.0 * FOURTH_DIFFERENCES)
+    every = variances.reshape(-1, PARTS, 2).sum(axis=1) / duration[:, None]
+    gyro, accel = np.quantile(every, QUIET, axis=0).tolist()
+    return gyro, accel
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

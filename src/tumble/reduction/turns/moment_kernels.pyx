@@ -56,7 +56,7 @@ def integrate_pieces(samples, pieces, model, own_axes, sums):
     sums : arrays that the sums are added to; before the first piece attitudes are 1 and all else zero.
     """
     (gyro, gyro_terms), (accel, accel_terms), G, delay = model
-    height = _RIGHT + sums[2].shape[2]
+    height = _RIGHT + sums[3].shape[2]
     flat = np.zeros(height * _LENGTH + 8)
     aligned = -(flat.ctypes.data // 8) % 8
     rows = flat[aligned : aligned + height * _LENGTH].reshape(height, _LENGTH)
