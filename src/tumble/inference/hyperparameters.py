@@ -675,7 +675,7 @@ def average_information(hyperparameters: Sequence[Hyperparameter], solution: Sol
     joints, states = joint_rows(linearisation, turn, link), equations.noise.states
     rest = station_rows(problem, rest)
     if states:
-        joints[:, turn.shape[1] + link.shape[1] :, sides] = variates.steps
+        joints[:, -states:, sides] = variates.steps
     width, p = rest.shape[2] - d, len(problem.prior_u)
     common = np.zeros((p + D + 1, p + D + 1), order="F")
     u, expected = problem.prior_u, problem.prior_mean - np.append(point.gravity, point.values)

@@ -108,15 +108,16 @@ class Linearisation:
         """The same with further common parameters after those of the instrument, of which nothing is known beforehand,
         by their columns (N, r, c) and (K, t, c)."""
         before, c = -1 - self.local_prior.shape[1], rest.shape[2]
-        wide_rest, wide_turn = (
+        of_links = np.zeros((*self.link.shape[:2], c))
+        wide_rest, wide_turn, wide_link = (
             np.concatenate([rows[..., :before], columns, rows[..., before:]], axis=2)
-            for rows, columns in ((self.rest, rest), (self.turn, turn))
+            for rows, columns in ((self.rest, rest), (self.turn, turn), (self.link, of_links))
         )
         p = len(self.prior) - 1
         prior = np.zeros((p + c + 1, p + c + 1))
         keep = np.append(np.arange(p), p + c)
         prior[np.ix_(keep, keep)] = self.prior
-        return replace(self, rest=wide_rest, turn=wide_turn, prior=prior)
+        return replace(self, rest=wide_rest, turn=wide_turn, link=wide_link, prior=prior)
 
 
 def linearise(

@@ -58,7 +58,9 @@ DISPLACEMENT, DISPLACEMENT_TIME = 0.02, 0.5
 
 
 def typical_noise(covariance: Array) -> float:
-    """Standard deviation of a component of the median row, of covariances (N, n, n)."""
+    """Standard deviation of a component of the median row, of covariances (N, n, n); 0 of none."""
+    if not len(covariance):
+        return 0.0
     return float(np.sqrt(np.median(np.trace(covariance, axis1=1, axis2=2)) / covariance.shape[1]))
 
 

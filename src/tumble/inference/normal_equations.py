@@ -317,7 +317,7 @@ def whiten(
             *(moved[:, :, 6:], bias, displaced[:, :, 3:], link[:, :, 18:]),
         )
     else:
-        link = np.zeros((*turn.shape[:-3], 0, 0, turn.shape[-1]))
+        link = np.zeros((*turn.shape[:-3], 0, 9, turn.shape[-1]))
     if s:
         d = 3 + v + s
         for by_states in (rest[..., d - s : d], *(x[..., k * d - s : k * d] for x in (turn, link) for k in (1, 2))):
@@ -343,10 +343,11 @@ def joint_rows(linearisation: Linearisation, turn: Array, link: Array) -> Array:
     if s == 0:
         return turn
     *stack, _, t, width = turn.shape
-    k = link.shape[-2]
+    k = link.shape[-2] if problem.moves else 0
     joints = np.zeros((*stack, len(problem.link), t + k + s, width))
     joints[..., problem.before_turn, :t, :] = turn
-    joints[..., problem.before_link, t : t + k, :] = link
+    if problem.moves:
+        joints[..., problem.before_link, t : t + k, :] = link
     state, here, step = np.arange(s), np.flatnonzero(noise.follows)[:, None], noise.state_step[..., noise.follows, :]
     joints[..., here, t + k + state, d - s + state] = -noise.state_rho[..., noise.follows, :] / step
     joints[..., here, t + k + state, 2 * d - s + state] = 1.0 / step

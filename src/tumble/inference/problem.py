@@ -525,10 +525,10 @@ def _noise_of_session(problem: Problem) -> NoiseModel:
     return NoiseModel(
         rest=rest,
         turn=turn,
-        link=np.zeros((0, 0, 0)),
+        link=np.zeros((0, 9, 9)),
         rest_directions=(at_rest, rest_places),
         turn_directions=(Z, turn_places),
-        link_directions=(np.zeros((0, 0, 0)), np.zeros(0, dtype=np.int64)),
+        link_directions=(np.zeros((0, 9, 0)), np.zeros(0, dtype=np.int64)),
         rest_weights=np.ones(rest.shape[:2]),
         turn_weights=np.ones(turn.shape[:2]),
         interval=interval,
