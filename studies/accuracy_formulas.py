@@ -19,7 +19,7 @@ import numpy as np
 
 from tumble.earth import EARTH_RATE, earth_rate
 from tumble.methods.least_squares import solved
-from tumble.methods.paper.gyros import matrix_error, swept
+from tumble.methods.paper.gyros import matrix_error, swept, triad
 from tumble.rotation import rotation_matrix
 from tumble.units import Array
 
@@ -68,6 +68,33 @@ def up_down_errors(axis: int, up: Array, down: Array, bias: Array, angles: Array
     total, difference = u1 + u2, u1 - u2
     scale = 0.5 * ((total * b + difference * lean) @ horizontal)
     return np.asarray(scale), np.asarray(0.5 * ((difference * b + total * lean) @ horizontal))
+
+
+def redundant_up_down_errors(
+    axes: Array, up: Array, down: Array, bias: Array, scale: Array, leans: Array
+) -> tuple[Array, Array]:
+    """Errors Δk (n,) and Δδw/g (n,), rad, of n accelerometers along any axes, levelled by all of them: what Eq. (7a) is
+    with D⁺ ε, the levelling error by least squares, in place of that of the two horizontal ones,
+
+        Δk = ½ [λ·(t₁ − t₂) + t₁·D⁺ε₁ + t₂·D⁺ε₂],   Δδw/g = ½ [λ·(t₁ + t₂) + t₁·D⁺ε₁ − t₂·D⁺ε₂]
+
+    and ε_q = b_q ± (k_q d_q + λ_q)·d.
+
+    Parameters
+    ----------
+    axes : (n, 3)
+        Nominal sensing axes d, of D the rows.
+    up, down : (n, 3)
+        Tilts t₁, t₂ of the vertical across each axis in the rests with this axis up and down.
+    bias, scale : (n,)
+        b, rad, and k.
+    leans : (n, 3)
+        λ, by which the sensing axes are off the nominal ones, rad.
+    """
+    along = scale[:, None] * axes @ axes.T + leans @ axes.T  # of sensor q in the rests of sensor p
+    first, second = ((bias[:, None] + sign * along).T @ np.linalg.pinv(axes).T for sign in (1.0, -1.0))
+    first, second = dot(up, first), dot(down, second)
+    return 0.5 * (dot(leans, up - down) + first + second), 0.5 * (dot(leans, up + down) + first - second)
 
 
 def up_down_rms(tilt: float, bias: float, angle: float, correlation: float = 0.0) -> tuple[float, float]:
@@ -228,6 +255,16 @@ def vertical_axis_error(deviation: Array, accel_north: Array, gyro_east: Array, 
     north, _, east = np.moveaxis(np.asarray(deviation), -1, 0)
     level = math.cos(latitude) + east * math.sin(latitude)
     return np.asarray(-EARTH_RATE * level * accel_north + north * gyro_east)
+
+
+def scalar_bias(rate: Array, force: Array, earth_rate: Array) -> Array:
+    """Bias (..., 3) by the scalar method, as Eqs. (12), (13) with the estimated orientation: least squares of
+    (ω̂² − Ω²)/2Ω = û^Ω·δω, û^Ω = L̂ᵀΩ/Ω.
+
+    Its error (δω_N² + δω_U² − δω_E²)/2Ω cancels over a programme in which the sensors stand both ways."""
+    Ω = float(np.linalg.norm(earth_rate))
+    polar = earth_rate @ triad(force, rate) / Ω
+    return solved(polar, ((rate**2).sum(axis=-1) - Ω**2) / (2.0 * Ω))
 
 
 def modulus_residual(gyro_error: Array) -> Array:

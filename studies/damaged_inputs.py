@@ -2,9 +2,9 @@
 
 Every case damages one input file of a small set (sessions, with thermometers, priors and what is left out too, logs,
 table of readings, calibrations, halves of them, truth, limits, campaign, manifest, certificate and laboratory, a
-registry, MATLAB and HDF5 recordings, ROS bags, Parquet with nested columns), or another one
-beside it, puts something in its place that is no regular file, or gives an absurd value to an option, or the options in
-another order, and runs one command in this process. Case n of a seed is always the same, whatever ran before. A case is
+registry, recordings in every format, what a serial port sends, Parquet with nested columns), or another one beside it,
+puts something in its place that is no regular file, or gives an absurd value to an option, or the options in another
+order, and runs one command in this process. Case n of a seed is always the same, whatever ran before. A case is
 a finding where
 
 * an exception comes through, or an exit status that is not 0, 1 or 2;
@@ -49,6 +49,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from types import FrameType
 from typing import Any
+from zipfile import ZipFile
 
 import numpy as np
 import polars as pl
@@ -56,6 +57,7 @@ import tomli_w
 from click.testing import CliRunner, Result
 from scipy.io import savemat
 
+from tests.recording.test_formats import write_bag1, write_bag2, write_bin, write_mcap, write_ulog
 from tumble.cli import main as tumble
 from tumble.errors import TumbleError
 from tumble.planning.setup import Setup
@@ -71,6 +73,8 @@ OFF = 3.0
 SETUP = replace(
     Setup.of(grade="mems", positions=12, rest=4.0, rate_deg_s=150.0, sample_rate=20.0, terms="linear"), first_rest=6.0
 )
+OF_A_LOG = ("look at this: ", "kept in ")
+"""How lines begin that `calibrate` says of a log before it is refused."""
 LOOKED_AT = 160
 """Rows of the logs of which it is only found out what they are."""
 TWO, SHUFFLED, NO_FILE = 0.05, 0.2, 0.01
@@ -299,6 +303,18 @@ def hdf5_changed(text: bytes, rng: Rng) -> bytes:
     return held.getvalue()
 
 
+def archive_changed(text: bytes, rng: Rng) -> bytes:
+    """An archive with one of its files changed."""
+    held = io.BytesIO()
+    with ZipFile(io.BytesIO(text)) as archive, ZipFile(held, "w") as changed:
+        names = archive.namelist()
+        at = int(rng.integers(len(names)))
+        for number, name in enumerate(names):
+            content = archive.read(name)
+            changed.writestr(name, ANY[rng.integers(len(ANY))](content, rng) if number == at else content)
+    return held.getvalue()
+
+
 ANY: tuple[Change, ...] = (bytes_changed, words_changed, lines_changed)
 BY_ENDING: dict[str, tuple[Change, ...]] = {
     ".json": (json_changed, json_changed, json_changed, half_changed, deep),
@@ -308,6 +324,8 @@ BY_ENDING: dict[str, tuple[Change, ...]] = {
     ".db3": (database_changed,),
     ".sqlite": (database_changed,),
     ".h5": (hdf5_changed,),
+    ".npz": (archive_changed,),
+    ".zip": (archive_changed,),
 }
 """What is done to files of an ending in the larger part of their cases."""
 
@@ -363,7 +381,7 @@ TARGETS = (
             "inspect {}/csv",
             "inspect {}/csv",
             "apply {}/calibration.json {}/csv -o {out}/a.csv",
-            "verify {}/calibration.json {}/csv",
+            "check {}/calibration.json {}/csv",
             "noise {}/csv",
         ),
     ),
@@ -396,7 +414,7 @@ TARGETS = (
             "calibrate {}/warm --terms linear --out {out}/c.json",
             "calibrate {}/warm --out {out}/c.json",
             "apply {}/warm.json {}/warm -o {out}/a.csv",
-            "verify {}/warm.json {}/warm",
+            "check {}/warm.json {}/warm",
         ),
     ),
     Target(
@@ -405,7 +423,7 @@ TARGETS = (
         commands=(
             "compare {}/warm.json {}/calibration.json",
             "apply {}/warm.json {}/warm -o {out}/a.csv",
-            "verify {}/warm.json {}/warm",
+            "check {}/warm.json {}/warm",
             "export {}/warm.json --to px4 -o {out}/e",
             "export {}/warm.json --to csv -o {out}/e",
             "export {}/warm.json --to c -o {out}/e",
@@ -416,7 +434,19 @@ TARGETS = (
     Target(file="parquet/log.parquet", commands=("inspect {}/parquet", "new {out}/new {}/parquet/log.parquet")),
     Target(file="imu.mat", weight=0.6, commands=("new {out}/new {}/imu.mat",)),
     Target(file="imu.h5", weight=0.8, commands=("new {out}/new {}/imu.h5",)),
-    Target(file="imu.bag", weight=1.0, commands=("new {out}/new {}/imu.bag",)),
+    *(
+        Target(file=f"imu.{ending}", commands=(f"new {{out}}/new {{}}/imu.{ending}",))
+        for ending in ("bag", "mcap", "ulg", "bin", "npz", "zip")
+    ),
+    Target(
+        file="serial.txt",
+        weight=2.0,
+        commands=(
+            "new {out}/new {}/serial.txt",
+            "noise {}/serial.txt --sample-rate 20",
+            "calibrate {}/serial.txt --latitude 50 --terms linear --out {out}/c.json",
+        ),
+    ),
     Target(file="ros2/ros2.db3", weight=1.0, commands=("new {out}/new {}/ros2",)),
     Target(file="ros2/metadata.yaml", weight=0.4, commands=("new {out}/new {}/ros2",)),
     Target(
@@ -457,13 +487,12 @@ TARGETS = (
         weight=5.0,
         commands=(
             "compare {}/calibration.json {}/other.json",
-            "verify {}/calibration.json {}/csv",
-            "verify {}/calibration.json {}/readings.csv",
+            "check {}/calibration.json {}/csv",
+            "check {}/calibration.json {}/readings.csv",
             "apply {}/calibration.json {}/csv -o {out}/a.csv",
             *(f"export {{}}/calibration.json --to {to} -o {{out}}/e" for to in EXPORTS),
             "export {}/calibration.json --to kalibr --noise {}/csv -o {out}/e",
             CERTIFY,
-            "check {}/calibration.json {}/csv",
             "registry add {}/calibration.json --registry {kept}",
             "calibrate {}/passport --terms linear --out {out}/c.json",
         ),
@@ -496,7 +525,7 @@ TARGETS = (
         weight=2.0,
         commands=(
             "ellipsoid {}/readings.csv --unit m/s^2 --out {out}/c.json",
-            "verify {}/calibration.json {}/readings.csv",
+            "check {}/calibration.json {}/readings.csv",
         ),
     ),
 )
@@ -508,9 +537,9 @@ OPTIONS = (
     "simulate {out}/s --positions 3 --rest 3 --sample-rate 20 --seed _ --launch _",
     "plan --rest _ --turn-rate _ --latitude _",
     "plan --gravity _ --gravity-u _ --table-error _ --mounting-error _",
-    "budget --rest _ --turn-rate _ --latitude _ --gravity _ --iterations _",
-    "require --relative _ --rest _",
-    "require --want accel.scale=_ppm",
+    "plan --method sequential --sources --rest _ --turn-rate _ --latitude _ --gravity _ --iterations _",
+    "plan --attitude _ --axes _ --step _",
+    "plan --want accel.scale=_ppm",
     "ellipsoid {}/readings.csv --scale _,_,_ --gravity _ --out {out}/c.json",
     "ellipsoid {}/readings.csv --unit m/s^2 --position _=_,_,_ --serial _ --out {out}/c.json",
     "noise {}/csv/log.csv --accel ax,ay,_ --sample-rate _",
@@ -615,7 +644,7 @@ def write_inputs(folder: Path) -> None:
     rounded.write_csv(folder / "messung.txt", separator=";", decimal_comma=True)
     savemat(folder / "imu.mat", {"data": log.head(400).to_numpy()})  # without names: it takes some rests to tell
     _written_h5(folder / "imu.h5", head)
-    _written_bags(folder, head)
+    _written_recordings(folder, head)
     shutil.copytree(folder / "parquet", folder / "nested")
     nested = pl.read_parquet(folder / "parquet/log.parquet").with_columns(
         both=pl.struct("ax", "ay"), listed=pl.concat_list("ax", "ay"), bytes=pl.lit(b"\0\xff")
@@ -670,45 +699,20 @@ def _written_h5(path: Path, log: pl.DataFrame) -> None:
         file["time"] = log["t"].to_numpy()
 
 
-def _written_bags(folder: Path, log: pl.DataFrame) -> None:
-    """imu.bag of ROS 1 and the folder ros2 of ROS 2, with a thermometer."""
-    from rosbags.rosbag1 import Writer as Bag1
-    from rosbags.rosbag2 import StoragePlugin
-    from rosbags.rosbag2 import Writer as Bag2
-    from rosbags.typesys import Stores, get_typestore
-
-    one, two = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_JAZZY)
-    stores: tuple[tuple[Any, Any], ...] = (
-        (Bag1(folder / "imu.bag"), one),
-        (Bag2(folder / "ros2", version=9, storage_plugin=StoragePlugin.SQLITE3), two),
-    )
-    for writer, store in stores:
-        types, imu, warm = store.types, "sensor_msgs/msg/Imu", "sensor_msgs/msg/Temperature"
-        three = types["geometry_msgs/msg/Vector3"]
-        with writer as bag:
-            topics = [
-                bag.add_connection(f"/{name}", kind, typestore=store) for name, kind in (("imu", imu), ("t", warm))
-            ]
-            for t, *row in log.select("t", "ax", "ay", "az", "gx", "gy", "gz").rows():
-                stamp = int(t * 1e9) + 10**18
-                time = types["builtin_interfaces/msg/Time"](sec=stamp // 10**9, nanosec=stamp % 10**9)
-                header = types["std_msgs/msg/Header"](
-                    stamp=time, frame_id="imu", **({"seq": 0} if store is one else {})
-                )
-                force, rate = (three(**dict(zip("xyz", part, strict=True))) for part in (row[:3], row[3:]))
-                read = types[imu](
-                    header=header,
-                    orientation=types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0),
-                    orientation_covariance=np.zeros(9),
-                    angular_velocity=rate,
-                    angular_velocity_covariance=np.zeros(9),
-                    linear_acceleration=force,
-                    linear_acceleration_covariance=np.zeros(9),
-                )
-                warmth = types[warm](header=header, temperature=25.0, variance=0.0)
-                serialize = store.serialize_ros1 if store is one else store.serialize_cdr
-                for topic, kind, message in zip(topics, (imu, warm), (read, warmth), strict=True):
-                    bag.write(topic, stamp, serialize(message, kind))
+def _written_recordings(folder: Path, log: pl.DataFrame) -> None:
+    """A recording in every other format, with a thermometer in that of ROS 2, and the text of a serial port, which is
+    not emptied when it begins and a device that starts anew."""
+    record = log.select("ax", "ay", "az", "gx", "gy", "gz").to_numpy()
+    for ending, write in (("bag", write_bag1), ("mcap", write_mcap), ("ulg", write_ulog), ("bin", write_bin)):
+        write(folder / f"imu.{ending}", record)
+    write_bag2(folder / "ros2", record, warmth=np.full(len(record) // 10, 25.0))
+    np.savez(folder / "imu.npz", time=log["t"].to_numpy(), accel=record[:, :3], gyro=record[:, 3:])
+    with ZipFile(folder / "imu.zip", "w") as archive:
+        for name, columns in (("Accelerometer", ["ax", "ay", "az"]), ("Gyroscope", ["gx", "gy", "gz"])):
+            archive.writestr(f"{name}.csv", log.select("t", *columns).write_csv())
+    rows = [f"a/g:\t{k * 50}" + "".join(f"\t{v * 1000:.0f}" for v in row) for k, row in enumerate(record)]
+    begun = ["Initializing I2C devices...", "MPU6050 connection successful", "ms\tax\tay\taz\tgx\tgy\tgz"]
+    (folder / "serial.txt").write_text("\r\n".join(["12\t3", *begun, *rows, "", "\0\0", *begun, *rows[:20]]), "utf-8")
 
 
 # -------------------- one case --------------------
@@ -847,6 +851,7 @@ class Inputs:
                 put_right(self.folder / each.file, self.clean[each.file])
             for left in self.folder.rglob("*.sqlite-*"):
                 left.unlink()
+            shutil.rmtree(self.folder / "serial-session", ignore_errors=True)
 
     def _reads(self, words: list[str], file: str) -> bool:
         """Whether a command is given an input file, or its folder."""
@@ -912,7 +917,7 @@ class Inputs:
         return self._silent(result, target) if target is not None and target.log else ""
 
     def _refusal(self, result: Result) -> str:
-        lines = result.stderr.splitlines()
+        lines = [each for each in result.stderr.splitlines() if not each.startswith(OF_A_LOG)]
         if len(lines) != 1 or not lines[0].startswith("tumble: "):
             return f"{len(lines)} lines where one is promised: {' | '.join(lines)[:150]}"
         if len(lines[0]) > 1500:

@@ -86,8 +86,8 @@ READERS = {
     "compare": "compare {in}/calibration.json {in}/other.json",
     "noise": "noise {in}/csv",
     "plan": "plan --grade mems",
-    "budget": "budget --grade mems",
-    "require": "require --want accel.scale=100ppm",
+    "plan of a method": "plan --method sequential --sources",
+    "plan for accuracies": "plan --want accel.scale=100ppm",
     "registry list": "registry list --registry {in}/r.sqlite",
 }
 FAMILIES = ("new", "calibrate", "apply csv", "export", "report html", "programme", "registry add", "fleet", *READERS)

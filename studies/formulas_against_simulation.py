@@ -15,7 +15,6 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,7 +25,7 @@ from accuracy_formulas import (
     up_down_errors,
 )
 
-from tumble.earth import EARTH_RATE, earth_rate, normal_gravity
+from tumble.earth import earth_rate, normal_gravity
 from tumble.inference.noise import CORRELATION_TIME
 from tumble.planning.error_propagation import METHODS_OF_PAPER, MethodOfPaper
 from tumble.planning.itinerary import itinerary_of
@@ -226,7 +225,7 @@ def one_pass(launches: Launches, method: MethodOfPaper, found: Found) -> None:
     found.S_a = found.S_a @ S
     w = corrected(launches.accel, found.S_a, found.b_a)
     ω = corrected(launches.gyro, found.S_g, found.b_g)
-    bias = BIAS[method](launches, w, ω)
+    bias = bias_vertical(launches, w, ω)
     found.b_g = found.b_g + (found.S_g @ bias[..., None])[..., 0]
     if len(launches.first):
         found.S_g = np.asarray(found.S_g @ gyro_matrices(launches, found, w, ω - bias[:, None]))
@@ -292,19 +291,6 @@ def bias_vertical(launches: Launches, w: Array, ω: Array) -> Array:
     shown = ω - np.swapaxes(triad(w, ω), -1, -2) @ np.array(earth_rate(launches.setup.latitude))
     vertical = np.abs(launches.nominal[:, 1]) > 0.9
     return np.stack([shown[:, vertical[:, p], p].mean(1) for p in range(3)], axis=1)
-
-
-def bias_modulus(launches: Launches, w: Array, ω: Array) -> Array:
-    """Scalar method on all rests."""
-    rows = np.swapaxes(triad(w, ω), -1, -2) @ np.array(earth_rate(launches.setup.latitude)) / EARTH_RATE
-    right = ((ω**2).sum(-1) - EARTH_RATE**2) / (2.0 * EARTH_RATE)
-    return np.asarray((np.linalg.pinv(rows) @ right[..., None])[..., 0])
-
-
-BIAS: dict[MethodOfPaper, Callable[[Launches, Array, Array], Array]] = {
-    "sequential": bias_vertical,
-    "scalar": bias_modulus,
-}
 
 
 def gyro_matrices(launches: Launches, found: Found, w: Array, ω: Array) -> Array:

@@ -42,7 +42,6 @@ from tumble.recording.log import Chunk
 from tumble.recording.session import Site
 from tumble.reduction.blocks.reducer import Reducer
 from tumble.reduction.observations import Observations, observe
-from tumble.reduction.rests.matching import Match
 from tumble.reduction.rests.segmentation import find_rests
 from tumble.reduction.turns.moments import BlockCompensation, Compensation, Pieces, moments_of
 from tumble.rotation import rotation_matrix, skew
@@ -184,7 +183,7 @@ def observed(scenario: Scenario, recording: Recording) -> Observations:
     rests = find_rests(reduction, scenario.accel, scenario.gyro).rests
     true = scenario.site
     site = Site(latitude=true.latitude, height=true.height, gravity=true.gravity, gravity_u=0.0)
-    return observe(reduction, Match(rests=rests, programme=None, position=None), scenario.accel, scenario.gyro, site)
+    return observe(reduction, rests, scenario.accel, scenario.gyro, site)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -58,7 +58,7 @@ NAMES = (
     (),
     (),
 )
-DOUBTS = ("would fit", "next", "is unknown", "no turn tells", "is a guess, put", "possible too", "depends on the rate")
+DOUBTS = ("would fit", "is unknown", "no turn", "is a guess, put", "told by their numbers")
 
 
 @dataclass(kw_only=True)
@@ -174,11 +174,11 @@ def outcome(log: Path, folder: Path, truth: Truth, widths: Widths = WIDTHS) -> t
         return "refused", str(error).rpartition(": ")[2][:60]
     session, blocks = draft.session(), observed.reduction.files[0]
     rate = blocks.size * len(blocks) / float(blocks.edges[-1] - blocks.edges[0])  # as the stamps have it at the mean
-    doubts = [s for s in draft.said if any(d in s for d in DOUBTS)]
+    doubts = [s for s in (*draft.remarks, *draft.doubts) if any(d in s for d in DOUBTS)]
     if list(session.log.accel.columns) != truth.columns[0]:
         return ("refused" if faults else "silent"), "columns"
     if session.log.gyro is None or list(session.log.gyro.columns) != truth.columns[1]:
-        said = any(", ".join(truth.columns[1]) in s for s in doubts)
+        said = any("told by their numbers" in s for s in doubts)
         return ("refused" if faults else "said" if said else "silent"), "gyro columns"
     parts = []
     for kind, channels, worth in (
@@ -191,8 +191,8 @@ def outcome(log: Path, folder: Path, truth: Truth, widths: Widths = WIDTHS) -> t
     if abs(np.log(rate / truth.rate)) > 0.004:
         parts.append("rate")
     for part in parts:
-        general = ("is unknown", "no turn tells", "is a guess, put", "depends on the rate")
-        known = any(f"{truth.words[part]} " in f"{s} " or f"{truth.words[part]}:" in s for s in doubts) or any(
+        general = ("is unknown", "no turn", "is a guess, put")
+        known = any(f"{truth.words[part]}{end}" in f"{s} " for s in doubts for end in " :,") or any(
             word in s for s in doubts for word in general
         )
         if not known and not faults:

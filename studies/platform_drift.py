@@ -27,9 +27,10 @@ from dataclasses import replace
 
 import formulas_against_simulation as simulation
 import numpy as np
+from accuracy_formulas import scalar_bias
 
 from tumble.earth import earth_rate, normal_gravity
-from tumble.methods.paper.gyros import carried, scalar_bias, triad, vertical_bias
+from tumble.methods.paper.gyros import carried, triad, vertical_bias
 from tumble.planning.setup import Setup
 from tumble.rotation import rotation_matrix, unit_vector
 from tumble.sensors.grades import NoiseModel

@@ -31,8 +31,7 @@ from tumble.reduction.blocks.reducer import Reducer, Reduction
 from tumble.reduction.blocks.tuning import USUAL, Tuning
 from tumble.reduction.observations import Observations, observe
 from tumble.reduction.rests.blemishes import without_blemishes
-from tumble.reduction.rests.matching import Match
-from tumble.reduction.rests.segmentation import RestSpan, find_rests
+from tumble.reduction.rests.segmentation import Stretch, find_rests
 from tumble.simulation.recording import Recording, record
 from tumble.simulation.scenario import NO_VIBRATION, Scenario, Vibration, scenario_of
 from tumble.units import DEGREE, G_STANDARD, Array, IntArray
@@ -132,7 +131,7 @@ class Judge:
             return whole
         found = observe(
             reduction,
-            Match(rests=spans, programme=None, position=None),
+            spans,
             one.scenario.accel,
             one.scenario.gyro,
             one.scenario.site,
@@ -153,9 +152,7 @@ class Judge:
         """Samples in a block."""
         return self.session.reduction.files[0].size
 
-    def _errors(
-        self, _: tuple[tuple[RestSpan, ...], tuple[int, ...], tuple[tuple[int, int], ...]]
-    ) -> tuple[float, int]:
+    def _errors(self, _: tuple[tuple[Stretch, ...], tuple[int, ...], tuple[tuple[int, int], ...]]) -> tuple[float, int]:
         """Σ z² and how many parameters of the linear model are known."""
         observations: Observations = replace(self.observations, usual=self.session.scenario.setup.further)
         try:

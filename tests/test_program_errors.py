@@ -50,25 +50,32 @@ def test_an_error_of_the_program_is_no_verdict(fault: str, said: str, tmp_path: 
     assert "in fails" in traceback
 
 
-def test_memory_that_does_not_suffice_is_said(tmp_path: Path) -> None:
-    status, line, _ = ended(FAILS.format("raise MemoryError('Unable to allocate 3 GiB')") + COMMAND, tmp_path)
+@pytest.mark.parametrize(
+    "error",
+    ["MemoryError('Unable to allocate 3 GiB')", "ImportError('libx.so: failed to map segment from shared object')"],
+)
+def test_memory_that_does_not_suffice_is_said(error: str, tmp_path: Path) -> None:
+    status, line, _ = ended(FAILS.format(f"raise {error}") + COMMAND, tmp_path)
     assert status == 70
-    assert line.startswith("tumble: the memory does not suffice: Unable to allocate 3 GiB; ")
+    assert line.startswith(f"tumble: the memory does not suffice: {error.split(chr(39))[1]}; ")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no such limit")
-@pytest.mark.parametrize("kilobytes", [700_000, 400_000])
+@pytest.mark.parametrize(("limited", "kilobytes"), [("AS", 700_000), ("AS", 400_000), ("DATA", 200_000)])
 @pytest.mark.parametrize("words", [["inspect", "launch"], ["report", "calibration.json", "--out", "report.html"]])
-def test_an_address_space_that_is_too_small_is_said_before_anything_is_read(
-    words: list[str], kilobytes: int, tmp_path: Path
+def test_a_limit_of_memory_that_is_too_small_is_said_before_anything_is_read(
+    words: list[str], limited: str, kilobytes: int, tmp_path: Path
 ) -> None:
+    """Polars and what draws abort under it, or wait for ever."""
     import resource
 
     limit = (1024 * kilobytes,) * 2
     command = f"from tumble.cli import main\nmain({words}, prog_name='tumble')\n"
-    status, line, _ = ended(command, tmp_path, lambda: resource.setrlimit(resource.RLIMIT_AS, limit))
+    kind = getattr(resource, f"RLIMIT_{limited}")
+    status, line, _ = ended(command, tmp_path, lambda: resource.setrlimit(kind, limit))
     assert status == 70
-    assert re.fullmatch(r"tumble: the memory does not suffice: expected an address space of at least [^\n]+\n", line)
+    assert re.fullmatch(r"tumble: the memory does not suffice: expected a limit of at least [^\n]+\n", line)
+    assert f"(ulimit -{'v' if limited == 'AS' else 'd'})" in line
 
 
 @pytest.mark.skipif(os.name != "posix", reason="descriptors of POSIX")

@@ -26,7 +26,7 @@ from tumble import __version__
 from tumble.documents import one_line
 from tumble.errors import TumbleError
 from tumble.plugins import entry_points_of, load, package_of
-from tumble.program_errors import check_address_space, ended_by
+from tumble.program_errors import check_memory_limits, ended_by
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small: threads would only wait for each other
 os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # which looks for them in all that is installed
@@ -187,7 +187,7 @@ def main(context: click.Context, quiet: bool, verbose: bool) -> None:  # noqa: A
     """Calibrate strapdown inertial measurement units on equipment that is not precise."""
     from tumble.recording.panic import COMMAND_LINE
 
-    check_address_space()
+    check_memory_limits()
     context.call_on_close(_ended_in_order())
     context.call_on_close(partial(COMMAND_LINE.reset, COMMAND_LINE.set(True)))
     warnings.filterwarnings("ignore", message="(Duplicate|Unreadable) variable")  # of scipy, on a damaged MATLAB file

@@ -5,6 +5,7 @@ It imports nothing that takes time or memory, for it also speaks for a start tha
 
 from __future__ import annotations
 
+import os
 import sys
 
 PROGRAM_ERROR = 70
@@ -18,7 +19,7 @@ def ended_by(error: BaseException) -> int:
     if isinstance(error, KeyboardInterrupt):
         print("tumble: stopped", file=sys.stderr)  # noqa: T201
         return STOPPED
-    if isinstance(error, MemoryError):
+    if isinstance(error, MemoryError) or (isinstance(error, ImportError) and "failed to map segment" in str(error)):
         said = f"the memory does not suffice: {error}; {_kept(error)}"
     else:
         said = f"an error of the program: {type(error).__name__}: {error}; please report it: {_kept(error)}"
@@ -26,23 +27,29 @@ def ended_by(error: BaseException) -> int:
     return PROGRAM_ERROR
 
 
-LEAST_ADDRESS_SPACE = 1.6e9
-"""Bytes. Reading a recording of 3 MB maps 1.25 GB with one thread of polars, 1.6 GB with sixteen, 0.13 GB of which are
-used; where they cannot be had polars aborts the process or waits for ever, and so may what draws the pictures."""
+LEAST_MEMORY = {"RLIMIT_AS": (1.6e9, "v"), "RLIMIT_DATA": (0.5e9, "d")}
+"""Bytes of address space and of data, with the option of `ulimit` for each. Reading a recording of 3 MB maps 1.59 GB,
+0.41 GB of it data and 0.2 GB used, with one thread of polars, and 5 MB of each for every thread more. Where they cannot
+be had, polars aborts the process or waits for ever, and so may what draws the pictures."""
 
 
-def check_address_space() -> None:
-    """Raise MemoryError where the process may not map what libraries do that read recordings and draw."""
+def check_memory_limits() -> None:
+    """Raise MemoryError where the process may not map what libraries do that read recordings and draw. Where there is
+    a limit, polars uses one thread."""
     try:
         import resource
     except ImportError:  # on Windows there is no such limit
         return
-    allowed = resource.getrlimit(resource.RLIMIT_AS)[0]
-    if allowed != resource.RLIM_INFINITY and allowed < LEAST_ADDRESS_SPACE:
-        raise MemoryError(
-            f"expected an address space of at least {LEAST_ADDRESS_SPACE / 1e9:.1f} GB, found a limit of "
-            f"{allowed / 1e9:.2f} GB; raise it (ulimit -v)"
-        )
+    for name, (least, option) in LEAST_MEMORY.items():
+        allowed = resource.getrlimit(getattr(resource, name))[0]
+        if allowed == resource.RLIM_INFINITY:
+            continue
+        if allowed < least:
+            raise MemoryError(
+                f"expected a limit of at least {least / 1e9:.1f} GB, found {allowed / 1e9:.2f} GB; raise it (ulimit "
+                f"-{option})"
+            )
+        os.environ.setdefault("POLARS_MAX_THREADS", "1")
 
 
 def _kept(error: BaseException) -> str:

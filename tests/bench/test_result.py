@@ -107,6 +107,19 @@ def _when_estimated(station: Station) -> dict[str, Any]:
     return dict(eventually(shown, 60.0))
 
 
+def test_what_is_stated_of_a_replay_comes_before_what_its_session_has(sent: Path, tmp_path: Path) -> None:
+    stated = {"latitude_deg": -33.0, "gravity": 9.797}
+    source = f"replay:{sent}@max"
+    station = station_of(tmp_path / "launch", source, serial="B-8", site=stated, programme="cube-14")
+    assert station.task.session.device.serial == "B-8"
+    assert station.task.session.site.gravity == 9.797
+    assert station.task.programme is not None
+    assert station.task.programme.name == "cube-14"
+    plain = station_of(tmp_path / "plain", source, site={})
+    assert plain.task.session.device.serial == read_session(sent).device.serial
+    assert plain.task.session.site == read_session(sent).site
+
+
 def test_a_session_in_another_format_is_replayed_to_the_last_digit(tmp_path: Path) -> None:
     setup = Setup.of(grade="mems", positions=4, rest=3.0, rate_deg_s=90.0)
     sent = simulate_session(tmp_path / "sent", setup, seed=5, log_format="parquet")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +14,16 @@ from click.testing import CliRunner, Result
 from tumble.campaigns import trial
 from tumble.campaigns.campaign import Campaign, campaign_of, read_campaign
 from tumble.campaigns.engine import Executor, run, serially
-from tumble.campaigns.summary import SummaryLine, summary
+from tumble.campaigns.summary import summary
 from tumble.campaigns.trial import Cell, session_rows
 from tumble.cli import main
-from tumble.errors import InputError, MissingExtraError
+from tumble.diagnosis.verdict import verdict
+from tumble.errors import InputError
+from tumble.inference.joint import joint
 from tumble.planning.setup import NAMES, Setup
 from tumble.sensors.grades import NoiseModel
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import itinerary, scenario_of
-from tumble.views.campaign import plot
 
 TABLE: Cell = {"rest": 20.0}
 SESSIONS = {"seed": 3, "trials": 4, "grid": {"method": ["joint", "ellipsoid"], "table_error_deg": [0.5, 5]}}
@@ -81,6 +81,18 @@ def test_the_uncertainty_that_a_method_states_is_never_far_below_the_bound() -> 
         for name in NAMES:
             assert row[f"u.{name}"] > 0.9 * row[f"bound.{name}"]
             assert abs(row[f"error.{name}"]) < 7.0 * row[f"u.{name}"]
+
+
+def test_a_trial_has_the_maximum_and_the_acceptance_of_a_calibration() -> None:
+    for number in range(4):
+        (row,) = session_rows(2, ["joint"], False, number, TABLE)
+        rng = trial.random_numbers(2, number)
+        scenario = scenario_of(Setup.of(**TABLE), rng)
+        observations = simulate_observations(scenario, rng)
+        whole = joint(observations, intervals=False)
+        assert row["accepted"] == verdict(whole, observations).accepted
+        for name, value, u in zip(whole.names, whole.values, whole.u, strict=True):
+            assert row[f"error.{name}"] == pytest.approx(value - scenario.truth[name], abs=1e-9 * u)
 
 
 def test_a_method_that_cannot_use_the_observations_fails_and_the_others_do_not() -> None:
@@ -166,28 +178,14 @@ def test_a_point_without_an_accepted_trial_has_counts_and_no_errors(tmp_path: Pa
     lines = summary(table(tmp_path, method=["joint"], error=["ValueError: no"]))
     assert {line.group for line in lines} == {line.group for line in lines if line.rms is None and line.failed == 1}
     assert {line.why for line in lines} == {"ValueError: no"}
-    with pytest.raises(InputError, match="expected an accepted trial to draw"):
-        plot(lines, tmp_path / "rms.svg")
 
 
-def test_a_plot_without_matplotlib_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    counts: dict[str, Any] = dict.fromkeys(COUNTS, 1)
-    line = SummaryLine(point={}, method="joint", group="accel.bias", unit="m/s^2", **counts, **FIGURES)
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(MissingExtraError, match=r"pip install 'tumble\[lab\]'"):
-        plot([line], tmp_path / "rms.svg")
-
-
-COUNTS = ("trials", "accepted", "failed")
-FIGURES: dict[str, Any] = {"bias": 0.0, "scatter": 1.0, "rms": 1.0, "to_bound": None, "coverage": None}
-
-
-def test_the_command_writes_rows_summary_and_picture_and_resumes(tmp_path: Path) -> None:
+def test_the_command_writes_rows_and_summary_and_resumes(tmp_path: Path) -> None:
     file, out = tmp_path / "campaign.toml", tmp_path / "out"
     file.write_text("trials = 2\n[grid]\ntable_error_deg = [1, 3]\n")
     first = cli(file, "--in-process", "-o", out)
     assert first.exit_code == 0, first.output
-    assert {path.name for path in out.iterdir()} == {"manifest.json", "rows.parquet", "summary.csv", "rms.svg"}
+    assert {path.name for path in out.iterdir()} == {"manifest.json", "rows.parquet", "summary.csv"}
     assert "gyro.axis" in first.stdout
     assert pl.read_csv(out / "summary.csv")["rms"].len() == 12
     changed = (out / "rows.parquet").stat().st_mtime_ns

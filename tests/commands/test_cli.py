@@ -174,7 +174,6 @@ def test_no_argument_at_all_shows_the_commands() -> None:
         (["calibrate", ""], "expected a path, found an empty one"),
         (["calibrate", "none"], "none: expected a session folder or its session.toml, found no such file or folder"),
         (["calibrate", "."], "session.toml: expected a session folder with a session.toml, found none; of a log"),
-        (["inspect", "few/log.parquet"], "expected a session folder or its session.toml, found another file"),
         (["calibrate", "one", "two"], "--out: expected a file for the result of several sessions, found none"),
         (["calibrate", "one", "one", "--out", "x.json"], "holds the same recording as one"),
         (["calibrate", "one", "other", "--out", "x.json"], "expected a launch of device 'mems-7'"),
@@ -182,7 +181,8 @@ def test_no_argument_at_all_shows_the_commands() -> None:
         (["calibrate", "few", "--truth", "none.json"], "none.json: expected a truth.json as `tumble simulate` writes"),
         (["calibrate", "few", "--truth", "few/session.toml"], "session.toml: expected a truth.json"),
         (["calibrate", "few", "--truth", "few/log.parquet"], "log.parquet: expected a truth.json"),
-        (["inspect"], "Missing argument 'SESSION'"),
+        (["plan", "--turn-rate", "1e18"], "turn_rate: expected at most 1e5 deg/s, found 1e+18"),
+        (["inspect"], "Missing argument 'SESSION|LOG'"),
         (["inspect", "none"], "none: expected a session folder or its session.toml"),
         (["inspect", "one", "two"], "Got unexpected extra argument (two)"),
         (["inspect", "one", "two\nthree"], "Got unexpected extra argument (two three); see `tumble inspect --help`"),
@@ -315,7 +315,7 @@ def test_launches_are_averaged_into_the_file_that_is_named(sessions: Path) -> No
     out = sessions / "mean.json"
     result = run("calibrate", sessions / "one", sessions / "two", "--out", out)
     assert result.exit_code == 0, result.stderr
-    assert "run to run" in result.stdout
+    assert "from launch to launch: accel.bias " in result.stdout
     assert [launch["session"] for launch in json.loads(out.read_text(encoding="utf-8"))["launches"]] == ["one", "two"]
     assert not (sessions / "one" / "calibration.json").exists()
 
@@ -327,12 +327,27 @@ def test_a_launch_that_is_refused_refuses_the_mean_and_is_named(sessions: Path) 
     assert "not accepted: two: the gyros do not carry the vertical" in result.stderr
 
 
+def test_reasons_are_a_few_lines_unless_all_is_asked_for(sessions: Path) -> None:
+    """Cut between clauses; the file has every word."""
+    log = sessions / "one" / "log.parquet"
+    pl.read_parquet(log).with_columns(ax=3.0 * pl.col("t").sin(), ay=9.0 * pl.col("t").cos()).write_parquet(log)
+    result = run("calibrate", sessions / "one")
+    assert result.exit_code == 1
+    (whole,) = json.loads((sessions / "one/calibration.json").read_text(encoding="utf-8"))["outcome"]["reasons"]
+    assert f"not accepted: {whole}\n" in run("calibrate", sessions / "one", "--all").stderr
+    (shown,) = [line for line in result.stderr.splitlines() if line.startswith("not accepted: ")]
+    begun = shown.removeprefix("not accepted: ").removesuffix(" (more: --all)")
+    assert len(whole) > 400
+    assert 200 < len(begun) <= 300
+    assert whole.startswith(f"{begun}; ")
+
+
 def test_names_that_look_like_markup_are_shown_as_they_are(sessions: Path) -> None:
     names = ("run[red]", "run[bold]two[")
     for old, new in zip(("one", "two"), names, strict=True):
         (sessions / old).rename(sessions / new)
         _edit(sessions / new, lambda content: content["device"].update(serial="A[/red]7", model="[bold]"))
-    result = run("calibrate", *(sessions / name for name in names), "--out", sessions / "mean.json")
+    result = run("calibrate", *(sessions / name for name in names), "--out", sessions / "mean.json", "--all")
     assert result.exit_code == 0, result.stderr
     assert "A[/red]7 ([bold])" in result.stdout
     for name in names:
@@ -461,6 +476,31 @@ def test_a_blemish_in_a_log_is_reported_and_no_reason_to_refuse_it(sessions: Pat
     assert said in result.output
 
 
+def test_a_log_is_inspected_as_it_is_calibrated(sessions: Path) -> None:
+    """With the session that `calibrate` finds again; what cannot be read leaves nothing behind."""
+    log = sessions / "log.csv"
+    pl.read_parquet(sessions / "one" / "log.parquet").write_csv(log)
+    seen = json.loads(run("inspect", log, "--latitude", "56.84", "--json").stdout)
+    done = run("calibrate", log, "--latitude", "56.84", "--json")
+    assert "log-session/session.toml: the session made of this log before" in done.stderr
+    assert [rest["start"] for rest in seen["observations"]["rests"]] == [
+        rest["start"] for rest in json.loads(done.stdout)["rests"]
+    ]
+    (sessions / "none.csv").write_text("no log\n", encoding="utf-8")
+    assert "none.csv: " in refused("inspect", sessions / "none.csv", below=sessions)
+    assert "expected one log with them" in refused("inspect", sessions / "one", "--latitude", "50", below=sessions)
+
+
+def test_noise_that_is_refused_says_nothing_else(sessions: Path) -> None:
+    """How the log was read is said with its result alone."""
+    log = sessions / "one" / "log.csv"
+    pl.read_parquet(sessions / "one" / "log.parquet").head(400).write_csv(log)
+    words = "noise", log, "--accel", "ax,ay,az", "--time", "t"
+    assert "accel: ax, ay, az, as stated" in run(*words).stderr
+    pl.read_csv(log).head(30).write_csv(log)
+    assert "expected at least 50 samples, found 30" in refused(*words, below=sessions)
+
+
 # -------------------- at random --------------------
 
 SEEDS = [*range(15), *(pytest.param(seed, marks=pytest.mark.weekly) for seed in range(15, 60))]
@@ -509,7 +549,7 @@ def test_no_damage_to_a_log_leads_to_a_traceback(sessions: Path, seed: int) -> N
     log = _spoilt(pl.read_parquet(folder / "log.parquet"), rng)
     log.write_parquet(folder / "log.parquet")
     assert run("inspect", folder).exit_code in (0, 1, 2)
-    result = run("calibrate", folder)
+    result = run("calibrate", folder, "--all")
     if result.exit_code == 2:
         assert re.fullmatch(r"tumble: [^\n]+\n", result.stderr)
         assert not (folder / "calibration.json").exists()

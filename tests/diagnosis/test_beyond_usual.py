@@ -20,7 +20,7 @@ from tumble.inference.estimate import Estimate, Outcome
 from tumble.inference.joint import joint
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
-from tumble.reduction.rests.segmentation import Rejected, RestSpan, Segmentation
+from tumble.reduction.rests.segmentation import Segmentation, Stretch
 from tumble.run.calibrate import calibrate
 from tumble.sensors.grades import GRADES
 from tumble.sensors.parameters import group_name
@@ -133,9 +133,10 @@ def test_a_grade_that_the_noise_rules_out_gives_way_and_is_said(tmp_path: Path) 
 
 
 def test_much_quiet_time_that_is_no_rest_is_a_remark() -> None:
-    rests = tuple(RestSpan(file=0, first=0, last=1, start=10.0 * i, stop=10.0 * i + 5.0) for i in range(4))
+    rests = tuple(Stretch(file=0, first=0, last=1, start=10.0 * i, stop=10.0 * i + 5.0) for i in range(4))
     sway = tuple(
-        Rejected(file=0, start=10.0 * i + 5.0, stop=10.0 * i + 8.0, fails="vertical", reason="moves") for i in range(4)
+        Stretch(file=0, first=0, last=1, start=10.0 * i + 5.0, stop=10.0 * i + 8.0, fails="vertical", reason="moves")
+        for i in range(4)
     )
     found = Segmentation(rests=rests, rejected=sway, rate_limit=None, scatter_limit=1.0)
     (said,) = little_used(found)

@@ -119,7 +119,6 @@ def test_thermometers_are_known_with_the_unit_of_their_name(name: str, unit: str
         ("temp gyro_temp", "gyro_temp"),
         ("template tempo T_x T_y T_z", ""),
         ("temp_x temp_y temp_z", "temp_x temp_y temp_z temp_x temp_y temp_z"),
-        ("T1 T2 T3 T4 T5 T6", "T1 T2 T3 T4 T5 T6"),
         ("T0 T1", "T0"),
         ("gyro_z_temp gyro_y_temp gyro_x_temp acc_temp", 3 * "acc_temp " + "gyro_x_temp gyro_y_temp gyro_z_temp"),
     ],

@@ -258,9 +258,7 @@ CASES: dict[str, Case] = {
         write=q.bno055,
         said=(
             "in cm/s^2 (a guess): one g reads 979.",
-            "mg would fit too (-2.1%)",
             "16 counts per deg/s as in data sheets",
-            "16.4 counts would fit too",
             "row 1 as it is read: time 0.02 s (ms: 20); accelerometers 8.43, 2.85, 4.17 m/s² (ax: 843, ay: 285,",
         ),
         within=2.0,
@@ -534,7 +532,7 @@ def test_columns_units_and_times_are_those_of_the_format(name: str, log: pl.Data
     output = OutputFolder(tmp_path / "session")
     files = unzipped(given, output) if given.suffix == ".zip" else files_of(given)
     found = repaired(identified_log(files, output), output, None)
-    assert said in "; ".join(found.said)
+    assert said in "; ".join(found.remarks)
     for kind, unit, columns in (("accel", accel, d.ACCEL), ("gyro", gyro, d.GYRO)):
         sensors = found.columns.triads[kind]
         assert sensors.unit == unit
@@ -560,7 +558,7 @@ def test_arrays_of_numpy_are_read(write: p.Write, log: pl.DataFrame, tmp_path: P
     copied = pl.read_parquet(folder / "log.parquet")
     assert np.array_equal(copied.select(spec.accel.columns).to_numpy(), log.select(d.ACCEL).to_numpy())
     assert np.array_equal(copied.select(spec.gyro.columns).to_numpy(), log.select(d.GYRO).to_numpy())
-    assert any("by their numbers (a guess)" in said for said in draft.said) == (write is p.numpy_matrix)
+    assert any("by their numbers (a guess)" in said for said in draft.remarks) == (write is p.numpy_matrix)
 
 
 def test_the_sign_of_core_motion_is_taken_off(log: pl.DataFrame, tmp_path: Path) -> None:
@@ -570,7 +568,7 @@ def test_the_sign_of_core_motion_is_taken_off(log: pl.DataFrame, tmp_path: Path)
     assert (table["accel"]["scale"], table["accel"]["scale_per"]) == (-1.0, "g")
     assert table["time"] == "accelerometerTimestamp_sinceReboot(s)"
     assert table["gyro"]["columns"][0] == "gyroRotationX(rad/s)"
-    assert "−1 g where an axis points up" in draft.said[-1]
+    assert "−1 g where an axis points up" in draft.remarks[-1]
 
 
 @pytest.mark.parametrize(
@@ -616,8 +614,8 @@ def test_what_a_still_body_leaves_open_is_said(log: pl.DataFrame, tmp_path: Path
     draft, _ = new_session(tmp_path / "session", tmp_path / q.biased_gyros_first(log, tmp_path))
     assert draft.content["log"]["accel"]["columns"] == ["5", "6", "7"]
     assert draft.content["log"]["accel"]["scale"] == 16384.0
-    assert any("too near to be sure: state --accel, --gyro" in said for said in draft.said)
-    assert "accelerometers 0.1077, -0.1724, 9.641 m/s² (5: 180, 6: -288, 7: 16107)" in draft.said[-1]
+    assert any("too near to be sure: state --accel, --gyro" in said for said in draft.remarks)
+    assert "accelerometers 0.1077, -0.1724, 9.641 m/s² (5: 180, 6: -288, 7: 16107)" in draft.remarks[-1]
 
 
 def test_words_before_the_axes_stay(log: pl.DataFrame, tmp_path: Path) -> None:

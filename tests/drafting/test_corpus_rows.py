@@ -46,7 +46,7 @@ CASES: dict[str, tuple[r.Write, float, Sequence[str]]] = {
     "dt in ms": (r.intervals("dt", 1e3), RATE, ("in ms",)),
     "delta_t [us]": (r.intervals("delta_t [us]", 1e6), RATE, ("in us",)),
     "no times": (r.no_times(*r.SENSORS), RATE, ("rate_hz = 100 is a guess", "rate_hz = 50 from the turns")),
-    "no times and no gyros": (r.no_times("ax", "ay", "az"), 100.0, ("how many rests there are depends on the rate",)),
+    "no times and no gyros": (r.no_times("ax", "ay", "az"), 100.0, ("rate_hz = 100 is a guess",)),
     "an empty thermometer": (r.two_thermometers("csv"), RATE, ("temp[C] is left out", "imu_temp in degC")),
     "nulls": (r.two_thermometers("parquet"), RATE, ("temp[C] is left out", "imu_temp in degC")),
     "rows of a network between": (r.rows_of_a_network(False), RATE, ("as rows of others: left out",)),
@@ -71,7 +71,7 @@ def test_a_log_is_read_at_its_rate_or_the_doubt_is_said(name: str, log: pl.DataF
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         draft, faults = new_session(tmp_path / "session", files)
-    printed = "; ".join((*draft.said, *faults))
+    printed = "; ".join((*draft.remarks, *faults))
     assert all(words in printed for words in said), printed
     assert bool(faults) == (name in DOUBTED), faults
     if np.isfinite(rate):

@@ -66,7 +66,7 @@ def test_what_is_no_log_is_left_out_where_others_are(rows: Array, tmp_path: Path
     (tmp_path / "logs" / "notes.txt").write_text("Turned by hand.", encoding="utf-8")
     draft, _ = new_session(tmp_path / "session", tmp_path / "logs")
     assert [file.name for file in draft.files] == ["imu.csv"]
-    assert any("photo.jpeg" in said and "left out" in said for said in draft.said)
+    assert any("photo.jpeg" in said and "left out" in said for said in draft.remarks)
 
 
 @pytest.mark.parametrize("columns", [[0, 1, 2, 3, 4, 5, 6], [1, 2, 3]])

@@ -111,7 +111,7 @@ def test_a_converter_has_its_zero_in_the_middle_where_it_writes_nothing_negative
 )
 def test_readings_of_one_g_tell_a_unit_from_counts(found: float, unit: str | None, doubted: bool) -> None:
     triads = {ACCEL: Sensors(columns=("x", "y", "z"), unit=None)}
-    draft = Draft(content={}, said=(), triads=triads, whole={ACCEL: True})
+    draft = Draft(content={}, remarks=(), triads=triads, whole={ACCEL: True})
     best, *rivals = ranked(Evidence(rate=100.0, length=found, length_u=0.005), draft)
     assert best.accel.unit == unit
     assert any(rival.cost - best.cost < WIDTHS.near for rival in rivals) == doubted
@@ -129,7 +129,7 @@ def test_a_time_that_counts_the_rows_is_remarked_on() -> None:
     times = times_of_column(Stamps(column="t", values=np.arange(1.0, 500.0), unit=None))
     assert times is not None
     assert times.keys["time_unit"] == "ms"
-    assert any("as a counter of samples does too" in said for said in times.said)
+    assert any("as a counter of samples does too" in said for said in times.remarks)
 
 
 def test_a_clock_may_be_one_of_twelve_hours() -> None:
@@ -202,7 +202,7 @@ def test_a_log_whose_clock_starts_anew_becomes_files(read: Array, tmp_path: Path
     pl.DataFrame(np.column_stack([stamps, read]), schema=names).write_csv(tmp_path / "log.csv")
     draft, _ = new_session(tmp_path / "session", tmp_path / "log.csv")
     assert len(draft.content["log"]["file"]) == 2
-    assert any("there are 2 recordings" in said for said in draft.said)
+    assert any("there are 2 recordings" in said for said in draft.remarks)
 
 
 def test_what_is_in_no_unit_is_no_accelerometer_beside_what_is(read: Array) -> None:
@@ -257,7 +257,7 @@ def test_magnetometers_without_readings_are_left_out(read: Array, tmp_path: Path
     table.with_columns(pl.lit("").alias("mag_y")).write_csv(tmp_path / "log.csv")
     draft, _ = new_session(tmp_path / "session", tmp_path / "log.csv", Given(sample_rate=100.0))
     assert draft.magnetometer is None
-    assert "magnetometers: mag_x, mag_y, mag_z are left out; they have no readings" in draft.said
+    assert "magnetometers: mag_x, mag_y, mag_z are left out; they have no readings" in draft.remarks
 
 
 @pytest.mark.filterwarnings("error")
@@ -393,7 +393,7 @@ def test_what_a_filter_has_left_without_gravity_is_said(tmp_path: Path) -> None:
     names = ["t", *(f"a{a}" for a in "xyz"), *(f"g{a}" for a in "xyz")]
     pl.DataFrame(table, schema=names).write_csv(tmp_path / "log.csv")
     draft, _ = new_session(tmp_path / "session", tmp_path / "log.csv")
-    assert any("gravity is not in them" in said for said in draft.said)
+    assert any("gravity is not in them" in said for said in draft.remarks)
 
 
 def test_rows_of_sensors_whose_names_stand_in_comments(read: Array, tmp_path: Path) -> None:
@@ -412,7 +412,7 @@ def test_rows_of_sensors_whose_names_stand_in_comments(read: Array, tmp_path: Pa
     (tmp_path / "log.txt").write_text(head + "".join(rows))
     draft, _ = new_session(tmp_path / "session", tmp_path / "log.txt")
     assert [draft.content["log"][kind]["unit"] for kind in (ACCEL, GYRO)] == ["m/s^2", "rad/s"]
-    assert any("one log at the times of the gyros" in said for said in draft.said)
+    assert any("one log at the times of the gyros" in said for said in draft.remarks)
 
 
 @pytest.fixture(scope="module")
@@ -479,8 +479,7 @@ def test_counts_without_a_time_are_said_with_the_rates_that_would_fit_too(
 ) -> None:
     log = written(two_turns.drop("t").with_columns(t=pl.lit(0.0)), tmp_path / "log.csv", gyro=131.0 / DEGREE, digits=0)
     draft, _ = new_session(tmp_path / "session", log)
-    said = next(said for said in draft.said if "rate_hz" in said and "from the turns" in said)
+    assert any("rate_hz" in said and "from the turns" in said for said in draft.remarks)
     found = draft.log[GYRO]["scale"] * draft.log["rate_hz"]
     assert found == pytest.approx(131.0 * 50.0, rel=0.06)
-    assert "would fit too" in said
     assert any("would fit too: the gyros' scale factors hang on it" in doubt for doubt in draft.doubts)

@@ -4,9 +4,11 @@ starts, dates and files; what is not sure stands in the session, with what hangs
 from __future__ import annotations
 
 import math
+import zlib
 from collections.abc import Callable, Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
+from time import process_time
 
 import numpy as np
 import polars as pl
@@ -15,6 +17,7 @@ from click.testing import CliRunner
 
 from tests.support.shared import session
 from tumble.cli import main
+from tumble.drafting.dialects import sentences
 from tumble.drafting.new_session import Given, new_session
 from tumble.planning.setup import Setup
 from tumble.recording.session_file import read_session
@@ -262,3 +265,111 @@ def test_a_doubt_ends_where_the_user_states_what_is_known(still: Array, tmp_path
         draft, _ = new_session(tmp_path / str(number), log, given)
         assert bool(draft.doubts) == doubted
         assert read_session(tmp_path / str(number)).log.doubt == "; ".join(draft.doubts)
+
+
+# -------------------- times and rows as some programs write them --------------------
+
+
+@pytest.mark.parametrize(
+    "written", [lambda t: t.strftime("%a %b %d %H:%M:%S %Y"), lambda t: t.strftime("%M:%S.%f")[:7]], ids=["C", "Excel"]
+)
+def test_times_of_c_and_of_excel(written: Callable[[datetime], str], rows: Array, tmp_path: Path) -> None:
+    """Whole seconds with a date, and minutes with tenths of seconds, which pass an hour."""
+    start = datetime(2026, 6, 15, 9, 59, 30)
+    lines = [f"{written(start + timedelta(seconds=t))},{','.join(map(str, values))}" for t, *values in rows.tolist()]
+    (tmp_path / "log.csv").write_text("\n".join([NAMES, *lines]) + "\n", encoding="utf-8")
+    assert check_read(tmp_path / "s", tmp_path / "log.csv", rows) == ""
+    assert read_session(tmp_path / "s").log.regular
+
+
+def test_dates_with_empty_cells_are_read_in_no_time(tmp_path: Path) -> None:
+    start = datetime(2026, 6, 15, 9, 59, 30)
+    lines = [
+        f"{start + timedelta(seconds=0.01 * k):%Y-%m-%d %H:%M:%S.%f},{'' if k % 40 == 7 else 0.1},0.2,9.8"
+        for k in range(8000)
+    ]
+    (tmp_path / "log.csv").write_text("\n".join(["t,ax,ay,az", *lines]) + "\n", encoding="utf-8")
+    started = process_time()
+    new_session(tmp_path / "s", tmp_path / "log.csv")
+    assert process_time() - started < 5.0
+
+
+def of_novatel(rows: Array, name: str) -> str:
+    """Sentences with raw increments, 1e6 counts for 1 m/s and for 1 rad, axes in the order z, −y, x."""
+    lines = []
+    order, signs = [3, 2, 1, 6, 5, 4], np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0])
+    for row in rows:
+        counts = np.rint(1e6 * np.diff(rows[:2, 0]) * signs * row[order])
+        second = f"{484000.0 + row[0]:.3f}"
+        long = f"COM1,0,68.5,FINESTEERING,1692,{second},024c0040,6125,30019"
+        head, info = (long, "") if name.startswith("#") else (f"1692,{second}", "00,11,")
+        body = f"{name[1:]},{head};{info}1692,{second},00801503,{','.join(f'{c:.0f}' for c in counts)}"
+        lines.append(f"{name[0]}{body}*{~zlib.crc32(body.encode(), 0xFFFFFFFF) & 0xFFFFFFFF:08x}")
+    return "\n".join(lines) + "\n"
+
+
+@pytest.mark.parametrize("name", ["%RAWIMUSXA", "#RAWIMUA"])
+def test_raw_increments_of_novatel(name: str, rows: Array, tmp_path: Path) -> None:
+    (tmp_path / "log.txt").write_text(of_novatel(rows, name), encoding="ascii")
+    assert check_read(tmp_path / "s", tmp_path / "log.txt", rows) == ""
+    calibrated = CliRunner().invoke(main, ["calibrate", str(tmp_path / "s")])
+    assert calibrated.exit_code == 0, calibrated.stderr
+    readings = "43110635,-817242,-202184,-215194,-41188,-9895"
+    body = f"RAWIMUSXA,1692,484620.664;00,11,1692,484620.664389000,00801503,{readings}"
+    assert sentences(["", "words", ""]) is None
+    spelling = sentences([f"%{body}*a5db8c7b"] * 9 + [f"%{body}*a5db8c7c"])  # of NovAtel's manual; damaged
+    assert spelling is not None
+    assert spelling.values(f"%{body}*a5db8c7b") == [
+        "484620.664389000", "-202184", "817242", "43110635", "-9895", "41188", "-215194",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("others", [["GPS,{t},45.1,7.6"], ["GPS,{t},45.1,7.6,240,9,1.2,3,0", "BARO,{t},1002,3"]])
+@pytest.mark.parametrize("names", ["", "kind,t,ax,ay,az,gx,gy,gz,T"])
+def test_rows_of_the_imu_among_those_of_others(others: list[str], names: str, rows: Array, tmp_path: Path) -> None:
+    lines = [names] if names else []
+    for k, (t, *values) in enumerate(rows.tolist()):
+        lines.append(f"IMU,{1e3 * t:.0f},{','.join(f'{x:.6g}' for x in values)},25.{k % 10}")
+        lines += [line.format(t=f"{1e3 * t:.0f}") for line in others] if k % 5 == 0 else []
+    (tmp_path / "log.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    assert check_read(tmp_path / "s", tmp_path / "log.csv", rows) == ""
+    assert read_session(tmp_path / "s").log.accel.columns == (("ax", "ay", "az") if names else ("3", "4", "5"))
+
+
+def test_a_body_that_flies_without_names_of_columns(tmp_path: Path) -> None:
+    """Gyros whose median length is 1, as that of accelerometers in g, but not most of the time."""
+    rng, t = np.random.default_rng(3), 0.005 * np.arange(6000)
+    turning = np.column_stack([np.sin(t), np.sin(1.3 * t + 1.0), np.sin(0.7 * t + 2.0)])
+    turning *= (1.0 + np.sin(0.5 * t))[:, None]
+    force = np.array([0.0, 0.0, 9.8]) + rng.normal(scale=3.0, size=(6000, 3))
+    force += 3.0 * np.column_stack([np.cos(t), np.cos(1.1 * t), np.cos(0.4 * t)])
+    text(tmp_path / "log.txt", "", np.column_stack([4908.7 + t, turning, force]), " ")
+    new_session(tmp_path / "s", tmp_path / "log.txt")
+    log = read_session(tmp_path / "s").log
+    assert (log.accel.columns, log.accel.unit_name) == (("5", "6", "7"), "m/s^2")
+
+
+def test_numbers_without_their_sign_and_without_names(rows: Array, tmp_path: Path) -> None:
+    counts = np.rint(scaled(rows, 16384.0 * G, 131.0 * D)[:, 1:]) % 65536
+    text(tmp_path / "log.txt", "", np.column_stack([rows[:, 0], counts]), "\t")
+    check_read(tmp_path / "s", tmp_path / "log.txt", rows)
+    log = read_session(tmp_path / "s").log
+    assert log.accel.scale == pytest.approx(16384.0)
+
+
+def test_numbers_of_rows_are_no_thousandths_of_a_second(tmp_path: Path) -> None:
+    still = np.column_stack([1.0 + np.arange(1000), np.random.default_rng(1).normal(size=(1000, 6))])
+    still[:, 1:] = 0.01 * still[:, 1:] + np.array([0.0, 0.0, 9.81, 0.0, 0.0, 0.0])
+    draft, _ = new_session(tmp_path / "s", text(tmp_path / "log.csv", NAMES, still))
+    assert draft.log["rate_hz"] == 100.0
+    assert any("state --sample-rate" in doubt for doubt in draft.doubts)
+
+
+def test_files_of_a_row_each_are_one_log(rows: Array, tmp_path: Path) -> None:
+    """As the oxts/data of KITTI."""
+    (tmp_path / "data").mkdir()
+    for k, row in enumerate(rows[:1500]):
+        (tmp_path / "data" / f"{k:010d}.txt").write_text(" ".join(f"{x:.8g}" for x in row), encoding="ascii")
+    draft, _ = new_session(tmp_path / "s", tmp_path / "data")
+    assert draft.log["accel"]["columns"] == ["2", "3", "4"]
+    assert draft.rate == pytest.approx(50.0, rel=1e-3)

@@ -19,7 +19,6 @@ from tests.use.test_applied_model import larger, read, truth
 from tumble.export import export_calibration
 from tumble.result.calibration import Calibration
 from tumble.result.linear_fit import linear_model, session_rate
-from tumble.result.temperature_curves import model_at
 from tumble.rotation import unit_vector
 from tumble.sensors.model import SensorModel
 from tumble.sensors.parameters import group_name, groups
@@ -79,7 +78,7 @@ def test_the_header_applies_curvatures_of_a_linear_model(tmp_path: Path, gcc: st
     made, rng = warmed(calibration()), np.random.default_rng(1)
     true = rng.normal(size=(8, 3))
     for celsius in (-18.5, 30.0, 57.25):
-        reading = model_at(made, "accel", celsius).predict(true)
+        reading = made.compensator.model("accel", celsius).predict(true)
         rows = np.hstack([reading, np.full((8, 1), celsius)])
         np.testing.assert_allclose(run(gcc, tmp_path, made, "accel", rows, warm=True), true, rtol=0.0, atol=1e-12)
     assert "measured from -18.5 to 57.2" in export_calibration(made, "c").content.decode()

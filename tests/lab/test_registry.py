@@ -354,13 +354,14 @@ def test_places_that_cannot_be_used_are_refused_in_one_line(tmp_path: Path) -> N
     assert "secret" not in refused("postgresql://user:secret@localhost:port/x")
 
 
-def test_a_damaged_column_is_said_in_one_line(place: str, registry: Registry) -> None:
+@pytest.mark.parametrize("damage", ["the day before", ""])
+def test_a_damaged_column_is_said_in_one_line(damage: str, place: str, registry: Registry) -> None:
     added(registry)
     with sqlite3.connect(place) as raw:
         raw.execute("DROP TRIGGER calibration_no_update")
-        raw.execute("UPDATE calibration SET performed = 'the day before'")
+        raw.execute("UPDATE calibration SET performed = ?", (damage,))
     raw.close()
-    for look in (registry.records, registry.due):
+    for look in (registry.records, registry.due, lambda: added(registry)):
         with pytest.raises(InputError, match="expected what was written into it, found a damaged value") as said:
             look()
         assert "\n" not in str(said.value)

@@ -16,7 +16,6 @@ from tests.use.test_compare import of_common_gravity, of_common_time_base
 from tumble.cli import main
 from tumble.lab.registry.registry import open_registry
 from tumble.lab.registry.trend import Trend
-from tumble.lab.views.control_chart import write_chart
 from tumble.lab.views.registry import change_lines
 from tumble.result.calibration import Calibration
 from tumble.use.compare import compare_calibrations
@@ -46,9 +45,6 @@ def test_a_change_has_one_sign_one_number_and_one_verdict(sigmas: float, tmp_pat
     assert comparison.agree == (not found.changed)
     line = change_lines(found)[0]
     assert line.startswith(f"the latest against the one before: {int(abs(sigmas) > 2)} of 21 |E_n| beyond 1, one as")
-    if sigmas == 2.5:
-        write_chart(tmp_path / "chart.html", found)
-        assert line in (tmp_path / "chart.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("pair", [of_common_gravity, of_common_time_base])

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta
-from pathlib import Path
-from xml.etree import ElementTree
+from datetime import UTC, datetime
 
 import numpy as np
 import pytest
@@ -15,12 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import optimize, stats
 
-from tests.support.registry_files import content, write
-from tumble.errors import InputError, MissingExtraError
 from tumble.lab.registry.records import State
-from tumble.lab.registry.registry import open_registry
-from tumble.lab.registry.trend import YEAR, ParameterTrend, Point, Trend, forecast, parameter_trend
-from tumble.lab.views.control_chart import write_chart
+from tumble.lab.registry.trend import YEAR, ParameterTrend, Point, forecast, parameter_trend
 from tumble.units import Array
 
 START = datetime(2020, 1, 1, tzinfo=UTC)
@@ -246,57 +239,3 @@ def test_the_true_time_is_in_the_interval_as_often_as_stated(instability: float)
             inside.append((found.earliest - START) / YEAR <= 8.0 <= latest)
     assert len(inside) > 100
     assert np.mean(inside) > 0.9545 - 5.0 * np.sqrt(0.0434 / len(inside))
-
-
-# -------------------- charts --------------------
-
-
-EVIL = "<script>alert(1)</script> $x^2$ & \"'"
-
-
-@pytest.fixture(scope="module")
-def found(tmp_path_factory: pytest.TempPathFactory) -> Trend:
-    """A device with hostile names, over three calibrations, with limits; four of its parameters."""
-    folder = tmp_path_factory.mktemp("chart")
-    limits = folder / "limits.toml"
-    limits.write_text('format = 1\n[periodic]\n"accel.bias" = "1 mg"\n', encoding="utf-8")
-    states: tuple[State, ...] = ("unchanged", "as-found", "as-left")
-    with open_registry(folder / "r.sqlite", create=True) as registry:
-        registry.set_limits(EVIL, limits)
-        for i, state in enumerate(states):
-            whole = content(serial=EVIL, model=EVIL, log=str(i), values={"accel.bias.x": 1e-3 * i})
-            whole["parameters"][1]["name"] = f"accel.bias.{EVIL}"
-            performed = datetime(2024, 1, 1, tzinfo=UTC) + timedelta(days=300 * i)
-            registry.add_calibration(write(folder / "c.json", whole), performed=performed, state=state)
-        device = registry.trend(EVIL)
-    return replace(device, parameters=device.parameters[:4])
-
-
-def test_a_chart_is_one_whole_page_in_which_names_from_files_are_text(found: Trend, tmp_path: Path) -> None:
-    write_chart(tmp_path / "chart.html", found)
-    text = (tmp_path / "chart.html").read_text(encoding="utf-8")
-    assert "<script" not in text
-    assert "&lt;script&gt;alert(1)&lt;/script&gt; $x^2$" in text
-    for loading in ("src=", "@import", "url(http", "<link", "<iframe", "<img"):
-        assert loading not in text
-    assert "default-src 'none'" in text
-    assert text.count("<figure") == 4
-    svg = text[text.index("<svg") : text.index("</svg>") + 6]
-    assert ElementTree.fromstring(svg).tag.endswith("svg")
-
-
-def test_one_calibration_is_compared_with_nothing(found: Trend, tmp_path: Path) -> None:
-    first = tuple(replace(t, points=t.points[:1]) for t in found.parameters)
-    write_chart(tmp_path / "chart.html", replace(found, parameters=first, limits={}, comparison=None))
-    assert "nothing to compare with yet" in (tmp_path / "chart.html").read_text(encoding="utf-8")
-
-
-def test_only_html_is_written_and_matplotlib_is_named(
-    found: Trend, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with pytest.raises(InputError, match=r"expected a file that ends in .html, found '.png'"):
-        write_chart(tmp_path / "chart.png", found)
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(MissingExtraError, match=r"needs matplotlib; install it with: pip install 'tumble\[lab\]'"):
-        write_chart(tmp_path / "chart.html", found)
-    assert not list(tmp_path.glob("*chart*"))

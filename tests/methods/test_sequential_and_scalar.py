@@ -25,6 +25,7 @@ from tests.support.rough_launches import (
 )
 from tumble.errors import InputError, ProgrammeError, SessionError
 from tumble.inference.estimate import Estimate
+from tumble.methods.least_squares import Residuals, as_normal
 from tumble.methods.paper.four_stages import scalar, scalar_nominal, sequential
 from tumble.programme.positions import programme
 from tumble.recording.log import open_log
@@ -359,6 +360,20 @@ def test_scatter_between_rests_is_found_and_counted(monkeypatch: pytest.MonkeyPa
     assert np.abs((noisy.values - values) / noisy.u).max() < 4.0
 
 
+def test_residuals_are_judged_by_the_scatter_of_the_others() -> None:
+    """Of a fit by least squares that is the externally studentised residual; of residuals that are none, one that has
+    most of χ² is as far off as Student's t says, not beyond all bounds."""
+    rng = np.random.default_rng(15)
+    A = rng.normal(size=(9, 4))
+    left, r = np.eye(9) - A @ np.linalg.pinv(A), rng.normal(size=9)
+    judged = Residuals(residual=left @ r, variance=np.ones(9), left=left).sigmas(1, scaled=True)
+    z2 = (left @ r) ** 2 / np.diag(left)
+    studentised = np.sqrt(z2 * 4.0 / (r @ left @ r - z2))
+    np.testing.assert_allclose(judged, as_normal(studentised, 4.0), rtol=1e-9)
+    most = Residuals(residual=np.array([2.3, 0.1, 0.2, 0.1, 0.1, 0.1]), variance=np.ones(6), left=0.9 * np.eye(6))
+    assert 3.0 < most.sigmas(1, scaled=True).max() < 5.0
+
+
 def test_a_rest_and_a_turn_that_do_not_fit_stand_out() -> None:
     rng = np.random.default_rng(10)
     values = drawn_values(1, rng)[0]
@@ -405,7 +420,10 @@ def test_sites_and_sensors_it_cannot_use_are_refused(pipeline: Pipeline) -> None
     with pytest.raises(SessionError, match="expected latitude_deg"):
         pipeline(replace(seen, site=replace(seen.site, latitude=None)))
     tetrad = Block(kind="accel", axes=np.vstack([np.eye(3), np.full(3, 3**-0.5)]))
-    with pytest.raises(InputError, match=r"expected three sensors of a kind along the body axes, found 4 \(accel\)"):
+    missing = r"expected three sensors of a kind along the body axes, found 4 \(accel\)"
+    with pytest.raises(
+        InputError, match="expected rests with accelerometer 3 up" if pipeline is sequential else missing
+    ):
         pipeline(replace(seen, accel_block=tetrad))
     with pytest.raises(InputError, match="iterations: expected at least 1, found 0"):
         pipeline(seen, iterations=0)

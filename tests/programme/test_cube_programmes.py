@@ -18,8 +18,8 @@ from tumble.recording.log import open_log
 from tumble.recording.session import ProgrammeSpec, Session
 from tumble.recording.session_file import read_session
 from tumble.reduction.blocks.reducer import reduce_log
-from tumble.reduction.rests.matching import Match, match_rests
-from tumble.reduction.rests.segmentation import find_rests
+from tumble.reduction.rests.matching import match_rests
+from tumble.reduction.rests.segmentation import Segmentation, find_rests
 from tumble.result.calibration import read_calibration
 from tumble.rotation import rotation_matrix
 from tumble.simulation.scenario import scenario_of
@@ -57,7 +57,7 @@ def recorded(
     return write_simulation(folder, scenario, rng)
 
 
-def matched(folder: Path, name: str, *, gyros: bool = True) -> Match:
+def matched(folder: Path, name: str, *, gyros: bool = True) -> Segmentation:
     """The rests of a session matched to a built-in programme, whatever its session.toml says."""
     found = read_session(folder)
     session: Session = replace(found, programme=ProgrammeSpec(name=name))

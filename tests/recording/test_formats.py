@@ -4,6 +4,7 @@ must come back as the same numbers."""
 from __future__ import annotations
 
 import math
+import os
 import sqlite3
 import struct
 import subprocess
@@ -154,20 +155,30 @@ def ulog_message(kind: str, content: bytes) -> bytes:
     return struct.pack("<HB", len(content), ord(kind)) + content
 
 
-def write_ulog(path: Path, record: Array, warmth: tuple[float, float] = (25.0, 26.0)) -> None:
-    """By the published layout of ULog: header, flags, formats, subscriptions, data; a barometer at 31 °C."""
+def write_ulog(
+    path: Path, record: Array, warmth: tuple[float, float] = (25.0, 26.0), *, every: int = 1, combined: bool = False
+) -> None:
+    """By the published layout of ULog: header, flags, formats, subscriptions, data; a barometer at 31 °C. Raw messages
+    of `every` so many samples, and with `combined` the message that PX4 makes of them of all."""
     layout = "uint64_t timestamp;uint64_t timestamp_sample;float x;float y;float z;float temperature;"
     out = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 10)
     out += ulog_message("B", bytes(40))
     out += ulog_message("F", f"sensor_accel:{layout}".encode()) + ulog_message("F", f"sensor_gyro:{layout}".encode())
     out += ulog_message("F", b"sensor_baro:uint64_t timestamp;float pressure;float temperature;")
+    fields = "uint64_t timestamp;float[3] gyro_rad;float[3] accelerometer_m_s2;"
+    out += ulog_message("F", f"sensor_combined:{fields}".encode())
     out += ulog_message("A", struct.pack("<BH", 0, 2) + b"sensor_baro")
     out += ulog_message("A", struct.pack("<BH", 0, 0) + b"sensor_accel")
     out += ulog_message("A", struct.pack("<BH", 0, 1) + b"sensor_gyro")
+    if combined:
+        out += ulog_message("A", struct.pack("<BH", 0, 3) + b"sensor_combined")
     for i, row in enumerate(record):
         taken = 5_000_000 + i * 10**6 // RATE
-        out += ulog_message("D", struct.pack("<HQQ4f", 0, taken + 300, taken, *row[:3], warmth[0]))
-        out += ulog_message("D", struct.pack("<HQQ4f", 1, taken + 400, taken, *row[3:], warmth[1]))
+        if i % every == 0:
+            out += ulog_message("D", struct.pack("<HQQ4f", 0, taken + 300, taken, *row[:3], warmth[0]))
+            out += ulog_message("D", struct.pack("<HQQ4f", 1, taken + 400, taken, *row[3:], warmth[1]))
+        if combined:
+            out += ulog_message("D", struct.pack("<HQ6f", 3, taken, *row[3:], *row[:3]))
         out += ulog_message("D", struct.pack("<HQ2f", 2, taken, 101325.0, 31.0))
     path.write_bytes(out)
 
@@ -304,7 +315,7 @@ def temperature_of(path: Path) -> tuple[str | None, Array]:
     """The message, or the columns, of the thermometers that `tumble new` finds in a recording, and what they read."""
     draft, _ = new_session(path.parent / f"{path.name}-session", path)
     keys = draft.content["log"].get("temperature")
-    named = [said for said in draft.said if said.startswith("temperature from")]
+    named = [said for said in draft.remarks if said.startswith("temperature from")]
     if keys is None:
         return None, np.empty(0)
     assert keys["unit"] == "degC"
@@ -433,7 +444,7 @@ def test_of_several_topics_with_temperatures_that_beside_the_imu_is_taken(at_res
     assert name == "/imu/temperature"
     np.testing.assert_allclose(temperatures, 30.0)
     draft, _ = new_session(tmp_path / "again", tmp_path / "two")
-    assert "other thermometers, not used: /baro/temperature" in draft.said
+    assert "other thermometers, not used: /baro/temperature" in draft.remarks
 
 
 def test_topics_with_the_temperatures_of_each_kind_of_sensors_are_both_taken(at_rest: Array, tmp_path: Path) -> None:
@@ -443,7 +454,7 @@ def test_topics_with_the_temperatures_of_each_kind_of_sensors_are_both_taken(at_
     assert draft.content["log"]["temperature"]["columns"] == ["accel_temperature", "gyro_temperature"]
     log = pl.read_parquet(tmp_path / "session" / "log.parquet")
     np.testing.assert_allclose(log.select("accel_temperature", "gyro_temperature").to_numpy(), [[20.0, 40.0]] * 3000)
-    assert "other thermometers, not used: /imu/temperature" in draft.said
+    assert "other thermometers, not used: /imu/temperature" in draft.remarks
 
 
 def test_an_array_of_four_is_a_time_and_three_sensors(tmp_path: Path) -> None:
@@ -482,6 +493,27 @@ def test_text_with_the_ending_of_matlab_is_no_recording(tmp_path: Path) -> None:
     assert is_recording(tmp_path / "imu.mat")
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="no such files")
+def test_a_pipe_in_the_folder_of_a_bag_is_refused_and_not_waited_for(record: Array, tmp_path: Path) -> None:
+    write_bag2(tmp_path / "bag", record)
+    (data,) = (tmp_path / "bag").glob("*.db3")
+    data.unlink()
+    os.mkfifo(data)
+    with pytest.raises(InputError, match="expected a file, found a device or a pipe"):
+        messages(tmp_path / "bag")
+
+
+def test_times_that_are_said_to_be_floating_point_numbers_give_no_warning(record: Array, tmp_path: Path) -> None:
+    """As of a flight log whose layout is damaged."""
+    path = tmp_path / "r.ulg"
+    write_ulog(path, record)
+    path.write_bytes(
+        path.read_bytes().replace(b"uint64_t timestamp_sample;float x", b"double   timestamp_sample;float x")
+    )
+    with suppress(InputError):
+        new_session(tmp_path / "s", path)
+
+
 @pytest.mark.parametrize("damage", ["data = x'0001'", "data = 5"])
 def test_a_bag_whose_rows_are_damaged_is_refused_in_one_line(damage: str, record: Array, tmp_path: Path) -> None:
     """The first rows, by which it is found out what it holds, are sound."""
@@ -508,3 +540,15 @@ def test_an_empty_column_of_accelerometers_gives_no_warning(tmp_path: Path) -> N
     with warnings.catch_warnings(), suppress(InputError):
         warnings.simplefilter("error")
         new_session(tmp_path / "session", tmp_path / "log.csv")
+
+
+@pytest.mark.parametrize(("every", "taken"), [(1, "sensor_accel.0"), (50, "sensor_combined.0")])
+def test_raw_messages_of_px4_are_taken_where_they_are_all_there(
+    every: int, taken: str, at_rest: Array, tmp_path: Path
+) -> None:
+    """By default PX4 logs them once a second."""
+    write_ulog(tmp_path / "r.ulg", at_rest, every=every, combined=True)
+    draft, _ = new_session(tmp_path / "s", tmp_path / "r.ulg")
+    assert any(taken in line for line in draft.remarks)
+    assert any("in s (by its name)" in line for line in draft.remarks)
+    assert draft.rate == pytest.approx(RATE, rel=1e-3)

@@ -168,7 +168,7 @@ CSV_FAULTS: dict[str, tuple[Callable[[Lines], Lines], str]] = {
     "every time repeated": (
         lambda table: [table[0], *([f"{0.02 * (i // 2):.2f}", *line[1:]] for i, line in enumerate(table[1:]))],
         ": row 2 (line 3), column 't': expected a time after 0 s, found 0 s again; if the rows are equally spaced "
-        "whatever their time stamps say, put regular = true in [log]",
+        "whatever their time stamps say, put regular = true in [log], or with arrays give rate= instead of time=",
     ),
     "clock started anew": (
         lambda table: [*table[:250], *table[1:52]],

@@ -20,7 +20,7 @@ from tumble.reduction.rests.blemishes import (
     blemish_notes,
     without_blemishes,
 )
-from tumble.reduction.rests.segmentation import RestSpan
+from tumble.reduction.rests.segmentation import Stretch
 from tumble.rotation import unit_vector
 from tumble.run.calibrate import calibrate
 from tumble.run.observed import inspect_session
@@ -60,9 +60,9 @@ def test_the_block_of_a_bad_sample_has_no_weight(column: int, size: float, width
     np.testing.assert_allclose(found.files[0].accel.mean(0, 200), of_kept[0], rtol=1e-12)
     np.testing.assert_allclose(found.files[0].gyro.mean(0, 200), of_kept[1], rtol=1e-9)
     assert np.abs(found.files[0].accel.means - [0.0, 0.0, 9.81]).max() < 0.03
-    span = RestSpan(file=0, first=0, last=200, start=0.0, stop=20.0)
+    span = Stretch(file=0, first=0, last=200, start=0.0, stop=20.0)
     assert blemish_notes(found, [span])[0].startswith(f"{width} bad sample")
-    assert blemish_notes(found, [RestSpan(file=0, first=0, last=90, start=0.0, stop=9.0)]) == ()
+    assert blemish_notes(found, [Stretch(file=0, first=0, last=90, start=0.0, stop=9.0)]) == ()
 
 
 def test_what_lasts_longer_than_a_bad_sample_is_left_as_it_is() -> None:

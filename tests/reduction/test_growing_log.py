@@ -18,9 +18,8 @@ from tumble.recording.session import Site
 from tumble.reduction.blocks.motion_samples import MotionSamples
 from tumble.reduction.blocks.reducer import FileBlocks, Reducer, Reduction
 from tumble.reduction.observations import Observations, observe
-from tumble.reduction.rests.live import mean_so_far, rests_so_far
-from tumble.reduction.rests.matching import Match
-from tumble.reduction.rests.segmentation import RestSpan, find_rests
+from tumble.reduction.rest_stream import mean_so_far, rests_so_far
+from tumble.reduction.rests.segmentation import Stretch, find_rests
 from tumble.sensors.model import Block
 from tumble.simulation.recording import Recording, record
 from tumble.simulation.scenario import scenario_of
@@ -72,7 +71,7 @@ def batch(reduction: Reduction) -> Observations | None:
     rests = find_rests(reduction, ACCEL, GYRO).rests
     if not rests:
         return None
-    return observe(reduction, Match(rests=rests, programme=None, position=None), ACCEL, GYRO, SITE)
+    return observe(reduction, rests, ACCEL, GYRO, SITE)
 
 
 def assert_equal(a: object, b: object) -> None:
@@ -148,13 +147,12 @@ def test_rests_show_while_they_last(session: Recording) -> None:
             assert moving is not None
             assert (moving.still, moving.lasting, len(moving.rests)) == (False, False, k + 1)
     u = mean_so_far(reduction, found[-1].first, found[-1].last)
-    assert u.accel_u is not None
-    assert u.gyro_u is not None
-    assert u.accel_twice == pytest.approx(u.accel_u / 2**0.5, rel=0.2)  # white noise
-    assert mean_so_far(reduction, 0, 5).accel_u is None
+    assert u.keys() == {"accel", "gyro"}
+    assert u["accel"][1] == pytest.approx(u["accel"][0] / 2**0.5, rel=0.2)  # white noise
+    assert mean_so_far(reduction, 0, 5) == {}
 
 
-def starts(found: Sequence[RestSpan], k: int) -> list[float]:
+def starts(found: Sequence[Stretch], k: int) -> list[float]:
     return [span.start for span in found[: k + 1]]
 
 

@@ -15,8 +15,8 @@ from tumble.programme.positions import ANY_MOVE, Programme, programme
 from tumble.recording.log import Chunk
 from tumble.recording.session import Channels, Device, ListedPosition, LogSpec, ProgrammeSpec, Session, Site
 from tumble.reduction.blocks.reducer import Reducer, Reduction
-from tumble.reduction.rests.matching import Match, match_rests
-from tumble.reduction.rests.segmentation import find_rests
+from tumble.reduction.rests.matching import match_rests
+from tumble.reduction.rests.segmentation import Segmentation, find_rests
 from tumble.rotation import rotation_matrix
 from tumble.sensors.model import Block
 from tumble.simulation.recording import Recording, record
@@ -98,7 +98,7 @@ def reduced(recording: Recording, accel: Array | None = None, *, gyros: bool = T
     return reducer.now()
 
 
-def matched(recording: Recording, spec: ProgrammeSpec | None, *, gyros: bool = True) -> Match:
+def matched(recording: Recording, spec: ProgrammeSpec | None, *, gyros: bool = True) -> Segmentation:
     reduction = reduced(recording, gyros=gyros)
     segmentation = find_rests(reduction, ACCEL, GYRO if gyros else None)
     return match_rests(session_of(spec, gyros=gyros), reduction, segmentation)

@@ -340,6 +340,13 @@ def test_a_constant_channel_has_no_noise() -> None:
     assert live.white_noise is not None
 
 
+@pytest.mark.parametrize("samples", [1000, 1500, 2605])
+def test_a_ramp_alone_is_no_noise(samples: int) -> None:
+    """As of a column of times that is taken for a sensor."""
+    (ramp,) = identify(allan_deviation(np.round(0.05 * np.arange(1, samples + 1), 5), 1.0))
+    assert replace(ramp, probability=1.0) == NoiseParameters()
+
+
 def test_a_panel_of_constant_channels_is_drawn(tmp_path: Path) -> None:
     adev = allan_deviation(np.full((100, 3), 0.1), RATE)
     assert not adev.deviation.any()

@@ -21,8 +21,7 @@ from tumble.recording.session import Site
 from tumble.reduction.blocks import motion_samples as reduction
 from tumble.reduction.blocks.reducer import Reducer, Reduction
 from tumble.reduction.observations import Observations, observe
-from tumble.reduction.rests.matching import Match
-from tumble.reduction.rests.segmentation import RestSpan, find_rests
+from tumble.reduction.rests.segmentation import Stretch, find_rests
 from tumble.reduction.turns import turns
 from tumble.reduction.turns.turns import TurnSamples, rotations_of_independent
 from tumble.rotation import rotation_matrix, tangent_basis
@@ -54,15 +53,15 @@ def reduced(
 def observed(reduction: Reduction, blocks: tuple[Block, Block] = TRIAD, *, gyros: bool = True) -> Observations:
     gyro = blocks[1] if gyros else None
     rests = find_rests(reduction, blocks[0], gyro).rests
-    return observe(reduction, Match(rests=rests, programme=None, position=None), blocks[0], gyro, SITE)
+    return observe(reduction, rests, blocks[0], gyro, SITE)
 
 
 def between(
     reduction: Reduction, times: Iterable[tuple[float, float]], blocks: tuple[Block, Block] = TRIAD
 ) -> Observations:
     """Observations of rests stated by their times."""
-    rests = tuple(RestSpan.between(reduction.files[0], start, stop) for start, stop in times)
-    return observe(reduction, Match(rests=rests, programme=None, position=None), *blocks, SITE)
+    rests = tuple(Stretch.between(reduction.files[0], start, stop) for start, stop in times)
+    return observe(reduction, rests, *blocks, SITE)
 
 
 def noiseless(sample_rate: float, seed: int = 51) -> tuple[Scenario, Recording]:
@@ -134,7 +133,7 @@ def test_turns_about_a_model_are_those_of_the_compensated_log() -> None:
     model = true_gyros(scenario)
     reduction = reduced(recording.accel, recording.gyro, 100.0)
     rests = find_rests(reduction, *TRIAD).rests
-    match = Match(rests=rests, programme=None, position=None)
+    match = rests
     about = observe(reduction, match, *TRIAD, SITE).turns_about(model)
     compensated = reduced(recording.accel, model.apply(recording.gyro), 100.0)
     scratch = observe(compensated, match, *TRIAD, SITE).turns

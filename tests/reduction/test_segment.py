@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from tumble.planning.setup import Setup
 from tumble.recording.log import Chunk
 from tumble.reduction.blocks.reducer import Reducer, Reduction
-from tumble.reduction.rests.segmentation import RestSpan, Segmentation, find_rests
+from tumble.reduction.rests.segmentation import Segmentation, Stretch, find_rests
 from tumble.rotation import rotation_matrix
 from tumble.sensors.model import Block
 from tumble.simulation.recording import Recording, record
@@ -74,7 +74,7 @@ def recorded(request: Setup, seed: int, vibration: Vibration = NO_VIBRATION) -> 
     return record(scenario(request, seed, vibration), np.random.default_rng(seed + 1000))
 
 
-def times(rests: Sequence[RestSpan]) -> Array:
+def times(rests: Sequence[Stretch]) -> Array:
     return np.array([(r.start, r.stop) for r in rests]).reshape(-1, 2)
 
 
@@ -142,7 +142,7 @@ def test_a_block_is_the_mean_of_its_samples(session: Recording) -> None:
 
 
 def test_a_stated_rest_is_the_whole_blocks_inside_its_times(session: Recording) -> None:
-    span = RestSpan.between(reduced(session.time, session.accel, session.gyro).files[0], 1.0, 3.0)
+    span = Stretch.between(reduced(session.time, session.accel, session.gyro).files[0], 1.0, 3.0)
     block = 3.0 / 37.0
     assert 1.0 - 1e-9 <= span.start < 1.0 + block
     assert 3.0 - block < span.stop <= 3.0 + 1e-9
@@ -421,6 +421,20 @@ def test_what_was_passed_over_is_counted() -> None:
     short = record(made.changed(rest=1.5), np.random.default_rng(1036))
     (said,) = found(short.time, short.accel, short.gyro).passed_over()
     assert said.startswith("8 quiet stretches of 1.")
+    assert said.endswith("s are too short: rests of 3 s are long enough")
+
+
+@pytest.mark.parametrize("rest", [0.3, 0.5, 0.7])
+def test_moments_of_rest_are_too_short_and_no_turns_of_the_vertical(rest: float) -> None:
+    """Where rests are shorter than every window, the floors are those of the movement, and nothing stands out of it."""
+    request = Setup.of(grade="mems", positions=24, rest=rest, sample_rate=100.0, rate_deg_s=90.0)
+    recording = recorded(replace(request, first_rest=rest), 4)
+    segmentation = found(recording.time, recording.accel, recording.gyro)
+    assert segmentation.rests == ()
+    assert {one.fails for one in segmentation.rejected} == {"duration"}
+    assert abs(len(segmentation.rejected) - 24) <= 4
+    assert np.median([one.stop - one.start for one in segmentation.rejected]) == pytest.approx(rest, abs=0.1)
+    (said,) = segmentation.passed_over()
     assert said.endswith("s are too short: rests of 3 s are long enough")
 
 

@@ -61,14 +61,15 @@ def held(tmp_path_factory: pytest.TempPathFactory) -> Held:
 
 @pytest.mark.parametrize(("angle", "frequencies"), [(0.1, (0.3, 8.0)), (0.5, (0.3, 8.0)), (0.8, (0.3, 2.0))])
 def test_a_device_in_the_hand_gives_gyros_too(held: Held, angle: float, frequencies: tuple[float, float]) -> None:
-    """Turns between the attitudes at the ends of rests have gyro.scale to 1,400 and 6,800 ppm, and not at all."""
+    """Lying still, gyro.scale is known to 135 ppm. Turns between the attitudes at the ends of rests have it to 1,400
+    and 6,800 ppm, and not at all; were what accelerometers read of the sway noise, it would be 270, 630, 950 ppm."""
     samples = held.swaying(angle, frequencies)
     made = tumble.calibrate(**samples, **SITE)  # type: ignore[arg-type]
     assert made.outcome.gyro.accepted
     for group in ("accel.bias", "accel.scale", "accel.axis", "gyro.bias", "gyro.scale", "gyro.axis"):
         error, u = held.errors(made, group)
         assert np.all(np.abs(error) < 4.0 * u), group
-    assert held.errors(made, "gyro.scale")[1].max() < 1e-3
+    assert held.errors(made, "gyro.scale")[1].max() < (2.4e-4 if angle < 0.2 else 3.5e-4)
     (note,) = [note for note in made.provenance.notes if "sways" in note]
     assert float(note.split()[4].rstrip("°")) == pytest.approx(angle, rel=0.25)
     assert "put it down on something firm" in note

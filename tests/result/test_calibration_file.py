@@ -197,7 +197,7 @@ def test_all_that_a_calibration_can_hold_is_read_as_it_was_written(calibration: 
         device=replace(calibration.device, imu=sensors),
         sample_rate=399.7,
         temperature=CalibratedTemperature(reference=25.0),
-        notes=("no calibration of its own: that of 2026-03-01, updated by a field check of 4 rests (again)",),
+        notes=("the log has a gap of 0.2 s",),
         together=(
             Member(
                 session="cold", log_sha256="0" * 64, rests=9, turns=8, temperatures=(-20.0, 5.0), parameters=further[:1]

@@ -12,7 +12,7 @@ import pytest
 from tests.support.calibrated import HEXAD, calibration, warmed, with_fields
 from tumble.result.calibration import read_calibration
 from tumble.result.parts import Launch, coverage_factor
-from tumble.result.temperature_curves import changing, curve, measured_range, model_at, warm_rests
+from tumble.result.temperature_curves import changing, curve, measured_range, warm_rests
 from tumble.units import G_STANDARD
 from tumble.views.blocks import Figure, Table
 from tumble.views.report.document import ReportedFile, report_of
@@ -27,7 +27,7 @@ def test_the_model_at_a_temperature_corrects_as_the_calibration_does_there() -> 
         made = warmed(calibration(accel=axes, gyro=axes), curved=False)
         true = rng.normal(size=(50, 3))
         for celsius in (-10.0, 44.0):
-            accel, gyro = (model_at(made, kind, celsius).predict(true) for kind in ("accel", "gyro"))
+            accel, gyro = (made.compensator.model(kind, celsius).predict(true) for kind in ("accel", "gyro"))
             force, rate = made.apply(accel, gyro, temperature=celsius + 273.15)
             assert rate is not None
             np.testing.assert_allclose(force, true, atol=1e-12)

@@ -134,8 +134,6 @@ def test_bad_gyros_leave_the_accelerometers_to_check_report_and_register(spoiled
     assert checked.rest_limit is not None
     assert all(abs(rest.sigmas or 0.0) < checked.rest_limit for rest in checked.rests)
     assert checked.notes[0].startswith(ABSENT["accel"])
-    assert checked.updated is not None
-    assert checked.updated.provenance.absent[0].startswith(ABSENT["accel"])
     with open_registry(tmp_path / "r.sqlite", create=True) as registry:
         registry.add_calibration(tmp_path / "calibration.json")
     tumble.write_report([tmp_path / "calibration.json"], tmp_path / "r.html")

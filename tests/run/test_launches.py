@@ -103,7 +103,7 @@ def test_the_command_writes_every_launch_and_needs_out(folders: list[Path], tmp_
     assert back.accel is not None
     assert back.gyro is not None
     assert back.parameters[0].run_to_run is not None
-    assert "run to run" in done.stdout
+    assert "from launch to launch: accel.bias " in done.stdout
 
 
 def test_a_prior_does_not_average_and_a_group_that_one_launch_lacks_is_left_out(folders: list[Path]) -> None:

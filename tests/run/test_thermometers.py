@@ -23,9 +23,9 @@ from tumble.recording.arrays import session_of_arrays
 from tumble.recording.log import open_log
 from tumble.recording.session_file import description_of, read_session
 from tumble.result.calibration import Calibration, read_calibration
-from tumble.result.correction import reference_of_parameter
 from tumble.result.parts import SensorsAtRest
-from tumble.result.temperature_curves import measured_range, model_at
+from tumble.result.record import reference_of_parameter
+from tumble.result.temperature_curves import measured_range
 from tumble.run.observed import inspect_session
 from tumble.simulation.session import read_truth, simulate_session
 from tumble.simulation.temperature_profile import (
@@ -252,7 +252,7 @@ def test_autopilots_say_which_thermometers_they_have_no_place_for() -> None:
     ends = made.temperature_range
     assert ends is not None
     assert ends == pytest.approx((-18.5 + 2.0, 57.25 - 2.0))
-    bias = [model_at(made, "accel", T).bias for T in (ends[1], ends[1] - 1e-3, ends[0] + 1e-3, ends[0])]
+    bias = [made.compensator.model("accel", T).bias for T in (ends[1], ends[1] - 1e-3, ends[0] + 1e-3, ends[0])]
     steepest = np.abs([(bias[0] - bias[1]) / 1e-3, (bias[2] - bias[3]) / 1e-3]).max()
     stated = float(said.split("an error of up to ")[1].split()[0])
     assert stated == pytest.approx(4.0 * steepest / 9.80665e-3, rel=0.06)

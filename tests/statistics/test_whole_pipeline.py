@@ -15,7 +15,6 @@ from tumble.recording.log import Chunk
 from tumble.recording.session import Site
 from tumble.reduction.blocks.reducer import Reducer
 from tumble.reduction.observations import Observations, observe
-from tumble.reduction.rests.matching import Match
 from tumble.reduction.rests.segmentation import find_rests
 from tumble.sensors.grades import GRADES, NoiseModel
 from tumble.sensors.model import Block
@@ -46,7 +45,7 @@ def observed(scenario: Scenario, recording: Recording) -> Observations:
         gravity=scenario.site.gravity,
         gravity_u=0.0,
     )
-    return observe(reduction, Match(rests=rests, programme=None, position=None), scenario.accel, scenario.gyro, site)
+    return observe(reduction, rests, scenario.accel, scenario.gyro, site)
 
 
 def errors(estimate: Estimate, scenario: Scenario) -> Array:

@@ -26,9 +26,10 @@ SIMULATION = study("formulas_against_simulation")
 
 
 def device_setup(**known: Any) -> Setup:
-    """A set-up with the instrument of the study, gravity known exactly."""
+    """A set-up with the instrument of the study, without groups beyond the linear model, gravity known exactly."""
     device = SIMULATION.DEVICE
-    return Setup(**({"noise": device.noise, "accel": device.accel, "gyro": device.gyro, "gravity_u": 0.0} | known))
+    usual = {"noise": device.noise, "accel": device.accel, "gyro": device.gyro, "gravity_u": 0.0}
+    return Setup(**(usual | {"instrument": "that of the study"} | known))
 
 
 LATITUDE = 56.8 * DEGREE

@@ -219,7 +219,7 @@ def test_what_is_of_a_stream_alone_is_refused_without_one(folder: Path) -> None:
         [],
         [day, "--listen", "stdin"],
         [day, "--session", day],
-        ["--listen", "stdin", "-o", day / "c.json"],
+        ["--listen", "stdin", "--registry", day / "r.sqlite"],
     )
     for words in made_with:
         done = run("check", made, *words)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import math
-import shutil
 from collections.abc import Mapping
 from itertools import chain, count
 from pathlib import Path
@@ -45,19 +44,21 @@ def begin(folder: Path, *, log: Mapping[str, Any], serial: str, site: Mapping[st
 
 
 def begin_for(folder: Path, listen: str, serial: str | None, site: Mapping[str, Any], programme: str | None) -> None:
-    """Make a session folder for a source, as --listen names it: a copy of the session that is replayed, with a CSV log;
-    otherwise for SI, or for MotionCal. Raises InputError where --serial or --latitude is missing."""
+    """Make a session folder for a source, as --listen names it: a copy of the session that is replayed, with a CSV log
+    and what else is given; otherwise for SI, or for MotionCal. Raises InputError where --serial or --latitude is
+    missing."""
     kind, _, rest = listen.partition(":")
     if kind == "replay":
         original = Path(rest.rpartition("@")[0] if "@" in rest else rest)
         source_of(listen).close()
-        if is_recorded(read_session(original).log):
-            folder.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(original / SESSION_FILE, folder / SESSION_FILE)
-        else:
-            content = _content(original)
+        content = _content(original)
+        if not is_recorded(read_session(original).log):
             log = {key: value for key, value in content["log"].items() if key not in DIALECT_KEYS}
-            write_session(folder, {**content, "log": {**log, "file": "log.csv"}})
+            content["log"] = {**log, "file": "log.csv"}
+        content["device"] |= {} if serial is None else {"serial": serial}
+        content["site"] |= site
+        content |= {} if programme is None else {"programme": {"name": programme}}
+        write_session(folder, content)
         return
     motioncal = kind == "serial" and rest.endswith(":motioncal")
     needed = {"--serial": serial, "--latitude": site.get("latitude_deg")}

@@ -103,13 +103,13 @@ def campaign_of(content: Mapping[str, Any], where: str = "campaign") -> Campaign
     grid = content.get("grid", {})
     if not isinstance(grid, Mapping):
         raise InputError(f"{where}: grid: expected a table, found {shown(grid)}")
-    for place, keys, known in (
+    for place, keys, names in (
         ("at the top level", content, ("seed", "trials", "intervals", "grid")),
         ("in [grid]", grid, ("method", *AXES)),
     ):
         for key in keys:
-            if key not in known:
-                raise InputError(f"{where}: unknown key {key!r} {place}{did_you_mean(key, known)}")
+            if key not in names:
+                raise InputError(f"{where}: unknown key {key!r} {place}{did_you_mean(key, names)}")
     if {"programme", "positions"} <= grid.keys():
         raise InputError(f"{where}: grid.positions: expected no grid.programme with it, found both; leave one out")
     intervals = content.get("intervals", False)
@@ -129,8 +129,8 @@ def campaign_of(content: Mapping[str, Any], where: str = "campaign") -> Campaign
 def _values(axis: str, grid: Mapping[str, Any], where: str) -> list[Any]:
     """The values of an axis of the grid."""
     default = _NAMED[axis][0] if axis in _NAMED else _NUMBERED[axis][0]
-    given = grid.get(axis, default)
-    values = given if isinstance(given, list) else [given]
+    stated = grid.get(axis, default)
+    values = stated if isinstance(stated, list) else [stated]
     if not values:
         raise InputError(f"{where}: expected a value or more, found none")
     if axis in _NUMBERED:

@@ -103,10 +103,10 @@ def _existing(address: str) -> Iterator[Executor]:
             versions: dict[str, str] = client.run(_version)
         except ModuleNotFoundError:
             versions = dict.fromkeys(client.nthreads(), "none")
-        found = next((f"{there} at {worker}" for worker, there in versions.items() if there != __version__), None)
-        if found or not versions:
+        other = next((f"{version} at {worker}" for worker, version in versions.items() if version != __version__), None)
+        if other or not versions:
             expected = f"expected workers at {address} with tumble {__version__}"
-            raise InputError(f"--cluster: {expected}, found {found or 'no worker'}; start some with `dask worker`")
+            raise InputError(f"--cluster: {expected}, found {other or 'no worker'}; start some with `dask worker`")
         yield partial(_computed, client)
 
 

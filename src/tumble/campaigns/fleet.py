@@ -68,11 +68,37 @@ def fleet(
     workers: int | None = None,
     progress: Progress = lambda _done, _all: None,
 ) -> FleetResult:
-    """Calibrate all sessions that a glob matches or a manifest lists, with a row for each, into a folder.
+    """Calibrate many sessions, with a row for each. One that cannot be calibrated does not stop the others.
 
-    What is in the folder already is not computed again. A session that cannot be calibrated does not stop the others:
-    its row says why. `serial`, `cluster` and `workers` are those of `executor_for`.
+    Parameters
+    ----------
+    sessions
+        Glob of session folders, or a manifest (.txt) with a folder in each line.
+    out
+        Folder of the results; what it has already is not computed again.
+    method
+        See `calibrate`.
+    serial
+        Whether to compute in this process.
+    cluster
+        Address of the scheduler of a Dask cluster, such as tcp://10.0.0.5:8786.
+    workers
+        Number of processes of a new cluster on this machine; one a core by default.
+    progress
+        Function that is called with the number of tasks done and of all.
 
+    Returns
+    -------
+    FleetResult
+        How many sessions were accepted, and why the others were not.
+
+    Raises
+    ------
+    InputError
+        Without sessions, for one that is listed twice, and for a folder of something else.
+
+    Examples
+    --------
     >>> import tumble
     >>> request = tumble.Setup.of(grade="mems", positions=12)
     >>> for seed in (1, 2):
@@ -93,19 +119,19 @@ def sessions_of(pattern: str) -> list[str]:
     if pattern.lower().endswith(".txt"):
         manifest = Path(pattern)
         lines = (line.strip() for line in text_of_document(manifest).splitlines())
-        found = [str(manifest.absolute().parent / line) for line in lines if line and not line.startswith("#")]
+        sessions = [str(manifest.absolute().parent / line) for line in lines if line and not line.startswith("#")]
         expected = "a session in each line"
     else:
         matches = {Path(match) for match in glob.glob(pattern, recursive=True)}  # noqa: PTH207 — absolute ones too
         folders = {path.parent if path.name == SESSION_FILE else path for path in matches}
-        found = sorted(str(folder.absolute()) for folder in folders if (folder / SESSION_FILE).is_file())
+        sessions = sorted(str(folder.absolute()) for folder in folders if (folder / SESSION_FILE).is_file())
         expected = "a glob that matches folders with a session.toml"
-    if not found:
+    if not sessions:
         raise InputError(f"{pattern}: expected {expected}, found none")
-    if len(set(found)) < len(found):
-        twice = next(session for session in found if found.count(session) > 1)
+    if len(set(sessions)) < len(sessions):
+        twice = next(session for session in sessions if sessions.count(session) > 1)
         raise InputError(f"{pattern}: expected every session once, found {twice} twice")
-    return found
+    return sessions
 
 
 def job_of(sessions: Sequence[str], method: Method) -> Job:

@@ -78,10 +78,35 @@ def campaign(
     workers: int | None = None,
     progress: Progress = lambda _done, _all: None,
 ) -> CampaignResult:
-    """Simulate and calibrate many times over the grid of a campaign, or of its TOML file, into a folder.
+    """Simulate and calibrate many times over the grid of a campaign.
 
-    What is in the folder already is not computed again. `serial`, `cluster` and `workers` are those of `executor_for`.
+    Parameters
+    ----------
+    planned
+        The campaign, or its TOML file.
+    out
+        Folder of the results; what it has already is not computed again.
+    serial
+        Whether to compute in this process.
+    cluster
+        Address of the scheduler of a Dask cluster, such as tcp://10.0.0.5:8786.
+    workers
+        Number of processes of a new cluster on this machine; one a core by default.
+    progress
+        Function that is called with the number of tasks done and of all.
 
+    Returns
+    -------
+    CampaignResult
+        The rows, their summary, and its file.
+
+    Raises
+    ------
+    InputError
+        For a file that describes no campaign, and for a folder of something else.
+
+    Examples
+    --------
     >>> import tumble
     >>> from pathlib import Path
     >>> _ = Path("campaign.toml").write_text('seed = 1\\ntrials = 2\\n[grid]\\nmethod = "joint"\\ngrade = "mems"\\n')
@@ -111,7 +136,7 @@ def _lines(point: Mapping[str, Any], method: str, part: pl.DataFrame) -> Iterato
     names = [column.removeprefix("error.") for column in part.columns if column.startswith("error.")]
     refused = part.filter(pl.col("accepted").not_())["reasons"].to_list()
     accepted = part.filter(pl.col("accepted"))
-    moments = {name: found for name in names if (found := _moments(accepted, name)) is not None}
+    moments = {name: of_name for name in names if (of_name := _moments(accepted, name)) is not None}
     for group, places in positions_by_group(names).items():
         members = [moments[names[i]] for i in places if names[i] in moments]
         if members or accepted.is_empty():
@@ -135,10 +160,10 @@ def _moments(part: pl.DataFrame, name: str) -> tuple[float, float, float, float]
         part[f"{quantity}.{name}"].cast(pl.Float64).fill_null(math.nan).to_numpy()
         for quantity in ("error", "u", "bound")
     )
-    seen = np.isfinite(error)
-    if not seen.any():
+    present = np.isfinite(error)
+    if not present.any():
         return None
-    error, u, bound = error[seen], u[seen], bound[seen]
+    error, u, bound = error[present], u[present], bound[present]
     covered = float((np.abs(error) <= COVERED_WITHIN * u).mean()) if np.isfinite(u).all() else math.nan
     return float(error.mean()), float((error**2).mean()), float((bound**2).mean()), covered
 

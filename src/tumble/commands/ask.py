@@ -166,7 +166,7 @@ HEIGHT = option("--height", "Of the place, m over the sea; unstated, 1300 m are 
 LATITUDE = option("--latitude", "Of the place, ° north.", type=float, metavar="DEGREES")
 SERIAL = option("--serial", "Serial number of the device; default: the name of FOLDER or LOG.", metavar="NUMBER")
 SAMPLE_RATE = "--sample-rate", "Samples per second"
-LOG = together(
+COLUMNS = together(
     option(SAMPLE_RATE[0], f"Of a LOG: {SAMPLE_RATE[1]}, instead of the times in it.", type=float, metavar="HZ"),
     option("--accel", "Of a LOG: columns of the accelerometers, names or numbers from 1.", metavar="N,N,N"),
     option("--gyro", "Of a LOG: columns of the gyros, names or numbers from 1.", metavar="N,N,N"),
@@ -174,7 +174,9 @@ LOG = together(
     option("--accel-unit", "Of a LOG: unit of the accelerometers, as in session.toml.", metavar="UNIT"),
     option("--gyro-unit", "Of a LOG: unit of the gyros, as in session.toml.", metavar="UNIT"),
 )
-"""What is known of a log that no session describes."""
+"""What is known of the columns of a log that no session describes."""
+LOG = together(SERIAL, LATITUDE, HEIGHT, COLUMNS)
+"""What is known of a log of which a session is made."""
 
 
 _UNITS = "accel_unit", "gyro_unit"

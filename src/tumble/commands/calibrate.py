@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tumble.commands import ask, tell
+from tumble.commands.recordings import session_folders
 from tumble.errors import InputError
 
 if TYPE_CHECKING:
-    from tumble.drafting.new_session import Given
     from tumble.recording.session import Session
     from tumble.result.calibration import Calibration
     from tumble.run.calibrate import Method
@@ -44,9 +43,6 @@ _RESTS = ask.Numbers("numbers of rests such as 3,7", int)
 @ask.out("Calibration file to write; default: calibration.json in the session folder.")
 @ask.force("Replace a calibration file that came from another log or method.")
 @ask.option("--truth", "truth.json of a simulated session: show true values beside the result.", type=ask.FILE)
-@ask.SERIAL
-@ask.LATITUDE
-@ask.HEIGHT
 @ask.LOG
 @ask.registry(
     "Of other units of the device's type: for one session a prior instead of what is usual of its grade, for several "
@@ -102,11 +98,7 @@ def calibrate(
         from tumble.simulation.session import read_truth
 
         true = read_truth(truth)
-    is_log = any(value is not None for value in options.values()) or (
-        len(sessions) == 1 and sessions[0].is_file() and sessions[0].suffix != ".toml"
-    )
-    made = _session_of(sessions, ask.given_of(options), every=shown["every"])
-    with made if is_log else nullcontext(sessions) as folders, tell.estimating() as progress:
+    with session_folders(sessions, options, every=shown["every"]) as folders, tell.estimating() as progress:
         described = [read_session(folder).without(without or ()) for folder in folders]
         if together:
             from tumble.run.together import calibrate_together
@@ -125,7 +117,7 @@ def calibrate(
         target = out or Path(described[0].name) / "calibration.json"
         result.write(target, force=force)
     if true is not None:
-        from tumble.result.correction import reference_of_parameter
+        from tumble.result.record import reference_of_parameter
         from tumble.simulation.temperature_profile import truth_at
 
         known = truth_at(true, result.reference_temperature, partial(reference_of_parameter, result))
@@ -154,26 +146,6 @@ def _known_in(registry: str, session: Session, frame: Frame, *, several: bool) -
         if several:
             return {"alike": opened.launches(model=session.device.model, frame=frame)}
         return {"prior": opened.prior(session.device.model, without=session.device.serial)}
-
-
-@contextmanager
-def _session_of(logs: Sequence[Path], given: Given, *, every: bool) -> Iterator[Sequence[Path]]:
-    """The folder of a session made of a log, of which `every` sentence is said where that is wanted; it is there no
-    more, or as it was before, where the block fails."""
-    from tumble.drafting.made_session import session_of_log
-
-    if len(logs) > 1 or (logs[0].is_dir() and (logs[0] / "session.toml").exists()) or logs[0].suffix == ".toml":
-        raise InputError(
-            "--latitude, --height, --serial, --sample-rate, --accel, --gyro, --time and units: expected one log with "
-            "them, found a session; they stand in its session.toml"
-        )
-    with session_of_log(logs[0], given, tell.with_progress) as (folder, state, said, faults):
-        for sentence in said if every else ():
-            tell.say(sentence)
-        for fault in faults:
-            tell.warn(f"look at this: {fault}")
-        tell.say(state)
-        yield [folder]
 
 
 @click.command(

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tumble.commands import ask, tell
-from tumble.errors import TumbleError
 
 if TYPE_CHECKING:
     from tumble.run.calibrate import Method
@@ -26,7 +25,7 @@ def campaign(file: Path, out: Path, **place: Any) -> None:
     was interrupted goes on where it was when the same command is given again.
     """
     from tumble.campaigns.summary import campaign, varying
-    from tumble.views.campaign import plot, summary_blocks
+    from tumble.views.campaign import summary_blocks
 
     with tell.task_progress("trials", out) as progress:
         result = campaign(file, out, progress=progress, **place)
@@ -37,13 +36,7 @@ def campaign(file: Path, out: Path, **place: Any) -> None:
         tell.warn(
             f"{where}: {line.trials - line.accepted} of {line.trials} not accepted or failed, the first: {line.why}"
         )
-    written = [result.rows.name, result.summary.name]
-    try:
-        plot(result.lines, out / "rms.svg")
-        written.append("rms.svg")
-    except TumbleError as error:
-        tell.say(f"not drawn: {error}")
-    tell.say(f"written to {out}: {', '.join(written)}")
+    tell.say(f"written to {out}: {result.rows.name}, {result.summary.name}")
     tell.end([] if any(line.accepted for line in result.lines) else ["not accepted: none of the trials"])
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,9 +22,6 @@ if TYPE_CHECKING:
 @click.argument("folder", type=ask.PATH)
 @click.argument("more", metavar="[LOG]...", nargs=-1, type=ask.PATH)
 @ask.option("--log", "The recording: a log, a folder, a pattern, a bag.", type=ask.PATH, multiple=True)
-@ask.SERIAL
-@ask.LATITUDE
-@ask.HEIGHT
 @ask.LOG
 @ask.programme("Built-in programme that was gone through.")
 @ask.option("--message", "Topic or message of a recording, where there are several.", metavar="NAME")
@@ -39,7 +37,7 @@ def new(folder: Path, more: tuple[Path, ...], log: tuple[Path, ...], **options: 
         raise click.UsageError("Missing argument 'LOG': the recording")
     given = ask.given_of(options)
     draft, faults = new_session(folder, [*log, *more], given, progress=tell.with_progress)
-    for sentence in draft.said:
+    for sentence in draft.remarks:
         tell.say(sentence)
     for fault in faults:
         tell.warn(f"look at this: {fault}")
@@ -50,16 +48,49 @@ def new(folder: Path, more: tuple[Path, ...], log: tuple[Path, ...], **options: 
         tell.answer(f"doubt: {'; '.join(draft.doubts)}")
 
 
-@click.command(epilog=ask.examples("tumble inspect imu-7"))
-@click.argument("session", type=ask.PATH)
+@contextmanager
+def session_folders(
+    recordings: Sequence[Path], options: dict[str, Any], *, every: bool = False
+) -> Iterator[Sequence[Path]]:
+    """The folders of sessions. A log, which is a file that is no session.toml, or what `options` of `ask.LOG` are given
+    with, has that of the session that is made of it beside it; where the block fails it is there no more.
+
+    `every`: say how each part of the session came about."""
+    first, stated = recordings[0], any(value is not None for value in options.values())
+    if not stated and (len(recordings) > 1 or not first.is_file() or first.suffix == ".toml"):
+        yield recordings
+        return
+    if len(recordings) > 1 or (first.is_dir() and (first / "session.toml").exists()) or first.suffix == ".toml":
+        raise InputError(
+            "--latitude, --height, --serial, --sample-rate, --accel, --gyro, --time and units: expected one log with "
+            "them, found a session; they stand in its session.toml"
+        )
+    from tumble.drafting.made_session import session_of_log
+
+    with session_of_log(first, ask.given_of(options), tell.with_progress) as (folder, state, said, faults):
+        for sentence in said if every else ():
+            tell.say(sentence)
+        for fault in faults:
+            tell.warn(f"look at this: {fault}")
+        tell.say(state)
+        yield [folder]
+
+
+@click.command(epilog=ask.examples("tumble inspect imu-7", "tumble inspect LOG0007.TXT --latitude 56.84"))
+@click.argument("recording", metavar="SESSION|LOG", type=ask.PATH)
+@ask.LOG
 @ask.option("--plot/picture", "Draw the recording with its rests into .svg, .png or .pdf.", type=ask.FILE)
 @ask.JSON
-def inspect(session: Path, picture: Path | None) -> None:
-    """Show the rests and turns found in SESSION, and what was rejected and why."""
+def inspect(recording: Path, picture: Path | None, **options: Any) -> None:
+    """Show the rests and turns found in SESSION or in LOG, and what was rejected and why.
+
+    Of a LOG a session is made beside it, as `tumble calibrate` does.
+    """
     from tumble.run.observed import inspect_session
     from tumble.views.inspection import inspection_blocks, plot
 
-    observed = inspect_session(session, progress=tell.with_progress)
+    with session_folders([recording], options) as (folder,):
+        observed = inspect_session(folder, progress=tell.with_progress)
     if picture is not None:
         plot(observed, picture)
         tell.say(f"written to {picture}")
@@ -80,7 +111,7 @@ def inspect(session: Path, picture: Path | None) -> None:
 @click.argument("recordings", metavar="SESSION|LOG...", type=ask.PATH, nargs=-1, required=True)
 @click.option("--filters", is_flag=True, help="Values for Kalibr, VINS, robot_localization, ArduPilot and PX4, too.")
 @ask.option("--plot/picture", "Draw the Allan deviations into this .svg, .png or .pdf.", type=ask.FILE)
-@ask.LOG
+@ask.COLUMNS
 @ask.JSON
 def noise(
     recordings: tuple[Path, ...],
@@ -107,6 +138,8 @@ def noise(
             layout = {key: value for key, value in drafts[0].log.items() if key != "file"}
             files = [file for draft in drafts for file in draft.files]
             found = noise_of(*files, layout=layout)
+        for sentence in drafts[0].remarks:
+            tell.say(sentence)
     if picture is not None:
         plot(found.panels, picture)
         tell.say(f"written to {picture}")
@@ -128,6 +161,4 @@ def _drafts(recordings: Sequence[Path], folder: Path, given: Given) -> list[Draf
     drafts = [drafted(str(number), [recording]) for number, recording in enumerate(recordings)]
     if len({frozenset(draft.triads) for draft in drafts}) > 1:
         drafts = [drafted("together", recordings)]
-    for sentence in drafts[0].said:
-        tell.say(sentence)
     return drafts

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @click.command(
     epilog=ask.examples(
-        "tumble check imu-7/calibration.json today -o today.json",
+        "tumble check imu-7/calibration.json today",
         "tumble check imu-7/calibration.json positions.csv",
         "tumble check imu-7/calibration.json --listen serial:/dev/ttyUSB0:115200",
     )
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 @click.argument("readings", type=ask.PATH, required=False)
 @ask.option("--listen", "Check with a stream instead: file:LOG.csv, stdin, udp:PORT, serial:DEVICE:BAUD, …")
 @ask.option("--session", "Session that describes columns and units of a stream that does not send SI.", type=ask.PATH)
-@ask.out("Write the calibration, updated by the check, into this file.")
-@ask.force("Replace an existing file whatever it is.")
 @ask.registry("Judge by how much the device changes from launch to launch, by its calibrations in a registry.")
 @ask.JSON
 def check(
@@ -35,8 +33,6 @@ def check(
     readings: Path | None,
     listen: str | None,
     session: Path | None,
-    out: Path | None,
-    force: bool,
     registry: str | None,
 ) -> None:
     """Test whether CALIBRATION still holds for its device, and what has changed.
@@ -59,8 +55,8 @@ def check(
         raise InputError("check: expected READINGS or --listen SOURCE, found both or none of them")
     if listen is None and session is not None:
         raise InputError("check: expected --session with --listen alone, found it with READINGS")
-    if listen is not None and (out is not None or registry is not None):
-        raise InputError("check: expected --out and --registry with READINGS alone, found one with --listen")
+    if listen is not None and registry is not None:
+        raise InputError("check: expected --registry with READINGS alone, found it with --listen")
     if listen is None:
         assert readings is not None
         launches: tuple[LaunchVariances, ...] = ()
@@ -70,16 +66,12 @@ def check(
         found = check_calibration(calibration, readings, launches=launches)
     else:
         found = check_stream(calibration, listen, session=session, show=_show)
-    if out is not None and found.updated is not None:
-        found.updated.write(out, force=force)
     if tell.as_json() and listen is not None:
         tell.print_json({"event": "check", **as_json(found)})
     else:
         tell.show(found, lambda: check_blocks(found, rests=listen is None))
     for note in found.notes:
         tell.say(f"note: {note}")
-    if out is not None:
-        tell.say(f"written to {out}" if found.updated is not None else f"not written: nothing updates it: {out}")
     tell.end(found.reasons, "changed: ")
 
 

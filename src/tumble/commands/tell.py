@@ -74,15 +74,29 @@ def warn(line: str) -> None:
     click.echo(plain(line), err=True)
 
 
+LONGEST_REASON = 300
+"""Characters of a reason where not all of them are shown: three lines of a terminal."""
+
+
 def end(reasons: Iterable[str], kind: str = "", most: int | None = None) -> NoReturn:
-    """End with the reasons for a negative answer on standard error, so many at `most`, and the exit status that says
-    whether there are."""
+    """End with the reasons for a negative answer on standard error, and the exit status that says whether there are.
+    With `most`, at most so many, each without the clauses beyond LONGEST_REASON."""
     every = list(reasons)
     for reason in every[:most]:
-        warn(f"{kind}{reason}")
+        warn(f"{kind}{reason if most is None else _first_clauses(reason)}")
     if most is not None and len(every) > most:
         warn(f"{kind}{len(every) - most} more reasons: --all")
     sys.exit(1 if every else 0)
+
+
+def _first_clauses(reason: str) -> str:
+    """The clauses of a sentence, with semicolons between them, that fit into LONGEST_REASON characters."""
+    kept, *others = reason.split("; ")
+    for clause in others:
+        if len(kept) + len(clause) > LONGEST_REASON:
+            return f"{kept} (more: --all)"
+        kept += f"; {clause}"
+    return kept
 
 
 def _quiet() -> bool:

@@ -11,7 +11,7 @@ import numpy as np
 
 from tumble.recording.session import Channels, LogSpec, Session
 from tumble.reduction.blocks.reducer import ChannelState, Reduction
-from tumble.reduction.rests.segmentation import RestSpan
+from tumble.reduction.rests.segmentation import Stretch
 from tumble.rotation import onto_body, unit_vector
 from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, UNIT_TOLERANCE, Array, fitting_units, is_near_one
 
@@ -50,7 +50,7 @@ LEAST_FORCE = 1e-9
 """m/s²: of a shorter vector no direction is known."""
 
 
-def normalised(reduction: Reduction, rests: Sequence[RestSpan], to_body: Array) -> list[str]:
+def normalised(reduction: Reduction, rests: Sequence[Stretch], to_body: Array) -> list[str]:
     """Accelerometers that a driver has divided by their magnitude: it is constant to rounding in motion too, and tells
     nothing of their biases and scale factors. `to_body` (3, n) makes vectors of readings."""
     if not rests:
@@ -89,7 +89,7 @@ FINE = 3.0
 """Steps of a channel: where what is read otherwise is mostly nearer to zero, coarse resolution makes the zeros."""
 
 
-def dead_zones(reduction: Reduction, rests: Sequence[RestSpan], channels: Channels) -> list[str]:
+def dead_zones(reduction: Reduction, rests: Sequence[Stretch], channels: Channels) -> list[str]:
     """Gyros whose driver writes 0 for small rates: at rest they read exactly 0 more often than their resolution makes
     them, while all other values are at least some way from it."""
     files = {each.file: each for each in reduction.files}
@@ -130,7 +130,7 @@ FEWEST_TURNED = 5
 """Turns, in which chance shows neither."""
 
 
-def high_passed(reduction: Reduction, rests: Sequence[RestSpan]) -> list[str]:
+def high_passed(reduction: Reduction, rests: Sequence[Stretch]) -> list[str]:
     """Gyros behind a high-pass filter of time constant τ. After a turn by θ they read −θ/τ, which fades: what they read
     at the start of a rest beyond what they read at its end goes against the turn before. Of a turn that lasts longer
     than τ hardly anything is left in their integral, whatever the vertical was turned by."""

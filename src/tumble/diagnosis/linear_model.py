@@ -34,7 +34,7 @@ from tumble.diagnosis.undetermined import linear_names
 from tumble.inference.elimination import fold
 from tumble.inference.estimate import Estimate, GroupFinding
 from tumble.inference.joint import joint
-from tumble.inference.linearisation import linearise
+from tumble.inference.linearisation import Linearisation, linearise
 from tumble.inference.normal_equations import eliminate_rests, session_mean_bias
 from tumble.inference.prediction import prediction
 from tumble.inference.problem import Problem, instruments_of
@@ -44,8 +44,8 @@ from tumble.inference.turns_about import TurnsAbout
 from tumble.reduction.observations import Observations
 from tumble.rotation import unit_vector
 from tumble.sensors.instrument import Instrument, functions
-from tumble.sensors.model import beyond_turning
-from tumble.sensors.parameters import FORCE
+from tumble.sensors.model import beyond_body, beyond_turning
+from tumble.sensors.parameters import FORCE, ParameterGroup
 from tumble.units import Array
 
 _NOTHING = 1e-9
@@ -97,8 +97,13 @@ def whole_problem(observations: Observations) -> Problem:
     """The likelihood of the instrument with all groups whose usual size the observations know, without those that a
     method of the linear model does not see: lever arms and delays, which act on velocities, and the lag."""
     whole = instruments_of(observations)[0]
-    further = tuple(group for group in whole.further if group.variable != "lag" and group.motion is None)
+    further = tuple(group for group in whole.further if left_out(group))
     return Problem.of(observations, instrument=replace(whole, further=further), usual=observations.usual)
+
+
+def left_out(group: ParameterGroup) -> bool:
+    """Whether a group is one that methods of the linear model leave out and that acts on what they see."""
+    return group.variable != "lag" and group.motion is None
 
 
 def left_out_by_rests(
@@ -125,17 +130,23 @@ def left_out_by_rests(
     return LeftOut.of(problem, moves, beside), B - A @ moves
 
 
-def left_out_by_passes(observations: Observations, derivative: Array, beside: Estimate | None) -> LeftOut:
-    """What a method leaves out whose result has the `derivative` (m, 6N + 3K + 1) by the readings of accelerometers,
-    then gyros, at rest, by the errors of the turns, all in body axes, and by gravity; without gyros (m, 3N + 1)."""
+def groups_in_data(observations: Observations) -> tuple[Problem, Array]:
+    """The likelihood with all groups, and what one of each group adds (d, k) to the data of the methods of the paper:
+    the readings of accelerometers, then gyros, at rest, in body axes those of triads, the errors of the turns, the
+    integrals over them of the readings of more than three gyros, and gravity."""
     problem = whole_problem(observations)
-    rows, first, shown = start_of(problem)[0], problem.instrument.linear_count, list[Array]()
-    for k, block in enumerate(problem.instrument.blocks):
-        of_rests = rows.rest[:, 3 * k : 3 * k + 3, 4 + first : -1]
-        shown.append(block.axes.T @ of_rests)
+    rows, first, shown, last = start_of(problem)[0], problem.instrument.linear_count, list[Array](), 0
+    for block in problem.instrument.blocks:
+        of_rests = rows.rest[:, last : last + block.size, 4 + first : -1]
+        shown.append(block.axes.T @ of_rests if block.triad else of_rests)
+        last += block.size
     shown.append(rows.turn[:, :3, 7 + first : -1])
-    every = np.concatenate([each.reshape(-1, each.shape[2]) for each in shown])
-    return LeftOut.of(problem, derivative[:, :-1] @ every, beside)
+    if observations.turn_readings is not None:
+        free = beyond_body(problem.instrument.blocks[1].axes)
+        shown.append(free.T @ rows.turn[:, -len(free) :, 7 + first : -1])
+    groups = len(problem.instrument.names) - first
+    every = [each.reshape(-1, groups) for each in shown]
+    return problem, np.concatenate([*every, np.zeros((1, groups))])
 
 
 def with_left_out_by_joint(estimate: Estimate, observations: Observations) -> Estimate:
@@ -144,25 +155,38 @@ def with_left_out_by_joint(estimate: Estimate, observations: Observations) -> Es
     linear, problem = estimate.linearised, whole_problem(observations)
     if linear is None:
         return estimate
-    instrument, last = problem.instrument, 1 + problem.instrument.linear_count
-    values = np.append(linear.point.values, np.zeros(len(instrument.names) + 1 - last))
+    instrument = problem.instrument
+    values = np.append(linear.point.values, np.zeros(len(instrument.names) - instrument.linear_count))
     point = replace(linear.point, values=values)
     about = None if linear.about is None else TurnsAbout.of(observations, instrument, values)
-    rows = replace(linearise(problem, point, about), noise=linear.noise)
-    equations = eliminate_rests(rows)
+    moves = moves_by_likelihood(replace(linearise(problem, point, about), noise=linear.noise))
+    beside = by_joint(observations)
+    if beside is not None and estimate.converged:
+        estimate = replace(estimate, linearised=beside.linearised, hyperparameters=beside.hyperparameters)
+    return with_left_out(estimate, LeftOut.of(problem, moves, beside), observations.site.gravity)
+
+
+def moves_by_likelihood(rows: Linearisation) -> Array:
+    """By how much one of each group moves the parameters (m, k) of the linear model in a fit by the likelihood.
+
+    Parameters
+    ----------
+    rows
+        The likelihood of the instrument with all groups, whose priors of the linear parameters count, with the noise of
+        a fit of the linear model.
+    """
+    problem, equations = rows.problem, eliminate_rests(rows)
+    last = 1 + problem.instrument.linear_count
     triangle = np.zeros_like(rows.prior)
     triangle[:last, :last] = rows.prior[:last, :last]
     fold(equations.session_factors[0], triangle, triangular=True)
     exact = int(triangle[0, 0] == 0.0)  # gravity
-    moves = np.zeros((last, len(values) + 1 - last))
+    moves = np.zeros((last, len(triangle) - 1 - last))
     moves[exact:] = scipy.linalg.solve_triangular(triangle[exact:last, exact:last], triangle[exact:last, last:-1])
     if equations.wanders:  # biases are means over the session
         both = np.vstack([moves, -np.eye(moves.shape[1])])
         moves[1 + problem.biases] += session_mean_bias(equations)[0][:, :-1] @ both
-    beside = by_joint(observations)
-    if beside is not None and estimate.converged:
-        estimate = replace(estimate, linearised=beside.linearised, hyperparameters=beside.hyperparameters)
-    return with_left_out(estimate, LeftOut.of(problem, moves[1:], beside), observations.site.gravity)
+    return moves[1:]
 
 
 def with_left_out(estimate: Estimate, found: LeftOut, gravity: float) -> Estimate:

@@ -134,16 +134,17 @@ class Misfit:
         return replace(self, reasons=tuple(said(self.reasons)), remarks=tuple(said(self.remarks)))
 
 
-def misfit(estimate: Estimate) -> Misfit | None:
-    """What the residuals of an estimate say, of several sessions each for itself; None where nothing keeps a likelihood
-    of it. Of a method whose u has a scatter of its own the residuals are those about the joint estimate."""
+def misfit(estimate: Estimate, search: bool = True) -> Misfit | None:
+    """What the residuals of an estimate say, of several sessions each for itself, and where there is a `search` the
+    causes behind them; None where nothing keeps a likelihood of the estimate. Of a method whose u has a scatter of its
+    own the residuals are those about the joint estimate."""
     linearised = estimate.linearised
     if linearised is None:
         return None
-    alone, whole = judged_solution(linearised, VarianceComponents()), judged_solution(linearised, linearised.components)
+    alone = judged_solution(linearised, VarianceComponents())
     session, together = LinearisedSession(linearised), linearised.problem.observations.together
     chances = [{group: group.chance(linearised, alone, part) for group in GROUPS} for part in linearised.problem.parts]
-    causes = _causes(session, whole)
+    causes = _causes(session, judged_solution(linearised, linearised.components)) if search else [[] for _ in chances]
     limit = standing_out([p for by in chances for p in by.values()] + [c.probability for by in causes for c in by])
     wandering = list(_wandering(estimate, linearised))
     unusual = list(_groups_beyond_usual(estimate))

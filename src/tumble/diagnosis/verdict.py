@@ -36,9 +36,11 @@ GRAVITY_REFUSED = 1100.0 * MILLIGAL
 that imu_tk takes for its recording, 1,091 mGal more than normal gravity, which published results rest on."""
 
 
-def verdict(estimate: Estimate, observations: Observations, *, gravity_confirmed: bool = False) -> Outcome:
+def verdict(
+    estimate: Estimate, observations: Observations, *, gravity_confirmed: bool = False, search: bool = True
+) -> Outcome:
     """Whether an estimate may be used, its accelerometers and gyros each for itself, and which groups of parameters
-    where these are not judged alike."""
+    where these are not judged alike. Without a `search` for causes residuals are judged by their size alone."""
     missing = linear_names(estimate.unobservable)
     faces = faces_alone(estimate, missing)
     first, poor = ([], []) if estimate.reasons or faces else undetermined(estimate, observations, missing)
@@ -69,7 +71,7 @@ def verdict(estimate: Estimate, observations: Observations, *, gravity_confirmed
         )
         reasons.append((("gyro",), said))
     spoilt, apart = _not_fitting(estimate, observations)
-    judged = _judged(estimate, missing)
+    judged = _judged(estimate, missing, search)
     of_kinds = ((), ("accel",), ("gyro",))
     in_order = sorted([*reasons, *spoilt, *judged.reasons], key=lambda reason: of_kinds.index(kinds_of(reason[0])))
     reasons = [*first, *in_order]
@@ -95,12 +97,12 @@ def kinds_of(concerns: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(kinds) if len(kinds) == 1 else ()
 
 
-def _judged(estimate: Estimate, missing: tuple[str, ...]) -> Misfit:
+def _judged(estimate: Estimate, missing: tuple[str, ...], search: bool) -> Misfit:
     """What the residuals say; where parameters of one kind of sensor are missing, of the other kind."""
     without = {sensor_kind(name) for name in missing}
     if not estimate.converged or (without and (estimate.gyro is None or len(without) > 1)):
         return Misfit()
-    found = misfit(estimate) or Misfit()
+    found = misfit(estimate, search) or Misfit()
     if not without:
         return found
     reasons, remarks = (

@@ -1,8 +1,7 @@
-"""What the columns of text and Parquet files are: by their names and units, as the user states them, and of what these
-leave open by their numbers.
+"""Identification of the columns of text and Parquet files: as the user states them, by their names and units, and where
+these leave it open by their numbers.
 
-What a name or a unit says is believed. Numbers decide only which columns without telling names are sensors or a time.
-"""
+Names and units are taken as given. Numbers decide only which columns without telling names are sensors or a time."""
 
 from __future__ import annotations
 
@@ -18,12 +17,12 @@ import polars as pl
 from tumble.drafting.containers import NAMED, NoLogError, check_format, check_is_text
 from tumble.drafting.dialects import as_table
 from tumble.drafting.foreign_log import LONGEST, SAMPLE_ROWS, ForeignLog, Stated, samples_in
-from tumble.drafting.repairs import nanoseconds_of
+from tumble.drafting.repairs import nanoseconds_of, with_signs
 from tumble.drafting.sensors_apart import are_sensors_apart, of_sensors_apart
 from tumble.drafting.several_sensors import split_by_header, split_by_sensor
 from tumble.drafting.times import times_of_column
 from tumble.errors import InputError
-from tumble.files import OutputFolder
+from tumble.files import OutputFolder, whole_file
 from tumble.recording.columns.names import ACCEL, GYRO, columns_by_name, is_no_sensor, time_unit, unit_of_name
 from tumble.recording.columns.numbers import columns_by_data, time_by_data
 from tumble.recording.log_source import readable
@@ -32,6 +31,7 @@ from tumble.recording.text.dialect import LINE_BYTES, Dialect, dialect_of, is_cl
 from tumble.recording.text.pieces import opened
 
 _SEEN_BYTES = 1 << 18
+_FEWEST_ROWS, _LONGEST_ROW = 50, 4096
 _GROWING = 0.9  # of the steps of stamps that are those of rows
 _DELIMITER_WORDS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "blanks"}
 
@@ -42,15 +42,18 @@ _NONE: Mapping[str, Any] = MappingProxyType({})
 def identified_log(
     files: Sequence[Path], folder: OutputFolder, stated: Stated = _NONE, units: Mapping[str, str] = _NONE
 ) -> ForeignLog:
-    """One log of text and Parquet files, with its columns identified, as far as they are not `stated`, and the `units`
-    of sensors that are.
+    """One log of text and Parquet files, with its columns identified as far as they are not `stated`, and stated
+    `units`.
 
     Files that are written alike and whose columns have no telling names are identified together: a file of one position
-    does not show what they are, all of them do. Raises InputError for files that are no logs, or not alike."""
+    does not show which columns are sensors, all of them do. Raises InputError for files that are no logs, or not
+    alike."""
     logs: list[ForeignLog] = []
     without: list[NoLogError] = []
     omitted: tuple[str, ...] = ()
-    for file in files:  # text without rows beside logs that have some, as the metadata that a phone writes, is left out
+    for file in _joined(
+        files, folder
+    ):  # text without rows beside logs that have some, as the metadata that a phone writes, is left out
         try:
             logs += [log.with_stated(stated, units) for log in _found(file, folder)]
         except NoLogError as error:
@@ -61,7 +64,7 @@ def identified_log(
     logs = [_with_thermometers(_with_finest_time(log) if len(log.columns.times) > 1 else log) for log in logs]
     if are_sensors_apart(logs):
         apart = of_sensors_apart(logs, folder)
-        return replace(apart, said=(*apart.said, *omitted))
+        return replace(apart, remarks=(*apart.remarks, *omitted))
     whole = [log for log in logs if ACCEL in log.columns.triads]
     beside = [log for log in logs if whole and log not in whole and not log.unnamed]
     omitted += tuple(f"{log.files[0].name} has no accelerometers and is left out" for log in beside)
@@ -83,12 +86,24 @@ def identified_log(
     first.check_has_sensors(gyros_suffice=True)
     taken = tuple(file for log in logs for file in log.files)
     kept = {path: source for log in logs for path, source in log.kept.items()}
-    said = first.said + ((f"{len(taken)} files, each a recording of its own",) if len(taken) > 1 else ()) + omitted
-    return replace(first, files=taken, said=said, kept=kept)
+    several = (f"{len(taken)} files, each a recording of its own",) if len(taken) > 1 else ()
+    return replace(first, files=taken, remarks=(*first.remarks, *several, *omitted), kept=kept)
+
+
+def _joined(files: Sequence[Path], folder: OutputFolder) -> Sequence[Path]:
+    """Many files of a row each, as the oxts/data of KITTI, as one log in their order; others as they are."""
+    if len(files) < _FEWEST_ROWS or any(file.stat().st_size > _LONGEST_ROW for file in files):
+        return files
+    rows = [file.read_bytes().strip() for file in files]
+    if any(not row or b"\n" in row for row in rows):
+        return files
+    with whole_file(folder.new_file("log.txt")) as temporary:
+        temporary.write_bytes(b"\n".join(rows) + b"\n")
+    return [folder.written[-1]]
 
 
 def _found(file: Path, folder: OutputFolder) -> list[ForeignLog]:
-    """The log in a file; one of each sensor where its rows are of single sensors."""
+    """The log in a file; one for each sensor if its rows are of single sensors."""
     check_format(file, recording=file.suffix.lower() in NAMED)
     if file.suffix.lower() == ".parquet":
         return [ForeignLog(files=(file,), keys={}, columns=columns_by_name(source_of(file).names))]
@@ -101,7 +116,7 @@ def _found(file: Path, folder: OutputFolder) -> list[ForeignLog]:
         return [log for part in parts for log in _found(part, folder)]
     if (copied := as_table(file, seen, folder)) is not None:
         part, remark = copied
-        return [replace(log, said=(remark, *log.said)) for log in _found(part, folder)]
+        return [replace(log, remarks=(remark, *log.remarks)) for log in _found(part, folder)]
     dialect_and_top = dialect_of(seen)
     if dialect_and_top is None and max(map(len, seen.split(b"\n"))) > LINE_BYTES // 2:
         raise InputError(f"{file}: expected a log of rows of numbers, found something else; is it a recording?")
@@ -127,9 +142,9 @@ def _found(file: Path, folder: OutputFolder) -> list[ForeignLog]:
         files=(file,),
         keys={} if plain else dialect.keys(),
         columns=columns_by_name([name for name in top.names if name not in words]),
-        remarks=top.remarks,
+        preamble=top.preamble,
         cells=cells,
-        said=() if plain else (f"text: {', '.join(how)}",),
+        remarks=() if plain else (f"text: {', '.join(how)}",),
         dialect=None if plain else dialect,
     )
     clock = next((name for name in cells if log.is_clock(name)), None)
@@ -137,7 +152,7 @@ def _found(file: Path, folder: OutputFolder) -> list[ForeignLog]:
 
 
 def _numeric(log: ForeignLog) -> list[str]:
-    """Columns of numbers."""
+    """Names of the columns of numbers."""
     if not log.cells:
         schema = pl.scan_parquet(log.files[0], glob=False).collect_schema()
         return [name for name, kind in schema.items() if kind.is_numeric()]
@@ -146,15 +161,17 @@ def _numeric(log: ForeignLog) -> list[str]:
 
 
 def _by_data(log: ForeignLog) -> ForeignLog:
-    """A log whose accelerometers, and gyros unless they are named, are identified by their numbers, if they can be.
+    """Identify accelerometers, and gyros unless they are named, by their numbers, if possible.
 
-    Columns whose names say that they are something else are left aside."""
+    Columns whose names say that they are something else are left out."""
     known, names, numeric = log.columns, list(log.names), _numeric(log)
     taken = {column for sensors in known.triads.values() for column in sensors.columns} | {known.time}
     free = [name for name in numeric if name not in taken and not is_no_sensor(name)]
-    read = log.read(free) if len(free) >= 3 else np.empty((0, len(free)))
-    every = np.full((samples_in(read), len(names)), np.nan)
-    every[:, [names.index(name) for name in free]] = read[: len(every)]
+    read = with_signs(log.read(free)) if len(free) >= 3 else np.empty((0, len(free)))
+    read = read[: samples_in(read)]
+    read = read[np.isfinite(read).any(axis=1)]  # without rows of others
+    every = np.full((len(read), len(names)), np.nan)
+    every[:, [names.index(name) for name in free]] = read
     told = columns_by_data(names, every)
     if ACCEL not in told.columns.triads:
         return log
@@ -162,23 +179,24 @@ def _by_data(log: ForeignLog) -> ForeignLog:
     time = known.time or told.columns.time
     near = "columns are told by their numbers, and others would fit too: all values hang on it; state --accel, --gyro"
     log = replace(log, doubts=(near,)) if told.near else log
-    return log.with_columns(told.said(known.triads), triads={**triads, **known.triads}, time=time, others=(), times=())
+    return log.with_columns(
+        told.guesses(known.triads), triads={**triads, **known.triads}, time=time, others=(), times=()
+    )
 
 
 def _with_gravity(log: ForeignLog) -> ForeignLog:
-    """A log of accelerometers with those of several triads that read gravity, if the first do not: a phone writes what
-    a filter has left too."""
+    """Take the triad of accelerometers that reads gravity if the first does not: phones write several."""
     first = log.columns.triads[ACCEL].columns
     further = columns_by_name([name for name in log.cells if name not in first]).triads.get(ACCEL)
     if further is None or log.reads_gravity(first) or not log.reads_gravity(further.columns):
         return log
-    said = f"accel: {', '.join(further.columns)}, since {', '.join(first)} do not read gravity"
+    remark = f"accel: {', '.join(further.columns)}, since {', '.join(first)} do not read gravity"
     others = (*(name for name in log.columns.others if name not in further.columns), *first)
-    return log.with_columns([said], triads={**log.columns.triads, ACCEL: further}, others=others)
+    return log.with_columns([remark], triads={**log.columns.triads, ACCEL: further}, others=others)
 
 
 def _with_nameless_gyros(log: ForeignLog) -> ForeignLog:
-    """A log of accelerometers with the gyros among its columns without names, if numbers show them."""
+    """Take gyros among columns without names, if their numbers show them."""
     nameless = [name for name in _numeric(log) if name.isdecimal() and name != log.columns.time]
     accel = log.columns.triads[ACCEL]
     if GYRO in log.columns.triads or len(nameless) < len("xyz"):
@@ -189,12 +207,12 @@ def _with_nameless_gyros(log: ForeignLog) -> ForeignLog:
         unused = f"columns without names, {', '.join(nameless)}, are not used"
         doubt = f"{unused}: the accelerometers alone are calibrated; state --gyro if some are gyros"
         return replace(log, doubts=(doubt,))
-    said = f"gyro: columns {', '.join(told[GYRO].columns)}, by their numbers (a guess)"
-    return log.with_columns([said], triads={**log.columns.triads, GYRO: told[GYRO]})
+    remark = f"gyro: columns {', '.join(told[GYRO].columns)}, by their numbers (a guess)"
+    return log.with_columns([remark], triads={**log.columns.triads, GYRO: told[GYRO]})
 
 
 def _with_finest_time(log: ForeignLog) -> ForeignLog:
-    """A log with several times: with the first whose stamps grow from row to row, else the first that grows at all."""
+    """Of several times take the first that grows from row to row, else the first that grows at all."""
     growing: list[ForeignLog] = []
     for name in dict.fromkeys((log.columns.time, *log.columns.times)):
         trial = log.with_columns(time=name, time_unit=time_unit(name or ""))
@@ -210,19 +228,19 @@ def _with_finest_time(log: ForeignLog) -> ForeignLog:
 
 
 def _with_thermometers(log: ForeignLog) -> ForeignLog:
-    """A log without the thermometers that read nothing, so that one that does is taken."""
+    """Leave out thermometers without readings."""
     empty = [name for name in log.columns.temperatures if not len(log.readings(name))]
     if not empty:
         return log
     known = log.columns
     sensors = [column for triad in known.triads.values() for column in triad.columns]
     anew = columns_by_name([n for n in (*sensors, *known.temperatures, *known.others) if n not in empty])
-    said = f"temperature: {', '.join(empty)} is left out, for it reads nothing or cannot be read"
-    return _with_thermometers(log.with_columns([said], temperatures=anew.temperatures, others=anew.others))
+    remark = f"temperature: {', '.join(empty)} is left out, for it reads nothing or cannot be read"
+    return _with_thermometers(log.with_columns([remark], temperatures=anew.temperatures, others=anew.others))
 
 
 def _with_time(log: ForeignLog) -> ForeignLog:
-    """A log whose time, if no name says which column it is, is one that grows as times do."""
+    """Take a column that grows as times do, if no name says which is the time."""
     if log.columns.time is not None:
         return log
     known = {c for triad in log.columns.triads.values() for c in triad.columns}
@@ -230,5 +248,5 @@ def _with_time(log: ForeignLog) -> ForeignLog:
     time = time_by_data(names, log.read(names, rows=LONGEST // 10)) if names else None
     if time is None:
         return log
-    said = f"time: column {time!r}, by its numbers (a guess)"
-    return log.with_columns([said], time=time, time_unit=time_unit(time))
+    remark = f"time: column {time!r}, by its numbers (a guess)"
+    return log.with_columns([remark], time=time, time_unit=time_unit(time))

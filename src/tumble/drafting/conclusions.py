@@ -1,5 +1,5 @@
-"""What a draft becomes by what its recording shows: the units, scales and times of the hypothesis that costs least, and
-in sentences how near it comes, what would fit too, and what is wrong with the recording."""
+"""Conclusions from the hypothesis of least cost: units, scales and times of a draft, remarks on how they were found,
+and doubts about what would fit too."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from tumble.diagnosis.turn_likelihood import WIDTHS, Widths, columns_said
 from tumble.drafting.draft import Draft
-from tumble.drafting.hypotheses import Evidence, Hypothesis, evidence_of, ranked, readings
+from tumble.drafting.hypotheses import Evidence, Hypothesis, evidence_of, ranked
 from tumble.errors import InputError, TumbleError
 from tumble.recording.columns.names import ACCEL, GYRO
 from tumble.recording.columns.patterns import WITHOUT_GRAVITY
@@ -28,7 +28,7 @@ _TIME_KEYS = ("time", "time_unit", "regular", "rate_hz")
 
 
 def completed(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> tuple[Draft, list[str]]:
-    """A draft completed by what its rests and turns show, and the faults that a look at it finds.
+    """Complete a draft by what its rests and turns show.
 
     Parameters
     ----------
@@ -38,23 +38,29 @@ def completed(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> tupl
         Shows how far the log is read.
     widths
         Standard deviations of the cost of hypotheses.
-    """
+
+    Returns
+    -------
+    draft : Draft
+        With units, scales and times.
+    faults : list of str
+        Faults of the recording."""
     shown = evidence_of(draft, progress, widths)
     every = ranked(shown, draft, widths)
     best = every[0]
     near = [hypothesis for hypothesis in every[1:] if hypothesis.cost < best.cost + widths.near]
     log = {key: value for key, value in draft.log.items() if key not in _TIME_KEYS} | best.times.keys
-    said = _of_times(draft, best, shown, near)
+    remarks = _of_times(draft, best)
     if ACCEL in draft.triads:
-        log[ACCEL], of_accel = _accel(draft, best, shown, near)
-        said += of_accel
+        log[ACCEL], of_accel = _accel(draft, best, shown)
+        remarks += of_accel
     if best.gyro is not None:
-        log[GYRO], of_gyro = _gyro(draft, best, best.gyro, shown, every, near)
-        said += of_gyro
+        log[GYRO], of_gyro = _gyro(draft, best, best.gyro, shown, near)
+        remarks += of_gyro
     doubts = (*_no_gravity(draft, best, shown), *_doubts(draft, log, best, near), *draft.doubts)
     log |= {"doubt": "; ".join(doubts)} if doubts else {}
     content = {**draft.content, "log": log}
-    out = replace(draft, content=content, said=(*draft.said, *said), doubts=doubts, rate=best.times.rate)
+    out = replace(draft, content=content, remarks=(*draft.remarks, *remarks), doubts=doubts, rate=best.times.rate)
     if ACCEL not in draft.triads:
         return out, []
     try:
@@ -75,8 +81,8 @@ def completed(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> tupl
 
 
 def _no_gravity(draft: Draft, best: Hypothesis, shown: Evidence) -> Iterator[str]:
-    """What is said of accelerometers that do not read gravity: in the unit of their names, or in any. Raises InputError
-    where they have none and their names say that a filter has taken it off."""
+    """Doubts about accelerometers that do not read gravity, in the unit of their names or in any unit. Raises
+    InputError if they read none and are named as linear acceleration."""
     if ACCEL not in draft.triads:
         return
     unit, columns = draft.unit(ACCEL), draft.triads[ACCEL].columns
@@ -102,14 +108,14 @@ def _no_gravity(draft: Draft, best: Hypothesis, shown: Evidence) -> Iterator[str
 
 
 def _doubts(draft: Draft, log: Mapping[str, Any], best: Hypothesis, near: Sequence[Hypothesis]) -> Iterator[str]:
-    """What is not sure, with what hangs on it and how it is settled."""
+    """Doubts about units and rate: the consequence of each, and the option that settles it."""
     for kind, sensors, scale in ((ACCEL, "accelerometers", best.accel), (GYRO, "gyros", best.gyro)):
         if scale is None or kind not in draft.triads:
             continue
         with_accel = ACCEL in draft.triads
         alone = "the accelerometers alone are calibrated, " if with_accel else ""
         rivals = [h.accel if kind == ACCEL else h.gyro for h in near if kind in h.differs(best)]
-        others = " or ".join(dict.fromkeys(rival.said for rival in rivals if rival is not None and rival.known))
+        others = " or ".join(dict.fromkeys(rival.label for rival in rivals if rival is not None and rival.known))
         if log[kind]["unit"] == "count" and "scale" not in log[kind]:
             yield (
                 f"no turn tells what the gyros' counts are worth: {alone}noise is as if one were 1 deg/s; put the data "
@@ -117,7 +123,7 @@ def _doubts(draft: Draft, log: Mapping[str, Any], best: Hypothesis, near: Sequen
             )
         elif others and draft.unit(kind) is None:
             yield (
-                f"{sensors} in {scale.said} by a guess, {others} would fit too: all their values hang on it; state "
+                f"{sensors} in {scale.label} by a guess, {others} would fit too: all their values hang on it; state "
                 f"--{kind}-unit"
             )
     rates = [h.times.rate for h in near if "time" in h.differs(best)]
@@ -129,59 +135,41 @@ def _doubts(draft: Draft, log: Mapping[str, Any], best: Hypothesis, near: Sequen
         yield f"{best.times.rate:g} samples per second {told}{also}: {hang} on it; state --sample-rate"
 
 
-def _of_times(draft: Draft, best: Hypothesis, shown: Evidence, near: Sequence[Hypothesis]) -> list[str]:
-    """Sentences on the times or the rate."""
+def _of_times(draft: Draft, best: Hypothesis) -> list[str]:
+    """Remarks on the times or the rate."""
     first, taken = draft.times, best.times
-    said = list(first.said)
+    remarks = list(first.remarks)
     if taken.keys == first.keys and (taken.stamped or not first.rivals):
-        return said
+        return remarks
     if taken.stamped:
         units = f"in {taken.keys.get('time_unit', 's')}, not {first.keys.get('time_unit', 's')}"
-        return [*taken.said, f"time: {units}: so the gyros carry the vertical from rest to rest (a guess)"]
+        return [*taken.remarks, f"time: {units}: so the gyros carry the vertical from rest to rest (a guess)"]
+    turned = best.profile is not None and best.gyro is not None
     if first.stamped:
-        said = [f"time: column {first.keys['time']!r} counts samples or ticks: in no unit do the gyros fit it"]
-    if best.profile is None or best.gyro is None:
-        if len(set(shown.by_rate.values())) > 1:
-            counts = ", ".join(f"{count} at {rate:g} Hz" for rate, count in sorted(shown.by_rate.items()))
-            depends = f"time: how many rests there are depends on the rate, which no turns show: {counts}"
-            said.append(f"{depends}; give it (--sample-rate)")
-        return said
-    found = _found(best, best.gyro) * taken.rate / best.gyro.value
-    others = dict[str, None]()
-    for rival in near:
-        if "time" in rival.differs(best) and not rival.times.stamped and rival.gyro is not None:
-            scale = f" with {rival.gyro.said}" if GYRO in rival.differs(best) else ""
-            others[f"{rival.times.rate:g}{scale}"] = None
-    also = f"{' or '.join(list(others)[:_MOST_RATES])} would fit too; " if others else ""
-    seen = f"from the turns ({found:.4g} found): a guess to some percent; {also}put the log's rate there"
-    return [*said, f"time: rate_hz = {taken.rate:g} {seen}"]
+        why = ": in no unit do the gyros fit it" if turned else ", by its steps"
+        remarks = [f"time: column {first.keys['time']!r} counts samples or ticks{why}"]
+    if turned and best.gyro is not None:
+        found = _found(best, best.gyro) * taken.rate / best.gyro.value
+        guess = f"rate_hz = {taken.rate:g} from the turns ({found:.4g} found): a guess to some percent"
+        remarks.append(f"time: {guess}; put the log's rate there")
+    return remarks
 
 
 def _found(best: Hypothesis, gyro: KnownScale) -> float:
-    """What the gyros read for one °/s by the turns, near what a hypothesis says."""
+    """Reading of the gyros for 1 °/s by the turns, near the scale of a hypothesis."""
     assert best.profile is not None
     rate = best.times.rate
     return best.profile.found(math.log(gyro.reads(rate) * rate / DEGREE)) * DEGREE / rate
 
 
-def _comes_near(kind: str, scale: KnownScale, shown: Evidence, best: Hypothesis, near: Sequence[Hypothesis]) -> str:
-    """A unit or counts beside what was found for one g or °/s, and what else would fit at the same rate."""
-    rate, per = best.times.rate, PER[kind]
-
-    def off(of: KnownScale) -> str:
-        return f"({math.log((shown.length if kind == ACCEL else _found(best, of)) / of.reads(rate)):+.1%})"
-
-    found = shown.length if kind == ACCEL else _found(best, scale)
-    others = list[str]()
-    for rival in near:
-        other = rival.accel if kind == ACCEL else rival.gyro
-        if kind in rival.differs(best) and other is not None and other.known and rival.times.rate == rate:
-            others.append(f"; {other.said} would fit too {off(other)}")
-    also = "".join(dict.fromkeys(others))
+def _comes_near(kind: str, scale: KnownScale, shown: Evidence, best: Hypothesis) -> str:
+    """A unit or a count beside the length of gravity or the rate that the recording shows."""
+    found, per = shown.length if kind == ACCEL else _found(best, scale), PER[kind]
+    off = f"({math.log(found / scale.reads(best.times.rate)):+.1%})"
     if scale.unit is not None:
-        return f"{scale.unit} (a guess): one {per} reads {found:.4g} {off(scale)}{also}"
+        return f"{scale.unit} (a guess): one {per} reads {found:.4g} {off}"
     if scale.known:
-        return f"counts: {scale.value:.6g} counts per {per} as in data sheets, {found:.4g} found {off(scale)}{also}"
+        return f"counts: {scale.value:.6g} counts per {per} as in data sheets, {found:.4g} found {off}"
     return f"counts: {found:.4g} counts per {per} found, and no data sheet has a value near it"
 
 
@@ -191,37 +179,30 @@ def _counts(columns: list[str], scale: float, per: str, zero: Any, unit: str = "
     return {"columns": columns, "unit": unit, "scale": value, "scale_per": per, "offset": zero}
 
 
-def _accel(
-    draft: Draft, best: Hypothesis, shown: Evidence, near: Sequence[Hypothesis]
-) -> tuple[dict[str, Any], list[str]]:
-    """The table [log.accel], and what is said of it."""
+def _accel(draft: Draft, best: Hypothesis, shown: Evidence) -> tuple[dict[str, Any], list[str]]:
+    """The table [log.accel] and remarks on it."""
     columns, scale = list(draft.triads[ACCEL].columns), best.accel
     named, unit, found = f"accelerometers: {', '.join(columns)}", draft.unit(ACCEL), shown.length
     if unit is not None and ACCEL_UNITS[unit].kind != "raw":
-        said = [f"{named} in {unit} (from the name or the format), magnitude {found:.6g}"]
-        return {"columns": columns, "unit": unit}, said
+        remarks = [f"{named} in {unit} (from the name or the format), magnitude {found:.6g}"]
+        return {"columns": columns, "unit": unit}, remarks
     zero: Any = shown.zero[0] if len(set(shown.zero)) == 1 else shown.zero
     seen = f"from {shown.rests} rests" if shown.rests >= 4 else "a guess from too few rests: state the data sheet's"
     seen = seen if shown.rests else "a guess, for there are no rests, from their median magnitude"
     about = f", zero at {zero}" if zero or scale.unit is None else ""
-    near_to = f"V: {found:.4g} V per g found" if unit == "V" else _comes_near(ACCEL, scale, shown, best, near)
-    said = [f"{named} in {near_to}{about} ({seen})"]
+    near_to = f"V: {found:.4g} V per g found" if unit == "V" else _comes_near(ACCEL, scale, shown, best)
+    remarks = [f"{named} in {near_to}{about} ({seen})"]
     if scale.unit is not None and not zero:
-        return {"columns": columns, "unit": scale.unit}, said
+        return {"columns": columns, "unit": scale.unit}, remarks
     raw = "V" if unit == "V" else "count"
-    return _counts(columns, scale.value if scale.known else float(f"{found:.4g}"), "g", zero, raw), said
+    return _counts(columns, scale.value if scale.known else float(f"{found:.4g}"), "g", zero, raw), remarks
 
 
 def _gyro(
-    draft: Draft,
-    best: Hypothesis,
-    gyro: KnownScale,
-    shown: Evidence,
-    every: Sequence[Hypothesis],
-    near: Sequence[Hypothesis],
+    draft: Draft, best: Hypothesis, gyro: KnownScale, shown: Evidence, near: Sequence[Hypothesis]
 ) -> tuple[dict[str, Any], list[str]]:
-    """The table [log.gyro], and what is said of it."""
-    columns, stated, rate = list(draft.triads[GYRO].columns), draft.unit(GYRO), best.times.rate
+    """The table [log.gyro] and remarks on it."""
+    columns, stated = list(draft.triads[GYRO].columns), draft.unit(GYRO)
     named, table = f"gyros: {', '.join(columns)} in", {"columns": columns, "unit": gyro.unit}
     centred = [float(f"{b:.6g}") for b in shown.bias]
     if gyro.unit is not None and stated == gyro.unit:
@@ -231,7 +212,7 @@ def _gyro(
     open_scale = alone and gyro.unit is None and bool(rivals - {gyro.value})
     if best.profile is not None and not open_scale:
         by = f"by {shown.turns} turns" if shown.turns > 1 else "by one turn"
-        told = f"{named} {_comes_near(GYRO, gyro, shown, best, near)} ({by})"
+        told = f"{named} {_comes_near(GYRO, gyro, shown, best)} ({by})"
         if gyro.unit is not None:
             return table, [told]
         offset = centred if np.abs(shown.bias).max() > _LARGEST_BIAS * gyro.value else 0.0
@@ -242,14 +223,9 @@ def _gyro(
         unknown = f"the offset is their reading at rest, the scale is unknown, for {shows}"
         counts = {"columns": columns, "unit": "count", "scale_per": "deg/s", "offset": centred}
         return counts, [f"{named} counts; {unknown}: put that of the data sheet there"]
-    why = [words for cost, words in readings(shown, gyro, rate, draft) if cost < 0.0]
-    rival = next((h for h in every if GYRO in h.differs(best)), best)
-    if rival.gyro is not None and rival is not best:
-        against = readings(shown, rival.gyro, rival.times.rate, draft)
-        why += [f"not {rival.gyro.said}: {words}" for cost, words in against if cost > 0.0 and words]
-    length = float(np.linalg.norm(shown.bias))
-    sizes = [f"{length * GYRO_UNITS[unit].factor / DEGREE:.2g} °/s in {unit}" for unit in ("rad/s", "deg/s", "mdeg/s")]
-    return table, [
-        f"{named} {gyro.unit} (a guess){f': {why[0]}' if why else ''}",
-        f"gyros: no turn tells their unit; at rest they read {length:.3g}: {', '.join(sizes)}",
-    ]
+    remarks = [f"{named} {gyro.unit} (a guess)"]
+    if shown.rests:
+        length = float(np.linalg.norm(shown.bias))
+        sizes = (f"{length * GYRO_UNITS[u].factor / DEGREE:.2g} °/s in {u}" for u in ("rad/s", "deg/s", "mdeg/s"))
+        remarks.append(f"gyros: no turn shows their unit; at rest they read {length:.3g}: {', '.join(sizes)}")
+    return table, remarks

@@ -1,4 +1,4 @@
-"""Files of a log: those that a path means, those in an archive; and files that hold no readings, refused by name."""
+"""Files of a log: a file, a folder, a pattern or an archive; and files that hold no readings, refused by name."""
 
 from __future__ import annotations
 
@@ -82,9 +82,9 @@ _MISNAMED = (
 
 
 def files_of(log: Path) -> list[Path]:
-    """The files that a path means: itself, those of a folder, or those that match a pattern.
+    """Files of a path: itself, those of a folder, or those that match a pattern.
 
-    They are in the order of the numbers in their names: pos2 before pos10. Raises InputError where there are none."""
+    They are in the order of the numbers in their names: pos2 before pos10. Raises InputError if there are none."""
     pattern = not log.exists() and bool(set(log.name) & set("*?["))
     if log.is_dir() and not (log / "metadata.yaml").is_file():
         files = [file for file in log.iterdir() if file.is_file() and not file.name.startswith(".")]
@@ -106,10 +106,10 @@ def files_of(log: Path) -> list[Path]:
 
 
 def unzipped(archive: Path, folder: OutputFolder) -> list[Path]:
-    """The files in an archive, written into a folder; a file that is no archive as it is.
+    """Files of an archive, written into a folder; a file that is no archive as it is.
 
-    Hidden files and those that are no logs are left out. Raises InputError for an archive that is damaged or locked, or
-    holds none, or more than readings would."""
+    Hidden files and those that are no logs are left out. Raises InputError for an archive that is damaged or locked,
+    empty, or larger than readings are."""
     if archive.suffix.lower() != ".zip":
         return [archive]
     limit = largest_unpacked(archive)
@@ -135,7 +135,7 @@ def unzipped(archive: Path, folder: OutputFolder) -> list[Path]:
 
 
 class NoLogError(InputError):
-    """A file that is no log, which is left out where others are."""
+    """A file that is no log, which is left out beside others."""
 
 
 def check_format(file: Path, *, recording: bool) -> None:

@@ -9,9 +9,11 @@ reader to report.
 from __future__ import annotations
 
 import re
+import zlib
 from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import reduce
+from operator import xor
 from pathlib import Path
 
 from tumble.drafting.named_values import json_lines, named_values, several_lines
@@ -21,7 +23,7 @@ from tumble.recording.text.dialect import encoding_of
 
 _THOUSANDS = re.compile("(?<=\\d)['’\u00a0\u202f](?=\\d{3}(?!\\d))")
 _QUOTED_THOUSANDS = re.compile(r'"(-?\d{1,3}(?:,\d{3})+(?:\.\d*)?)"')
-_BRACKETED = re.compile(r"\s*[\[({][-+.\d][^\[\](){}:]*[\])}]\s*[,;]?\s*")
+_BRACKETED = re.compile(r"\s*[\[({][-+.\d\seE,;\[\](){}]*[\])}]\s*[,;]?\s*")
 _MONITORED = re.compile(r"\s*(\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?)\s*->\s*(.*)")
 _SEEN_LINES = 200
 
@@ -35,28 +37,40 @@ _FIELDS = {
 }
 """Fields of VectorNav's sentences (reference of the VN-100, asynchronous output); others have none."""
 
+_SENTENCE = re.compile(r"\s*([$#%])((\w+),[^*]*)\*([0-9A-Fa-f]{2}|[0-9A-Fa-f]{8})\s*")
+_NOVATEL_RAW = re.compile("RAWIMUS?X?A")
+_RAW_INCREMENTS = ("GPS time [s]", *(f"{kind} {axis} [count]" for kind in ("accel", "gyro") for axis in "xyz"))
+
 
 def sentences(lines: Sequence[str]) -> Spelling | None:
-    """Sentences with a checksum, `$VNYMR,…*6D`; a damaged one is no row."""
-    kinds = Counter(line.strip()[1:].partition(",")[0] for line in lines if line.lstrip().startswith("$"))
-    kind = max(kinds, key=lambda name: kinds[name], default="")
+    """Sentences with a checksum, `$VNYMR,…*6D` or NovAtel's `%RAWIMUSXA,…;…*a5db8c7b`; a damaged one is no row."""
+    kinds = Counter(sentence.group(1, 3) for line in lines if (sentence := _SENTENCE.fullmatch(line)) is not None)
+    mark, kind = max(kinds, key=lambda name: kinds[name], default=("", ""))
 
     def row(line: str) -> Row | None:
-        body, _, check = line.strip().removeprefix("$").partition("*")
-        whole = line.lstrip().startswith("$") and check.upper() == f"{reduce(lambda c, b: c ^ b, body.encode(), 0):02X}"
-        name, *values = body.split(",")
-        fields = _FIELDS.get(name, ())
-        fits = whole and name == kind and len(values) >= LEAST_NUMBERS and len(fields) in (0, len(values))
-        return (fields, values) if fits else None
+        sentence = _SENTENCE.fullmatch(line)
+        if sentence is None or sentence.group(1, 3) != (mark, kind):
+            return None
+        body, check = sentence[2].encode(), int(sentence[4], 16)
+        if check != (reduce(xor, body, 0) if mark == "$" else ~zlib.crc32(body, 0xFFFFFFFF) & 0xFFFFFFFF):
+            return None
+        values = re.split("[,;]", sentence[2])[1:]
+        if _NOVATEL_RAW.fullmatch(kind) and len(values) >= 8:
+            seconds, _, *increments = values[-8:]
+            x, minus_y, z = (increments[at::3] for at in (2, 1, 0))  # of accelerometers and gyros
+            y = [value.removeprefix("-") if value.startswith("-") else f"-{value}" for value in minus_y]
+            return _RAW_INCREMENTS, [seconds, *(value for three in zip(x, y, z, strict=True) for value in three)]
+        fields = _FIELDS.get(kind, ())
+        return (fields, values) if len(values) >= LEAST_NUMBERS and len(fields) in (0, len(values)) else None
 
-    return spelt_alike(lines, row, f"sentences ${kind}")
+    return spelt_alike(lines, row, f"sentences {mark}{kind}")
 
 
 def in_brackets(lines: Sequence[str]) -> Spelling | None:
     """Rows in brackets."""
 
     def row(line: str) -> Row | None:
-        return ((), [line.strip(" \t,;[](){}")]) if _BRACKETED.fullmatch(line) else None
+        return ((), [re.sub(r"[\[\](){}]", "", line).strip(" \t,;")]) if _BRACKETED.fullmatch(line) else None
 
     return spelt_alike(lines, row, "rows in brackets")
 

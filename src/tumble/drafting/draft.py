@@ -1,4 +1,4 @@
-"""A session.toml as far as it is known, and how it is written with comments on all that has to be filled in."""
+"""A session.toml as far as it is known, and its text with comments on what has to be filled in."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from tumble.recording.text.dialect import DIALECT_KEYS
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Draft:
-    """The content of a session.toml as far as it is known, and how each part of it came about, in sentences."""
+    """Content of a session.toml as far as it is known, and remarks on how each part was determined."""
 
     content: Mapping[str, Any]
-    said: tuple[str, ...]
+    remarks: tuple[str, ...]
     doubts: tuple[str, ...] = ()
     """What is not sure, each with what hangs on it and how it is settled."""
     magnetometer: Mapping[str, Any] | None = None
@@ -52,12 +52,12 @@ class Draft:
 
     @property
     def rate_guessed(self) -> bool:
-        """Whether no column has the times, and nobody has stated a rate."""
+        """Whether no column has the times, and no rate is stated."""
         return bool(self.times.rivals) and not self.times.stamped
 
     @property
     def guessed(self) -> bool:
-        """Whether anything is: a unit or a time."""
+        """Whether a unit or the times are a guess."""
         return bool(self.times.rivals) or any(sensors.unit is None for sensors in self.triads.values())
 
     @property
@@ -67,22 +67,22 @@ class Draft:
         return tuple(map(Path, [file] if isinstance(file, str) else file))
 
     def unit(self, kind: str) -> str | None:
-        """The unit of sensors that their names say."""
+        """The unit in the names of sensors."""
         return self.triads[kind].unit
 
-    def with_log(self, said: Sequence[str] = (), /, **tables: Any) -> Draft:
-        """The draft with these tables and keys of [log], and what there is to say of them."""
-        return replace(self, content={**self.content, "log": {**self.log, **tables}}, said=(*self.said, *said))
+    def with_log(self, remarks: Sequence[str] = (), /, **tables: Any) -> Draft:
+        """A copy with tables and keys of [log] replaced, and further remarks."""
+        return replace(self, content={**self.content, "log": {**self.log, **tables}}, remarks=(*self.remarks, *remarks))
 
     def session(self) -> Session:
-        """The session of the content, whose log is read from what was kept of it."""
+        """The session of the content; files that were read already are not read again."""
         session = session_of(self.content) if "accel" in self.log else session_of_gyros(self.content)
         files = tuple(self.kept.get(Path(str(file)), file) for file in session.log.files)
         return replace(session, log=replace(session.log, files=files))
 
 
 def session_text(draft: Draft, folder: Path, programme: str | None, *, named: bool) -> str:
-    """session.toml of a folder, with a comment on all that has to be filled in: the serial number too, unless it was
+    """Text of session.toml, with a comment on what has to be filled in; the serial number too, unless it was
     `named`."""
     log, device = draft.content["log"], draft.content["device"]
     files = [os.path.relpath(file, folder.resolve()) for file in draft.files]
@@ -120,7 +120,7 @@ def session_text(draft: Draft, folder: Path, programme: str | None, *, named: bo
 
 
 def _table(title: str, content: Mapping[str, Any], *comments: str) -> list[str]:
-    """The lines of a table, and an empty one."""
+    """Lines of a table, and an empty one."""
     return [title, *comments, *(_line(key, value) for key, value in content.items()), ""]
 
 

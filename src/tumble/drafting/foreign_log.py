@@ -1,4 +1,4 @@
-"""A foreign log: its files, how they are written, and what its columns are."""
+"""A log of unknown origin: its files, how they are written, and what its columns are."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from tumble.reduction.blocks.tuning import USUAL
 from tumble.units import Array
 
 LONGEST = 2_000_000
-"""Rows that are looked at."""
+"""Rows that are read at most to identify a log."""
 
 HEAD_ROWS = 20_000
 SAMPLE_ROWS = 200
@@ -40,37 +40,39 @@ SHOWN = 12
 _NEAR = 0.1
 _FEWEST_ROWS = 50
 _SHORTEST_SESSION = 4 * USUAL.rest
-"""s: what four rests alone take, and fewer tell nothing."""
+"""s: duration of four rests; fewer determine nothing."""
 _FILLED = 50
-"""Rows that are alike in all sensors, at the end of a log, are no samples if they are as many."""
+"""Identical rows at the end of a log that are no samples, at least."""
 
 Stated = Mapping[str, Sequence[str]]
-"""Columns by what they are: three of "accel" and of "gyro", one of "time"; nothing where none are stated."""
+"""Columns by role: three for "accel" and for "gyro", one for "time"."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ForeignLog:
-    """Files of one kind, the keys of [log] that say how they are written, their columns, what was said above the
-    numbers, cells of the first rows by column, and what there is to say."""
+    """Files of one kind, written alike, with identified columns.
+
+    `keys` are those of [log] that describe the text, `preamble` the lines above the numbers that are neither names nor
+    units, `cells` the first rows by column, and `remarks` sentences for the user."""
 
     files: tuple[Path, ...]
     keys: Mapping[str, Any]
     columns: Columns
-    remarks: tuple[str, ...] = ()
+    preamble: tuple[str, ...] = ()
     cells: Mapping[str, Sequence[str]] = field(default_factory=dict)
-    said: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
-    """What is not sure, each with what hangs on it and how it is settled."""
+    """What is not certain: its consequence, and how the user settles it."""
     dialect: Dialect | None = None
     kept: dict[Path, KeptLog] = field(default_factory=dict)
-    """The files that were read, by their paths: every look at them is at what was read once."""
+    """Files that have been read, by path: none is read twice."""
 
-    def with_columns(self, said: Sequence[str] = (), /, **changed: Any) -> ForeignLog:
-        """The log with other columns of these kinds, and what there is to say of them."""
-        return replace(self, columns=replace(self.columns, **changed), said=(*self.said, *said))
+    def with_columns(self, remarks: Sequence[str] = (), /, **changed: Any) -> ForeignLog:
+        """A copy with some attributes of `columns` changed, and further remarks."""
+        return replace(self, columns=replace(self.columns, **changed), remarks=(*self.remarks, *remarks))
 
     def sources(self) -> Iterator[KeptLog]:
-        """The files, as they are read."""
+        """Readers of the files."""
         for file in self.files:
             path = file.resolve()
             if path not in self.kept:
@@ -79,23 +81,24 @@ class ForeignLog:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The columns of the first file."""
+        """Names of the columns of the first file."""
         return next(self.sources()).names
 
     @property
     def unnamed(self) -> bool:
-        """Whether the columns of a text have no names, and so numbers from 1."""
+        """Whether the columns have no names, and are numbered from 1."""
         return all(map(str.isdecimal, self.cells))
 
     @property
     def clock(self) -> str | None:
-        """The column of times of day, where that of the time is one."""
+        """The time column, if it has times of day or dates."""
         column = self.columns.time
         return column if column is not None and self.is_clock(column) else None
 
     def read(self, columns: Sequence[str], *, rows: int = LONGEST) -> Array:
-        """The first rows of some columns, of all files; those that a session would read are read together. Of times of
-        day seconds, NaN for what is no reading."""
+        """Read the first rows of some columns of all files, (m, n): seconds for times of day, NaN where no number is.
+
+        The columns that a session needs are read together, so that a file is parsed once."""
         known = self.columns
         sensors = [c for kind in ("accel", "gyro") if kind in known.triads for c in known.triads[kind].columns]
         together = [c for c in (known.time, *sensors) if c is not None]
@@ -111,7 +114,7 @@ class ForeignLog:
         return np.concatenate(parts)
 
     def readings(self, column: str) -> Array:
-        """The numbers in the first rows of a column; where there are none, those in all; none where it cannot be
+        """Numbers of a column in the first rows, or in all rows where the first have none; empty where it cannot be
         read."""
         with suppress(LogError):
             for rows in (HEAD_ROWS, LONGEST):
@@ -121,18 +124,18 @@ class ForeignLog:
         return np.empty(0)
 
     def reads_gravity(self, columns: Sequence[str]) -> bool:
-        """Whether three columns, if they are some, have the length of gravity in a unit, at the median."""
+        """Whether the median length of three columns is that of gravity in a known unit; false for no columns."""
         length = np.linalg.norm(self.read(columns, rows=HEAD_ROWS), axis=1) if columns else np.empty(0)
         median = float(np.nanmedian(length)) if np.isfinite(length).any() else 0.0
         return any(c.unit is not None and abs(median / c.value - 1.0) < _NEAR for c in CANDIDATES[ACCEL])
 
     def is_clock(self, column: str) -> bool:
-        """Whether a column has times of day."""
+        """Whether most cells of a column are times of day or dates."""
         cells = [cell for cell in self.cells.get(column, ()) if cell]
         return bool(cells) and sum(map(is_clock, cells)) > len(cells) // 2
 
     def stamps(self) -> Stamps | None:
-        """The time stamps of the first file, if it has any; times of day go on past midnight."""
+        """Time stamps of the first file; None without a time column. Times of day continue past midnight."""
         column = self.columns.time
         if column is None:
             return None
@@ -143,7 +146,7 @@ class ForeignLog:
         return Stamps(column=column, values=values, unit=self.columns.time_unit, clock=clock)
 
     def times(self, rate: float | None) -> Times:
-        """When the rows were taken; `rate` as given, Hz."""
+        """Times of the rows; `rate`, Hz, is the user's and overrides a time column."""
         if rate is not None:
             return times_without_column(rate, ())
         stamps = self.stamps()
@@ -152,17 +155,18 @@ class ForeignLog:
             span = len(stamps.values) / times.rate
             if len(self.files) > 1 or span >= _SHORTEST_SESSION:
                 return times
-            said = f"time: all of the log is {span:.3g} s by its times, too short to turn and rest in"
-            return replace(times, said=(*times.said, f"{said}: is the unit right?"))
-        assumed = times_without_column(None, self.remarks)
+            remark = f"time: all of the log is {span:.3g} s by its times, too short to turn and rest in"
+            return replace(times, remarks=(*times.remarks, f"{remark}: is the unit right?"))
+        assumed = times_without_column(None, self.preamble)
         if stamps is None:
             return assumed
-        return replace(assumed, said=(f"time: column {stamps.column!r} does not grow and is not used", *assumed.said))
+        remark = f"time: column {stamps.column!r} does not grow and is not used"
+        return replace(assumed, remarks=(remark, *assumed.remarks))
 
     def with_stated(self, stated: Stated, units: Mapping[str, str]) -> ForeignLog:
-        """The log with sensors and time as the user states them, by name or by number from 1, and in stated units.
+        """Assign sensors and time as the user states them, by column name or number from 1, and their units.
 
-        What these columns were taken for otherwise is dropped. Raises InputError for columns that it does not have."""
+        A column that is stated loses any other role. Raises InputError for a column that does not exist."""
         columns = {kind: tuple(self._named(kind, c.strip()) for c in listed) for kind, listed in stated.items()}
         taken = [c for listed in columns.values() for c in listed]
         if not taken:
@@ -188,13 +192,13 @@ class ForeignLog:
         )._in_units(units)
 
     def _in_units(self, units: Mapping[str, str]) -> ForeignLog:
-        """The log with its sensors in stated units."""
+        """A copy with the units of sensors replaced."""
         triads = self.columns.triads
         stated = {kind: replace(s, unit=units[kind]) for kind, s in triads.items() if kind in units}
         return self.with_columns(triads={**triads, **stated})
 
     def _named(self, kind: str, column: str) -> str:
-        """The name of a column that is given by that, or by its number from 1."""
+        """Name of the column with this name, or with this number from 1."""
         names = self.names
         if column in names:
             return column
@@ -206,8 +210,8 @@ class ForeignLog:
         )
 
     def check_has_sensors(self, *, gyros_suffice: bool) -> None:
-        """Raise InputError where no columns are those of accelerometers, nor of gyros where these suffice, and for a
-        short table of accelerometers without times, which are positions."""
+        """Raise InputError if there are no accelerometers (or gyros, where these suffice), and for a short table
+        without times, which is a table of positions."""
         rows = max(map(len, self.cells.values()), default=_FEWEST_ROWS)
         alone = len(self.files) == 1 and self.columns.time is None and GYRO not in self.columns.triads
         if rows < _FEWEST_ROWS and alone:
@@ -236,8 +240,8 @@ class ForeignLog:
 
 
 def samples_in(read: Array) -> int:
-    """How many of the rows (m, n) of readings are samples: those before a stretch, at the end, of rows that are all
-    alike or empty, as memory is filled with beforehand. All of them where that stretch is short."""
+    """Number of rows (m, n) before a long stretch of identical or empty rows at the end, with which a logger fills
+    memory in advance; m where there is none."""
     if not len(read):
         return 0
     alike = ((read == read[-1]) | ~np.isfinite(read)).all(axis=1)

@@ -44,7 +44,7 @@ from tumble.recording.log import open_log
 from tumble.reduction.blocks.reducer import Reduction, reduce_log
 from tumble.reduction.blocks.tuning import USUAL, Tuning
 from tumble.reduction.rests.rests import sphere_through
-from tumble.reduction.rests.segmentation import RestSpan, find_rests
+from tumble.reduction.rests.segmentation import Stretch, find_rests
 from tumble.rotation import unit_vector
 from tumble.run.observed import LARGEST_SQUARED, Progress
 from tumble.sensors.model import Block
@@ -67,9 +67,10 @@ _RATE_RANGE = math.log(RATES_OF_LOGS[1] / RATES_OF_LOGS[0])
 """The range of the logarithm of a rate of which nothing is known."""
 _ODDS: Mapping[tuple[str | None, str | None], float] = {
     ("m/s^2", "rad/s"): 3.0, ("g", "deg/s"): 3.0, ("mg", "mdeg/s"): 5.0, ("m/s", "rad"): 30.0, ("m/s", "deg"): 30.0,
-    ("m/s", "arcsec"): 30.0, ("cm/s^2", None): 5.0, (None, None): 30.0,
+    ("m/s", "arcsec"): 30.0, ("cm/s^2", None): 45.0, ("mg", None): 36.0, (None, None): 30.0,
 }  # fmt: skip
-"""How much more often units of accelerometers and gyros come together than by themselves; None are counts."""
+"""How much more often units of accelerometers and gyros come together than by themselves; None are counts. Counts of
+some accelerometers are mg (LSM303DLHC, LIS3DH) or cm/s² (BNO055), about as often as those of a common range."""
 COUNTS = KnownScale(value=1.0, shares=(1.0, 1.0))
 """Of gyros that nothing turned, whatever they are worth."""
 _ZERO = 0.1
@@ -99,13 +100,13 @@ _TOO_FAST, _IN_STEPS = 30.0, -12.0
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Evidence:
-    """What rests and turns of a recording show, in raw numbers, with Q and durations counted at `rate`, Hz.
+    """Length of gravity, readings at rest and turns of a recording, in raw numbers, with durations counted at `rate`,
+    Hz.
 
-    `rests` and `turns` are counts; `length` is that of gravity, `length_u` its standard uncertainty, part of it, and
-    `zero` that of the accelerometers. At the rests: readings of the gyros `gyro` (N, 3), numbers of `samples` (N,) and
-    the scatter of a sample, of accelerometers as part of gravity. `turning` is the usual reading of the gyros in a
-    turn, `profiles` the likelihoods of the turns, that with the columns as they are first. `by_rate` has the number of
-    rests by trial rates, Hz, where the rate is unclear."""
+    `rests` and `turns` are counts; `length` is that of gravity, `length_u` its relative standard uncertainty, and
+    `zero` the offset of the accelerometers. At the rests: readings of the gyros `gyro` (N, 3), numbers of `samples`
+    (N,) and the scatter of a sample, for accelerometers relative to gravity. `turning` is the usual reading of the
+    gyros in a turn, `profiles` the likelihoods of the turns, first that with the columns as they are."""
 
     rate: float
     length: float
@@ -119,18 +120,18 @@ class Evidence:
     gyro_scatter: float = 0.0
     turning: float = 0.0
     profiles: tuple[TurnLikelihood, ...] = ()
-    by_rate: Mapping[float, int] = field(default_factory=dict)
 
     @property
     def bias(self) -> Array:
-        """What the gyros read at rest (3,)."""
+        """Median reading of the gyros at rest (3,)."""
         return np.median(self.gyro, axis=0) if len(self.gyro) else np.zeros(3)
 
 
 def evidence_of(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> Evidence:
-    """The evidence of a draft's log. Where its rate is unclear the rows are the clock, and rests are sought with
-    windows that fit several rates: those are taken whose turns tell most, by how much less they cost than if the gyros
-    turned nothing, or that show most rests."""
+    """Evidence of a draft's log.
+
+    Where the rate is unclear, rows are counted instead of times, and rests are sought with windows for several rates;
+    the trial is taken whose turns are least likely for gyros that read noise, or that has most rests."""
     log = {key: value for key, value in draft.log.items() if key != "temperature"}
     stated, factors = draft.times.rate / ASSUMED_RATE, [1.0]
     if draft.times.rivals:
@@ -146,13 +147,11 @@ def evidence_of(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> Ev
     if ACCEL not in draft.triads:
         return _of_gyros_alone(reduction)
     trials = [_with_windows(reduction, factor, draft.magnitude, widths) for factor in factors]
-    counts = {ASSUMED_RATE * factor: trial.rests for factor, trial in zip(factors, trials, strict=True)}
-    most = max(trials, key=lambda t: (max((p.unturned - p.least for p in t.profiles), default=0.0), t.rests))
-    return replace(most, by_rate=counts if len(factors) > 1 else {})
+    return max(trials, key=lambda t: (max((p.unturned - p.least for p in t.profiles), default=0.0), t.rests))
 
 
 def _of_gyros_alone(reduction: Reduction) -> Evidence:
-    """What gyros alone show, which are taken to be at rest most of the time."""
+    """Evidence of gyros alone, assumed to be at rest most of the time."""
     means = np.concatenate([file.accel.means for file in reduction.files])
     middle = np.median(means, axis=0)
     scatter = 1.4826 * float(np.median(np.abs(means - middle))) * math.sqrt(reduction.files[0].size)
@@ -160,12 +159,12 @@ def _of_gyros_alone(reduction: Reduction) -> Evidence:
 
 
 def _with_windows(reduction: Reduction, factor: float, magnitude: float, widths: Widths) -> Evidence:
-    """What a reduction shows whose rests are sought with windows that fit `factor` times its rate; where there are
-    none, gravity has the `magnitude` of what is read."""
+    """Evidence with rests sought in windows `factor` times as long; without rests, gravity has the given
+    `magnitude`."""
     seconds = (f.name for f in fields(Tuning) if f.metadata["unit"] == "s")
     tuning = replace(USUAL, **{name: factor * getattr(USUAL, name) for name in seconds})
     channels, files = (*reduction.accel_channels, *reduction.gyro_channels), reduction.by_file
-    spans: tuple[RestSpan, ...] = ()
+    spans: tuple[Stretch, ...] = ()
     if max(max(-c.minimum, c.maximum) for c in channels) < LARGEST_SQUARED:
         with np.errstate(invalid="ignore"):  # of a stretch of zeros
             found = find_rests(replace(reduction, tuning=tuning), _TRIAD, None).rests
@@ -199,11 +198,22 @@ def _with_windows(reduction: Reduction, factor: float, magnitude: float, widths:
 
 
 def length_and_zero(means: Array, widths: Widths = WIDTHS) -> tuple[float, float, list[float], Array]:
-    """Numbers per g of accelerometers, their standard uncertainty as part of them, zeros (3,), and the vectors of
-    gravity (N, 3), from mean readings (N, 3) at rest. The zero is the centre of their sphere, or none or the middle of
-    a converter where the centre is near to that, or where they draw no sphere: a known length in one attitude does not.
-    Gravity is about the centre c of |m − c| = r, for offsets from a known zero as they are usual, so that few rests do
-    not move it far."""
+    """Length of gravity and zero of accelerometers from mean readings (N, 3) at rest.
+
+    The zero is the centre of the sphere through the readings, or exactly 0 or the middle of a converter if the centre
+    is near to that, or if the readings determine no sphere. The length is a least-squares solution of |m − c| = r with
+    offsets of the usual size from a known zero, so that few rests do not move it far.
+
+    Returns
+    -------
+    length : float
+        Raw numbers for one g.
+    length_u : float
+        Its relative standard uncertainty.
+    zero : list of float
+        Zero of each sensor, to five digits.
+    gravity : ndarray, shape (N, 3)
+        Readings relative to the centre."""
     length = float(np.median(np.linalg.norm(means, axis=1)))
     zero, offset = np.zeros(3), widths.offset
     if len(means) >= 4:
@@ -229,11 +239,13 @@ def length_and_zero(means: Array, widths: Widths = WIDTHS) -> tuple[float, float
 
 
 def _turns(
-    reduction: Reduction, spans: tuple[RestSpan, ...], up: Array, rates: Array
+    reduction: Reduction, spans: tuple[Stretch, ...], up: Array, rates: Array
 ) -> list[tuple[Array, Array, Array]]:
-    """What the gyros read above their bias, at the nominal interval, in turns (m, 3) that end with another side up, and
-    the verticals before and behind them, the shortest first; but for turns in which a gyro is clipped: it reads the
-    most it reads in any of them several times in a row, and seldom a little less."""
+    """Turns between rests of different attitude, the shortest first: integrals of the gyros above their bias (m, 3),
+    and the vertical before and after.
+
+    Turns are left out in which a gyro is clipped: it reads its largest value of all turns several times in a row, and
+    rarely a little less."""
     files, samples, bias = reduction.by_file, reduction.samples, np.median(rates, axis=0)
     assert samples is not None
     read = []
@@ -258,7 +270,7 @@ def _turns(
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Hypothesis:
-    """What a log may be, and what that costs; the profile of the turns, None where there are none, has the exchange of
+    """Units, scales and times that a log may have, and their cost. `profile`, None without turns, has the exchange of
     the gyros' columns."""
 
     accel: KnownScale
@@ -268,7 +280,7 @@ class Hypothesis:
     cost: float
 
     def differs(self, other: Hypothesis) -> set[str]:
-        """The parts in which it is another than one."""
+        """The parts in which two hypotheses differ."""
         parts = {
             ACCEL: self.accel != other.accel,
             GYRO: self.gyro != other.gyro,
@@ -279,7 +291,7 @@ class Hypothesis:
 
 
 def ranked(shown: Evidence, draft: Draft, widths: Widths = WIDTHS) -> list[Hypothesis]:
-    """All hypotheses of a log that shows this, the cheapest first."""
+    """All hypotheses of a log, the least cost first."""
     deviation = math.hypot(widths.scale, shown.length_u)
     with_accel = ACCEL in draft.triads
     accels = list(_assumed(ACCEL, draft, cost_of_any(deviation))) if with_accel else [(COUNTS, 0.0)]
@@ -290,7 +302,7 @@ def ranked(shown: Evidence, draft: Draft, widths: Widths = WIDTHS) -> list[Hypot
         gyros = [*([(COUNTS, -2.0 * math.log(counted))] if counted else []), *units]
     if with_accel and draft.whole[ACCEL] and shown.length < _FEWEST_COUNTS:
         accels = [(accel, assumed) for accel, assumed in accels if accel.unit is not None] or accels
-    stated = with_accel and draft.unit(ACCEL) is not None
+    stated = with_accel and ACCEL_UNITS[draft.unit(ACCEL) or "count"].kind != "raw"
     samples = float(np.median(shown.samples)) if shown.rests else np.inf
     out = []
     for profile in shown.profiles or (None,):
@@ -318,8 +330,8 @@ def ranked(shown: Evidence, draft: Draft, widths: Widths = WIDTHS) -> list[Hypot
 def _with_gyros(
     draft: Draft, shown: Evidence, gyros: list[tuple[KnownScale, float]], profile: TurnLikelihood | None, widths: Widths
 ) -> Iterator[tuple[Times, KnownScale | None, float]]:
-    """Times with gyros and what these cost in them: by their turns, by what they read, and by what they assume. Where
-    the rate may be any, that too with which the turns fit a unit best."""
+    """Times and gyros with the cost of their turns, readings and assumptions. Where the rate is free, so is the one for
+    which the turns fit a unit best."""
     every = (draft.times, *draft.times.rivals)
     nominal = None if profile is None else profile.of_nominal(widths.scale)
     if not gyros:
@@ -339,15 +351,15 @@ def _with_gyros(
             if nominal is not None:
                 cost += nominal.at(math.log(found.reads(times.rate) * times.rate / DEGREE))
             if profile is not None or gyro.unit is not None:
-                cost += sum(of_reading for of_reading, _ in readings(shown, found, times.rate, draft, widths))
+                cost += cost_of_readings(shown, found, times.rate, draft, widths)
             yield times, found, cost
 
 
 def _assumed(kind: str, draft: Draft, unknown: float) -> Iterator[tuple[KnownScale, float]]:
-    """Units and counts that sensors may have, and what each assumes.
+    """Units and counts that sensors may have, each with the cost of the assumption.
 
-    A unit in a name is believed; of sensors whose name says that they are raw, counts are likelier. Counts of no data
-    sheet may have any scale, which costs `unknown`."""
+    A unit in a name is taken as given; a name that says raw makes counts likelier. Counts of no data sheet may have any
+    scale, at the cost `unknown`."""
     units, name = {ACCEL: ACCEL_UNITS, GYRO: GYRO_UNITS}[kind], draft.unit(kind)
     if name is not None and units[name].kind != "raw":
         one = ONE[kind] / units[name].factor
@@ -362,32 +374,23 @@ def _assumed(kind: str, draft: Draft, unknown: float) -> Iterator[tuple[KnownSca
             yield candidate, -2.0 * math.log(share) + (0.0 if candidate.known else unknown)
 
 
-def readings(
-    shown: Evidence, gyro: KnownScale, rate: float, draft: Draft, widths: Widths = WIDTHS
-) -> list[tuple[float, str]]:
-    """Costs of a unit or scale of gyros by what they would read, each with the reason in words.
+def cost_of_readings(shown: Evidence, gyro: KnownScale, rate: float, draft: Draft, widths: Widths) -> float:
+    """Cost of a unit or scale of gyros by their readings.
 
-    Biases of more than 20 °/s, a scatter of 0.17 °/s in a second on a table, more than any range and turns as no hand
-    makes speak against it, steps of a data sheet for it."""
+    Biases above 20 °/s, a scatter of 0.17 °/s in a second on a table, more than any range and turns faster than by hand
+    speak against it, steps of a data sheet for it."""
     one, root = DEGREE / gyro.reads(rate), math.sqrt(rate)
-    bias, noise = float(np.linalg.norm(shown.bias)), shown.gyro_scatter / root
-    on_table = shown.accel_scatter * G_STANDARD / root < _ON_A_TABLE
-    out: list[tuple[float, str]] = []
-
-    def beyond(value: float, limit: float, words: str) -> None:
+    limits = [(float(np.linalg.norm(shown.bias)), _LARGEST_BIAS)] if gyro.unit is not None else []
+    if shown.accel_scatter * G_STANDARD / root < _ON_A_TABLE:
+        limits.append((shown.gyro_scatter / root, _LARGEST_NOISE))
+    cost = 0.0
+    for value, limit in limits:
         if value * one > limit:
-            cost = min((math.log(value * one / limit) / _BEYOND) ** 2, _AT_MOST)
-            out.append((cost, f"{words}, which in {gyro.said} would be {value * one / DEGREE:.3g} °/s"))
-
-    if gyro.unit is not None:
-        beyond(bias, _LARGEST_BIAS, f"at rest they read {bias:.3g}")
-    if on_table:
-        beyond(noise, _LARGEST_NOISE, f"at rest they scatter by {noise:.2g} in a second")
+            cost += min((math.log(value * one / limit) / _BEYOND) ** 2, _AT_MOST)
     if draft.largest * one > FASTEST:
-        read = f"no gyro reads the {draft.largest * one / DEGREE:.4g} °/s that they would in {gyro.said}"
-        out.append((_TOO_FAST, read))
+        cost += _TOO_FAST
     if shown.turning:
-        out.append(((math.log(shown.turning * one) / widths.turning) ** 2, ""))
+        cost += (math.log(shown.turning * one) / widths.turning) ** 2
     if gyro.unit == "deg/s" and draft.step is not None:
-        out.append((_IN_STEPS, f"their steps are {draft.step:.4g} °/s, a count of data sheets"))
-    return out
+        cost += _IN_STEPS
+    return cost

@@ -1,9 +1,8 @@
-"""The session that is made of a log beside it, and found again by the content of the log.
+"""The session that `calibrate LOG` makes beside a log, and finds again by the content of the log.
 
-`made.json` in its folder says of which log it was made, with what was stated, by which version, and which files came.
-The same log with the same statements has the session that it had, corrected by hand or not; with others it is made
-anew, unless it was corrected by hand.
-"""
+`made.json` in its folder has the hash of the log, what was stated, the version, and the files that were made. The same
+log with the same statements has the same session, corrected by hand or not; with others it is made anew, unless it was
+corrected by hand."""
 
 from __future__ import annotations
 
@@ -35,11 +34,10 @@ _RESULT = "calibration.json"
 def session_of_log(
     log: Path, given: Given, progress: Progress
 ) -> Iterator[tuple[Path, str, Sequence[str], Sequence[str]]]:
-    """The folder of the session of a log, whether it was there before, how each part of it came about, and faults that
-    a look at it found, in sentences.
+    """Folder of the session of a log, where it comes from, remarks on each part, and faults.
 
-    It is made where there is none, and is there no more, or as it was before, where the block fails. Raises InputError
-    for a log that cannot be read, and where a session that was corrected by hand would be made anew."""
+    It is made if there is none, and removed, or put back as it was, if the block fails. Raises InputError for a log
+    that cannot be read, and if a session corrected by hand would be made anew."""
     log = log if log.name else log.resolve()
     stem = re.sub(r"[*?\[\]]", "", log.name)
     for ending in (".gz", ".zst"):
@@ -72,13 +70,13 @@ def session_of_log(
         content["files"] = [file.name for file in output.written]
         with whole_file(output.new_file(MADE)) as temporary:
             temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-        yield folder, f"{state}kept in {folder / SESSION_FILE}", draft.said, faults
+        yield folder, f"{state}kept in {folder / SESSION_FILE}", draft.remarks, faults
 
 
 @contextmanager
 def _put_aside(folder: Path) -> Iterator[None]:
-    """The folder of a session away while it is made anew: what was made before goes with the old one at the end, other
-    files come back, and all of it where the block fails."""
+    """Move the folder of a session away while it is made anew: files made before go with it, others come back, and all
+    of them if the block fails."""
     if not folder.exists():
         yield
         return
@@ -97,7 +95,7 @@ def _put_aside(folder: Path) -> Iterator[None]:
 
 
 def _made(folder: Path) -> dict[str, Any]:
-    """What the folder of a session says of how it was made; nothing where it does not."""
+    """Content of made.json; empty without one."""
     with suppress(OSError, ValueError):
         made = json.loads((folder / MADE).read_bytes()) if (folder / SESSION_FILE).is_file() else {}
         return made if isinstance(made, dict) else {}
@@ -105,7 +103,7 @@ def _made(folder: Path) -> dict[str, Any]:
 
 
 def _digest(log: Path) -> str:
-    """The SHA-256 of the content of a log, of several files that of all, in their order."""
+    """SHA-256 of the content of a log; of several files that of all, in their order."""
     digest = hashlib.sha256()
     for file in files_of(log):
         for part in sorted(p for p in file.rglob("*") if p.is_file()) if file.is_dir() else [file]:

@@ -38,7 +38,7 @@ _QUANTITIES = ("velocity", "acceleration", "rate", "field")
 
 
 def named_values(lines: Sequence[str]) -> Spelling | None:
-    """Lines most of which have the same names and numbers."""
+    """Spelling of lines most of which have the same names and numbers."""
 
     def row(line: str) -> Row | None:
         named = cells(line)
@@ -48,9 +48,10 @@ def named_values(lines: Sequence[str]) -> Spelling | None:
 
 
 def cells(line: str) -> dict[str, str]:
-    """Names and numbers of a line; a time before the first name is one too, and a name before three numbers three. An
-    axis has the name of the sensor that stands before several, `GYRO: X=0.1, Y=…`, else the words before it, `Linear
-    Accel X = 0.1, Y = …`, which are those of the axes behind it too."""
+    """Names and numbers of a line. A time before the first name is one, and a name before three numbers is three.
+
+    An axis has the name of the sensor before several, `GYRO: X=0.1, Y=…`, else the words before it, `Linear Accel X =
+    0.1, Y = …`, which also hold for the axes behind it."""
     keys, groups = (list(pattern.finditer(line[:LONGEST_LINE])) for pattern in (_KEY, _GROUP))
     if not keys:
         return {}
@@ -75,7 +76,7 @@ def cells(line: str) -> dict[str, str]:
 
 
 def several_lines(lines: Sequence[str]) -> Spelling | None:
-    """The spelling of lines of which several are a sample; None where one is, or they are none."""
+    """Spelling of samples that are several lines each; None otherwise."""
     sample_before = _samples()
     samples = [done for line in lines if (done := sample_before(line)) is not None]
     kinds = Counter(tuple(values) for values, count in samples[1:] if count > 1)
@@ -92,7 +93,8 @@ def several_lines(lines: Sequence[str]) -> Spelling | None:
 
 
 def _samples() -> Callable[[str], tuple[dict[str, str], int] | None]:
-    """Is fed line by line, and gives the sample before, and of how many lines it was, where a line begins the next."""
+    """A function that is fed line by line, and returns the sample before with its number of lines where a line begins
+    the next."""
     sample: dict[str, str] = {}
     above: list[tuple[int, str]] = []
     count = 0
@@ -119,7 +121,7 @@ def _samples() -> Callable[[str], tuple[dict[str, str], int] | None]:
 
 
 def json_lines(lines: Sequence[str]) -> Spelling | None:
-    """Lines most of which are objects of JSON, or as Python prints them."""
+    """Spelling of lines most of which are objects of JSON, or as Python prints them."""
 
     def row(line: str) -> Row | None:
         text = line.strip().removeprefix("[").removesuffix("]").strip().removesuffix(",")
@@ -133,7 +135,7 @@ def json_lines(lines: Sequence[str]) -> Spelling | None:
 
 
 def _values(read: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, str]]:
-    """Names and values of an object and those within it: numbers, also as text, and times of day."""
+    """Names and values of an object and its parts: numbers, also as text, and times of day."""
     for key, value in read.items():
         name = before + re.sub('[,"\\s]+', " ", key)
         if isinstance(value, dict):

@@ -1,11 +1,10 @@
 """A first session.toml for a log, in one pass: its files (`containers`), the columns of sensors and times by name and
-unit, and by numbers where names leave them open (`columns`), copies of what a session file cannot describe (`repairs`),
-times (`times`), units and scales by what rests and turns show (`hypotheses`), and sentences about it (`conclusions`).
+unit, and by numbers where names leave them open (`columns`), mended copies (`repairs`), times (`times`), units and
+scales by rests and turns (`hypotheses`), and remarks (`conclusions`).
 
-Accelerometers at rest must read gravity, which tells their unit, and gyros must carry the vertical from rest to rest,
-which tells theirs, the scale of counts, and the rate of a log without times. What cannot be found out (serial number,
-place, programme) is left to be filled in, with a comment.
-"""
+Accelerometers at rest read gravity, which determines their unit, and gyros carry the vertical from rest to rest, which
+determines theirs, the scale of counts, and the rate of a log without times. What no log shows (serial number, place,
+programme) is left to be filled in."""
 
 from __future__ import annotations
 
@@ -72,7 +71,7 @@ class Given:
 
     @property
     def units(self) -> dict[str, str]:
-        """The stated units by what they are of. Raises InputError for others than session.toml has."""
+        """Stated units by kind of sensor. Raises InputError for units that session.toml does not have."""
         known = {ACCEL: (self.accel_unit, ACCEL_UNITS), GYRO: (self.gyro_unit, GYRO_UNITS)}
         for kind, (unit, units) in known.items():
             if unit is not None and unit not in units:
@@ -81,7 +80,7 @@ class Given:
 
     @property
     def columns(self) -> dict[str, Sequence[str]]:
-        """The stated columns by what they are."""
+        """Stated columns by role."""
         stated = {ACCEL: self.accel, GYRO: self.gyro, TIME_KIND: () if self.time is None else (self.time,)}
         return {kind: columns for kind, columns in stated.items() if columns}
 
@@ -116,7 +115,7 @@ def new_session(
     Returns
     -------
     draft : Draft
-        The content of the file, and in `said` how each part of it came about.
+        The content of the file, and in `remark` how each part of it came about.
     faults : list of str
         What a look at the recording finds wrong with it.
 
@@ -131,7 +130,7 @@ def new_session(
     >>> import tumble
     >>> folder = tumble.simulate_session("simulated", tumble.Setup.of(grade="mems", positions=12), seed=1)
     >>> draft, faults = tumble.new_session("session", folder / "log.parquet")
-    >>> print(draft.said[0], faults)
+    >>> print(draft.remarks[0], faults)
     time: column 't' in s (by its steps), 100 samples per second []
     """
     with nothing_left(Path(folder)) as output:
@@ -141,7 +140,7 @@ def new_session(
 def written_session(
     folder: OutputFolder, logs: FilePath | Sequence[FilePath], given: Given, progress: Progress, widths: Widths = WIDTHS
 ) -> tuple[Draft, list[str]]:
-    """`new_session` into a folder whose new files are left to the caller where it fails."""
+    """`new_session` into a folder whose new files are left to the caller if it fails."""
     path = folder.path / SESSION_FILE
     if path.exists():
         raise InputError(f"{path}: expected a folder without a session, found one; choose another folder")
@@ -161,8 +160,8 @@ def drafted_log(
     *,
     gyros_suffice: bool = False,
 ) -> tuple[Draft, list[str]]:
-    """What `new_session` writes, and the faults; where `gyros_suffice`, of a log of gyros alone too, of which a session
-    cannot be made. Copies of logs are written into the folder."""
+    """The draft and the faults that `new_session` gives; with `gyros_suffice` also for a log of gyros alone. Copies of
+    logs are written into the folder."""
     listed = [logs] if isinstance(logs, str | os.PathLike) else logs
     files = [file for log in listed for file in files_of(Path(log))]
     if given.programme is not None and given.programme not in programmes():
@@ -212,12 +211,12 @@ def drafted_log(
 
 
 def _of_log(log: ForeignLog, rate: float | None) -> Draft:
-    """From text and Parquet files: what names and first numbers say, and sensors as raw numbers."""
+    """Draft from names and first numbers, with sensors as raw numbers."""
     known, times = log.columns, log.times(rate)
-    said = list(log.said)
+    remarks = list(log.remarks)
     if rate is not None and known.time is not None:
-        said.append(f"time: column {known.time!r} is not used, since the rate was given")
-    said += [f"also there, and not used: {', '.join(known.others)}"] if known.others else []
+        remarks.append(f"time: column {known.time!r} is not used, since the rate was given")
+    remarks += [f"also there, and not used: {', '.join(known.others)}"] if known.others else []
     triads = {kind: known.triads[kind] for kind in (ACCEL, GYRO) if kind in known.triads}
     read = {kind: log.read(sensors.columns, rows=HEAD_ROWS) for kind, sensors in triads.items()}
     first = next(iter(triads))
@@ -232,11 +231,11 @@ def _of_log(log: ForeignLog, rate: float | None) -> Draft:
     for kind, sensors in triads.items():
         table[kind] = {"columns": list(sensors.columns), "unit": "count", "scale": 1.0, "offset": 0.0}
     if GYRO not in triads:
-        said.append("no gyros were found (--gyro states their columns): the accelerometers alone will be calibrated")
+        remarks.append("no gyros were found (--gyro states their columns): the accelerometers alone will be calibrated")
     if known.temperatures:
         thermometers, remark = _thermometers(log, known.temperatures)
         table |= {} if thermometers is None else {"temperature": thermometers}
-        said.append(remark)
+        remarks.append(remark)
     magnetometer, told = _magnetometer(log, known.triads.get(MAGNETOMETER))
     largest = np.abs(read[GYRO][np.isfinite(read[GYRO]).all(axis=1)]).max(axis=1) if GYRO in triads else np.zeros(0)
     whole = {kind: bool((r == np.floor(r))[np.isfinite(r)].all()) for kind, r in read.items()}
@@ -247,13 +246,13 @@ def _of_log(log: ForeignLog, rate: float | None) -> Draft:
         means = np.linalg.norm(force[: count * rows].reshape(-1, rows, 3).mean(axis=1), axis=1)
         share = float(np.median(means) / max(np.median(np.linalg.norm(force, axis=1)), 1e-300))
         if share <= _STEADY:
-            said.append(
+            remarks.append(
                 f"accelerometers: at the mean over {_SECONDS:g} s they read {share:.0%} of what they read at a time: "
                 "gravity is not in them; what a filter has left of the readings cannot be calibrated"
             )
     return Draft(
         content={"format": 1, "device": {"serial": "unknown"}, "log": table},
-        said=(*said, *told),
+        remarks=(*remarks, *told),
         doubts=log.doubts,
         magnetometer=magnetometer,
         triads=triads,
@@ -268,20 +267,20 @@ def _of_log(log: ForeignLog, rate: float | None) -> Draft:
 
 
 def _with_sign(draft: Draft) -> Draft:
-    """A draft with the sign of accelerometers that are named as Apple's CoreMotion names them, which reads −1 g on the
-    axis that points up. Gyros carry the vertical up or down alike, so that no recording shows it.
+    """Set the sign of accelerometers named as in Apple's CoreMotion, which read −1 g on the axis that points up. No
+    recording shows it, because gyros carry the vertical up and down alike.
 
     Source: Apple, CMAccelerometerData and CMMotionManager, Core Motion."""
     accel = draft.log["accel"]
     if accel["unit"] != "g" or not all(_CORE_MOTION.fullmatch(name) for name in accel["columns"]):
         return draft
     table = {"columns": accel["columns"], "unit": "count", "scale": -1.0, "scale_per": "g", "offset": 0.0}
-    said = "accelerometers: as Apple's CoreMotion has them, −1 g where an axis points up: scale = -1 per g"
-    return draft.with_log([said], accel=table)
+    remark = "accelerometers: as Apple's CoreMotion has them, −1 g where an axis points up: scale = -1 per g"
+    return draft.with_log([remark], accel=table)
 
 
 def _row_as_read(draft: Draft) -> str:
-    """The first row of the log that is whole: its numbers, and what they are taken for."""
+    """The first complete row of the log, as written and in units."""
     log = draft.session().log
     time = [] if log.time is None else [log.time]
     sensors = {kind: channels for kind, channels in ((ACCEL, log.accel), (GYRO, log.gyro)) if channels is not None}
@@ -304,10 +303,9 @@ def _row_as_read(draft: Draft) -> str:
 
 
 def _thermometers(log: ForeignLog, columns: Sequence[str]) -> tuple[dict[str, Any] | None, str]:
-    """The table [log.temperature], None where numbers are raw. A unit is that of the name, or in which the numbers are
-    temperatures of the air on Earth or of a chamber; columns in several are, as raw ones, with what their numbers are
-    worth."""
-    listed, units, said = list(columns), list[str](), list[str]()
+    """The table [log.temperature], None for raw numbers, and a remark. The unit is that of the name, or one in which
+    the numbers are temperatures of air; columns in several units are described as raw numbers with their scales."""
+    listed, units, remarks = list(columns), list[str](), list[str]()
     if empty := [column for column in columns if not len(log.readings(column))]:
         return None, f"temperature: {', '.join(empty)} is left out, for it reads nothing or cannot be read"
     for column in columns:
@@ -315,7 +313,7 @@ def _thermometers(log: ForeignLog, columns: Sequence[str]) -> tuple[dict[str, An
         likely = next((unit for unit, (low, high) in _LIKELY.items() if low <= middle <= high), RAW)
         named = temperature_unit(column)
         units.append(named or likely)
-        said.append(f"{column} in {units[-1]} ({'from the name' if named else 'by its numbers'})")
+        remarks.append(f"{column} in {units[-1]} ({'from the name' if named else 'by its numbers'})")
         if units[-1] == RAW:
             return None, (
                 f"temperature: {column}, about {middle:.6g}, in no unit that is known; to use it, add "
@@ -328,17 +326,17 @@ def _thermometers(log: ForeignLog, columns: Sequence[str]) -> tuple[dict[str, An
         worth = [TEMPERATURE_UNITS[unit] for unit in units]
         scale, offset = [1.0 / gain for gain, _ in worth], [-shift / gain for gain, shift in worth]
         table |= {"unit": RAW, "scale": scale, "offset": offset}
-    return table, f"temperature: {', '.join(dict.fromkeys(said))}{whose}"
+    return table, f"temperature: {', '.join(dict.fromkeys(remarks))}{whose}"
 
 
 def _magnitude(log: ForeignLog, sensors: Sensors) -> float:
-    """The median magnitude of what sensors read in the first rows; 0 where they read nothing."""
+    """Median magnitude of readings in the first rows; 0 without readings."""
     read = np.linalg.norm(log.read(sensors.columns, rows=HEAD_ROWS), axis=1)
     return float(np.nanmedian(read)) if np.isfinite(read).any() else 0.0
 
 
 def _magnetometer(log: ForeignLog, sensors: Sensors | None) -> tuple[dict[str, Any] | None, list[str]]:
-    """The table [log.magnetometer]: the unit by name, or the one in which the field is one on Earth."""
+    """The table [log.magnetometer] and remarks: the unit by name, or the one in which the field is one on Earth."""
     if sensors is None:
         return None, []
     field, named = _magnitude(log, sensors), ", ".join(sensors.columns)

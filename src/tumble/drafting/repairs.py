@@ -1,7 +1,6 @@
-"""Copies of logs, in the session's folder, in which is mended what a session file cannot say: numbers of 16 bits that
-were read without their sign, times in ticks, intervals or seconds and nanoseconds, clocks that start anew, rows that
-are no samples, and positions that follow each other without a turn between them.
-"""
+"""Mended copies of logs, for what a session file cannot express: numbers of 16 bits read as unsigned, times in ticks,
+intervals or seconds and nanoseconds, counters that overflow, rows that are no samples, and positions that follow each
+other without a turn."""
 
 from __future__ import annotations
 
@@ -77,9 +76,10 @@ def repaired(log: ForeignLog, folder: OutputFolder, rate: float | None) -> Forei
         parts, why = _positions_apart(log, unsigned=ACCEL in unsigned)
     if unsigned:
         named = " and ".join({ACCEL: "accelerometers", GYRO: "gyros"}[kind] for kind in unsigned)
-        said = f"{named}: numbers of 16 bits that were read without their sign: 65536 taken off where it is due"
+        remark = f"{named}: numbers of 16 bits that were read without their sign: 65536 taken off where it is due"
         wound = [c for kind in unsigned for c in triads[kind].columns]
-        mends.append((said, _each(lambda t: t.with_columns(pl.Series(c, _unwrapped(t[c].to_numpy())) for c in wound))))
+        signed = _each(lambda t: t.with_columns(pl.Series(c, _unwrapped(t[c].to_numpy())) for c in wound))
+        mends.append((remark, signed))
     mends += of_time
     if not mends and parts is None:
         return log
@@ -106,14 +106,14 @@ def repaired(log: ForeignLog, folder: OutputFolder, rate: float | None) -> Forei
     columns = replace(log.columns, time_unit="s") if log.clock is not None else log.columns
     columns = replace(columns, time=TIME, time_unit="s") if in_seconds else columns
     copied = f"so mended, the log is copied to {files[0].name}{' …' * (len(files) > 1)}"
-    every_remark = (*log.said, *(said for said, _ in mends), *filter(None, [why]), copied)
+    every_remark = (*log.remarks, *(remark for remark, _ in mends), *filter(None, [why]), copied)
     return ForeignLog(
-        files=tuple(files), keys={}, columns=columns, remarks=log.remarks, said=every_remark, doubts=log.doubts
+        files=tuple(files), keys={}, columns=columns, preamble=log.preamble, remarks=every_remark, doubts=log.doubts
     )
 
 
 def _recordings(log: ForeignLog) -> tuple[Edges | None, str]:
-    """The recordings that follow each other in a file, each with a clock that starts anew; None for one."""
+    """Successive recordings in a file, each with a clock that starts anew, and the remark on them; None for one."""
     stamps = log.stamps() if len(log.files) == 1 else None
     if stamps is None or stamps.clock or len(stamps.values) >= LONGEST:
         return None, ""
@@ -127,9 +127,8 @@ def _each(mend: Callable[[pl.DataFrame], pl.DataFrame]) -> Step:
 
 
 def _rows_that_are_samples(log: ForeignLog) -> list[Mend]:
-    """Steps that leave out rows that are no samples: those with which memory was filled, behind the last sample, and
-    rows of other sensors. Rows without readings are lost samples instead where they are few, and samples about them are
-    farther apart than usual."""
+    """Steps that leave out rows that are no samples: memory filled in advance behind the last sample, and rows of other
+    sensors. Rows without readings are lost samples instead if they are few, and the stamps about them have a gap."""
     mends: list[Mend] = []
     sensors = [c for kind, triad in log.columns.triads.items() if kind != MAGNETOMETER for c in triad.columns]
     read, one = log.read(sensors), len(log.files) == 1
@@ -155,14 +154,14 @@ def _rows_that_are_samples(log: ForeignLog) -> list[Mend]:
             steps, between = np.diff(time[whole]), np.diff(np.flatnonzero(whole)) > 1
             others |= bool(between.any() and np.median(steps[between]) < JUMP * np.median(steps))
     if others:
-        said = f"rows: {blank} of {samples} have no readings of these sensors, as rows of others: left out"
+        remark = f"rows: {blank} of {samples} have no readings of these sensors, as rows of others: left out"
         has_readings = pl.mean_horizontal(pl.col(sensors).is_finite()) >= _READ_SHARE
-        mends.append((said, _each(lambda table: table.filter(has_readings))))
+        mends.append((remark, _each(lambda table: table.filter(has_readings))))
     return mends
 
 
 def _time(log: ForeignLog, rate: float | None) -> tuple[list[str], bool, list[Mend]]:
-    """The columns of the time, whether the steps make a column TIME of them, s, and what is mended."""
+    """Columns of the time, whether the steps make a column TIME of them, s, and the steps."""
     column, interval = log.columns.time, log.columns.interval
     if rate is not None and column is not None:
         return [column], False, []
@@ -172,14 +171,14 @@ def _time(log: ForeignLog, rate: float | None) -> tuple[list[str], bool, list[Me
         times = times_of_column(Stamps(column=interval, values=np.cumsum(steps), unit=time_unit(interval)))
         if times is not None and not (steps < 0.0).any():
             unit, added = times.keys.get("time_unit", "s"), partial(_grown, column=interval, overflow=None)
-            said = f"time: none, but column {interval!r} has the intervals between samples, in {unit}: added up"
-            return [interval], True, [(said, lambda read: _seconds(interval, TIME_UNITS[unit])(added(read)))]
+            remark = f"time: none, but column {interval!r} has the intervals between samples, in {unit}: added up"
+            return [interval], True, [(remark, lambda read: _seconds(interval, TIME_UNITS[unit])(added(read)))]
     if column is None:
         return [], False, []
     nanoseconds = nanoseconds_of(log)
     if nanoseconds is not None:
-        said = f"time: columns {column!r} and {nanoseconds!r}, seconds and nanoseconds, added"
-        return [column, nanoseconds], True, [(said, _seconds(column, 1.0, nanoseconds))]
+        remark = f"time: columns {column!r} and {nanoseconds!r}, seconds and nanoseconds, added"
+        return [column, nanoseconds], True, [(remark, _seconds(column, 1.0, nanoseconds))]
     mends: list[Mend] = []
     # the unit, s, of times in none that a session names
     tick = None
@@ -193,24 +192,24 @@ def _time(log: ForeignLog, rate: float | None) -> tuple[list[str], bool, list[Me
                 tick = 1e-7
             elif any(first < middle < last for first, last in _DAYS) and _SHORTEST < step * _DAY < _LONGEST:
                 tick = _DAY if step < _SHORTEST else None
-    overflow = None if log.clock is not None else overflow_of(log.read([column])[:, 0])
+    overflow = overflow_of(log.read([column])[:, 0])
     if overflow is not None:
-        said = f"time: column {column!r} starts anew at {overflow:.10g}: that much is added where it does"
-        mends.append((said, partial(_grown, column=column, overflow=overflow)))
+        remark = f"time: column {column!r} starts anew at {overflow:.10g}: that much is added where it does"
+        mends.append((remark, partial(_grown, column=column, overflow=overflow)))
     if tick is not None:
         mends.append((f"time: column {column!r} in ticks of {tick:g} s, made seconds", _seconds(column, tick)))
     return [column], tick is not None, mends
 
 
 def _seconds(column: str, factor: float, nanoseconds: str | None = None) -> Step:
-    """Makes a column, and that of the nanoseconds beside it, TIME in s."""
+    """A step that makes a column, and one of nanoseconds beside it, TIME in s."""
     part = pl.lit(0.0) if nanoseconds is None else 1e-9 * pl.col(nanoseconds)
     return _each(lambda table: table.rename({column: TIME}).with_columns(pl.col(TIME) * factor + part))
 
 
 def _grown(tables: Iterator[pl.DataFrame], column: str, overflow: float | None) -> Iterator[pl.DataFrame]:
-    """Makes stamps that grow of those of a counter that starts anew at `overflow`, where what is not finite stays so;
-    or, where that is None, of the intervals between samples."""
+    """Times that grow, from stamps of a counter that overflows at `overflow`, or for None from intervals between
+    samples."""
     last: float | None = None
     for table in tables:
         stamps = table[column].to_numpy().copy()
@@ -226,14 +225,13 @@ def _grown(tables: Iterator[pl.DataFrame], column: str, overflow: float | None) 
 
 
 def nanoseconds_of(log: ForeignLog) -> str | None:
-    """The column of the nanoseconds, where that of the time has the whole seconds alone: header.stamp.nsecs beside
-    header.stamp.secs."""
+    """The column of nanoseconds beside a time in whole seconds: header.stamp.nsecs beside header.stamp.secs."""
     return next((n for n in log.names if _NANO.search(n) and _NANO.sub("", n) == log.columns.time), None)
 
 
 def _wrapped(columns: Array) -> bool:
-    """Whether integers (m, n) are numbers of 16 bits with a sign that were read without it: from 0 to 65535, and hardly
-    any in the middle, while they are on both sides."""
+    """Whether integers (m, n) are signed numbers of 16 bits read as unsigned: from 0 to 65535, with hardly any in the
+    middle."""
     if not np.isfinite(columns).any():
         return False
     low, high = np.nanmin(columns), np.nanmax(columns)
@@ -244,17 +242,24 @@ def _wrapped(columns: Array) -> bool:
 
 
 def _unwrapped(columns: Array) -> Array:
-    """What numbers of 16 bits read without their sign were."""
+    """Signed numbers of 16 bits from unsigned ones."""
     return np.where(columns >= 32768.0, columns - 65536.0, columns)
+
+
+def with_signs(columns: Array) -> Array:
+    """Columns (m, n) of which those of 16 bits that were read without their sign have it."""
+    return np.column_stack([_unwrapped(c) if _wrapped(c) else c for c in columns.T]) if columns.size else columns
 
 
 # -------------------- positions without turns between them --------------------
 
 
 def _positions_apart(log: ForeignLog, *, unsigned: bool) -> tuple[Edges | None, str]:
-    """The positions that follow each other in a file without a turn: by a column that names them, or where gravity
-    jumps from one row to the next while nothing moves before and after; None where there are none. With `unsigned`, 16
-    bits of the accelerometers were read without their sign. Raises InputError for positions of too few rows."""
+    """First and last + 1 row of positions that follow each other without a turn, and the remark on them: by a column
+    that names them, or where the reading jumps between two still stretches; None if there are none.
+
+    `unsigned`: the accelerometers are numbers of 16 bits read as unsigned. Raises InputError for positions of too few
+    rows."""
     if len(log.files) > 1 or ACCEL not in log.columns.triads:
         return None, ""
     accel = log.read(log.columns.triads[ACCEL].columns)

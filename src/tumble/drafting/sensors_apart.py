@@ -1,5 +1,5 @@
-"""Sensors that come apart, put together into one log: the messages of a recording in another format than text and
-Parquet, and the accelerometers and gyros of a phone in files of their own."""
+"""One log from sensors that come apart: messages of a recording in another format than text and Parquet, and
+accelerometers and gyros of a phone in a file each."""
 
 from __future__ import annotations
 
@@ -40,11 +40,10 @@ _GRAVITY = re.compile(r"grav|schwerkraft", re.IGNORECASE)
 def log_of_recording(
     recordings: Sequence[Path], folder: OutputFolder, message: str | None
 ) -> tuple[ForeignLog, Mapping[str, AutopilotSensor]]:
-    """The log of a recording's message, that of this name or the first with most sensors, and the sensors of an
-    autopilot that it is of.
+    """The log of a recording's message, by name or the first with most sensors, and the autopilot's sensors in it.
 
-    Several files are one recording where the accelerometers are in the one and the gyros in the other. Raises
-    InputError for several recordings, and where no message has this name."""
+    Several files are one recording if the accelerometers are in one and the gyros in the other. Raises InputError for
+    several recordings, and if no message has this name."""
     recording, found = recordings[0], messages(*recordings)
     with_accel = [m for m in found if m.accel]
     if len(recordings) > 1 and (len(found) > len(recordings) or len(with_accel) > 1):
@@ -62,36 +61,36 @@ def log_of_recording(
     thermometers = _thermometers(accel, gyro, apart)
     log = folder.new_file("log.parquet")
     as_log(log, accel, gyro, thermometers)
-    said = [f"{recording.name}: message {accel.name}, written to {log}"]
-    said += [f"temperature from {thermometer.name}, interpolated" for thermometer in thermometers]
+    remarks = [f"{recording.name}: message {accel.name}, written to {log}"]
+    remarks += [f"temperature from {thermometer.name}, interpolated" for thermometer in thermometers]
     unused = [m.name for m in apart if m not in thermometers]
-    said += [f"other thermometers, not used: {', '.join(unused)}"] if unused else []
+    remarks += [f"other thermometers, not used: {', '.join(unused)}"] if unused else []
     triads = accel.triads
     if gyro is not None and gyro is not accel:
-        said.append(f"gyros from {gyro.name}; the accelerometers are interpolated at their times")
+        remarks.append(f"gyros from {gyro.name}; the accelerometers are interpolated at their times")
         triads = {ACCEL: accel.triads[ACCEL], GYRO: gyro.triads[GYRO]}
     others = [m.name for m in with_accel if m not in taken]
-    said += [f"also there, and not used: {', '.join(others)} (--message takes another)"] if others else []
-    said += [remark for remark in dict.fromkeys(m.remark for m in taken) if remark]
+    remarks += [f"also there, and not used: {', '.join(others)} (--message takes another)"] if others else []
+    remarks += [remark for remark in dict.fromkeys(m.remark for m in taken) if remark]
     columns = Columns(
         time=TIME if accel.timed else None,
-        time_unit=None,
+        time_unit="s" if accel.timed else None,
         triads=triads,
         temperatures=temperatures or tuple(t for m in thermometers for t in m.temperatures),
     )
     imu = {kind: sensor for m in reversed(taken) for kind, sensor in m.imu.items()}
-    return ForeignLog(files=(log,), keys={}, columns=columns, said=tuple(said)), imu
+    return ForeignLog(files=(log,), keys={}, columns=columns, remarks=tuple(remarks)), imu
 
 
 def _pairs(accel: Message, gyro: Message) -> bool:
-    """Whether gyros in another message are of the same clock, and the same instance where messages are counted."""
+    """Whether gyros in another message have the same clock, and the same instance where messages are numbered."""
     counted = accel.name.rpartition(".")[2], gyro.name.rpartition(".")[2]
     return accel.timed and gyro.timed and (not all(c.isdecimal() for c in counted) or counted[0] == counted[1])
 
 
 def _thermometers(accel: Message, gyro: Message | None, apart: Sequence[Message]) -> list[Message]:
-    """Of thermometers with messages of their own those of the accelerometers and of the gyros, where each have one,
-    else that whose name begins, between slashes, most like that of the accelerometers."""
+    """Messages of thermometers to use: one each of the accelerometers and the gyros, or else the one whose topic is
+    most like that of the accelerometers."""
     way = accel.name.split("/")
     near = sorted(apart, key=lambda m: len(list(takewhile(bool, map(eq, m.name.split("/"), way)))), reverse=True)
     first = {m.temperatures: m for m in reversed(near)}
@@ -103,9 +102,8 @@ def _thermometers(accel: Message, gyro: Message | None, apart: Sequence[Message]
 
 
 def are_sensors_apart(logs: Sequence[ForeignLog]) -> bool:
-    """Whether logs are of one kind of sensors each: the names of their columns say so, or no names of columns say which
-    and those of the files do; where columns have no names, they are no more than a time and three sensors. Files that
-    all have room for two kinds are recordings of one device."""
+    """Whether logs have one kind of sensors each, by the names of their columns, or else of their files. Files that all
+    have room for two kinds are recordings of one device."""
     if len(logs) < 2 or any({ACCEL, GYRO} <= set(log.columns.triads) for log in logs):
         return False
     if all(_has_room_for_two(log) for log in logs):
@@ -117,15 +115,14 @@ def are_sensors_apart(logs: Sequence[ForeignLog]) -> bool:
 
 
 def _has_room_for_two(log: ForeignLog) -> bool:
-    """Whether a log may be of accelerometers and gyros: it has columns for both, and none that are x, y and z alone."""
+    """Whether a log may have accelerometers and gyros: columns for both, and none named x, y and z alone."""
     axes_alone = set("xyz") <= {(name.split() or [""])[0].lower() for name in log.cells}
     return not axes_alone and sum(not is_no_sensor(name) for name in log.cells) >= len("xyz") + len("xyz")
 
 
 def _by_kind(logs: Sequence[ForeignLog]) -> dict[str, ForeignLog]:
-    """The first log of each kind of sensors by the names of its columns, or where they do not say of its file, readings
-    that a phone has not corrected last; of accelerometers the first that reads gravity, if one does: what a phone calls
-    so may be without it."""
+    """The first log of each kind of sensors, by the names of its columns or else of its file; uncalibrated readings
+    last, and of accelerometers one that reads gravity first."""
     by_kind: dict[str, list[ForeignLog]] = {}
     for log in sorted(logs, key=lambda log: _UNCALIBRATED.search(log.files[0].stem) is not None):
         name = log.files[0].stem
@@ -139,12 +136,12 @@ def _by_kind(logs: Sequence[ForeignLog]) -> dict[str, ForeignLog]:
 
 
 def _reads_gravity(log: ForeignLog) -> bool:
-    """Whether the three sensors of a log of accelerometers read gravity in a unit."""
+    """Whether the accelerometers of a log read gravity in a unit."""
     return log.reads_gravity(_three(log, ACCEL)[1])
 
 
 def of_sensors_apart(logs: Sequence[ForeignLog], folder: OutputFolder) -> ForeignLog:
-    """Accelerometers and gyros that come in a file each, as of phones, as one log at the times of the gyros."""
+    """Accelerometers and gyros in a file each, as one log at the times of the gyros."""
     by_kind = _by_kind(logs)
     if not by_kind:
         logs[0].check_has_sensors(gyros_suffice=True)
@@ -161,13 +158,13 @@ def of_sensors_apart(logs: Sequence[ForeignLog], folder: OutputFolder) -> Foreig
     columns = Columns(time=TIME, time_unit="s", triads={kind: m.triads[kind] for kind, m in read.items()})
     unused = [log.files[0].name for log in logs if log not in by_kind.values() and not (summed and log is gravity)]
     also = (f"also there, and not used: {', '.join(unused)}",) if unused else ()
-    said = f"{named}: one log at the times of the gyros{summed}, written to {joined}"
+    remark = f"{named}: one log at the times of the gyros{summed}, written to {joined}"
     fastest = read.get(GYRO, first)
-    return ForeignLog(files=(joined,), keys={}, columns=columns, said=(said, *also, fastest.remark))
+    return ForeignLog(files=(joined,), keys={}, columns=columns, remarks=(remark, *also, fastest.remark))
 
 
 def _sum(accel: Message, gravity: Message) -> Message:
-    """Accelerations without gravity and gravity, as a phone has parted its readings."""
+    """Sum of acceleration without gravity and gravity, into which a phone has parted its readings."""
 
     def rows() -> Iterator[pl.DataFrame]:
         (more,) = gravity.rows()
@@ -180,8 +177,8 @@ def _sum(accel: Message, gravity: Message) -> Message:
 
 
 def _three(log: ForeignLog, kind: str) -> tuple[ForeignLog, list[str]]:
-    """A log with its time, and its columns x, y and z, none where it has no such: by their names, else the three beside
-    one that grows."""
+    """A log with its time, and its columns x, y and z, by name or else the three beside one that grows; none if it has
+    none."""
     if kind in log.columns.triads:
         return log, list(log.columns.triads[kind].columns)
     if not log.unnamed:
@@ -196,7 +193,7 @@ def _three(log: ForeignLog, kind: str) -> tuple[ForeignLog, list[str]]:
 
 
 def _message(log: ForeignLog, kind: str) -> Message:
-    """The three columns of the one kind of sensors in a log, with their times, s."""
+    """The three sensors of one kind in a log, with their times, s."""
     log, source = _three(log, kind)
     stamps = log.stamps()
     times = None if stamps is None else times_of_column(stamps)
@@ -222,6 +219,6 @@ def _message(log: ForeignLog, kind: str) -> Message:
         name=log.files[0].name,
         count=len(read),
         triads={kind: Sensors(columns=(x, y, z), unit=unit)},
-        remark=f"{log.files[0].name}: {'; '.join(times.said)}",
+        remark=f"{log.files[0].name}: {'; '.join(times.remarks)}",
         rows=lambda: iter([pl.DataFrame(read, schema=[TIME, x, y, z], orient="row")]),
     )

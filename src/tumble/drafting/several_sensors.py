@@ -1,5 +1,5 @@
 """Text logs in which every row is of one sensor, `ACC,1200,0.01,0.02,9.81` and then `GYRO,1202,…`: the rows of each
-sensor become a CSV file of its own."""
+sensor become a CSV file."""
 
 from __future__ import annotations
 
@@ -17,11 +17,12 @@ from tumble.recording.text.dialect import Dialect, Top, is_clock
 
 _STATED = re.compile(r"^[#%\s]*(?:[^'#%]*')?")
 _UNNAMED = ("time", "x", "y", "z")
+_WHOLE = re.compile(r"imu\d?", re.IGNORECASE)
 
 
 def split_by_header(file: Path, seen: bytes, folder: OutputFolder) -> list[Path]:
-    """The rows of accelerometers and gyros where comments state the names of the columns behind the word with which a
-    row begins, `# UncalAccel,utcTimeMillis,…` or `% ACCE data: 'ACCE;AppTimestamp(s);…'`; none where they do not."""
+    """Split rows that begin with a word whose columns are named in a comment, `# UncalAccel,utcTimeMillis,…` or `% ACCE
+    data: 'ACCE;AppTimestamp(s);…'`; no files if there is no such comment."""
     lines = seen.decode(errors="replace").splitlines()
     stated = [_STATED.sub("", line).rstrip("' ") for line in lines if line.startswith(("#", "%"))]
     rows = [line for line in lines if not line.startswith(("#", "%"))]
@@ -38,16 +39,20 @@ def split_by_header(file: Path, seen: bytes, folder: OutputFolder) -> list[Path]
 
 
 def split_by_sensor(file: Path, seen: bytes, dialect: Dialect, top: Top, folder: OutputFolder) -> list[Path]:
-    """The rows of each sensor, with all columns but the one that names it, in which names change all the time; none
-    where there is no such column."""
+    """Split rows by a column that names the sensor; of rows that begin with IMU only these are kept, as they are. No
+    files if there is no such column."""
     lines = seen.decode(dialect.encoding, errors="replace").split("\n")[top.lines : -1]
     rows = [cells for line in lines if len(cells := dialect.cells(line)) == len(top.names)]
     labels = (j for j in range(len(top.names)) if _are_sensors([cells[j] for cells in rows], dialect))
     label = next(labels, None)
     if label is None:
         return []
-    names = [name for j, name in enumerate(top.names) if j != label] if dialect.header else list(_UNNAMED)
-    if len(names) != len(top.names) - 1:
+    whole = {cells[label] for cells in rows if _WHOLE.fullmatch(cells[label])}
+    if whole:
+        names = list(top.names) if dialect.header else []
+    else:
+        names = [name for j, name in enumerate(top.names) if j != label] if dialect.header else list(_UNNAMED)
+    if not whole and len(names) != len(top.names) - 1:
         raise InputError(
             f"{file}: expected a time and three readings behind the name of a sensor, found {len(top.names) - 1} "
             "columns; give them names in a first line"
@@ -55,19 +60,20 @@ def split_by_sensor(file: Path, seen: bytes, dialect: Dialect, top: Top, folder:
 
     def row(number: int, line: str) -> tuple[str, str] | None:
         cells = dialect.cells(line[:LONGEST_LINE])
-        if number < top.lines or len(cells) != len(top.names):
+        if number < top.lines or len(cells) != len(top.names) or (whole and cells[label] not in whole):
             return None
-        return cells.pop(label), ",".join(cell.replace(",", ".") for cell in cells)
+        word = cells[label] if whole else cells.pop(label)
+        return word, ",".join(cell.replace(",", ".") for cell in cells)
 
     return copied(file, dialect.encoding, folder, lambda _: ",".join(names), row)
 
 
 def _are_sensors(words: Sequence[str], dialect: Dialect) -> bool:
-    """Whether the cells of a column are names of sensors that take turns: few words, one of them of accelerometers."""
+    """Whether cells are names of sensors that take turns: few words, one of them of accelerometers or an IMU."""
     named, changes = Counter(words), sum(a != b for a, b in pairwise(words))
     return (
         2 <= len(named) <= MOST_SENSORS
         and 4 * changes > len(words)
         and not any(not word or dialect.is_number(word) or is_clock(word) for word in named)
-        and any(SENSOR_WORDS[ACCEL].search(word) for word in named)
+        and any(SENSOR_WORDS[ACCEL].search(word) or _WHOLE.fullmatch(word) for word in named)
     )

@@ -1,5 +1,4 @@
-"""Spellings of text logs that are no table: the names of their columns and the values of a line; and copies of such
-logs as tables, line by line."""
+"""Text logs that are no table: the names of their columns, the values of a line, and copies as CSV files."""
 
 from __future__ import annotations
 
@@ -26,8 +25,8 @@ Row = tuple[tuple[str, ...], Sequence[str]]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Spelling:
-    """How the lines of a log are spelled: what that is called, the names of the columns, if any, and the values of a
-    line, an empty list for a line that is no row, None for one that is left out."""
+    """How the lines of a log are written: a title, the names of the columns, if any, and the values of a line: an empty
+    list for a line that is no row, None for one that is left out."""
 
     title: str
     names: tuple[str, ...] = ()
@@ -35,7 +34,7 @@ class Spelling:
 
 
 def spelt_alike(lines: Sequence[str], row: Callable[[str], Row | None], title: str) -> Spelling | None:
-    """The spelling of lines most of which `row` reads with the same names, and as many values; None of others."""
+    """The spelling of lines most of which `row` reads with the same names and as many values; None otherwise."""
     rows = [read for line in lines if (read := row(line)) is not None]
     counts = Counter((names, len(values)) for names, values in rows)
     if not counts:
@@ -83,7 +82,7 @@ def copied(
 
 
 def _lines(pieces: Iterator[bytes]) -> Iterator[str]:
-    """Lines whatever they end in."""
+    """Lines, whatever they end with."""
     rest = b""
     for piece in pieces:
         *whole, rest = (rest + piece).replace(b"\r\n", b"\n").replace(b"\r", b"\n").split(b"\n")

@@ -1,9 +1,8 @@
-"""When the rows of a log were taken: its time column and unit, whether the stamps can be believed, or its rate; and
-what else it may be, each with a cost (−2 ln of how often it is met), for the turns to decide.
+"""Times of the rows of a log: the unit of its time column, whether its stamps are usable as a clock, or its rate. Rival
+assumptions have a cost, −2 ln of how often they are met, and turns decide between them.
 
-Stamps that repeat, bunch or jitter while the rows go on evenly are those of a slow clock or of a busy computer; the
-rows are then the better clock (`regular`).
-"""
+Stamps that repeat, bunch or jitter while the rows go on evenly come from a coarse clock or a busy computer; then the
+row number is the better clock (`regular`)."""
 
 from __future__ import annotations
 
@@ -44,7 +43,7 @@ UNUSUAL = 0.03
 _TICKS, _COUNTS = 0.02, 0.4
 """Share of whole numbers without a unit that are ticks of a clock, and of those growing by one that count samples."""
 _UNITS_IN_ORDER = {"s": 0.0, "ms": 0.5, "us": 1.0, "ns": 1.5}
-_UNLIKELY_RATE, _UNLIKELY_SPAN = 5.0, 8.0
+_UNLIKELY_RATE, _UNLIKELY_SPAN = 5.0, 8.0  # in a log that is shorter than any, or counts seconds
 _SHARE, _FREE = 2e-2, 3
 _PAUSES, _PAUSE = 2e-3, 10.0
 _LONGEST_DELAY = 0.1  # of the log: what is longer is a pause
@@ -60,11 +59,10 @@ _RATE_IN_TEXT = re.compile(
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Times:
-    """Keys of [log] that say when rows were taken, what is said about it, the rate, Hz; what that costs as a guess, and
-    what else it may be."""
+    """Times of rows: keys of [log], remarks, the rate, Hz, the cost of the assumption, and its rivals."""
 
     keys: dict[str, Any]
-    said: tuple[str, ...]
+    remarks: tuple[str, ...]
     rate: float
     cost: float = 0.0
     rivals: tuple[Times, ...] = ()
@@ -76,13 +74,13 @@ class Times:
 
 
 def at_rate(rate: float, cost: float) -> Times:
-    """Rows of which none has a time that can be used, at a rate, Hz."""
-    return Times(keys={"rate_hz": rate}, said=(), rate=rate, cost=cost)
+    """Rows without usable stamps, at a rate, Hz."""
+    return Times(keys={"rate_hz": rate}, remarks=(), rate=rate, cost=cost)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Stamps:
-    """All time stamps of a log, as they are; `clock`: s, from times of day."""
+    """All time stamps of a log as written; `clock`: seconds from times of day."""
 
     column: str
     values: Array
@@ -90,27 +88,27 @@ class Stamps:
     clock: bool = False
 
 
-def times_without_column(rate: float | None, remarks: Sequence[str]) -> Times:
-    """The rate of a log without times: as given, as its text says, or a guess."""
+def times_without_column(rate: float | None, preamble: Sequence[str]) -> Times:
+    """Times of a log without time column: the rate as stated, as a line of its preamble says, or a guess."""
     if rate is not None:
-        return Times(keys={"rate_hz": rate}, said=(f"no time column: rate_hz = {rate:g} as given",), rate=rate)
-    for line in remarks:
+        return Times(keys={"rate_hz": rate}, remarks=(f"no time column: rate_hz = {rate:g} as given",), rate=rate)
+    for line in preamble:
         found = _RATE_IN_TEXT.search(line)
         stated = float(found[1].replace(",", ".")) if found else 0.0
         if stated >= RATES_OF_LOGS[0]:
-            said = f"no time column: rate_hz = {stated:g}, from the line {line[:60]!r}"
-            return Times(keys={"rate_hz": stated}, said=(said,), rate=stated)
-    said = (
+            remark = f"no time column: rate_hz = {stated:g}, from the line {line[:60]!r}"
+            return Times(keys={"rate_hz": stated}, remarks=(remark,), rate=stated)
+    remark = (
         f"no time column was found: rate_hz = {ASSUMED_RATE:g} is a guess, put the log's rate there (--sample-rate); "
         "every gyro scale factor depends on it"
     )
     others = tuple(at_rate(usual, cost) for usual, cost in USUAL_RATES.items() if usual != ASSUMED_RATE)
     assumed = at_rate(ASSUMED_RATE, USUAL_RATES[ASSUMED_RATE])
-    return replace(assumed, said=(said,), rivals=others)
+    return replace(assumed, remarks=(remark,), rivals=others)
 
 
 def times_of_column(stamps: Stamps) -> Times | None:
-    """Unit and rate of a time column; None where its numbers do not grow as times do."""
+    """Unit and rate of a time column; None if it does not grow as times do."""
     values = stamps.values[np.isfinite(stamps.values)]
     values = values[:-1] if len(values) > 3 and values[-1] < values[-2] else values  # of a line that was cut
     if len(values) < 3 or not grows_mostly(values):
@@ -131,19 +129,19 @@ def times_of_column(stamps: Stamps) -> Times | None:
         keys: dict[str, Any] = {"time": stamps.column}
         if stamps.clock or unit != "s":
             keys["time_unit"] = "iso8601" if stamps.clock else unit
-        said = [f"time: column {stamps.column!r} in {'times of day' if stamps.clock else unit} ({how})"]
+        remarks = [f"time: column {stamps.column!r} in {'times of day' if stamps.clock else unit} ({how})"]
         per_second = f"{rate:.6g} samples per second"
         if regular:
             keys["regular"] = True
-            said.append(f"time: {uneven}, but the rows are equally spaced: regular = true, {per_second}")
+            remarks.append(f"time: {uneven}, but the rows are equally spaced: regular = true, {per_second}")
         else:
-            said[0] += f", {per_second}"
+            remarks[0] += f", {per_second}"
             if uneven is not None:
-                said.append(f"time: {uneven}, and the rows are not equally spaced either: look at the log")
-        said += doubts
+                remarks.append(f"time: {uneven}, and the rows are not equally spaced either: look at the log")
+        remarks += doubts
         if not RATES_OF_LOGS[0] <= nominal <= RATES_OF_LOGS[1]:
-            said.append(f"time: {nominal:.3g} samples per second is no rate of a log: is the unit right?")
-        every.append(Times(keys=keys, said=tuple(said), rate=rate, cost=cost))
+            remarks.append(f"time: {nominal:.3g} samples per second is no rate of a log: is the unit right?")
+        every.append(Times(keys=keys, remarks=tuple(remarks), rate=rate, cost=cost))
     first, *others = every
     whole = bool((values == np.floor(values)).all())  # fractions are of seconds, and no counts of samples or ticks
     if whole and not stamps.clock and stamps.unit is None and how != _BY_DATES:
@@ -153,8 +151,8 @@ def times_of_column(stamps: Stamps) -> Times | None:
 
 
 def _typical(steps: Array) -> float:
-    """The step from row to row: the median, or the mean where stamps are too coarse or come in bursts, without a few
-    steps that are far longer than all others and so pauses."""
+    """Typical step between rows: the median, or where stamps are coarse or come in bursts the mean without long
+    pauses."""
     long = float(np.quantile(steps, 1.0 - _PAUSES))
     usual = steps[steps <= _PAUSE * long] if long > 0.0 else steps
     median, mean = float(np.median(steps)), float(usual.mean())
@@ -163,7 +161,7 @@ def _typical(steps: Array) -> float:
 
 
 def _uneven(parts: Array) -> str | None:
-    """What is wrong with stamps as a clock, by their steps as parts of the typical one; None for even ones."""
+    """What makes stamps unusable as a clock, by their steps relative to the typical one; None for even ones."""
     few, jitter = _FREE + _SHARE * len(parts), float(1.4826 * np.median(np.abs(parts - np.median(parts))))
     if np.count_nonzero(parts <= 0.0) > few:
         return f"time stamps repeat ({np.mean(parts <= 0.0):.0%} of them)"
@@ -173,32 +171,32 @@ def _uneven(parts: Array) -> str | None:
 
 
 def _counts(steps: Array, typical: float) -> bool:
-    """Whether stamps grow by one from row to row."""
+    """Whether stamps grow by one per row."""
     return bool(typical == 1.0 and np.mean(steps == 1.0) > 1.0 - _SHARE)
 
 
 def grows_mostly(values: Array) -> bool:
-    """Whether stamps grow, but for a few places at which a clock was started anew or rows are out of order."""
+    """Whether stamps grow, except where a clock starts anew or rows are out of order."""
     steps = np.diff(values[np.isfinite(values)])
     return bool(steps[steps > 0.0].sum() > _SHORTEST and np.mean(steps < 0.0) <= _ANEW)
 
 
-_OVERFLOWS = (65.536, 65536.0, 2.0**24, 2.0**32 / 1e6, 2.0**32 / 1e3, 2.0**32)
+_OVERFLOWS = (3600.0, 65.536, 65536.0, 2.0**24, 2.0**32 / 1e6, 2.0**32 / 1e3, 2.0**32)
 _MOST_OVERFLOWS = 10_000
 _LATE = 50  # samples that may be lost where a counter starts anew
 _MOST_RECORDINGS, _SHORTEST_RECORDING = 50, 50
 
 
 def overflow_of(values: Array) -> float | None:
-    """The number at which the counter behind time stamps starts anew, that of 16, 24 or 32 bits in its own unit or in
-    thousands or millions of it; None where it does not, or where they fall otherwise too."""
+    """The number at which the counter behind time stamps overflows: 2^16, 2^24 or 2^32 in its own unit, in thousands or
+    in millions of it, or an hour; None if the falls are not of one size."""
     values = values[np.isfinite(values)]
     steps = np.diff(values)
     falls = np.flatnonzero(steps < 0.0)
     span = float(np.ptp(values)) if len(values) else 0.0
     if not len(falls) or len(falls) > _MOST_OVERFLOWS:
         return None
-    usual = float(np.median(steps))
+    usual = float(steps[steps >= 0.0].mean())
     for number in _OVERFLOWS:
         after = steps[falls] + number
         if span < number and ((after > 0.0) & (after < _LATE * usual)).all():
@@ -207,9 +205,9 @@ def overflow_of(values: Array) -> float | None:
 
 
 def recordings_of(values: Array) -> list[tuple[int, int]] | None:
-    """First and last + 1 row of recordings that follow each other in a log, each with a clock that was started anew;
-    None for one, and where stamps fall by little, or a stretch between falls is no recording. Single stamps that leap
-    or fall back are no falls."""
+    """First and last + 1 row of successive recordings in a log, each with a clock that starts anew; None for one
+    recording, and if a fall is small or a stretch between falls too short. Single stamps that leap or fall back do not
+    count."""
     alone = leaping(values, -math.inf, 0.0)
     alone[1:-1] |= (values[1:-1] < values[:-2]) & (values[2:] > values[:-2])
     rows = np.flatnonzero(~alone)
@@ -222,7 +220,8 @@ def recordings_of(values: Array) -> list[tuple[int, int]] | None:
 
 
 def _units(stamps: Stamps, step: float) -> tuple[dict[str, float], str, list[str]]:
-    """Units that time stamps may have with the cost of each, the likeliest first; how they were found; and doubts."""
+    """Units that time stamps may have, with the cost of each, the likeliest first; how they were determined; and
+    doubts."""
     if stamps.clock:
         return {"s": 0.0}, "of a clock", []
     if stamps.unit is not None:
@@ -232,24 +231,19 @@ def _units(stamps: Stamps, step: float) -> tuple[dict[str, float], str, list[str
     rates = {name: 1.0 / (step * size) for name, size in TIME_UNITS.items()}
     costs = {name: cost for name, cost in _UNITS_IN_ORDER.items() if _SLOWEST <= rates[name] <= RATES_OF_LOGS[1]}
     for name in costs:
-        short = not counts and (high - low) * TIME_UNITS[name] < _SHORTEST_LOG
-        costs[name] += _UNLIKELY_RATE * (not 10.0 <= rates[name] <= 2000.0) + _UNLIKELY_SPAN * short
+        unlikely = (high - low) * TIME_UNITS[name] < _SHORTEST_LOG or (counts and rates[name] < RATES_OF_LOGS[0])
+        costs[name] += _UNLIKELY_RATE * (not 10.0 <= rates[name] <= 2000.0) + _UNLIKELY_SPAN * unlikely
     dated = [name for name in costs if CENTURY[0] < low * TIME_UNITS[name] and high * TIME_UNITS[name] < CENTURY[1]]
     if dated and (rates[dated[0]] > _SLOW or min(costs.values()) >= _UNLIKELY_RATE):
         return {dated[0]: 0.0}, _BY_DATES, []
     ranked = dict(sorted(costs.items(), key=lambda item: item[1])) or {"s": 0.0}
-    possible = [name for name in [*ranked][1:] if name in dated or rates[name] >= RATES_OF_LOGS[0]]
-    doubts = [f"{name}: {rates[name]:.4g} Hz" for name in possible]
-    doubts = [f"time: the unit is a guess, possible too is {' or '.join(doubts)}"] if doubts else []
-    if counts:
-        counted = f"time: column {stamps.column!r} grows by one a row, as a counter of samples does too"
-        doubts = [f"{counted}: if it is one, give the rate (--sample-rate)"]
-    return ranked, "by its steps", doubts
+    counted = f"time: column {stamps.column!r} grows by one a row, as a counter of samples does too"
+    return ranked, "by its steps", [f"{counted}: if it is one, give the rate (--sample-rate)"] if counts else []
 
 
 def _even(values: Array) -> bool:
-    """Whether rows are equally spaced: their stamps keep to a straight line, without steps, within what the worst delay
-    of a stamp explains."""
+    """Whether rows are equally spaced: their stamps stay about a straight line, without steps, within what the largest
+    delay of a stamp explains."""
     index = np.arange(len(values), dtype=float)
     step = (values[-1] - values[0]) / (len(values) - 1)
     late = (values - values[0]) / step - index

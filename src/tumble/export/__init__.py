@@ -51,8 +51,8 @@ def _from(module: str, function: str) -> Callable[..., Exported]:
     """A function of a module of this folder, which is imported when it is called."""
 
     def write(calibration: Calibration, **options: Any) -> Exported:
-        made: Exported = getattr(import_module(f"tumble.export.{module}"), function)(calibration, **options)
-        return made
+        exported: Exported = getattr(import_module(f"tumble.export.{module}"), function)(calibration, **options)
+        return exported
 
     return write
 
@@ -168,21 +168,21 @@ def export_calibration(
     from tumble.result.calibration import calibration_from
 
     if (to is None) == (template is None):
-        found = "neither" if to is None else "both"
-        raise InputError(f"export: expected --to with the name of a target, or --template with a file, found {found}")
+        stated = "neither" if to is None else "both"
+        raise InputError(f"export: expected --to with the name of a target, or --template with a file, found {stated}")
     calibration = accepted_part(calibration_from(calibration))
     chosen = _of_template(Path(template)) if template is not None else target(to or "")
     options = {"noise": noise, "imu": imu, "sensor_ids": sensor_ids, "counts": counts} | further
-    given = {name: value for name, value in options.items() if value is not None}
+    chosen_options = {name: value for name, value in options.items() if value is not None}
     name = to or "a template"
-    for option in given:
+    for option in chosen_options:
         if option not in chosen.takes:
             takes = " and ".join(map(_option, chosen.takes)) or "no options"
             raise InputError(f"export to {name}: expected {takes}, found {_option(option)}")
     for option in chosen.needs:
-        if option not in given:
+        if option not in chosen_options:
             raise InputError(f"export to {name}: expected {_option(option)}, found none")
-    exported = chosen.write(calibration, **given)
+    exported = chosen.write(calibration, **chosen_options)
     return replace(exported, losses=(*calibration.provenance.absent, *exported.losses))
 
 

@@ -58,7 +58,6 @@ from tumble.errors import InputError
 from tumble.export.exported import (
     MAGNETOMETER,
     Exported,
-    example,
     example_line,
     in_units,
     notes_of,
@@ -67,16 +66,9 @@ from tumble.export.exported import (
     triads,
 )
 from tumble.export.templates import laid_out
+from tumble.result.applied_correction import linear_example
 from tumble.result.calibration import Calibration
-from tumble.result.temperature_curves import (
-    Range,
-    changing,
-    coefficients,
-    measured_range,
-    model_at,
-    references,
-    warm_rests,
-)
+from tumble.result.temperature_curves import Range, changing, measured_range, warm_rests
 from tumble.sensors.model import SensorKind, SensorModel
 from tumble.units import DEGREE, TESLA, Array
 
@@ -190,10 +182,10 @@ class Triad:
         model, offset, where = self.model, self.offset, ""
         if self.measured is not None:
             celsius = warm_end(self.measured)
-            model, where = model_at(calibration, self.kind, celsius), f" at {celsius:g} degC"
+            model, where = calibration.compensator.model(self.kind, celsius), f" at {celsius:g} degC"
             warmer = celsius - self.reference
             offset = offset + self.slopes @ [warmer, warmer**2]
-        worked = example(self.kind, model)
+        worked = linear_example(self.kind, model)
         becomes = (worked.reading - offset) * self.factor
         return example_line(self.kind, worked.reading, worked.true, becomes, where)
 
@@ -204,8 +196,8 @@ def _triads(pilot: Autopilot, target: str, calibration: Calibration, imu: int | 
 
     Raises InputError unless every channel senses its own axis of the frame, X, Y, Z, positive, where other sensors than
     those of the number were recorded, and over temperature where nothing changes with it."""
-    known, out = triads(calibration, target, needed=()), []
-    for kind, model in known.items():
+    models, out = triads(calibration, target, needed=()), []
+    for kind, model in models.items():
         if (np.argmax(model.matrix, axis=1) != np.arange(3)).any() or (np.diag(model.matrix) <= 0.5).any():
             raise InputError(
                 f"export to {target}: expected {kind} channels along X, Y, Z in this order, found others; {target} "
@@ -221,12 +213,13 @@ def _triads(pilot: Autopilot, target: str, calibration: Calibration, imu: int | 
                 f"export to {target}: expected the sensors that were recorded, {recorded} {sensor.number}{device}, "
                 f"found --imu {imu}; calibrate a recording of IMU {imu}, or leave --imu out"
             )
-    for kind, model in known.items():
+    compensator = calibration.compensator
+    for kind, model in models.items():
         recorded_as, over_temperature = calibration.imu.get(kind), dict[str, Any]()
         if thermal:
             together = next(kinds for kinds in pilot.thermometers if kind in kinds)
-            reference = float(np.mean(references(calibration, next(each for each in together if each in known))))
-            slopes = coefficients(calibration, kind, "bias")
+            reference = float(np.mean(compensator.reference(next(each for each in together if each in models))))
+            slopes = compensator.changes(kind, "bias")
             over_temperature = {
                 "measured": range_of(calibration, target),
                 "reference": reference,
@@ -286,20 +279,20 @@ def _one_thermometer(pilot: Autopilot, calibration: Calibration, applied: Sequen
     at rests other than in the mean, which the references contain."""
     out = []
     for together in pilot.thermometers:
-        of = {each.kind: each for each in applied if each.kind in together and each.measured is not None}
-        names = dict.fromkeys(chain(*(calibration.temperature.thermometers.get(kind, ()) for kind in of)))
+        by_kind = {each.kind: each for each in applied if each.kind in together and each.measured is not None}
+        names = dict.fromkeys(chain(*(calibration.temperature.thermometers.get(kind, ()) for kind in by_kind)))
         if len(names) < 2:
             continue
         apart = 0.0
         for rest in warm_rests(calibration):
-            sensors = ((kind, getattr(rest, kind)) for kind in of)
+            sensors = ((kind, getattr(rest, kind)) for kind in by_kind)
             off = [
-                np.array(at_rest.temperature) - references(calibration, kind)
+                np.array(at_rest.temperature) - calibration.compensator.reference(kind)
                 for kind, at_rest in sensors
                 if at_rest is not None and at_rest.temperature
             ]
             apart = max(apart, float(np.ptp(np.concatenate(off))) if off else 0.0)
-        error = " and ".join(in_units(kind, apart * each.steepest()) for kind, each in of.items())
+        error = " and ".join(in_units(kind, apart * each.steepest()) for kind, each in by_kind.items())
         out.append(
             f"thermometers of their own ({', '.join(names)}): the target has one for these sensors; at the rests they "
             f"differ by up to {apart:.1f} K more or less than in the mean, an error of up to {error}"
@@ -347,8 +340,8 @@ def _px4(
     )
     see_to = _whose(calibration, imu)
     if thermal:
-        at = dict.fromkeys(f"{each.reference:g}" for each in applied)
-        remarks.append(f"CAL_*OFF and CAL_*SCALE are those at {' and '.join(at)} degC")
+        references = dict.fromkeys(f"{each.reference:g}" for each in applied)
+        remarks.append(f"CAL_*OFF and CAL_*SCALE are those at {' and '.join(references)} degC")
         errors = " and ".join(in_units(each.kind, each.steepest()) for each in applied)
         see_to.append(
             "PX4 takes up new offsets when the temperature has changed by more than 1 degC: until then an error of up "

@@ -28,14 +28,14 @@ from typing import Any
 
 import numpy as np
 
-from tumble.export.exported import UNITS, Exported, example, example_line, models, notes_of, numbers, origin, shown
+from tumble.export.exported import Exported, example_line, models, notes_of, numbers, origin, shown
 from tumble.export.templates import laid_out
 from tumble.reduction.rests.thermometer import followed
-from tumble.result.applied_correction import beyond_linear, over_temperature
+from tumble.result.applied_correction import beyond_linear, examples, over_temperature
 from tumble.result.calibration import Calibration
 from tumble.result.temperature_curves import changing, measured_range, own_thermometers
 from tumble.sensors.compensation import FIXED_POINT_STEPS, Compensator
-from tumble.sensors.model import SensorKind, SensorModel
+from tumble.sensors.model import UNITS, SensorKind, SensorModel
 from tumble.units import Array
 
 LAG_EXAMPLE = ((20.0, 0.0), (21.0, 10.0), (23.0, 10.0), (23.0, 60.0))
@@ -54,12 +54,16 @@ WHAT: Mapping[SensorKind, str] = {"accel": "true specific force", "gyro": "true 
 
 def c_header(calibration: Calibration) -> Exported:
     """The header of a calibration."""
-    known, compensator = models(calibration), calibration.compensator
+    by_kind, compensator = models(calibration), calibration.compensator
     warm = bool(changing(calibration)) and calibration.reference_temperature is not None
-    lags = {kind: lag for kind, lag in compensator.lags.items() if warm and lag != 0.0 and kind in known}
+    lags = {kind: lag for kind, lag in compensator.lags.items() if warm and lag != 0.0 and kind in by_kind}
     held = HELD | (HELD_AT if warm else frozenset()) | {f"{kind}.lag" for kind in lags}
     losses = notes_of(calibration, held=held)
-    comments = [*origin(calibration), *_worked(compensator, known)]
+    comments = origin(calibration)
+    for kind, worked in examples(compensator, list(by_kind)).items():
+        felt = " in that specific force" if "accel" in by_kind else " without a specific force"
+        where = felt if "by_force" in beyond_linear(compensator, kind) else ""
+        comments.append(example_line(kind, worked.reading, worked.true, where=where))
     if warm:
         measured = measured_range(calibration)
         known_from = "" if measured is None else f", measured from {measured.low:.1f} to {measured.high:.1f}"
@@ -78,7 +82,7 @@ def c_header(calibration: Calibration) -> Exported:
         ]
     functions = [
         _function(compensator, kind, model, single=single, at=at)
-        for kind, model in known.items()
+        for kind, model in by_kind.items()
         for single in (False, True)
         for at in ([None, calibration] if warm else [None])
     ]
@@ -93,22 +97,6 @@ def _sensors_celsius(lag: float) -> Array:
         out.append(float(followed(np.array([before, now]), seconds, abs(lag), first=out[-1])[1]))
     celsius = np.array([each for each, _ in LAG_EXAMPLE])
     return np.array(out) if lag > 0.0 else 2.0 * celsius - np.array(out)
-
-
-def _worked(compensator: Compensator, known: dict[SensorKind, SensorModel]) -> list[str]:
-    """Examples by the whole model, those of gyros in the specific force of the accelerometers' example."""
-    reading = {kind: example(kind, model).reading for kind, model in known.items()}
-    force, out = np.zeros((1, 3)), list[str]()
-    if "accel" in known:
-        force = compensator.force(reading["accel"][None])
-        out.append(example_line("accel", reading["accel"], force[0]))
-    if "gyro" in known:
-        felt = " in that specific force" if "accel" in known else " without a specific force"
-        where = felt if "by_force" in beyond_linear(compensator, "gyro") else ""
-        out.append(
-            example_line("gyro", reading["gyro"], compensator.rate(reading["gyro"][None], force)[0], where=where)
-        )
-    return out
 
 
 def _constant(number: str, name: str, values: Array) -> str:
@@ -136,7 +124,7 @@ def _function(
     argument = f"const {number} force[3], " if by_force else ""
     if at is not None:
         apart = len(set(at.temperature.thermometers.get(kind, ()))) > 1
-        warm = over_temperature(at, kind, model)
+        warm = over_temperature(compensator, kind)
         reference = "reference[j]" if apart else f"({number}){float(warm['reference'][0])!r}"
         tables |= {name: table for name, table in warm.items() if apart or name != "reference"}
         needs += " and their temperatures, degC" if apart else " and a temperature, degC"

@@ -15,10 +15,9 @@ import numpy as np
 
 from tumble.brief import Brief
 from tumble.errors import InputError
-from tumble.result.accepted import WORDS
 from tumble.result.calibration import Calibration
 from tumble.result.linear_fit import errors_left, linear_model, session_rate
-from tumble.sensors.model import SensorKind, SensorModel
+from tumble.sensors.model import UNITS, WORDS, SensorKind, SensorModel
 from tumble.sensors.parameters import (
     FORCE,
     ParameterGroup,
@@ -28,10 +27,6 @@ from tumble.sensors.parameters import (
     within_kind,
 )
 from tumble.units import DEGREE, G_STANDARD, Array
-
-UNITS: Mapping[SensorKind, str] = {"accel": "m/s^2", "gyro": "rad/s"}
-EXAMPLE: Mapping[SensorKind, Array] = {"accel": np.array([0.5, -1.0, 9.7]), "gyro": np.array([0.1, -0.2, 0.3])}
-"""True vectors near which the examples are, m/s² and rad/s."""
 
 MAGNETOMETER = "mag"
 """In the groups that a target holds: matrix and bias of the magnetometer."""
@@ -61,20 +56,6 @@ class Exported(Brief):
     losses: tuple[str, ...]
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Example:
-    """A reading (n,) and the true vector (3,) it stands for, SI."""
-
-    reading: Array
-    true: Array
-
-
-def example(kind: SensorKind, model: SensorModel) -> Example:
-    """A reading of six decimals, and what the calibration makes of it."""
-    reading = np.round(model.predict(EXAMPLE[kind]), 6)
-    return Example(reading=reading, true=model.apply(reading))
-
-
 def example_line(kind: SensorKind, reading: Array, true: Array, becomes: Array | None = None, where: str = "") -> str:
     """A worked example as a comment: a reading, what the target makes of it where that is something else, and what it
     is, SI."""
@@ -88,10 +69,10 @@ def example_line(kind: SensorKind, reading: Array, true: Array, becomes: Array |
 def models(calibration: Calibration) -> dict[SensorKind, SensorModel]:
     """The models a calibration has, by kind. Raises InputError where it has none."""
     both: dict[SensorKind, SensorModel | None] = {"accel": calibration.accel, "gyro": calibration.gyro}
-    known = {kind: model for kind, model in both.items() if model is not None}
-    if not known:
+    present = {kind: model for kind, model in both.items() if model is not None}
+    if not present:
         raise InputError("calibration: expected a sensor whose parameters are all known, found none; calibrate again")
-    return known
+    return present
 
 
 def triads(
@@ -103,27 +84,27 @@ def triads(
     """The accelerometers and the gyros that there are, three of each, those that are `needed` among them, as the matrix
     and bias that fit the whole model best but for the groups that the target has `held` itself. Raises InputError
     otherwise."""
-    known = models(calibration)
+    by_kind = models(calibration)
     for kind in needed:
-        if kind not in known:
-            found = "; ".join(calibration.provenance.absent) or "none in the calibration"
-            raise InputError(f"export to {target}: expected {kind} parameters, found {found}")
-    for kind, model in known.items():
+        if kind not in by_kind:
+            absent = "; ".join(calibration.provenance.absent) or "none in the calibration"
+            raise InputError(f"export to {target}: expected {kind} parameters, found {absent}")
+    for kind, model in by_kind.items():
         if len(model.bias) != 3:
             raise InputError(
                 f"export to {target}: expected three {kind} sensors, found {len(model.bias)}; c, csv and mat hold any "
                 "number"
             )
-    return {kind: linear_model(calibration, kind, held) for kind in known}
+    return {kind: linear_model(calibration, kind, held) for kind in by_kind}
 
 
 def origin(calibration: Calibration) -> list[str]:
     """Where the numbers come from, line by line."""
-    made = calibration.provenance
+    made_by = calibration.provenance
     device = calibration.serial if calibration.model is None else f"{calibration.serial} ({calibration.model})"
     lines = [
         f"device {device}, frame {calibration.frame}, method {calibration.method}",
-        f"{made.software or 'tumble'}, {made.created or 'no date'}, log sha256 {made.log_sha256 or 'unknown'}",
+        f"{made_by.software or 'tumble'}, {made_by.created or 'no date'}, log sha256 {made_by.log_sha256 or 'unknown'}",
     ]
     for kind in UNITS:
         readings = calibration.provenance.readings.get(kind)
@@ -208,8 +189,8 @@ def notes_of(
 
 def not_held(calibration: Calibration) -> tuple[str, ...]:
     """The note on what is beside the matrices and biases of a table of all parameters; none where that is nothing."""
-    known = models(calibration).items()
-    off = filter(None, (left_by(calibration, kind, model.apply, ()) for kind, model in known))
+    by_kind = models(calibration).items()
+    off = filter(None, (left_by(calibration, kind, model.apply, ()) for kind, model in by_kind))
     lost = [*off, *groups_not_held(calibration)]
     return (f"not in matrices and biases: {'; '.join(lost)}",) if lost else ()
 
@@ -221,18 +202,18 @@ def left_by(calibration: Calibration, kind: SensorKind, correct: Correct, held: 
     rate = session_rate(calibration)
     if errors.max() < ROUNDING * (G_STANDARD if kind == "accel" else rate):
         return ""
-    at = "in 1 g" if kind == "accel" else f"at {rate / DEGREE:.3g} deg/s in 1 g"
+    where = "in 1 g" if kind == "accel" else f"at {rate / DEGREE:.3g} deg/s in 1 g"
     most, rms = in_units(kind, float(errors.max())), in_units(kind, float(np.sqrt(np.mean(errors**2))))
-    return f"{WORDS[kind]} by up to {most} (rms {rms}) {at}"
+    return f"{WORDS[kind]} by up to {most} (rms {rms}) {where}"
 
 
 def groups_not_held(calibration: Calibration, held: Container[str] = ()) -> list[str]:
     """The effects of motion, temperature and time, and the magnetometer, that a calibration has and a target does not
     hold; effects far below the uncertainty of a reading are not named."""
-    known, present = calibration.prediction, positions_by_group(p.name for p in calibration.parameters)
+    prediction, present = calibration.prediction, positions_by_group(p.name for p in calibration.parameters)
     of_kind = {
-        "accel": (calibration.accel, 0.0 if known is None else known.force_u),
-        "gyro": (calibration.gyro, 0.0 if known is None else known.rate_u or 0.0),
+        "accel": (calibration.accel, 0.0 if prediction is None else prediction.force_u),
+        "gyro": (calibration.gyro, 0.0 if prediction is None else prediction.rate_u or 0.0),
     }
     out = ["matrix and bias of the magnetometer"] if calibration.mag and MAGNETOMETER not in held else []
     for kind, (model, u) in of_kind.items():
@@ -258,18 +239,18 @@ def _largest(calibration: Calibration, group: ParameterGroup) -> tuple[float, st
     at_rate = f"at {rate / DEGREE:.3g} deg/s"
     felt, where = (G_STANDARD, "in 1 g") if group.kind == "accel" else (rate, at_rate)
     values = {p.name: p.value for p in calibration.parameters}
-    own = np.array([value for name, value in values.items() if group_name(name) == group.name])
+    members = np.array([value for name, value in values.items() if group_name(name) == group.name])
     if group.motion == "lever":
-        return rate**2 * float(np.linalg.norm(own.reshape(-1, 3), axis=1).max()), at_rate
+        return rate**2 * float(np.linalg.norm(members.reshape(-1, 3), axis=1).max()), at_rate
     if group.motion is not None:  # delays
-        return rate * G_STANDARD * float(np.abs(own).max()), f"in 1 g {at_rate}"
+        return rate * G_STANDARD * float(np.abs(members).max()), f"in 1 g {at_rate}"
     if group.base is None:  # a lag, on a bias
         slopes = [abs(value) for name, value in values.items() if group_name(name) == f"{group.kind}.bias.t1"]
-        return abs(float(own[0])) * HEATING * max(slopes, default=0.0), "at 1 K/min"
+        return abs(float(members[0])) * HEATING * max(slopes, default=0.0), "at 1 K/min"
     span, over = (HOUR, "after an hour") if group.variable == "time" else (WARMER, f"in {WARMER:.0f} K")
     if group.variable == "hysteresis":
         span, over = 1.0, "on the way up or down"
-    change = float(np.abs(own).max()) * (WARMER**2 if group.variable == "temperature²" else span)
+    change = float(np.abs(members).max()) * (WARMER**2 if group.variable == "temperature²" else span)
     return (change, over) if within_kind(group.base) == "bias" else (change * felt, f"{over} {where}")
 
 

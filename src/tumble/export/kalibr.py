@@ -22,9 +22,7 @@ import numpy as np
 
 from tumble.errors import InputError
 from tumble.export.exported import (
-    UNITS,
     Exported,
-    example,
     example_line,
     g_sensitivity,
     notes_of,
@@ -37,10 +35,11 @@ from tumble.files import FilePath
 from tumble.recording.session import Session
 from tumble.recording.session_file import session_from
 from tumble.reduction.noise.filter_values import Densities, densities
-from tumble.result.accepted import WORDS
+from tumble.result.applied_correction import linear_example
 from tumble.result.calibration import Calibration
 from tumble.result.parts import SensorsAtRest
 from tumble.run.quiet_samples import longest_rest, noise_panels
+from tumble.sensors.model import UNITS
 from tumble.units import Array
 
 
@@ -72,26 +71,26 @@ DRIFT_OF_WALK = 1.2
 def noise_of_rests(calibration: Calibration) -> NoiseDensities:
     """The noise within the rests of a calibration: the median density, and the random walk that their drifts allow.
     Raises InputError for a calibration without rests or gyros."""
-    found = []
+    densities = []
     seconds = np.array([rest.stop - rest.start for rest in calibration.evidence.rests])
-    for kind in WORDS:
+    for kind in UNITS:
         rests: list[SensorsAtRest | None] = [getattr(rest, kind) for rest in calibration.evidence.rests]
-        known = [sensors for sensors in rests if sensors is not None]
-        if not known or len(known) < len(rests):
+        sensors_of_rests = [sensors for sensors in rests if sensors is not None]
+        if not sensors_of_rests or len(sensors_of_rests) < len(rests):
             raise InputError(
                 "export to kalibr: expected --noise, found none, nor rests of accelerometers and gyros in the "
                 "calibration; give a session of the device"
             )
-        white = np.median([sensors.noise for sensors in known], axis=0).max()
-        walks = np.array([sensors.drift for sensors in known]) ** 2 / (DRIFT_OF_WALK * seconds[:, None])
+        white = np.median([sensors.noise for sensors in sensors_of_rests], axis=0).max()
+        walks = np.array([sensors.drift for sensors in sensors_of_rests]) ** 2 / (DRIFT_OF_WALK * seconds[:, None])
         bound = (
             "random walks are the largest that the drifts within the rests allow: record an hour at rest and give it "
             "with --noise"
         )
         walk = float(np.sqrt(walks.mean(axis=0).max()))
-        found.append(Densities(white=float(white), walk=walk, bounds=(bound,)))
+        densities.append(Densities(white=float(white), walk=walk, bounds=(bound,)))
     source = f"{len(calibration.evidence.rests)} rests of the calibration"
-    return NoiseDensities(accel=found[0], gyro=found[1], rate=calibration.provenance.sample_rate, source=source)
+    return NoiseDensities(accel=densities[0], gyro=densities[1], rate=calibration.provenance.sample_rate, source=source)
 
 
 def kalibr(calibration: Calibration, *, noise: NoiseDensities | Session | FilePath | None = None) -> Exported:
@@ -110,18 +109,18 @@ def kalibr(calibration: Calibration, *, noise: NoiseDensities | Session | FilePa
         YAML below the line `%YAML:1.0`, as OpenCV reads it.
     """
     held = {"gyro.g_sensitivity"}
-    known = triads(calibration, "kalibr", held=held)
+    by_kind = triads(calibration, "kalibr", held=held)
     if noise is None:
         noise = noise_of_rests(calibration)
     elif not isinstance(noise, NoiseDensities):
         noise = noise_densities(session_from(noise))
-    Ta, to_accel = _lower_times_rotation(known["accel"].matrix, "accelerometers")
-    Tw, to_gyro = _lower_times_rotation(known["gyro"].matrix @ to_accel.T, "gyros")
+    Ta, to_accel = _lower_times_rotation(by_kind["accel"].matrix, "accelerometers")
+    Tw, to_gyro = _lower_times_rotation(by_kind["gyro"].matrix @ to_accel.T, "gyros")
     sensitivity = g_sensitivity(calibration)
-    biases = " and ".join(f"{shown(known[kind].bias.round(9))} {unit}" for kind, unit in UNITS.items())
+    biases = " and ".join(f"{shown(by_kind[kind].bias.round(9))} {unit}" for kind, unit in UNITS.items())
     losses = notes_of(
         calibration,
-        corrections={kind: model.apply for kind, model in known.items()},
+        corrections={kind: model.apply for kind, model in by_kind.items()},
         held=held,
         lacks=[f"biases, which OpenVINS estimates while it runs: {biases}", "noise of single axes", "uncertainties"],
         see_to=dict.fromkeys([*noise.accel.bounds, *noise.gyro.bounds]),
@@ -134,7 +133,7 @@ def kalibr(calibration: Calibration, *, noise: NoiseDensities | Session | FilePa
         "set rostopic" if noise.rate is not None else "set rostopic, add update_rate",
         *(
             example_line(kind, worked.reading, to_accel @ worked.true)
-            for kind, worked in ((kind, example(kind, model)) for kind, model in known.items())
+            for kind, worked in ((kind, linear_example(kind, model)) for kind, model in by_kind.items())
         ),
         *(["the example of the gyros is without acceleration"] if np.any(sensitivity) else []),
         *losses,

@@ -28,9 +28,7 @@ import numpy as np
 
 from tumble.export.autopilots import range_of, warm_end
 from tumble.export.exported import (
-    UNITS,
     Exported,
-    example,
     example_line,
     in_units,
     models,
@@ -39,9 +37,11 @@ from tumble.export.exported import (
     numbers,
     origin,
 )
+from tumble.result.applied_correction import linear_example
 from tumble.result.calibration import Calibration
 from tumble.result.file import content_of
-from tumble.result.temperature_curves import Range, changing, curve, model_at, own_thermometers
+from tumble.result.temperature_curves import Range, changing, curve, own_thermometers
+from tumble.sensors.model import UNITS
 from tumble.sensors.parameters import THERMAL, group_name, groups, variable_of
 from tumble.units import Array
 
@@ -73,7 +73,7 @@ def csv_table(calibration: Calibration) -> Exported:
         shared = empty if calibration.covariance is None else [repr(c) for c in numbers(calibration.covariance[i])]
         rows.append([p.name, repr(p.value), "" if p.u is None else repr(p.u), p.unit, *more, *shared])
     for kind, model in models(calibration).items():
-        worked, matrix = example(kind, model), enumerate(model.matrix, 1)
+        worked, matrix = linear_example(kind, model), enumerate(model.matrix, 1)
         entries = [(f"matrix.{p}.{q}", value, "1") for p, row in matrix for q, value in enumerate(numbers(row), 1)]
         for name, vector in (
             ("bias_of", model.bias),
@@ -94,14 +94,14 @@ def _written(comments: Iterable[str], rows: Iterable[Sequence[str]], losses: tup
 
 def csv_thermal(calibration: Calibration) -> Exported:
     """The .csv file of a calibration over temperature."""
-    known = models(calibration)
+    by_kind = models(calibration)
     measured = range_of(calibration, "csv-thermal")
-    at = temperatures(measured, float(calibration.reference_temperature or 0.0))
-    curves = [curve(calibration, name, at) for name in changing(calibration)]
+    celsius = temperatures(measured, float(calibration.reference_temperature or 0.0))
+    curves = [curve(calibration, name, celsius) for name in changing(calibration)]
     made_of = {group_name(p.name) for p in calibration.parameters if variable_of(group_name(p.name)) in THERMAL}
-    between, middle = dict.fromkeys(known, 0.0), 0.5 * (at[1:] + at[:-1])
+    between, middle = dict.fromkeys(by_kind, 0.0), 0.5 * (celsius[1:] + celsius[:-1])
     for each in curves:
-        kind = next((kind for kind in known if group_name(each.name) == f"{kind}.bias"), None)
+        kind = next((kind for kind in by_kind if group_name(each.name) == f"{kind}.bias"), None)
         if kind is not None:
             straight = 0.5 * (each.value[1:] + each.value[:-1])
             off = np.abs(straight - curve(calibration, each.name, middle).value).max()
@@ -121,12 +121,14 @@ def csv_thermal(calibration: Calibration) -> Exported:
         *own_thermometers(calibration),
         *(
             example_line(kind, worked.reading, worked.true, where=f" at {warm!r} degC")
-            for kind, worked in ((kind, example(kind, model_at(calibration, kind, warm))) for kind in known)
+            for kind, worked in (
+                (kind, linear_example(kind, calibration.compensator.model(kind, warm))) for kind in by_kind
+            )
         ),
         *losses,
     ]
     rows = [["temperature_degC", *(title for each in curves for title in (each.name, f"U({each.name})"))]]
-    for i, temperature in enumerate(numbers(at)):
+    for i, temperature in enumerate(numbers(celsius)):
         row = [f"{temperature:.9g}"]
         for each in curves:
             row += [f"{each.value[i]:.9g}", "" if each.expanded is None else f"{each.expanded[i]:.4g}"]
@@ -163,7 +165,7 @@ def mat(calibration: Calibration) -> Exported:
         "covariance": np.empty((0, 0)) if calibration.covariance is None else calibration.covariance,
     }
     for kind, model in models(calibration).items():
-        worked = example(kind, model)
+        worked = linear_example(kind, model)
         content[f"{kind}_matrix"], content[f"{kind}_bias"] = model.matrix, model.bias
         content[f"{kind}_example_reading"], content[f"{kind}_example_true"] = worked.reading, worked.true
     buffer = io.BytesIO()

@@ -59,7 +59,6 @@ from tumble.errors import InputError
 from tumble.export.exported import (
     Correct,
     Exported,
-    example,
     example_line,
     g_sensitivity,
     notes_of,
@@ -70,9 +69,9 @@ from tumble.export.exported import (
     yaml_list,
     yaml_number,
 )
-from tumble.result.accepted import WORDS
+from tumble.result.applied_correction import linear_example
 from tumble.result.calibration import Calibration
-from tumble.sensors.model import SensorKind, SensorModel
+from tumble.sensors.model import WORDS, SensorKind, SensorModel
 from tumble.units import DEGREE, G_STANDARD, Array
 
 if TYPE_CHECKING:
@@ -156,17 +155,17 @@ class Template:
         target cannot hold, and for an expression or a body that cannot be computed."""
         front = self.front
         needs: list[SensorKind] = [*front.needs]
-        known = triads(calibration, self.name, needed=needs, held=front.holds)
+        by_kind = triads(calibration, self.name, needed=needs, held=front.holds)
         numbers: dict[SensorKind, dict[str, Any] | None] = {"accel": None, "gyro": None}
-        comments, left = [*origin(calibration), front.formula], list[str]()
+        comments, remarks = [*origin(calibration), front.formula], list[str]()
         corrections: dict[SensorKind, Correct] = {}
         for kind in numbers:
-            model, sensors, words = known.get(kind), front.sensors(kind), WORDS[kind]
+            model, sensors, words = by_kind.get(kind), front.sensors(kind), WORDS[kind]
             if model is None:
-                left += [f"{words}: not known, left as they are"] * (sensors is not None)
+                remarks += [f"{words}: not known, left as they are"] * (sensors is not None)
                 continue
             if sensors is None or sensors.zeroed:
-                left.append(f"{words}: not in this file" if sensors is None else sensors.zeroed)
+                remarks.append(f"{words}: not in this file" if sensors is None else sensors.zeroed)
                 bias = np.zeros(3) if sensors is None else model.bias
                 corrections[kind] = Correction(numbers={}, matrix=np.eye(3), offset=-bias).of
                 continue
@@ -176,10 +175,10 @@ class Template:
                 comments.append(whence)
             correction = self.correction(kind, model, per_si, g_sensitivity(calibration))
             numbers[kind] = {name: value.tolist() for name, value in correction.numbers.items()}
-            worked = example(kind, model)
+            worked = linear_example(kind, model)
             comments.append(example_line(kind, worked.reading, worked.true, correction.of(worked.reading)))
             corrections[kind] = correction.of
-        losses = notes_of(calibration, corrections=corrections, left=left, held=front.holds, see_to=front.notes)
+        losses = notes_of(calibration, corrections=corrections, left=remarks, held=front.holds, see_to=front.notes)
         text = self._rendered(
             comments=[*comments, *losses],
             serial=one_line(calibration.serial),
@@ -229,11 +228,11 @@ class Template:
         for kind, test in self.front.test.items():
             model = SensorModel(matrix=np.array(test.matrix), bias=np.array(test.bias))
             counts = 1.0 if self.front.counts is None else _usual_counts(kind, self.front.counts)
-            found = self.correction(kind, model, counts, np.zeros((3, 3))).of(np.array(test.reading))
-            if np.abs(found - test.corrected).max() > _TEST_DIGITS:
+            result = self.correction(kind, model, counts, np.zeros((3, 3))).of(np.array(test.reading))
+            if np.abs(result - test.corrected).max() > _TEST_DIGITS:
                 raise InputError(
                     f"{self.name}: [test.{kind}] corrected: expected what the formula gives, "
-                    f"{shown(found.round(9))}, found {shown(np.array(test.corrected))}"
+                    f"{shown(result.round(9))}, found {shown(np.array(test.corrected))}"
                 )
 
     def _value(self, where: str, text: str, names: Mapping[str, Any], shape: tuple[int, ...] | None = None) -> Array:
@@ -258,9 +257,9 @@ class Template:
         try:
             return str(_environment().from_string(self.body).render(names))
         except Exception as error:
-            found = " ".join(str(error).split()) or type(error).__name__
-            at = f", line {self.line + error.lineno}" if isinstance(error, TemplateSyntaxError) else ""
-            raise InputError(f"{self.name}{at}: expected a body that can be filled in, found {found}") from None
+            fault = " ".join(str(error).split()) or type(error).__name__
+            place = f", line {self.line + error.lineno}" if isinstance(error, TemplateSyntaxError) else ""
+            raise InputError(f"{self.name}{place}: expected a body that can be filled in, found {fault}") from None
 
 
 def read_template(file: Path, name: str | None = None) -> Template:
@@ -365,10 +364,12 @@ def _environment() -> SandboxedEnvironment:
         def is_safe_attribute(self, obj: Any, attr: str, value: Any) -> bool:
             return not isinstance(obj, np.ndarray | np.generic) and super().is_safe_attribute(obj, attr, value)
 
-    made = Environment(undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True)
-    made.globals |= FUNCTIONS
-    made.filters |= {"json": _as_json, "yaml": _as_yaml, "identifier": identifier, "float32": _as_float32}
-    return made
+    environment = Environment(
+        undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
+    )
+    environment.globals |= FUNCTIONS
+    environment.filters |= {"json": _as_json, "yaml": _as_yaml, "identifier": identifier, "float32": _as_float32}
+    return environment
 
 
 def _as_json(value: Any, indent: int | None = None) -> str:

@@ -100,7 +100,7 @@ def posterior(fitted: Maximum, points: int = POINTS) -> Posterior:
     if axes:
         value, vectors = np.linalg.eigh(correlation)
         normal = normal_points(points, len(axes))
-        z = normal @ (vectors * np.sqrt(value)) @ vectors.T
+        z = normal @ (vectors * np.sqrt(value.clip(0.0))) @ vectors.T
         log_q -= 0.5 * (normal**2).sum(axis=1)
         for own, axis in zip(z.T, axes, strict=True):
             x = np.interp(scipy.special.ndtr(own), axis.cumulative, axis.phi)

@@ -12,7 +12,7 @@ import numpy as np
 
 from tumble.inference.elimination import fold
 from tumble.inference.noise import LINK_SCATTER, NO_COMPONENTS, SCATTER, NoiseModel, VarianceComponents
-from tumble.inference.problem import Point, Problem, bases, noise_model, unseen_rate
+from tumble.inference.problem import LEVER, SUPPORT, Point, Problem, bases, noise_model, support_columns, unseen_rate
 from tumble.inference.turns_about import TurnsAbout
 from tumble.inference.variables import GROWING
 from tumble.reduction.turns.links import PARTS, joined_parts, noise_of_links
@@ -290,7 +290,9 @@ def _link_rows(
     moves = np.ones((len(point.attitudes), 1))
     moves[problem.station] = 0.0
     v_i, v_j = (moves * point.velocities)[i], (moves * point.velocities)[i + 1]
-    lever, free = point.local[0, -3:], np.where(links.free, 1.0, 0.0)[:, None, None]
+    support = np.diff(support_columns(point.attitudes), axis=0)[i]
+    lever, given_way = point.local[0, -LEVER - SUPPORT : -SUPPORT], point.local[0, -SUPPORT:]
+    free = np.where(links.free, 1.0, 0.0)[:, None, None]
     apart = (np.swapaxes(start, 1, 2) @ (point.displacements[i + 1] - point.displacements[i])[:, :, None])[:, :, 0]
     turned = (C @ v_j[:, :, None])[:, :, 0]
     columns, by_rotation = total.columns.copy(), total.columns[:, :3]
@@ -318,7 +320,9 @@ def _link_rows(
     rows[:, 6:, 12:15], rows[:, 6:, 15:18] = -np.swapaxes(start, 1, 2), np.swapaxes(start, 1, 2)
     rows[:, 6:, -1] += total.P - (C @ lever) + lever + v_i * T[:, None]
     rows[:, :, 19 : 19 + problem.width] += columns[:, :, : problem.width]
-    rows[:, 6:, -4:-1] = C - np.eye(3)
+    support = np.swapaxes(start, 1, 2) @ support
+    rows[:, 6:, -1] -= support @ given_way
+    rows[:, 6:, -1 - LEVER - SUPPORT : -1 - SUPPORT], rows[:, 6:, -1 - SUPPORT : -1] = C - np.eye(3), support
     rows[:, 6:] *= free
     bias = columns[:, :, problem.width :]
     bias[:, 6:] *= free

@@ -149,7 +149,7 @@ def contributions(solution: Solution) -> dict[str, Array]:
                 add("gyro.in_run", K[:, accelerometers : noise.biases])
                 add("displacement", K[:, noise.biases :])
         if problem.moves:
-            add("lever", Z_x[q - 3 : q] / problem.local_u[q - 3 :, None])
+            add("support", Z_x[:q] / problem.local_u[:, None])
         for name, members in problem.local_members.items():
             add(f"prior.{name}", Z_x[members] / problem.local_u[members, None])
 

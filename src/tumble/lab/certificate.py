@@ -193,7 +193,7 @@ def check_certificate(certificate: Certificate, calibration: Calibration, as_fou
             )
     if as_found is None:
         return
-    before, after = (made.provenance.log_sha256 for made in (as_found, calibration))
+    before, after = (each.provenance.log_sha256 for each in (as_found, calibration))
     if before == after and before is not None:
         raise InputError(
             "certificate: as_found: expected a calibration from before the adjustment, found one of the same recording"
@@ -232,9 +232,9 @@ def read_certificate(path: Path) -> Certificate:
     content = _parsed(path)
     named = content.get("laboratory")
     if isinstance(named, str):
-        own = path.parent / named
-        content = {"person": [], **_parsed(own), **{key: content[key] for key in content if key != "laboratory"}}
-        content["laboratory"] = _with_paths(content.get("laboratory"), "logo", own.parent)
+        file = path.parent / named
+        content = {"person": [], **_parsed(file), **{key: content[key] for key in content if key != "laboratory"}}
+        content["laboratory"] = _with_paths(content.get("laboratory"), "logo", file.parent)
     else:
         content["laboratory"] = _with_paths(named, "logo", path.parent)
     content = _with_paths(_with_paths(content, "as_found", path.parent), "limits", path.parent)

@@ -148,11 +148,10 @@ def _show_datasheet(opened: Registry, model: str, out: Path | None) -> None:
 @registry.command
 @click.argument("serial")
 @click.argument("parameter", required=False)
-@ask.out("Draw a control chart into this .html; needs matplotlib.")
 @_PLACE
 @ask.JSON
 @ask.EVERY
-def trend(serial: str, parameter: str | None, out: Path | None, every: bool, place: str) -> None:
+def trend(serial: str, parameter: str | None, every: bool, place: str) -> None:
     """Every parameter of the device SERIAL over its calibrations, or one PARAMETER in every calibration.
 
     Exit status 1 if the device has changed since the calibration before by more than chance makes, in a parameter or
@@ -163,11 +162,6 @@ def trend(serial: str, parameter: str | None, out: Path | None, every: bool, pla
 
     with open_registry(place) as opened:
         found = opened.trend(serial, parameter)
-    if out is not None:
-        from tumble.lab.views.control_chart import write_chart
-
-        write_chart(out, found)
-        tell.say(f"written to {out}")
     tell.show(found, lambda: trend_blocks(found, every=every) if parameter is None else history_blocks(found))
     if found.changed:
         tell.say(f"changed: {', '.join(found.changed)}")

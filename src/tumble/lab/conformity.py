@@ -238,7 +238,7 @@ def over_temperature(verdict: Verdict, calibration: Calibration, limits: Limits)
     if limits.temperatures is None:
         return verdict
     low, high = limits.temperatures
-    measured, known = measured_range(calibration), set(changing(calibration))
+    measured, with_slopes = measured_range(calibration), set(changing(calibration))
     reached = measured is not None and max(low, measured.low) < min(high, measured.high)
     if measured is None or not reached:
         unmeasured = f"from {_celsius(low)} to {_celsius(high)} °C"
@@ -249,9 +249,9 @@ def over_temperature(verdict: Verdict, calibration: Calibration, limits: Limits)
     judged = []
     for judgement in verdict.judgements:
         if judgement.value is not None and group_name(judgement.name) in CHANGING:
-            if judgement.name in known and measured is not None and reached:
+            if judgement.name in with_slopes and measured is not None and reached:
                 judgement = _worst(judgement, calibration, max(low, measured.low), min(high, measured.high))
-            if (unmeasured or judgement.name not in known) and judgement.result in ("pass", "conditional pass"):
+            if (unmeasured or judgement.name not in with_slopes) and judgement.result in ("pass", "conditional pass"):
                 judgement = replace(judgement, result="undecided", risk=None, beyond=True)
         judged.append(judgement)
     return replace(verdict, judgements=tuple(judged), temperatures=limits.temperatures, unmeasured=unmeasured)
@@ -259,15 +259,15 @@ def over_temperature(verdict: Verdict, calibration: Calibration, limits: Limits)
 
 def _worst(judgement: LimitJudgement, calibration: Calibration, low: float, high: float) -> LimitJudgement:
     """A parameter judged at the temperature, °C, between two where it fails by most, or is nearest to failing."""
-    at = np.linspace(low, high, max(int(np.ceil((high - low) / STEP)), 1) + 1)
-    found = curve(calibration, judgement.name, at)
-    U = np.zeros(len(at)) if found.expanded is None else found.expanded
-    inside = np.minimum(found.value - judgement.low, judgement.high - found.value)
+    celsius = np.linspace(low, high, max(int(np.ceil((high - low) / STEP)), 1) + 1)
+    over = curve(calibration, judgement.name, celsius)
+    U = np.zeros(len(celsius)) if over.expanded is None else over.expanded
+    inside = np.minimum(over.value - judgement.low, judgement.high - over.value)
     i = int(np.argmin(inside + U if np.any(inside < -U) else inside if np.any(inside < 0.0) else inside - U))
-    value, U_there = float(found.value[i]), None if found.expanded is None else float(U[i])
+    value, U_there = float(over.value[i]), None if over.expanded is None else float(U[i])
     result = _result(value, U_there, judgement.low, judgement.high)
-    judgement = replace(judgement, value=value, expanded=U_there, result=result, at=float(at[i]))
-    return replace(judgement, risk=None if found.degrees is None else _risk(judgement, float(found.degrees[i])))
+    judgement = replace(judgement, value=value, expanded=U_there, result=result, at=float(celsius[i]))
+    return replace(judgement, risk=None if over.degrees is None else _risk(judgement, float(over.degrees[i])))
 
 
 def _celsius(value: float) -> str:

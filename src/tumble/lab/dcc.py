@@ -28,16 +28,17 @@ import scipy
 from tumble.documents import plain
 from tumble.errors import InputError
 from tumble.export import Target
-from tumble.export.exported import UNITS, Exported, example, models, not_held, origin, shown
+from tumble.export.exported import Exported, models, not_held, origin, shown
 from tumble.files import FilePath
 from tumble.lab.certificate import RELATES, STATES, Certificate, Party, check_certificate, judged_by, read_certificate
 from tumble.lab.conformity import RISK, RULE, Verdict, verdicts
 from tumble.lab.scope import statement_of_scope, within_scope
+from tumble.result.applied_correction import linear_example
 from tumble.result.calibration import Calibration, read_calibration
 from tumble.result.coverage import PROBABILITY, degrees_of_freedom
 from tumble.result.further import described
 from tumble.result.parts import FEWEST_DEGREES, Parameter, stated_factor
-from tumble.sensors.model import SensorKind, SensorModel
+from tumble.sensors.model import UNITS, SensorKind, SensorModel
 from tumble.sensors.parameters import sensor_kind, shown_in
 from tumble.units import Array
 
@@ -72,8 +73,8 @@ def d_si(*units: str) -> str:
     powers: Counter[str] = Counter()
     for text in units:
         factors = list(_FACTOR.finditer(text))
-        known = all(factor["unit"] in (*_UNITS, "1") for factor in factors)
-        if not known or "".join(factor[0] for factor in factors) != text or not text:
+        translated = all(factor["unit"] in (*_UNITS, "1") for factor in factors)
+        if not translated or "".join(factor[0] for factor in factors) != text or not text:
             raise InputError(f"calibration: expected the SI unit of a parameter, found {text!r}; calibrate again")
         for factor in (each for each in factors if each["unit"] != "1"):
             power = int(factor["power"] or 1)
@@ -86,7 +87,7 @@ def dcc(calibration: Calibration, *, certificate: Certificate | FilePath) -> Exp
     """The XML file of a calibration with the administrative data of its certificate, or of its file."""
     if not isinstance(certificate, Certificate):
         certificate = read_certificate(Path(certificate))
-    known = models(calibration)
+    by_kind = models(calibration)
     calibration, scope = within_scope(calibration, certificate.laboratory.scope)
     check_certificate(
         certificate, calibration, None if certificate.as_found is None else read_calibration(certificate.as_found)
@@ -105,7 +106,7 @@ def dcc(calibration: Calibration, *, certificate: Certificate | FilePath) -> Exp
     root = ET.Element(f"{{{_DCC}}}digitalCalibrationCertificate", {"schemaVersion": VERSION})
     root.set(f"{{{_XSI}}}schemaLocation", f"{_DCC} {_DCC}/v{VERSION}/dcc.xsd")
     _add(root, "administrativeData", _administrative(calibration, certificate, scope))
-    _add(root, "measurementResults", {"measurementResult": _results(calibration, certificate, known, judged, scope)})
+    _add(root, "measurementResults", {"measurementResult": _results(calibration, certificate, by_kind, judged, scope)})
     ET.indent(root)
     return Exported(content=ET.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n", losses=losses)
 
@@ -330,10 +331,10 @@ def _covariance(calibration: Calibration, covariance: Array) -> dict[str, Any] |
         values = " ".join(f"{each:.{_COVARIANCE_DIGITS}g}" for each in column)
         of_unit = " ".join(d_si(other, unit) for other in units)
         columns.append({"si:covarianceXMLList": {"si:valueXMLList": values, "si:unitXMLList": of_unit}})
-    n, known = len(units), np.isinf(fewest)  # how many standard deviations the ellipsoid is large
+    n, exact = len(units), np.isinf(fewest)  # how many standard deviations the ellipsoid is large
     square = (
         scipy.special.chdtri(n, 1.0 - REGION_PROBABILITY)
-        if known
+        if exact
         else n * scipy.special.fdtri(n, fewest, REGION_PROBABILITY)
     )
     region = {
@@ -349,7 +350,7 @@ def _covariance(calibration: Calibration, covariance: Array) -> dict[str, Any] |
 
 def _model(kind: SensorKind, model: SensorModel) -> dict[str, Any]:
     """Model equation, matrix, bias and an example."""
-    unit, worked = UNITS[kind], example(kind, model)
+    unit, worked = UNITS[kind], linear_example(kind, model)
     n = len(model.bias)
     rows = [f"matrix.{p + 1}.{q + 1}" for p in range(n) for q in range(3)]
     lists: list[tuple[str, list[str], Array, str]] = [
@@ -361,9 +362,9 @@ def _model(kind: SensorKind, model: SensorModel) -> dict[str, Any]:
     quantities = [
         {
             "name": _text(f"{_TITLES[kind]}: {name}"),
-            "si:realListXMLList": _list(labels, shown(of), [unit] * len(labels)),
+            "si:realListXMLList": _list(labels, shown(numbers), [unit] * len(labels)),
         }
-        for name, labels, of, unit in lists
+        for name, labels, numbers, unit in lists
     ]
     return {"formula": {"latex": r"r = M t + b, \quad t = M^{+} (r - b)"}, "quantity": quantities}
 

@@ -131,19 +131,19 @@ def unit_by(
 ) -> Unit:
     """What parameters with a covariance (m, m) say by Eq. (1), without those that are no property of a device."""
     kept = [i for i, p in enumerate(parameters) if p.u and variable_of(p.name) not in _NO_PROPERTY]
-    own, C = [parameters[i] for i in kept], covariance[np.ix_(kept, kept)]
-    values = np.array([p.value for p in own])
-    prior = np.array([0.0 if p.prior is None else p.prior**-2 for p in own])
+    properties, C = [parameters[i] for i in kept], covariance[np.ix_(kept, kept)]
+    values = np.array([p.value for p in properties])
+    prior = np.array([0.0 if p.prior is None else p.prior**-2 for p in properties])
     root = np.linalg.cholesky(C)
     share, axes = np.linalg.eigh(root.T @ (prior[:, None] * root))  # of the prior in C⁻¹, at most all
     alone = np.linalg.solve(root.T, axes)
     information = (alone * np.clip(1.0 - share, 0.0, None)) @ alone.T
     return Unit(
         serial=serial,
-        names=tuple(p.name for p in own),
+        names=tuple(p.name for p in properties),
         information=information,
         shift=information @ values + prior * values,
-        usual=np.where(prior > 0.0, prior, limits_of(p.name for p in own) ** -2.0),
+        usual=np.where(prior > 0.0, prior, limits_of(p.name for p in properties) ** -2.0),
         reference=reference,
         in_run=in_run,
         launches=launches,
@@ -157,15 +157,15 @@ def in_run_sizes(units: Sequence[Unit], kind: str) -> Array:
 
 def mean_temperature(units: Sequence[Unit]) -> float | None:
     """The mean of the temperatures, °C, at which units were calibrated; None if none is known."""
-    known = [unit.reference for unit in units if unit.reference is not None]
-    return float(np.mean(known)) if known else None
+    references = [unit.reference for unit in units if unit.reference is not None]
+    return float(np.mean(references)) if references else None
 
 
 def run_to_run(units: Sequence[Unit], name: str) -> float | None:
     """Standard deviation of a parameter from launch to launch, SI; None if no calibration has several launches."""
-    seen = [u.launches for u in units if u.launches is not None and name in u.launches.variances]
-    degrees = sum(each.degrees for each in seen)
-    return float(np.sqrt(sum(e.degrees * e.variances[name][0] for e in seen) / degrees)) if degrees else None
+    of_units = [u.launches for u in units if u.launches is not None and name in u.launches.variances]
+    degrees = sum(each.degrees for each in of_units)
+    return float(np.sqrt(sum(e.degrees * e.variances[name][0] for e in of_units) / degrees)) if degrees else None
 
 
 def prior_of(units: Sequence[Unit], model: str) -> Prior:
@@ -194,9 +194,9 @@ def prior_of(units: Sequence[Unit], model: str) -> Prior:
     names = tuple(name for name in counts if counts[name] >= FEWEST_UNITS)
     usual = [[u.usual[u.names.index(name)] for u in units if name in u.names] for name in names]
     size = np.array([min(each) for each in usual]) ** -0.5  # parameters in units of their usual sizes
-    seen = [_of_names(unit, names) for unit in units]
-    information = np.array([data * np.outer(size, size) for data, _ in seen])
-    shift = np.array([pull * size for _, pull in seen])
+    evidence = [_of_names(unit, names) for unit in units]
+    information = np.array([data * np.outer(size, size) for data, _ in evidence])
+    shift = np.array([pull * size for _, pull in evidence])
     variances, degrees = _variances(information, shift, list(positions_by_group(names).values()))
     mean, M, _, _ = _mean(information, shift, variances)
     launches = np.array([(run_to_run(units, name) or 0.0) ** 2 for name in names])
@@ -216,15 +216,17 @@ def prior_of(units: Sequence[Unit], model: str) -> Prior:
 
 def _of_names(unit: Unit, names: Sequence[str]) -> tuple[Array, Array]:
     """Information (n, n) and shift (n,) on the parameters `names`; others are within their usual sizes."""
-    here = [i for i, name in enumerate(names) if name in unit.names]
-    at = [unit.names.index(names[i]) for i in here]
-    others = [i for i in range(len(unit.names)) if i not in at]
-    by = unit.information[np.ix_(at, others)] @ _inverse(
+    rows = [i for i, name in enumerate(names) if name in unit.names]
+    places = [unit.names.index(names[i]) for i in rows]
+    others = [i for i in range(len(unit.names)) if i not in places]
+    by = unit.information[np.ix_(places, others)] @ _inverse(
         unit.information[np.ix_(others, others)] + np.diag(unit.usual[others])
     )
     information, shift = np.zeros((len(names), len(names))), np.zeros(len(names))
-    information[np.ix_(here, here)] = unit.information[np.ix_(at, at)] - by @ unit.information[np.ix_(others, at)]
-    shift[here] = unit.shift[at] - by @ unit.shift[others]
+    information[np.ix_(rows, rows)] = (
+        unit.information[np.ix_(places, places)] - by @ unit.information[np.ix_(others, places)]
+    )
+    shift[rows] = unit.shift[places] - by @ unit.shift[others]
     return information, shift
 
 

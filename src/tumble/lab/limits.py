@@ -123,11 +123,13 @@ def _limit(key: str, value: Any, where: str) -> Limit:
     try:
         kind = group_of(key)
     except KeyError:
-        said = 'expected a quoted name such as "accel.bias" or "gyro.axis.xy", found'
-        raise ValueError(f"{where}: {said} {key!r}{did_you_mean(key, (group.name for group in groups()))}") from None
+        expected = 'expected a quoted name such as "accel.bias" or "gyro.axis.xy", found'
+        raise ValueError(
+            f"{where}: {expected} {key!r}{did_you_mean(key, (group.name for group in groups()))}"
+        ) from None
     typed = value if isinstance(value, dict) else {"deviation": value}
-    known = set(typed) == {"deviation"} or (typed and set(typed) <= {"min", "max"})
-    if not known or not all(isinstance(text, str) for text in typed.values()):
+    complete = set(typed) == {"deviation"} or (typed and set(typed) <= {"min", "max"})
+    if not complete or not all(isinstance(text, str) for text in typed.values()):
         raise ValueError(f"{where}: expected {_FORMS}, found {value!r}")
     try:
         sizes = {name: quantity_of(kind, text) for name, text in typed.items()}

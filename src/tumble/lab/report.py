@@ -100,8 +100,8 @@ def write_judged_report(
     if document.tone != "bad" and all(source.calibration.outcome.accepted for source in sources):
         verdict, tone = min(badge, key=lambda each: RESULTS.index(each[0]))
         document = replace(document, verdict=verdict, tone=tone)
-    said = f"calibration {verdict_on([source.calibration for source in sources])[0]}"
-    facts = (*document.facts, ("verdict", ", ".join([said, *_in_words(checks)])))
+    sentence = f"calibration {verdict_on([source.calibration for source in sources])[0]}"
+    facts = (*document.facts, ("verdict", ", ".join([sentence, *_in_words(checks)])))
     write_document(replace(document, facts=facts), out)
     return [*reasons_of(sources), *_not_passed(sources, checks)]
 
@@ -217,7 +217,7 @@ def certificate_of(
         if calibration.outcome.accepted:
             verdict = min((check.result for check in checks), key=RESULTS.index)
             tone = TONES[verdict]
-    made = _certificate_sections(replace(source, calibration=calibration), acceptance, checks, as_found, scope)
+    sections = _certificate_sections(replace(source, calibration=calibration), acceptance, checks, as_found, scope)
     document = Document(
         title="Calibration certificate",
         device=device_name(calibration.serial, calibration.model),
@@ -225,7 +225,7 @@ def certificate_of(
         verdict=verdict,
         facts=tuple(facts),
         created=calibration.provenance.created or "",
-        parts=(Part(title="", sections=tuple(each for each in made if each is not None), customer=1),),
+        parts=(Part(title="", sections=tuple(each for each in sections if each is not None), customer=1),),
         statements=_statements(certificate, calibration, scope, checks if acceptance is not None else None),
         signatures=tuple(Signature(name=person.name, role=person.role or "") for person in certificate.person),
         closing=f"End of the certificate {certificate.number}",
@@ -320,9 +320,9 @@ def statement_of_priors(calibration: Calibration) -> str:
     """What the sizes of priors rest on, and their share of u² by group of parameters; nothing without any."""
     clauses = []
     for basis, shares in shares_of_priors(calibration).items():
-        known = sorted(((share, group) for group, share in shares.items() if share >= SHOWN), reverse=True)
-        if known:
-            clauses.append(f"by the {basis}: {', '.join(f'{percent(share)} of {group}' for share, group in known)}")
+        largest = sorted(((share, group) for group, share in shares.items() if share >= SHOWN), reverse=True)
+        if largest:
+            clauses.append(f"by the {basis}: {', '.join(f'{percent(share)} of {group}' for share, group in largest)}")
     return (
         "Part of u² (mean over the parameters of a group) is not measured, but what instruments of the kind usually "
         f"have, {'; '.join(clauses)}."

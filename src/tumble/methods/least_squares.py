@@ -100,11 +100,26 @@ class Residuals:
         return Fit(chi_square=statistic, degrees=degrees, scatter=scatter, unit=unit)
 
     def sigmas(self, size: int, *, scaled: bool) -> Array:
-        """Deviations of residuals, `size` at a time, in sigmas; `scaled` if their scatter comes from themselves."""
+        """Deviations of residuals, `size` at a time, in sigmas. If `scaled`, their scatter comes from themselves, and
+        each is judged by the scatter of all others, given what it shares with them: by Student's t."""
         squares = (self.residual**2 / self.variance).reshape(-1, size).sum(axis=1)
         free = (np.diag(self.left) / self.variance).reshape(-1, size).sum(axis=1)
-        z = np.sqrt(squares / np.where(free > LEAST_SHARE, free, np.inf))
-        return sigmas(z, self.chi_square()[1], scaled)
+        z: Array = np.sqrt(squares / np.where(free > LEAST_SHARE, free, np.inf))
+        if not scaled:
+            return z
+        for i in np.flatnonzero(free > LEAST_SHARE).tolist():
+            own = np.arange(i * size, (i + 1) * size)
+            others = np.setdiff1d(np.arange(len(self.residual)), own)
+            by_own = self.left[np.ix_(others, own)] @ np.linalg.pinv(self.left[np.ix_(own, own)])
+            rest = Residuals(
+                residual=self.residual[others] - by_own @ self.residual[own],
+                variance=self.variance[others],
+                left=self.left[np.ix_(others, others)] - by_own @ self.left[np.ix_(own, others)],
+            )
+            statistic, degrees = rest.chi_square()
+            if degrees >= 1.0:
+                z[i] = as_normal(z[i] * np.sqrt(degrees / max(statistic, 1e-300)), degrees)
+        return z
 
 
 def unexplained(chi_square: float, degrees: float) -> bool:

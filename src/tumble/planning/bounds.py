@@ -29,6 +29,7 @@ from typing import Any
 import numpy as np
 
 from tumble.brief import Brief
+from tumble.diagnosis.linear_model import LeftOut, left_out, moves_by_likelihood
 from tumble.earth import earth_rate
 from tumble.errors import InputError
 from tumble.inference.elimination import fold
@@ -52,7 +53,7 @@ from tumble.reduction.rests.rests import Rests
 from tumble.reduction.turns.turns import TURN_FLOOR, VELOCITY_FLOOR
 from tumble.sensors.grades import GRADES, NoiseModel
 from tumble.sensors.instrument import Instrument
-from tumble.sensors.parameters import positions_by_group, prior_sizes
+from tumble.sensors.parameters import Terms, positions_by_group, prior_sizes
 from tumble.units import Array, BoolArray
 
 NOISE, GRAVITY, CLOCK, TYPE = "noise and in-run biases", "gravity of the site", "time base of the log", "device type"
@@ -95,7 +96,7 @@ class Bound(Brief):
         return float(np.sqrt(np.mean(self.u[positions_by_group(self.names)[group]] ** 2)))
 
 
-def stated(setup: Setup, *, gyros: bool = True, prior: Prior | None = None) -> Bound:
+def stated(setup: Setup, *, gyros: bool = True, prior: Prior | None = None, terms: Terms = "full") -> Bound:
     """What `calibrate` will state of a recording by a set-up's programme, on the average over instruments.
 
     Parameters
@@ -106,6 +107,8 @@ def stated(setup: Setup, *, gyros: bool = True, prior: Prior | None = None) -> B
         Whether gyros are calibrated, or accelerometers alone.
     prior
         What is known of other units of the type, in place of the usual sizes.
+    terms
+        With "linear" the estimate has bias, scale factor and axis angles alone, and the groups in their u.
 
     Raises
     ------
@@ -113,8 +116,10 @@ def stated(setup: Setup, *, gyros: bool = True, prior: Prior | None = None) -> B
         For values that make no sense, and where there is no noise.
     """
     if not setup.programme.ordered:  # the mean over orders
-        return _mean([stated(each, gyros=gyros, prior=prior) for each in _in_some_orders(setup)])
+        return _mean([stated(each, gyros=gyros, prior=prior, terms=terms) for each in _in_some_orders(setup)])
     course = itinerary_of(setup).as_logged(setup.ramp, USUAL.margin_of(setup.rest))
+    if terms == "linear":
+        return _stated_linear(course, setup, gyros)
     seen, by_type = view(course, setup, gyros=gyros), None
     seen = expected(seen.with_components(_with_drifts(seen, setup.further)))
     if prior is not None:
@@ -127,6 +132,24 @@ def stated(setup: Setup, *, gyros: bool = True, prior: Prior | None = None) -> B
         by_type = np.zeros((len(places), len(problem.instrument.names)))
         by_type[:, places] = np.linalg.inv(np.linalg.cholesky(covariance))
     return bound_by(seen, setup.turn_rate, setup.clock_u, by_type)
+
+
+def _stated_linear(course: Itinerary, setup: Setup, gyros: bool) -> Bound:
+    """What an estimate of the linear model states, with what it leaves out."""
+    seen = view(course, replace(setup, further={}), gyros=gyros)
+    seen = expected(seen.with_components(_with_drifts(seen, setup.further)))
+    found = bound_by(seen, setup.turn_rate, setup.clock_u)
+    groups = {group.name: setup.further[group.name] for group in instrument_of(setup, gyros).further if left_out(group)}
+    if not groups:
+        return found
+    whole = expected(view(course, replace(setup, further=groups), gyros=gyros))
+    moves = moves_by_likelihood(whole.with_components(seen.components))
+    moved, instrument = LeftOut.of(whole.problem, moves, None).moved, whole.problem.instrument
+    by_group = {
+        name: slice(own.start - found.linear, own.stop - found.linear) for name, own in instrument.members.items()
+    }
+    sources = {name: (moved[:, own] ** 2).sum(axis=1) for name, own in by_group.items()}
+    return replace(found, covariance=found.covariance + moved @ moved.T, sources={**found.sources, **sources})
 
 
 ORDERS = 8
@@ -306,8 +329,11 @@ def view(course: Itinerary, setup: Setup, *, gyros: bool) -> Linearisation:
         ),
         turns=turns,
         turn_samples=samples,
+        programme=setup.programme,
+        position=np.arange(len(course.rests)),
         usual=usual,
         too_small=size_factors(setup.instrument, usual, guessed=True) if setup.instrument in GRADES else {},
+        in_run={"accel": noise.accel_instability, "gyro": noise.gyro_instability},
     )
     point = Point(values=np.zeros(len(instrument.names)), gravity=g, attitudes=course.attitudes)
     if turns is not None:

@@ -19,12 +19,13 @@ are in studies/accuracy_formulas.py.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from tumble.earth import EARTH_RATE
+from tumble.methods.paper.blocks import TRIAD
 from tumble.methods.paper.four_stages import (
     SCALAR,
     SEQUENTIAL,
@@ -33,7 +34,6 @@ from tumble.methods.paper.four_stages import (
     course_of_programme,
     one_pass,
 )
-from tumble.methods.paper.gyros import scalar_bias
 from tumble.planning.setup import NAMES
 from tumble.programme.positions import Programme
 from tumble.rotation import rotation_matrix, rotation_vector_near
@@ -44,10 +44,7 @@ MethodOfPaper = Literal["sequential", "scalar"]
 METHODS_OF_PAPER: tuple[MethodOfPaper, ...] = ("sequential", "scalar")
 """The methods whose errors are predicted, of instruments with the linear model."""
 
-_METHODS: Mapping[MethodOfPaper, PaperMethod] = {
-    "sequential": SEQUENTIAL,
-    "scalar": replace(SCALAR, gyro_bias=lambda rate, force, earth, _: scalar_bias(rate, force, earth)),
-}
+_METHODS: Mapping[MethodOfPaper, PaperMethod] = {"sequential": SEQUENTIAL, "scalar": SCALAR}
 
 STEP = 1e-4
 """Of the central differences: of angles and scale factors, and of rates in parts of the Earth's."""
@@ -76,7 +73,7 @@ class PaperProgramme:
         """A programme with turns at this rate, rad/s, at a latitude, rad. Raises ProgrammeError where it has not the
         positions that the method needs."""
         nominal = np.array([position.matrix for position in programme.positions])
-        _METHODS[method].check(nominal[:, 1])
+        _METHODS[method].check(nominal[:, 1], TRIAD)
         course = course_of_programme(programme, turn_rate=turn_rate, latitude=latitude)
         moves = [m.angle * m.axis for m in programme.moves if m.axis is not None and m.angle is not None]
         return PaperProgramme(

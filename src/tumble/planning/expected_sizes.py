@@ -8,10 +8,10 @@ size. The posterior of each hyperparameter by itself is
     λ of a group seen with variances v, of the usual size s         p(λ) Π (λ²s² + v)^{−1/2} e^{−y²/2(λ²s² + v)}
 
 with χ² of ν degrees of freedom and y of the variance s² + v, as chance has them in sessions. The size that counts is
-the root mean square of σ, and the size of the prior with which a parameter has the mean over sessions of its variance,
-the mean of 1/(1/λ²s² + 1/v) and what its value differs by with λ. A group about which the session says nothing
-(`SHOWN`) keeps its usual size, as in the integral; each is beside what is expected of all others. An in-run bias is a
-group of as many members as it has states, whose prior is log-normal about the size of the set-up.
+the root mean square of σ, and the size of the prior with which a parameter has its variance, the mean of
+1/(1/λ²s² + 1/v) and what its value differs by with λ, both of the median session. A group about which the session says
+nothing (`SHOWN`) keeps its usual size, as in the integral; each is beside what is expected of all others. An in-run
+bias is a group of as many members as it has states, whose prior is log-normal about the size of the set-up.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ CHANCES = (np.arange(64) + 0.5) / 64
 
 
 def expected(seen: Linearisation) -> Linearisation:
-    """A linearised likelihood with the scatter and the sizes of groups that `joint` will find on the average, from one
-    at perfect sensors with the noise of the set-up."""
+    """A linearised likelihood with the scatter and the sizes of groups that `joint` will find in the median session,
+    from one at perfect sensors with the noise of the set-up."""
     problem, components, solution = seen.problem, seen.components, solve(seen)
     score, usual, found = Score(solution), problem.prior_u[1:], dict[str, Any]()
     products = score.scatter_products.diagonal()
@@ -73,13 +73,14 @@ def expected(seen: Linearisation) -> Linearisation:
 
 
 def _expected_scatter(degrees: float, *, of_turns: bool = False) -> float:
-    """Root mean square of x = σ/s with so many degrees of freedom, whose prior is e^{−x}, that of turns (1 + x)⁻²."""
+    """Root mean square of x = σ/s in the median session with so many degrees of freedom; its prior is e^{−x}, that of
+    turns (1 + x)⁻²."""
     x = np.linspace(0.0, 12.0, 4 * FINE)
     square = scipy.special.gammaincinv(0.5 * degrees, CHANCES)[:, None] * 2.0  # χ²
     log_density = -2.0 * np.log1p(x) if of_turns else -x
     log_density = log_density - 0.5 * (degrees * np.log1p(x**2) + square / (1.0 + x**2))
     density = np.exp(log_density - log_density.max(axis=1, keepdims=True))
-    return float(np.sqrt(np.mean(density @ x**2 / density.sum(axis=1))))
+    return float(np.sqrt(np.median(density @ x**2 / density.sum(axis=1))))
 
 
 def _expected_size(usual: Array, variance: Array, within: float, *, two_sided: bool = False) -> Array:
@@ -99,6 +100,6 @@ def _expected_size(usual: Array, variance: Array, within: float, *, two_sided: b
     share, weight = size2 / (size2 + seen), density / density.sum(axis=1, keepdims=True)
     mean = weight @ share
     apart = weight @ share**2 - mean**2
-    known = np.mean(mean * seen + apart * drawn, axis=0)
+    known = np.median(mean * seen + apart * drawn, axis=0)
     larger = 1.0 / np.maximum(1.0 / known - 1.0 / seen, 1e-9 / s2) / s2
     return np.asarray(np.sqrt(np.clip(larger, 0.0 if two_sided else 1.0, np.mean(weight @ np.exp(2.0 * p)))))

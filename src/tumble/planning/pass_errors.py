@@ -22,13 +22,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tumble import usual_setup
 from tumble.earth import EARTH_RATE, earth_rate
-from tumble.errors import InputError
 from tumble.inference.noise import CORRELATION_TIME
+from tumble.methods.paper.four_stages import scalar, sequential
+from tumble.planning.bounds import view
 from tumble.planning.error_propagation import (
     STEP,
     MethodOfPaper,
@@ -40,13 +42,14 @@ from tumble.planning.error_propagation import (
 )
 from tumble.planning.itinerary import itinerary_of
 from tumble.planning.setup import GROUPS, MEMBERS, NAMES, Setup, check_setup
+from tumble.sensors.grades import GRADES
 from tumble.units import DEGREE_PER_HOUR, Array
 
 _INDIRECT = ("indirect, programme matrix",) * 2
 _BY_METHOD: Mapping[MethodOfPaper, tuple[str, ...]] = {
     "sequential": (*("up and down, levelled, Eq. (4)",) * 2, "axes 45° up and down, Eq. (10)",
                    "vertical axes, Eq. (18)", *_INDIRECT),
-    "scalar": (*("scalar, estimated orientation, Eq. (13)",) * 3, "scalar, estimated orientation", *_INDIRECT),
+    "scalar": (*("scalar, estimated orientation, Eq. (13)",) * 3, "vertical axes, Eq. (18)", *_INDIRECT),
 }  # fmt: skip
 ESTIMATORS = {method: dict(zip(GROUPS, words, strict=True)) for method, words in _BY_METHOD.items()}
 """How each method finds each group of parameters, with the equations of the paper."""
@@ -82,14 +85,9 @@ class PassErrors:
 
     @staticmethod
     def of(setup: Setup, method: MethodOfPaper) -> PassErrors:
-        """The errors of a method on the programme of a set-up. Raises InputError for an instrument with groups beyond
-        the linear model, and ProgrammeError for a programme without the positions that the method needs."""
+        """The errors of a method on the programme of a set-up. Raises ProgrammeError for a programme without the
+        positions that the method needs."""
         check_setup(setup)
-        if setup.further:
-            raise InputError(
-                f"terms: expected linear for the method {method}, whose formulas have no other groups of parameters, "
-                "found full; take the method joint, or the linear model"
-            )
         plan = PaperProgramme.of(setup.programme, method, turn_rate=setup.turn_rate, latitude=setup.latitude)
         T0, D = first_order(plan)
         table = 3 * len(plan.nominal)
@@ -114,7 +112,7 @@ class PassErrors:
             by_mounting=np.tensordot(v[table:], D[table:] ** 2, axes=1),
             twice=(c**2, 2.0 * c * trace + np.tensordot(v, linear**2, axes=1), square),
             second_order=np.trace(Q) ** 2 + 2.0 * (Q**2).sum(axis=(0, 1)),
-            noise=_noise(setup, plan),
+            noise=_noise(setup, plan) | _left_out(setup, method),
             spread=spread,
             size=np.where(np.arange(len(NAMES)) < 3, setup.gravity, 1.0),
         )
@@ -159,6 +157,20 @@ def remarks(setup: Setup) -> Iterator[str]:
             "rate to find north by: the methods sequential and scalar do worse in gyro parameters than predicted, "
             "take joint"
         )
+
+
+def _left_out(setup: Setup, method: MethodOfPaper) -> dict[str, Array]:
+    """Variances (21,) by the groups that a method takes as nothing, as its estimate has them of a session."""
+    if not setup.further:
+        return {}
+    noisy = replace(setup, noise=GRADES[usual_setup.GRADE].noise)  # of any size: it is not what the groups change
+    seen = view(itinerary_of(noisy), noisy, gyros=True).problem.observations
+    size = np.where(np.arange(len(NAMES)) < 3, setup.gravity, 1.0)
+    found = {"sequential": sequential, "scalar": scalar}[method](seen)
+    assert found.budget is not None
+    covariances = dict(zip([each.name for each in found.budget.sources], found.budget.covariances, strict=True))
+    moved = {group.name: np.diag(covariances[f"prior.{group.name}"])[: len(NAMES)] for group in found.groups}
+    return {group.name: moved[group.name] / (group.prior_widened * size) ** 2 for group in found.groups}
 
 
 def _noise(setup: Setup, plan: PaperProgramme) -> dict[str, Array]:

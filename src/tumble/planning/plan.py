@@ -146,7 +146,8 @@ def plan(
         With "joint", what `calibrate` will state on the average over instruments; with "sequential" or "scalar", the
         accuracy formulas of the turntable paper, of instruments with the linear model.
     terms
-        Of joint: with "full" the instrument may have all groups of parameters, with "linear" those of `setup.further`.
+        Of joint: with "full" all groups of parameters are estimated, with "linear" bias, scale factor and axis angles
+        alone, and the others are in their u.
     iterations
         Passes of the paper's methods.
     wanted
@@ -176,7 +177,7 @@ def plan(
     (True, (), 5)
     """
     check_setup(setup)
-    wanted = wanted or {}
+    setup, wanted = with_all_groups(setup), wanted or {}
     if iterations < 1:
         raise InputError(f"iterations: expected at least 1, found {iterations}")
     for group, value in wanted.items():
@@ -185,10 +186,9 @@ def plan(
         if not gyros:
             raise InputError(f"gyros: expected True with the method {method}, found False; take the method joint")
         return _plan_of_paper(setup, method, iterations, wanted)
-    setup = with_all_groups(setup) if terms == "full" else setup
 
     def state(setup: Setup) -> Bound:
-        return stated(setup, gyros=gyros, prior=prior)
+        return stated(setup, gyros=gyros, prior=prior, terms=terms)
 
     def following(setup: Setup, wanted: Mapping[str, float]) -> tuple[NextPosition, ...]:
         return next_positions(setup, wanted=wanted, gyros=gyros, table=table)

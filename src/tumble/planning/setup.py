@@ -144,10 +144,11 @@ def time_of(programme: Programme, setup: Setup) -> float:
 
 
 def with_all_groups(setup: Setup) -> Setup:
-    """The set-up with all groups of parameters, of the usual sizes of its grade, or of navigation grade where the
-    instrument is of none."""
-    grade = setup.instrument if setup.instrument in GRADES else usual_setup.GRADE
-    return replace(setup, further=usual_sizes(grade) | dict(setup.further))
+    """The set-up with all groups of parameters, of the usual sizes of its grade where it states none; an instrument of
+    one's own has those that it states."""
+    if setup.instrument not in GRADES:
+        return setup
+    return replace(setup, further=usual_sizes(setup.instrument) | dict(setup.further))
 
 
 def check_setup(setup: Setup) -> None:
@@ -161,6 +162,8 @@ def check_setup(setup: Setup) -> None:
         expect(name, getattr(setup, name), least="more than 0")
     if not 1.0 <= setup.gravity <= 100.0:
         raise InputError(f"gravity: expected 1 to 100 m/s^2, as a planet has, found {setup.gravity:g}")
+    if setup.turn_rate > 1e5 * DEGREE:
+        raise InputError(f"turn_rate: expected at most 1e5 deg/s, found {setup.turn_rate / DEGREE:g}")
     for name in ("table_error", "mounting_error", "gravity_u", "clock_u"):
         expect(name, getattr(setup, name), least="0 or more")
     for noise in fields(setup.noise):

@@ -118,6 +118,14 @@ def attitude(code: str) -> Array:
     return matrix
 
 
+def code_of_vertical(vertical: Array) -> str:
+    """Code of an attitude with a vertical (3,) in the body, to 1e-4 degrees: "NUE U+a N+b", in which the vertical is
+    (sin b sin a, cos b, −sin b cos a)."""
+    x, y, z = np.asarray(vertical) / np.linalg.norm(vertical)
+    turns = {"U": math.atan2(x, -z) if math.hypot(x, z) > 1e-9 else 0.0, "N": math.atan2(math.hypot(x, z), y)}
+    return " ".join(["NUE", *(f"{axis}{angle / DEGREE:+.4f}" for axis, angle in turns.items())])
+
+
 def _turn(code: str, turn: str) -> tuple[Array, float]:
     """Geographic axis and signed angle, rad, of a turn like "E-90.5"."""
     found = _TURN.fullmatch(turn)

@@ -1,8 +1,8 @@
-"""Observations: what is left of a log after one reduction, and all that a method sees.
+"""Observations: the rests and turns of a log, which are all that a method of estimation sees of it.
 
 A rest is its mean reading with covariance; a turn is its preintegrated rotation with its sensitivities to the
 gyro parameters, in the non-rotating frame of the body at the turn's start, so that attitude, site and Earth's
-rate stay out of it. With E the relative error of the gyro matrix and δ of the gyro bias, both about the model
+rate do not enter. With E the relative error of the gyro matrix and δ that of the gyro bias, both about the model
 the turn was integrated with,
 
     C(E, δ) = exp([−(M : E + B δ)×]) C,      M[i,p,q] = ∫ C_ip ω_q dt,   B = ∫ C dt.
@@ -30,9 +30,8 @@ from tumble.reduction.blocks.reducer import Reduction, extremes
 from tumble.reduction.noise.coloured_noise import fit_coloured_noise
 from tumble.reduction.noise.rounding import Rounding, rounding_notes
 from tumble.reduction.rests.blemishes import BadSamples, bad_sample_notes, blemish_notes
-from tumble.reduction.rests.matching import Match
 from tumble.reduction.rests.rests import Rests, reduced_rests, rows_of, thermometers_of
-from tumble.reduction.rests.segmentation import unrecorded
+from tumble.reduction.rests.segmentation import Stretch, unrecorded
 from tumble.reduction.rests.sway import sway_notes, sway_of
 from tumble.reduction.rests.thermometer import Thermometers
 from tumble.reduction.turns.array_motion import ArrayMoments, MovedArray, array_moments
@@ -63,8 +62,17 @@ from tumble.units import Array, IntArray
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Together:
-    """Several sessions in one: their names, which of them every rest (N,) is of, in order, and the number of the rest
-    in it (N,); parts of a rest have the same."""
+    """Which session every rest belongs to, where several sessions are one.
+
+    Attributes
+    ----------
+    names
+        The names of the sessions.
+    session
+        The index (N,) of the session of each rest, ascending.
+    number
+        The number (N,) of each rest in its session, from 0; parts of a rest have the same.
+    """
 
     names: tuple[str, ...]
     session: IntArray
@@ -73,8 +81,7 @@ class Together:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
 class Observations(Brief):
-    """All that a method sees of a session. `position` (N,) is the index in the programme of each rest's position,
-    where there is one."""
+    """What a method of estimation sees of a session."""
 
     json_fields: ClassVar = ("rests", "turns", "notes")
 
@@ -86,30 +93,31 @@ class Observations(Brief):
     turn_samples: TurnSamples | None = None
     programme: Programme | None = None
     position: IntArray | None = None
+    """The index (N,) of the position of each rest in the programme, where there is one."""
     start: Mapping[str, float] = field(default_factory=dict)
     """Parameter values to start from, by name; zero where there is none."""
     turn_readings: TurnReadings | None = None
     """Only where there are more than three gyros."""
     rounding: Mapping[str, Rounding] = field(default_factory=dict)
-    """Resolution of the accelerometers, "accel", and of the gyros, "gyro", and what it does to their means."""
+    """For "accel" and "gyro", the resolution of the readings and what it does to their means."""
     notes: tuple[str, ...] = ()
-    """What is remarkable in the log, in words."""
+    """Remarks on the log, for its reader."""
     thermometers: Thermometers | None = None
-    """The course of the temperatures, where there are thermometers."""
+    """The records of the temperatures, where there are thermometers."""
     together: Together | None = None
     """Where these are several sessions."""
     arrays: tuple[ArrayMoments, ...] = ()
-    """Of every session, what the accelerometers of an array read in motion, where there are enough of them."""
+    """For every session, the moments of the accelerometers of an array in motion, where there are enough of them."""
     by_clock: Mapping[str, float] = field(default_factory=dict)
-    """By group of parameters, what one standard uncertainty of the time base changes in them."""
+    """By group of parameters, their change by one standard uncertainty of the time base."""
     unstamped: bool = False
-    """Whether no time in the log says that samples are missing."""
+    """Whether the log has no times that would show missing samples."""
     usual: Mapping[str, float] = field(default_factory=dict)
     """Standard deviations, SI, of the groups of parameters beyond the linear model over instruments like this one."""
     size_basis: Mapping[str, str] = field(default_factory=dict)
-    """By group, what its usual size rests on, in words."""
+    """By group, the source of its usual size, in words."""
     too_small: Mapping[str, float] = field(default_factory=dict)
-    """By group, the factor of the order of which its usual size may be too small: by where it is from."""
+    """By group, the factor by which its usual size may be too small, by its source."""
     links: Links | None = None
     """Motion that is no turn between rests, from node to node."""
     in_run: Mapping[str, float] = field(default_factory=dict)
@@ -117,17 +125,17 @@ class Observations(Brief):
 
     @property
     def session(self) -> IntArray | None:
-        """Which session each rest (N,) is of, where there are several."""
+        """The index (N,) of the session of each rest, where there are several."""
         return None if self.together is None else self.together.session
 
     def rest_named(self, i: int) -> str:
-        """What rest i is called: by its number, of several sessions with the name of its own."""
+        """The name of rest i: its number, and of several sessions that of its session."""
         if self.together is None:
             return f"rest {i + 1}"
         return f"{self.together.names[self.together.session[i]]}: rest {self.together.number[i] + 1}"
 
     def turn_named(self, k: int) -> str:
-        """What turn k is called: by the rests at its ends and its times."""
+        """The name of turn k: the rests at its ends, and its times."""
         turns, rests = self.turns, self.rests
         assert turns is not None
         a, b = int(turns.first[k]), int(turns.last[k])
@@ -139,14 +147,14 @@ class Observations(Brief):
         return np.array([self.start.get(name, 0.0) for name in block.names])
 
     def of_accelerometers(self) -> Observations:
-        """What the accelerometers alone say: the rests without their gyros, and no turns."""
+        """The observations of the accelerometers alone: rests without gyros, and no turns."""
         rests, none = self.rests, np.zeros((len(self.rests), 0))
         covariance = np.zeros((len(rests), 0, 0))
         at_rest = replace(rests, gyro=none, gyro_covariance=covariance, gyro_drift=none, gyro_noise=none)
         return replace(self, gyro_block=None, rests=at_rest, turns=None, turn_samples=None, turn_readings=None)
 
     def of_rest(self, i: int) -> Observations:
-        """What rest i alone says."""
+        """The observations of rest i alone."""
         return replace(
             self,
             rests=rows_of(self.rests, slice(i, i + 1)),
@@ -160,21 +168,21 @@ class Observations(Brief):
 
     @property
     def _samples(self) -> TurnSamples:
-        """Those of the turns."""
+        """The samples of the turns."""
         if self.turns is None or self.turn_samples is None:
             raise ValueError("moments: expected observations of a log with gyros and turns, found none")
         return self.turn_samples
 
     def moments_about(self, compensation: Compensation | Sequence[Compensation], own: OwnAxes = NO_OWN_AXES) -> Moments:
-        """The moments of the turns with samples compensated in this way, or those of each turn in a way of its own."""
+        """Moments of the turns, with one compensation of their samples or one for each turn."""
         return integrate(self._samples.pieces(), len(self._samples.lengths), compensation, own)
 
     def growing_moments_about(self, compensation: Compensation) -> tuple[Array, Array]:
-        """Φ and Ψ of the same turns, weighted with the time from the middle of each, see `growing_moments`."""
+        """Φ and Ψ of the turns, weighted with the time from the middle of each (`growing_moments`)."""
         return growing_moments(self._samples.pieces(), self._samples.lengths, compensation)
 
     def with_bad_samples(self, bad: BadSamples) -> Observations:
-        """The same with these samples of turns replaced, and no others."""
+        """Observations in which these samples of turns are replaced, and no others."""
         samples, gyro = self._samples.with_bad(bad), self.gyro_block
         assert gyro is not None
         turns = replace(self, turn_samples=samples).turns_about(gyro.nominal())
@@ -182,15 +190,15 @@ class Observations(Brief):
         return replace(self, turns=turns, turn_samples=samples)
 
     def with_blows(self) -> Observations:
-        """The same with what blows in the turns may hide in the covariances of the velocities."""
+        """Observations whose velocity covariances contain what blows in the turns may hide."""
         if self.turns is None or self.turn_samples is None:
             return self
         blows = unread_velocities(self.turn_samples)[:, None, None] * np.eye(3)
         return replace(self, turns=replace(self.turns, velocity_covariance=self.turns.velocity_covariance + blows))
 
     def turns_about(self, gyro: SensorModel) -> Turns:
-        """The turns integrated about a gyro model: its effect on the rotation is exact, and M and B are the
-        sensitivities at this model."""
+        """Turns integrated about a gyro model: its effect on the rotation is exact, and M and B are the sensitivities
+        there."""
         if self.turns is None or self.gyro_block is None:
             raise ValueError("turns_about: expected observations of a log with gyros and turns, found none")
         accel = self.accel_block
@@ -198,9 +206,20 @@ class Observations(Brief):
         return replace(self.turns, C=moments.C, M=moments.Phi[..., 1:4], B=moments.Phi[..., 0], jumps=moments.jumps)
 
 
+def _without_rests(links: Links, accel: Block, gyro: Block | None, site: Site) -> Observations:
+    """The observations of a recording that has links alone."""
+    readings = (np.zeros((0, 0 if block is None else block.size)) for block in (accel, gyro))
+    of_accel, of_gyro = readings
+    rests = Rests.of_white_noise(np.zeros(0), np.zeros(0), accel=of_accel, gyro=of_gyro, densities=(0.0, 0.0))
+    turns, samples = no_turns(links.samples.samples)
+    return Observations(
+        accel_block=accel, gyro_block=gyro, site=site, rests=rests, turns=turns, turn_samples=samples, links=links
+    )
+
+
 def observe(
     reduction: Reduction,
-    match: Match,
+    spans: tuple[Stretch, ...],
     accel: Block,
     gyro: Block | None,
     site: Site,
@@ -208,26 +227,32 @@ def observe(
     *,
     moving: bool = False,
 ) -> Observations:
-    """Reduce the rests and turns of a log to observations, and, of a `moving` device, the links of what is no turn. At
-    least one rest is needed unless it is moving. What an array reads in motion does not depend on the rests: it is made
-    unless it is given, of the same log with other rests."""
-    spans = match.rests
+    """Reduce the rests and turns of a log to observations.
+
+    Parameters
+    ----------
+    reduction
+        The blocks of the log.
+    spans
+        The rests, at least one.
+    accel, gyro
+        The accelerometers and the gyros; None without gyros.
+    site
+        Where the sensors are.
+    arrays
+        Moments of an array in motion, which do not depend on the rests, where they were made before.
+    moving
+        Whether motion that is no turn is cut into links; then there need be no rest.
+    """
     links = links_of(reduction, spans) if moving and gyro is not None else None
     if links is not None:
-        linked = [pair for pair in pairwise(spans) if stretched(*pair)]
-        reduction = replace(
-            reduction, gaps=(*reduction.gaps, *(unrecorded(a, b, 1, "links", why="") for a, b in linked))
-        )
-    if links is not None and not spans:
-        never, of_accel = np.zeros(0), np.zeros((0, accel.size))
-        of_gyro = np.zeros((0, 0 if gyro is None else gyro.size))
-        rests = Rests.of_white_noise(never, never, accel=of_accel, gyro=of_gyro, densities=(0.0, 0.0))
-        none, no_samples = no_turns(links.samples.samples)
-        return Observations(
-            accel_block=accel, gyro_block=gyro, site=site, rests=rests, turns=none, turn_samples=no_samples, links=links
-        )
-    rests, accel_quiet, gyro_noise, rounded = reduced_rests(reduction, spans, accel, gyro)
-    notes, turns, samples, readings = list[str](), None, None, None
+        linked = [unrecorded(a, b, 1, "links", why="") for a, b in pairwise(spans) if stretched(a, b)]
+        reduction = replace(reduction, gaps=(*reduction.gaps, *linked))
+        if not spans:
+            return _without_rests(links, accel, gyro, site)
+    sway = None if gyro is None else sway_of(reduction, spans)
+    rests, accel_quiet, gyro_noise, rounded = reduced_rests(reduction, spans, accel, gyro, sway)
+    notes, turns, turn_samples, readings = list[str](), None, None, None
     count = reduction.accel_channels[0].samples
     if reduction.held:
         notes.append(
@@ -239,14 +264,13 @@ def observe(
     notes += blemish_notes(reduction, spans)
     if gyro is not None and gyro_noise is not None and reduction.samples is not None:
         noises = (accel, fit_coloured_noise(accel_quiet)), (gyro, gyro_noise)
-        sway = sway_of(reduction, spans)
         notes += sway_notes(sway)
         if sway is not None:
             rests = replace(rests, accel=rests.accel * (1.0 + sway.shortened)[:, None])
-        turned = turns, samples = reduced_turns(reduction, reduction.samples, spans, rests, *noises, rounded, sway)
-        notes += bad_sample_notes(samples.bad, turns.first)
+        turned = turns, turn_samples = reduced_turns(reduction, reduction.samples, spans, rests, *noises, rounded, sway)
+        notes += bad_sample_notes(turn_samples.bad, turns.first)
         readings = turn_readings(reduction, spans, turned, noises[1], rounded["gyro"]) if gyro.size > 3 else None
-        if arrays is None:  # that in turns which are left out included
+        if arrays is None:  # of turns which are left out too
             array = MovedArray(
                 accel=accel,
                 gyro=gyro,
@@ -263,9 +287,7 @@ def observe(
         site=site,
         rests=rests,
         turns=turns,
-        turn_samples=samples,
-        programme=match.programme,
-        position=match.position,
+        turn_samples=turn_samples,
         turn_readings=readings,
         arrays=arrays or (),
         links=links,

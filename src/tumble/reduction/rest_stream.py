@@ -1,13 +1,16 @@
-"""The rests of a stream of samples, each as soon as it has ended.
+"""The rests of a log that grows and of a stream without an end.
 
-The samples are reduced to blocks, and rests are looked for among the blocks, by the same functions as in a log that is
-complete (`Reducer`, `without_blemishes`, `find_rests`, `observe`). A stream has no end, so they are applied to a
-window: it is searched every SEARCH blocks, and once it is WINDOW blocks long the oldest blocks are dropped, but for the
-last CARRIED and those of a rest that lasts. Blocks are counted from the first sample, and searches too, so that the
-same rests are found however the stream is cut into chunks.
+The samples are reduced to blocks, and rests are searched for among the blocks, by the same functions as in a log that
+is complete (`Reducer`, `without_blemishes`, `find_rests`, `observe`). The result depends on the samples alone, not on
+the chunks in which they came.
 
-The noise floors by which rest is told from movement are those of the window, where a complete log has those of all its
-blocks. A rest that lasts is cut every LONGEST seconds.
+`rests_so_far` searches the whole log, with windows of half a second and no margins: a rest is found half a second after
+it has begun, and its end as soon as something moves. A calibration has longer windows, and leaves out the ends of a
+rest.
+
+A `RestStream` searches a window every SEARCH blocks, and once this is WINDOW blocks long the oldest blocks are dropped,
+but for the last CARRIED and those of a rest that lasts. The noise floors by which rest is told from movement are those
+of the window, where a complete log has those of all its blocks. A rest that lasts is cut every LONGEST seconds.
 """
 
 from __future__ import annotations
@@ -19,12 +22,13 @@ from types import MappingProxyType
 import numpy as np
 
 from tumble.recording.log import Chunk
-from tumble.recording.session import Site
-from tumble.reduction.blocks.reducer import Reducer
+from tumble.recording.session import Exclusion, Site
+from tumble.reduction.blocks.reducer import Reducer, Reduction
+from tumble.reduction.noise.coloured_noise import fit_coloured_noise
 from tumble.reduction.observations import Observations, observe
 from tumble.reduction.rests.blemishes import without_blemishes
-from tumble.reduction.rests.matching import Match
-from tumble.reduction.rests.segmentation import RestSpan, find_rests
+from tumble.reduction.rests.matching import without_times
+from tumble.reduction.rests.segmentation import Segmentation, Stretch, find_rests
 from tumble.sensors.model import Block
 
 SEARCH = 200
@@ -34,13 +38,72 @@ WINDOW = 6000
 CARRIED = 600
 """Blocks, 1 min, that stay at least when the oldest ones are dropped."""
 FEWEST = 30
-"""Blocks from which on the window is searched."""
+"""Blocks, 3 s, from which on rests are searched for."""
+FEWEST_OF_MEAN = 10
+"""Blocks, 1 s, of a rest from which on the noise of its mean is estimated."""
 SETTLED = 30
 """Blocks, 3 s, without rest after which a rest has ended."""
 BEFORE_REST = 5.0
 """Time (s) before a rest that lasts which stays in the window."""
 LONGEST = 300.0
 """Duration (s) of the longest rest; what lasts longer is several."""
+
+
+def rests_so_far(
+    reduction: Reduction, accel: Block, gyro: Block | None, excluded: tuple[Exclusion, ...] = ()
+) -> Segmentation | None:
+    """Find the rests of a log so far.
+
+    Parameters
+    ----------
+    reduction
+        The reduction of the log so far, `Reducer.now()`.
+    accel, gyro
+        Sensors of the session.
+    excluded
+        Stretches of time to leave out. The longest part of a rest remains.
+
+    Returns
+    -------
+    Segmentation or None
+        The rests that have ended and are as long as a calibration asks, and last the one that lasts, if one does. None
+        while the log is shorter than FEWEST blocks.
+    """
+    if sum(map(len, reduction.files)) < FEWEST:
+        return None
+    usual = reduction.tuning
+    quick = replace(usual, window=usual.short_window, rest=usual.short_window, margin_least=0.0, margin_fraction=0.0)
+    with np.errstate(over="ignore", invalid="ignore"):  # of damaged samples
+        reduction = replace(without_blemishes(reduction), tuning=quick)
+        found = without_times(reduction, find_rests(reduction, accel, gyro), excluded)
+    shortest = usual.rest + 2.0 * usual.margin_least - 1e-9
+    return replace(found, rests=tuple(each for each in found.rests if each.lasts or each.stop - each.start >= shortest))
+
+
+def mean_so_far(reduction: Reduction, first: int, last: int) -> dict[str, tuple[float, float]]:
+    """Estimate how well the mean of a rest is known, from the noise in this rest alone.
+
+    Parameters
+    ----------
+    reduction
+        The reduction of the log so far.
+    first, last
+        Blocks first … last − 1 of its last file.
+
+    Returns
+    -------
+    dict
+        For "accel" and "gyro" the standard uncertainty of the mean, m/s² or rad/s, the largest of the channels, and the
+        same after twice the time. Without what does not exist, and while the rest is shorter than FEWEST_OF_MEAN.
+    """
+    out, file = dict[str, tuple[float, float]](), reduction.files[-1]
+    for kind, series in (("accel", file.accel), ("gyro", file.gyro)):
+        means = series.means[first:last]
+        if len(means) >= FEWEST_OF_MEAN and means.shape[1]:
+            noise = fit_coloured_noise([means])
+            now, twice = (float(np.sqrt(noise.variance_of_mean(k * len(means)).max())) for k in (1.0, 2.0))
+            out[kind] = now, twice
+    return out
 
 
 class RestStream:
@@ -110,15 +173,15 @@ class RestStream:
             segmentation = find_rests(reduction, self._accel, self._gyro)
         file, tuning = reduction.files[-1], segmentation.tuning
         count, lasting_since = len(file), float(file.edges[-1])
-        before, ended = list[RestSpan](), list[RestSpan]()
+        before, ended = list[Stretch](), list[Stretch]()
         for span in segmentation.rests:
             start = max(span.start, self._given_until)
             while span.stop - start >= LONGEST:
-                ended.append(RestSpan.between(file, start, start + LONGEST))
+                ended.append(Stretch.between(file, start, start + LONGEST))
                 start = self._given_until = ended[-1].stop
             over = finished or span.last < count - SETTLED
             if over and span.stop - start >= tuning.rest:
-                ended.append(RestSpan.between(file, start, span.stop))
+                ended.append(Stretch.between(file, start, span.stop))
                 self._given_until = ended[-1].stop
             elif not over:
                 lasting_since = min(lasting_since, start)
@@ -129,8 +192,7 @@ class RestStream:
         spans = tuple(sorted([*others, *ended], key=lambda span: span.first))
         out = list[Observations]()
         if ended:  # the noise is that of all rests of the window
-            match = Match(rests=spans, programme=None, position=None)
-            seen = observe(replace(reduction, samples=None), match, self._accel, self._gyro, self._site, ())
+            seen = observe(replace(reduction, samples=None), spans, self._accel, self._gyro, self._site, ())
             out = [seen.of_rest(spans.index(span)) for span in ended]
         if count >= WINDOW:
             first = max(min(lasting_since - BEFORE_REST, float(file.edges[count - CARRIED])), self._given_until)

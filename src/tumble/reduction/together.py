@@ -1,8 +1,8 @@
-"""Several sessions as one: their rests and turns one after the other, and a long rest in parts while it warms.
+"""Several sessions as one, and long rests that warm, in parts.
 
-A rest is its mean reading at its mean temperature. One during which the temperature changes says how the sensors change
-with it once it is taken in parts. Nothing is turned between these, so that they are joined by turns of no duration,
-which leave the attitude as it is to HELD.
+The rests and turns of sessions follow each other. A rest is its mean reading at its mean temperature, so that one
+during which the temperature changes shows how the sensors change with it only once it is divided into parts. Nothing is
+turned between the parts: they are joined by turns of no duration, which leave the attitude as it is to HELD.
 """
 
 from __future__ import annotations
@@ -17,16 +17,15 @@ import numpy as np
 from tumble.reduction.blocks.reducer import Reduction
 from tumble.reduction.noise.rounding import Rounding
 from tumble.reduction.observations import Observations, Together
-from tumble.reduction.rests.matching import Match
 from tumble.reduction.rests.rests import Rests, rows_of
-from tumble.reduction.rests.segmentation import RestSpan
+from tumble.reduction.rests.segmentation import Segmentation, Stretch
 from tumble.reduction.rests.thermometer import Thermometers
 from tumble.reduction.rests.warming import warming_of
 from tumble.reduction.turns.turns import TurnReadings, Turns, TurnSamples
 from tumble.units import Array, IntArray
 
 WARMED = 1.0
-"""K: a rest whose temperature changes by more is taken in parts."""
+"""K: a rest whose temperature changes by more is divided."""
 SHORTEST_PART = 20.0
 """s: a shorter part has too few blocks for the noise of its mean."""
 MOST_PARTS = 60
@@ -35,36 +34,51 @@ HELD = 1e-6
 """rad an axis: what a support moves by from one part of a rest to the next."""
 
 
-def in_parts(reduction: Reduction, match: Match) -> tuple[Match, IntArray]:
-    """The rests of a match, those that warm in parts, and the number of the rest that each of these is of."""
-    by_file = reduction.by_file
-    spans: list[RestSpan] = []
-    number: list[int] = []
-    for i, span in enumerate(match.rests):
+def in_parts(reduction: Reduction, whole: Segmentation) -> tuple[Segmentation, IntArray]:
+    """Divide the rests that warm, a part for each WARMED.
+
+    Returns
+    -------
+    Segmentation
+        With the parts in place of the rests.
+    number
+        The number of the rest that each part (N,) belongs to.
+    """
+    by_file, spans, number = reduction.by_file, list[Stretch](), list[int]()
+    for i, span in enumerate(whole.rests):
         file = by_file[span.file]
         warmth = None if file.temperature is None else file.temperature[span.first : span.last]
-        count = 1
+        parts = 1
         if warmth is not None:
             tenths = [part.mean(axis=0) for part in np.array_split(warmth, min(10, len(warmth)))]
             change = max(warming_of(warmth), float(np.ptp(tenths, axis=0).max()))
             most = min(MOST_PARTS, int((span.stop - span.start) / SHORTEST_PART))
-            count = max(1, min(int(np.ceil(change / WARMED)), most))
-        for first, last in pairwise(np.linspace(span.first, span.last, count + 1).round().astype(int).tolist()):
+            parts = max(1, min(int(np.ceil(change / WARMED)), most))
+        for first, last in pairwise(np.linspace(span.first, span.last, parts + 1).round().astype(int).tolist()):
             edges = span.start if first == span.first else file.edges[first], file.edges[last]
             stop = span.stop if last == span.last else float(edges[1])
             spans.append(replace(span, first=first, last=last, start=float(edges[0]), stop=stop))
             number.append(i)
-    position = None if match.position is None else match.position[number]
-    return replace(match, rests=tuple(spans), position=position), np.array(number, dtype=np.int64)
+    position = None if whole.position is None else whole.position[number]
+    return replace(whole, rests=tuple(spans), position=position), np.array(number, dtype=np.int64)
 
 
 def joined(sessions: Sequence[Observations], names: Sequence[str], numbers: Sequence[IntArray]) -> Observations:
-    """The observations of several sessions of one device at one place as one; `numbers` are those of their rests."""
+    """Join the observations of several sessions of one device at one place.
+
+    Parameters
+    ----------
+    sessions
+        The observations of each session.
+    names
+        The name of each session.
+    numbers
+        For each session the numbers (N,) of its rests; parts of a rest have the same.
+    """
     counts = [len(each.rests) for each in sessions]
     rests, turns, readings = list[Rests](), list[Turns](), list[TurnReadings]()
-    turning: list[tuple[int, TurnSamples]] = []
-    records: dict[int, tuple[float, Array]] = {}
-    rounding: dict[str, Rounding] = {}  # that of the first session which has it, by kind of sensor
+    samples, records = list[tuple[int, TurnSamples]](), dict[int, tuple[float, Array]]()
+    rounding = dict[str, Rounding]()  # by kind of sensor, from the first session which has it
     files_before = rests_before = turns_before = 0
     for each, count in zip(sessions, counts, strict=True):
         files = each.thermometers.files if each.thermometers is not None else {}
@@ -75,7 +89,7 @@ def joined(sessions: Sequence[Observations], names: Sequence[str], numbers: Sequ
             first, last = each.turns.first + rests_before, each.turns.last + rests_before
             turns.append(replace(each.turns, first=first, last=last))
             if each.turn_samples is not None:
-                turning.append((turns_before, each.turn_samples))
+                samples.append((turns_before, each.turn_samples))
                 turns_before += len(each.turns)
         if each.turn_readings is not None:
             readings.append(each.turn_readings)
@@ -86,7 +100,7 @@ def joined(sessions: Sequence[Observations], names: Sequence[str], numbers: Sequ
         sessions[0],
         rests=replace(_stacked(rests), magnetometer=None, magnetometer_covariance=None),
         turns=_stacked(turns) if turns else None,
-        turn_samples=replace(turning[0][1], others=tuple(turning[1:]), _kept=[]) if turning else None,
+        turn_samples=replace(samples[0][1], others=tuple(samples[1:]), _kept=[]) if samples else None,
         turn_readings=_stacked(readings) if readings else None,
         arrays=tuple(moments for each in sessions for moments in each.arrays),
         programme=None,
@@ -108,27 +122,27 @@ def _stacked(parts: Sequence[_Arrays]) -> _Arrays:
 
 
 def apart(observations: Observations, rests: slice, turns: slice) -> Observations:
-    """Those of one of several sessions that were joined, its rests and turns being these."""
+    """Take one session with these rests and turns out of the observations of several that were joined."""
     together, samples, readings = observations.together, observations.turn_samples, observations.turn_readings
     assert together is not None
-    some = None
+    its_turns = None
     if observations.turns is not None and turns.stop > turns.start:
-        some = rows_of(observations.turns, turns)
-        some = replace(some, first=some.first - rests.start, last=some.last - rests.start)
+        its_turns = rows_of(observations.turns, turns)
+        its_turns = replace(its_turns, first=its_turns.first - rests.start, last=its_turns.last - rests.start)
     if samples is not None:  # of the session whose turns begin with this one
         samples = ({0: replace(samples, others=(), _kept=[])} | dict(samples.others)).get(turns.start)
     return replace(
         observations,
         rests=rows_of(observations.rests, rests),
-        turns=some,
-        turn_samples=None if some is None else samples,
-        turn_readings=None if some is None or readings is None else rows_of(readings, turns),
+        turns=its_turns,
+        turn_samples=None if its_turns is None else samples,
+        turn_readings=None if its_turns is None or readings is None else rows_of(readings, turns),
         together=replace(together, session=together.session[rests], number=together.number[rests]),
     )
 
 
 def held(observations: Observations) -> Observations:
-    """The same with turns of no duration that leave the attitude as it is to HELD."""
+    """Observations whose turns of no duration leave the attitude as it is to HELD."""
     turns = observations.turns
     if turns is None:
         return observations

@@ -13,22 +13,21 @@ import numpy as np
 
 from tumble.errors import CalibrationError
 from tumble.inference.estimate import Fit, Judgement, Outcome
-from tumble.result.calibration import Calibration
 from tumble.result.evidence import Evidence
 from tumble.result.parts import Launch
-from tumble.sensors.model import SensorKind, SensorModel
+from tumble.result.record import AnyCalibration, CalibrationData
+from tumble.sensors.model import WORDS, SensorKind, SensorModel
 from tumble.sensors.parameters import sensor_kind
 
 _Value = TypeVar("_Value")
 
-WORDS: Mapping[SensorKind, str] = {"accel": "accelerometers", "gyro": "gyros"}
 _FITS: Mapping[SensorKind, tuple[str, ...]] = {
     "accel": ("accelerometers", "velocities of turns"),
     "gyro": ("gyro rests", "gyro turns"),
 }
 
 
-def accepted_part(calibration: Calibration, name: str | None = None) -> Calibration:
+def accepted_part(calibration: AnyCalibration, name: str | None = None) -> AnyCalibration:
     """A calibration that is accepted, or that of its accelerometers or its gyros alone, where these are. Raises
     CalibrationError where neither is, in which the calibration is called `name`."""
     if calibration.outcome.accepted:
@@ -42,29 +41,29 @@ def accepted_part(calibration: Calibration, name: str | None = None) -> Calibrat
     return _alone(calibration, kinds[0])
 
 
-def accepted_kinds(calibration: Calibration) -> tuple[SensorKind, ...]:
+def accepted_kinds(calibration: CalibrationData) -> tuple[SensorKind, ...]:
     """The kinds of sensors that a calibration has and whose values may be used."""
     outcome = calibration.outcome
-    known: tuple[tuple[SensorKind, SensorModel | None, Judgement], ...] = (
+    judged: tuple[tuple[SensorKind, SensorModel | None, Judgement], ...] = (
         ("accel", calibration.accel, outcome.accel),
         ("gyro", calibration.gyro, outcome.gyro),
     )
-    return tuple(kind for kind, model, judgement in known if model is not None and judgement.accepted)
+    return tuple(kind for kind, model, judgement in judged if model is not None and judgement.accepted)
 
 
-def accepted_accelerometers(calibration: Calibration, wanted_by: str) -> Calibration:
+def accepted_accelerometers(calibration: AnyCalibration, wanted_by: str) -> AnyCalibration:
     """The accepted part of a calibration, which has accelerometers. Raises CalibrationError otherwise, for what they
     are `wanted_by`."""
     part = accepted_part(calibration)
     if part.accel is None:
-        found = "; ".join(part.provenance.absent) or "none of accelerometers"
+        why = "; ".join(part.provenance.absent) or "none of accelerometers"
         raise CalibrationError(
-            f"calibration of {part.serial!r}: expected accepted accelerometers, by which {wanted_by}, found {found}"
+            f"calibration of {part.serial!r}: expected accepted accelerometers, by which {wanted_by}, found {why}"
         )
     return part
 
 
-def _alone(calibration: Calibration, kind: SensorKind) -> Calibration:
+def _alone(calibration: AnyCalibration, kind: SensorKind) -> AnyCalibration:
     """The sensors of one kind, with what belongs to no kind."""
     other: SensorKind = "gyro" if kind == "accel" else "accel"
     outcome, prediction = calibration.outcome, calibration.prediction
@@ -75,11 +74,11 @@ def _alone(calibration: Calibration, kind: SensorKind) -> Calibration:
     def of_kind(by_kind: Mapping[str, _Value]) -> dict[str, _Value]:
         return {name: value for name, value in by_kind.items() if name != other}
 
-    def estimates(result: Calibration | Launch) -> dict[str, Any]:
-        at = [i for i, p in enumerate(result.parameters) if sensor_kind(p.name) != other]
+    def estimates(result: CalibrationData | Launch) -> dict[str, Any]:
+        kept = [i for i, p in enumerate(result.parameters) if sensor_kind(p.name) != other]
         return {
-            "parameters": tuple(result.parameters[i] for i in at),
-            "covariance": None if result.covariance is None else result.covariance[np.ix_(at, at)],
+            "parameters": tuple(result.parameters[i] for i in kept),
+            "covariance": None if result.covariance is None else result.covariance[np.ix_(kept, kept)],
         }
 
     def fits(result: Evidence | Launch) -> dict[str, Fit]:

@@ -13,31 +13,71 @@ delays need the motion and are not in it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from tumble.result.accepted import accepted_kinds
-from tumble.result.calibration import Calibration
 from tumble.result.linear_fit import errors_left, linear_model
-from tumble.result.temperature_curves import changing, coefficients, references
+from tumble.result.record import CalibrationData
+from tumble.result.temperature_curves import changing
 from tumble.sensors.compensation import FIXED_POINT_STEPS, Compensator
 from tumble.sensors.instrument import is_linear
-from tumble.sensors.model import SensorKind, SensorModel
+from tumble.sensors.model import UNITS, SensorKind, SensorModel
 from tumble.sensors.parameters import FORCE, OWN_CUBE, OWN_SIZE, PRODUCTS
 from tumble.units import Array
 
-_SYMBOLS: dict[SensorKind, tuple[str, str, tuple[float, ...]]] = {
-    "accel": ("f", "m/s^2", (0.5, -1.0, 9.7)),
-    "gyro": ("w", "rad/s", (0.1, -0.2, 0.3)),
-}
-"""Of each kind the symbol of its vector, its unit, and the vector near which the example is."""
+_SYMBOLS: dict[SensorKind, str] = {"accel": "f", "gyro": "w"}
+"""The symbol of the vector of each kind."""
+_EXAMPLES = {"accel": (0.5, -1.0, 9.7), "gyro": (0.1, -0.2, 0.3), "mag": (0.4, -0.2, 0.3)}
+"""True vectors near which the examples are, SI or in the unit of the field."""
 _TERMS = {
     "quadratic": "quadratic · ({0}x², {0}x {0}y, {0}x {0}z, {0}y², {0}y {0}z, {0}z²)",
     "cubic": "cubic s³",
     "asymmetry": "asymmetry |s|",
     "by_force": "by_force · f",
 }
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Example:
+    """A reading (n,), the true vector (3,) that it is corrected to, and the specific force (3,) in which gyros read it,
+    all SI."""
+
+    reading: Array
+    true: Array
+    force: Array
+
+
+def linear_example(kind: str, model: SensorModel) -> Example:
+    """A reading of six decimals, and what matrix and bias alone make of it."""
+    reading = np.round(model.predict(np.array(_EXAMPLES[kind])), 6)
+    return Example(reading=reading, true=model.apply(reading), force=np.zeros(3))
+
+
+def examples(compensator: Compensator, kinds: Sequence[SensorKind], warmer: float = 0.0) -> dict[SensorKind, Example]:
+    """Readings of six decimals of these kinds of sensors, and what the whole correction makes of them.
+
+    Parameters
+    ----------
+    compensator
+        The correction.
+    kinds
+        "accel" before "gyro", whose example is in the force of that of the accelerometers, or in none without them.
+    warmer
+        Temperature of the sensors above their references, K.
+    """
+    out, force = dict[SensorKind, Example](), np.zeros((1, 3))
+    for kind in kinds:
+        reading, celsius = linear_example(kind, compensator.model(kind)).reading, compensator.reference(kind) + warmer
+        if kind == "accel":
+            true = force = compensator.force(reading[None], celsius)
+        else:
+            true = compensator.rate(reading[None], force, celsius)
+        out[kind] = Example(reading=reading, true=true[0], force=force[0])
+    return out
 
 
 def beyond_linear(compensator: Compensator, kind: SensorKind) -> dict[str, Array]:
@@ -52,12 +92,12 @@ def beyond_linear(compensator: Compensator, kind: SensorKind) -> dict[str, Array
     return tables | ({"by_force": K[:, FORCE]} if np.any(K[:, FORCE]) else {})
 
 
-def over_temperature(calibration: Calibration, kind: SensorKind, model: SensorModel) -> dict[str, Array]:
+def over_temperature(compensator: Compensator, kind: SensorKind) -> dict[str, Array]:
     """What changes with temperature of the sensors of a kind, by name, a number a sensor."""
-    bias, scale = (coefficients(calibration, kind, what) for what in ("bias", "scale"))
-    scale = scale / np.linalg.norm(model.matrix, axis=1)[:, None]
+    bias, scale = (compensator.changes(kind, what) for what in ("bias", "scale"))
+    scale = scale / np.linalg.norm(compensator.model(kind).matrix, axis=1)[:, None]
     return {
-        "reference": references(calibration, kind),
+        "reference": compensator.reference(kind),
         "bias_slope": bias[:, 0],
         "bias_curve": bias[:, 1],
         "scale_slope": scale[:, 0],
@@ -65,14 +105,15 @@ def over_temperature(calibration: Calibration, kind: SensorKind, model: SensorMo
     }
 
 
-def correction_content(calibration: Calibration) -> dict[str, Any]:
+def correction_content(calibration: CalibrationData) -> dict[str, Any]:
     """The correction of the accepted sensors of a calibration, by kind, for its file: `formula` with its numbers, an
     `example`, and where the formula is not linear the `linear` one that fits it best, with the errors it leaves."""
-    out: dict[str, Any] = {}
-    felt, compensator = np.zeros((1, 3)), calibration.compensator if accepted_kinds(calibration) else None
-    for kind in accepted_kinds(calibration):
-        assert compensator is not None
-        symbol, unit, near = _SYMBOLS[kind]
+    out, kinds = dict[str, Any](), accepted_kinds(calibration)
+    if not kinds:
+        return out
+    compensator = calibration.compensator
+    for kind, worked in examples(compensator, kinds).items():
+        symbol = _SYMBOLS[kind]
         model = compensator.model(kind)
         tables = {"bias": model.bias, "inverse": model.inverse()} | beyond_linear(compensator, kind)
         terms = [words.format(symbol) for name, words in _TERMS.items() if np.any(tables.get(name, 0.0))]
@@ -82,18 +123,15 @@ def correction_content(calibration: Calibration) -> dict[str, Any]:
             formula += f", {FIXED_POINT_STEPS + 1} times from terms = 0, terms = {' + '.join(terms)}"
             formula += ", s = axis · " + symbol if {"cubic", "asymmetry"} & tables.keys() else ""
         if changing(calibration) and compensator.warm:
-            tables |= over_temperature(calibration, kind, model)
+            tables |= over_temperature(compensator, kind)
             formula += (
                 "; at d = T − reference, °C: bias + d (bias_slope + d bias_curve), and what stands in the brackets is "
                 "divided by 1 + d (scale_slope + d scale_curve)"
             )
-        reading = model.predict(np.array(near)).round(6)[None]
-        true = compensator.force(reading) if kind == "accel" else compensator.rate(reading, felt)
-        content = {"formula": formula, "unit": unit} | {name: table.tolist() for name, table in tables.items()}
-        example = {"y": reading[0].tolist(), symbol: true[0].tolist()}
+        content = {"formula": formula, "unit": UNITS[kind]} | {name: table.tolist() for name, table in tables.items()}
+        example = {"y": worked.reading.tolist(), symbol: worked.true.tolist()}
         if "by_force" in tables:
-            example["f"] = felt[0].tolist()
-        felt = true if kind == "accel" else felt
+            example["f"] = worked.force.tolist()
         out[kind] = content | {"example": example}
         if terms:
             best = linear_model(calibration, kind)

@@ -7,24 +7,19 @@ other frames, `uncertainty_budget` says what u is made of.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from importlib import import_module
-from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import numpy.typing as npt
-from pydantic import AfterValidator, Field
 
 from tumble.arguments import checked
 from tumble.errors import InputError, MissingExtraError
 from tumble.files import FilePath
-from tumble.inference.estimate import GroupFinding
-from tumble.inference.prediction import Prediction
-from tumble.recording.session import AutopilotSensor
+from tumble.result.correction import corrected_readings
 from tumble.result.coverage import with_degrees
 from tumble.result.evidence import Evidence, Provenance
 from tumble.result.file import (
@@ -37,22 +32,12 @@ from tumble.result.file import (
     text_of_calibration,
     write_calibration,
 )
+from tumble.result.frames import calibration_in
 from tumble.result.parts import (
-    MOST_PARAMETERS,
-    CalibratedDevice,
-    CalibratedTemperature,
-    Covariance,
-    Judged,
-    Launch,
-    Name,
-    Parameter,
-    Parameters,
-    Sensors,
     checked_result,
-    checked_sizes,
 )
+from tumble.result.record import CalibrationData
 from tumble.result.uncertainty_budget import BudgetLine, uncertainty_budget
-from tumble.sensors.compensation import Compensator
 from tumble.sensors.model import SensorKind
 from tumble.units import Array
 
@@ -64,19 +49,8 @@ if TYPE_CHECKING:
     from tumble.recording.arrays import Temperatures
 
 
-def _of_unit_length(axis: tuple[float, ...]) -> tuple[float, ...]:
-    if not abs(float(np.linalg.norm(axis)) - 1.0) < 1e-6:
-        raise ValueError("expected a unit vector, found one of another length")
-    return axis
-
-
-_Direction = Annotated[tuple[float, ...], Field(min_length=3, max_length=3), AfterValidator(_of_unit_length)]
-SensingAxes = tuple[_Direction, ...]
-"""Sensing directions, a row a sensor."""
-
-
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
-class Calibration(Mapping[str, Parameter]):
+class Calibration(CalibrationData):
     """Calibration of one device: a mapping from the names of its parameters to the parameters.
 
     Two calibrations are equal if their files are.
@@ -109,110 +83,15 @@ class Calibration(Mapping[str, Parameter]):
         Rests, turns, fits, budget and launches behind the parameters.
     provenance : Provenance
         Recording and software that it comes from.
+    serial, model : str, and str or None
+        Serial number and type of the device.
+    reference_temperature : float or None
+        °C, at which parameters that change with temperature have their values; of several thermometers the mean.
+    temperature_range : (float, float) or None
+        The lowest and the highest temperature, °C, that the rests of all launches have of every sensor.
+    compensator : Compensator
+        What corrects readings, also of sensors that are not accepted.
     """
-
-    device: CalibratedDevice
-    method: Name
-    frame: Name
-    parameters: Parameters
-    covariance: Covariance | None
-    accel: Sensors | None
-    gyro: Sensors | None
-    mag: Sensors | None = None
-    outcome: Judged
-    groups: Annotated[
-        tuple[Annotated[GroupFinding, checked_sizes("prior", "prior_widened")], ...], Field(max_length=MOST_PARAMETERS)
-    ] = ()
-    prediction: Annotated[Prediction, checked_sizes("force_u", "rate_u")] | None = None
-    axes: Mapping[str, SensingAxes] = field(default_factory=dict)
-    temperature: CalibratedTemperature = field(default_factory=CalibratedTemperature)
-    evidence: Evidence = field(default_factory=Evidence)
-    provenance: Provenance = field(default_factory=Provenance)
-
-    @property
-    def serial(self) -> str:
-        """The serial number of the device."""
-        return self.device.serial
-
-    @property
-    def model(self) -> str | None:
-        """The type of the device."""
-        return self.device.model
-
-    @property
-    def imu(self) -> Mapping[str, AutopilotSensor]:
-        """Which "accel" and "gyro" of an autopilot were recorded, where they are of one."""
-        return self.device.imu
-
-    @property
-    def reference_temperature(self) -> float | None:
-        """°C, at which parameters that change with temperature have their values; of several thermometers the mean."""
-        return self.temperature.reference
-
-    @property
-    def compensator(self) -> Compensator:
-        """What corrects readings: the whole model. Gyros alone feel the specific force of accelerometers as they are.
-        Raises CalibrationError without any sensors."""
-        from tumble.result.correction import compensator_of
-
-        return compensator_of(self)
-
-    @property
-    def temperature_range(self) -> tuple[float, float] | None:
-        """The lowest and the highest temperature, °C, that the rests of all launches have of every sensor; None where
-        they have none."""
-        every = chain(self.evidence.rests, *(launch.rests for launch in self.evidence.launches))
-        by_sensor = list(zip(*(rest.temperatures for rest in every if rest.temperature is not None), strict=False))
-        if not by_sensor:
-            return self.temperature.range
-        low, high = max(map(min, by_sensor)), min(map(max, by_sensor))
-        return (low, high) if low <= high else None
-
-    def as_launch(self, session: str) -> Launch:
-        """This calibration of one session as one of the launches behind a mean, with the name of the session."""
-        return Launch(
-            session=session,
-            log_sha256=self.provenance.log_sha256 or "",
-            parameters=self.parameters,
-            covariance=self.covariance,
-            site=self.provenance.site,
-            circumstances=self.provenance.circumstances,
-            rests=self.evidence.rests,
-            turns=self.evidence.turns,
-            fits=self.evidence.fits,
-        )
-
-    def covariance_of(self, names: Sequence[str]) -> Array | None:
-        """The covariance (m, m) of the parameters of these names; None where there is none."""
-        if self.covariance is None:
-            return None
-        order = list(self)
-        chosen = [order.index(name) for name in names]
-        return np.asarray(self.covariance[np.ix_(chosen, chosen)])
-
-    def __getitem__(self, name: str) -> Parameter:
-        """The parameter of that name. Raises KeyError, which says of a calibration without any why it has none."""
-        for parameter in self.parameters:
-            if parameter.name == name:
-                return parameter
-        names = ", ".join(self)
-        raise KeyError(
-            f"no parameter {name!r}; there are {names}"
-            if names
-            else f"no parameter {name!r}: not calibrated: {'; '.join(self.outcome.reasons)}"
-        )
-
-    def __iter__(self) -> Iterator[str]:
-        """The names of the parameters."""
-        return (parameter.name for parameter in self.parameters)
-
-    def __len__(self) -> int:
-        """How many parameters there are."""
-        return len(self.parameters)
-
-    def __bool__(self) -> bool:
-        """True, also without parameters."""
-        return True
 
     def __eq__(self, other: object) -> bool:
         """Whether the calibration files of both are the same."""
@@ -320,8 +199,6 @@ class Calibration(Mapping[str, Parameter]):
             For another number of sensors, numbers that are not finite, intervals that are not positive, columns of a
             frame in another unit, and temperatures that are not in kelvin.
         """
-        from tumble.result.correction import corrected_readings
-
         return corrected_readings(self, accel, gyro, dt=dt, temperature=temperature)
 
     def in_frame(self, frame: str) -> Calibration:
@@ -340,8 +217,6 @@ class Calibration(Mapping[str, Parameter]):
         CalibrationError
             If a parameter of accelerometers or gyros is missing, or if there are more than three of them.
         """
-        from tumble.result.frames import calibration_in
-
         return calibration_in(self, frame)
 
     def write(self, path: FilePath, *, force: bool = False) -> None:
@@ -376,7 +251,17 @@ _COLUMNS = ("name", "value", "u", "unit", "deviation", "run_to_run", "k", "dof",
 
 @checked
 def read_calibration(path: FilePath) -> Calibration:
-    """Read a calibration file, as `Calibration.write` writes it.
+    """Read a calibration file.
+
+    Parameters
+    ----------
+    path
+        The file, as `Calibration.write` writes it.
+
+    Returns
+    -------
+    Calibration
+        The calibration.
 
     Raises
     ------

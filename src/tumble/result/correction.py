@@ -1,93 +1,26 @@
-"""True vectors of readings by the whole model: of samples and of increments.
+"""The correction of a calibration, Eq. (1) of `tumble.result.applied_correction`, as `Compensator` computes it.
 
-A linear model is solved at once; what is beyond it by `Compensator`. Increments are divided by their interval,
-corrected and multiplied again: the mean over an interval is taken for what the sensor felt in all of it.
+Increments are divided by their interval, corrected and multiplied again: the mean over an interval is taken for what
+the sensor felt in all of it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from contextlib import suppress
-from itertools import chain
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
 
 import numpy as np
 import numpy.typing as npt
 
 from tumble.errors import CalibrationError, InputError
 from tumble.recording.arrays import Temperatures, celsius_of, check_kinds, numbers_of
+from tumble.result.record import CalibrationData
 from tumble.sensors.compensation import Compensator
-from tumble.sensors.frames import triad_axes
-from tumble.sensors.model import Block, SensorKind, SensorModel
-from tumble.sensors.parameters import sensor_kind, within_group
+from tumble.sensors.model import Block
 from tumble.units import Array
-
-if TYPE_CHECKING:
-    from tumble.result.calibration import Calibration
-
-
-def compensator_of(calibration: Calibration) -> Compensator:
-    """What corrects readings, see `Calibration.compensator`."""
-    if calibration.accel is None and calibration.gyro is None:
-        raise CalibrationError("calibration: expected one with accelerometers or gyros, found none")
-    as_they_are = np.array(calibration.axes.get("accel", np.eye(3)))
-    perfect = SensorModel(matrix=as_they_are, bias=np.zeros(len(as_they_are)))
-    models = perfect if calibration.accel is None else calibration.accel, calibration.gyro
-    accel = _block(calibration, "accel", models[0])
-    gyro = None if models[1] is None else _block(calibration, "gyro", models[1])
-    values = {p.name: p.value for p in calibration.parameters if sensor_kind(p.name) != "mag"}
-    references = {str(block.kind): _references(calibration, block) for block in (accel, gyro) if block is not None}
-    known = references if calibration.reference_temperature is not None else {}
-    return Compensator.of((accel, gyro), models, values, known)
-
-
-def reference_of_parameter(calibration: Calibration, name: str) -> float:
-    """The temperature, °C, by the thermometer of its sensor, at which a parameter has its value; 0 where there is
-    none."""
-    kind, sensor = sensor_kind(name), within_group(name).partition(".")[0]
-    model, of_all = getattr(calibration, kind, None), calibration.reference_temperature or 0.0
-    if kind not in calibration.temperature.references or model is None:
-        return of_all
-    block = _block(calibration, "accel" if kind == "accel" else "gyro", model)
-    channel = dict(zip(block.sensors, block.channels.tolist(), strict=True)).get(sensor)
-    return of_all if channel is None else float(_references(calibration, block)[channel])
-
-
-def _references(calibration: Calibration, block: Block) -> Array:
-    """The reference temperature (n,), °C, of each channel of a block."""
-    of_all = block.size * (calibration.reference_temperature or 0.0,)
-    return np.array(calibration.temperature.references.get(block.kind, of_all))
-
-
-def _block(calibration: Calibration, kind: SensorKind, model: SensorModel) -> Block:
-    """The sensors of a kind with their thermometers; along the axes of their model where the nominal ones are not
-    known, those of a triad the body's."""
-    axes = model.matrix / np.linalg.norm(model.matrix, axis=1, keepdims=True)
-    if kind in calibration.axes:
-        axes = np.array(calibration.axes[kind])
-    elif len(model.bias) == 3:
-        with suppress(InputError):  # of three that are skew
-            axes = triad_axes(model.matrix)
-    columns = calibration.temperature.thermometers
-    numbers = {column: t for t, column in enumerate(dict.fromkeys(chain(*columns.values())))}
-    return Block(kind=kind, axes=axes, thermometers=tuple(numbers[column] for column in columns.get(kind, ())))
-
-
-def corrected(model: SensorModel, readings: Array, dt: Array | None = None) -> Array:
-    """True vectors (..., 3) of readings (..., n), SI; with the intervals `dt` (...), s, both are increments. What is
-    not finite stays so."""
-    with np.errstate(invalid="ignore", over="ignore"):
-        if dt is None:
-            return model.apply(readings)
-        offset = model.bias * np.asarray(dt)[..., None]
-        return np.asarray((readings - offset) @ model.inverse().T)
-
-
-# -------------------- readings that a user gives --------------------
 
 
 def corrected_readings(
-    calibration: Calibration,
+    calibration: CalibrationData,
     accel: npt.ArrayLike,
     gyro: npt.ArrayLike | None,
     *,
@@ -99,7 +32,7 @@ def corrected_readings(
     if not any(judged):
         reasons = "; ".join(calibration.outcome.reasons)
         raise CalibrationError(f"calibration: expected accepted accelerometers or gyros, found: {reasons}")
-    compensator = compensator_of(calibration)
+    compensator = calibration.compensator
 
     def checked(block: Block | None, kind: str, given: npt.ArrayLike) -> Array:
         """One number for each sensor and sample."""
@@ -114,28 +47,17 @@ def corrected_readings(
         return readings
 
     force_readings = checked(compensator.accel, "accel", accel)
-    shape, steps = force_readings.shape[:-1], None
+    shape, interval = force_readings.shape[:-1], np.ones(1)
     if dt is not None:  # an interval for each sample; one for all of them is repeated
         intervals = numbers_of("dt", dt)
         if intervals.shape not in ((), shape):
             raise InputError(f"dt: expected a number for each sample, {shape}, found the shape {intervals.shape}")
         if not (intervals > 0.0).all():
             raise InputError(f"dt: expected intervals above 0 s, found {intervals.min():g}")
-        steps = np.ravel(np.broadcast_to(intervals, shape))
-    celsius, interval = (
-        given_temperatures(temperature, compensator, shape),
-        np.ones(1) if steps is None else steps[:, None],
-    )
-
-    def true(kind: SensorKind, readings: Array, whole: Callable[[Array], Array]) -> Array:
-        """True vectors (N, 3) of readings (N, n), linear or by the `whole` model."""
-        if compensator.linear:
-            return corrected(compensator.model(kind), readings, steps)
-        return np.asarray(whole(readings / interval) * interval)
-
-    flat = force_readings.reshape(-1, compensator.accel.size)
-    force = true("accel", flat, lambda samples: compensator.force(samples, celsius["accel"]))
-    felt = np.full((*shape, 3), np.nan) if calibration.accel is None else force.reshape(*shape, 3)
+        interval = np.ravel(np.broadcast_to(intervals, shape))[:, None]
+    celsius = given_temperatures(temperature, compensator, shape)
+    force = compensator.force(force_readings.reshape(-1, compensator.accel.size) / interval, celsius["accel"])
+    felt = np.full((*shape, 3), np.nan) if calibration.accel is None else (force * interval).reshape(*shape, 3)
     if gyro is None:
         return felt, None
     rate_readings = checked(compensator.gyro, "gyro", gyro)
@@ -145,8 +67,8 @@ def corrected_readings(
             f"gyro readings: expected as many samples as of the accelerometers, {shape}, found the shape "
             f"{rate_readings.shape}"
         )
-    turned = rate_readings.reshape(-1, compensator.gyro.size)
-    rate = true("gyro", turned, lambda samples: compensator.rate(samples, force / interval, celsius["gyro"]))
+    turned = rate_readings.reshape(-1, compensator.gyro.size) / interval
+    rate = compensator.rate(turned, force, celsius["gyro"]) * interval
     return felt, rate.reshape(*rate_readings.shape[:-1], 3)
 
 

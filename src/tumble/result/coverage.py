@@ -28,18 +28,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import erfc, inf, sqrt
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
 
 from tumble.inference.estimate import Fit
+from tumble.recording.session import Site
 from tumble.result.parts import Parameter, coverage_factor, stated_factor
 from tumble.sensors.parameters import group_name, sensor_kind
 from tumble.units import Array
-
-if TYPE_CHECKING:
-    from tumble.recording.session import Site
 
 UNLEARNED = 1e-9
 """Of a variance: where what others do not share is so little, it is none."""
@@ -74,19 +71,19 @@ def expanded_of(u: float, degrees: float | None) -> float | None:
 
 def welch_satterthwaite(parts: Iterable[tuple[float, float | None]]) -> float | None:
     """Degrees of freedom of a sum of independent errors, from the variance and the degrees of each; None: known."""
-    found = list(parts)
-    of_variance = sum(variance**2 / degrees for variance, degrees in found if degrees is not None and degrees > 0.0)
-    total = sum(variance for variance, _ in found) ** 2
+    errors = list(parts)
+    of_variance = sum(variance**2 / degrees for variance, degrees in errors if degrees is not None and degrees > 0.0)
+    total = sum(variance for variance, _ in errors) ** 2
     return None if total >= MANY_DEGREES * of_variance else total / of_variance
 
 
 def apart(u: float | None, degrees: float | None, shared: Iterable[float]) -> tuple[float, float | None]:
     """Variance of a parameter of this u without the standard uncertainties that it shares, and its degrees of
     freedom."""
-    whole = (u or 0.0) ** 2
-    own = whole - sum(each**2 for each in shared)
-    own = own if own > UNLEARNED * whole else 0.0
-    return own, None if degrees is None or whole == 0.0 else degrees * (own / whole) ** 2
+    variance = (u or 0.0) ** 2
+    remaining = variance - sum(each**2 for each in shared)
+    remaining = remaining if remaining > UNLEARNED * variance else 0.0
+    return remaining, None if degrees is None or variance == 0.0 else degrees * (remaining / variance) ** 2
 
 
 def with_degrees(parameters: Iterable[Parameter], fits: Mapping[str, Fit]) -> tuple[Parameter, ...]:

@@ -97,8 +97,6 @@ class Provenance:
         Time of computing, ISO 8601.
     prior : str or None
         Devices of the same type whose calibrations served as prior.
-    calibrated_log_sha256 : str or None
-        SHA-256 of the log of the calibration that a field check updated.
     site : Site or None
         Place of the recording.
     sample_rate : float or None
@@ -123,7 +121,6 @@ class Provenance:
     software: str | None = None
     created: str | None = None
     prior: str | None = None
-    calibrated_log_sha256: str | None = None
     site: Place | None = None
     sample_rate: Positive | None = None
     clock_u: Size = 0.0

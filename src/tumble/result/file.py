@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, field, fields, make_dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_type_hints
+from typing import Any, Literal, get_type_hints
 
 import numpy as np
 from pydantic import ConfigDict, TypeAdapter, ValidationError
@@ -23,12 +23,11 @@ from tumble.documents import as_json, dotted, faults_of, is_plain, json_of, show
 from tumble.errors import CalibrationError, InputError
 from tumble.files import FilePath, whole_file
 from tumble.recording.session import Circumstances, sensors_content
+from tumble.result.applied_correction import correction_content
 from tumble.result.parts import LARGEST, Parameter
-from tumble.sensors.model import SensorModel
+from tumble.result.record import AnyCalibration, CalibrationData
+from tumble.sensors.model import UNITS, SensorModel
 from tumble.sensors.parameters import group_name, sensor_kind, within_group, within_kind
-
-if TYPE_CHECKING:
-    from tumble.result.calibration import Calibration
 
 FORMAT = 1
 LONGEST_TEXT = 10_000
@@ -41,7 +40,7 @@ KEYS = (
 """Keys of the file in their order; `circumstances` is written as "session"."""
 _SENTENCES = (("notes",), ("assumptions",), ("absent",))
 """Keys of sentences, which may have any characters; all other texts have those that do nothing."""
-ORIGIN = ("log_sha256", "software", "created", "prior", "calibrated_log_sha256")
+ORIGIN = ("log_sha256", "software", "created", "prior")
 """Fields of `Provenance` that the file has in its table "provenance"."""
 
 
@@ -74,12 +73,10 @@ def adapter_of(record: type) -> TypeAdapter[Any]:
 # -------------------- writing --------------------
 
 
-def content_of(calibration: Calibration) -> dict[str, Any]:
+def content_of(calibration: CalibrationData) -> dict[str, Any]:
     """What the calibration file holds, as JSON has it: beside the fields the correction, the range of temperatures that
     the rests have, the lags behind the thermometer, and with each sensor model its unit and the values of the groups
     beyond it."""
-    from tumble.result.applied_correction import correction_content
-
     values: dict[str, Any] = {"format": FORMAT}
     for part in (calibration, calibration.evidence, calibration.provenance):
         values |= {each.name: getattr(part, each.name) for each in fields(part)}
@@ -99,8 +96,7 @@ def content_of(calibration: Calibration) -> dict[str, Any]:
     warmth |= {"lag": lags} if lags else {}
     content["temperature"] = {key: value for key, value in warmth.items() if value != {}}
     content["device"] = {key: value for key, value in content["device"].items() if value != {}}
-    units = {"accel": "m/s^2", "gyro": "rad/s", "mag": calibration["mag.bias.x"].unit if calibration.mag else ""}
-    for kind, unit in units.items():
+    for kind, unit in (*UNITS.items(), ("mag", calibration["mag.bias.x"].unit if calibration.mag else "")):
         if content[kind] is not None:
             content[kind]["unit"] = unit
             for group in calibration.groups:
@@ -134,12 +130,12 @@ _AS_TABLES: Mapping[type, Callable[[Any], Any]] = {
 """Parts that stand in the file otherwise than as their fields."""
 
 
-def text_of_calibration(calibration: Calibration) -> str:
+def text_of_calibration(calibration: CalibrationData) -> str:
     """The text of the calibration file."""
     return json.dumps(content_of(calibration), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
-def write_calibration(calibration: Calibration, path: FilePath, *, force: bool = False) -> None:
+def write_calibration(calibration: CalibrationData, path: FilePath, *, force: bool = False) -> None:
     """Write the calibration file, see `Calibration.write`."""
     path = Path(path)
     if path.exists():
@@ -161,7 +157,7 @@ def write_calibration(calibration: Calibration, path: FilePath, *, force: bool =
         raise CalibrationError(f"{path}: cannot be written: {error.strerror}; choose another --out") from error
 
 
-def _check_replaceable(new: Calibration, path: Path, force: bool) -> None:
+def _check_replaceable(new: CalibrationData, path: Path, force: bool) -> None:
     try:
         old = json_of(text_of_document(path))
         same = old["method"] == new.method and old["provenance"]["log_sha256"] == new.provenance.log_sha256
@@ -185,7 +181,7 @@ def text_of(path: Path) -> str:
     return text_of_document(path, CalibrationError)
 
 
-def parsed(record: type, text: str, name: str, build: Callable[[Any], Calibration]) -> Calibration:
+def parsed(record: type, text: str, name: str, build: Callable[[Any], AnyCalibration]) -> AnyCalibration:
     """Read a calibration.
 
     Parameters

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tumble.errors import CalibrationError, InputError
 from tumble.result.coverage import degrees_through
 from tumble.result.parts import Launch, Parameter, learned_fraction
+from tumble.result.record import AnyCalibration, CalibrationData
 from tumble.sensors.frames import Frame, Framed, carried_further, convert, frame_of, triad_axes
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import LINEAR, group_name, sensor_kind
 from tumble.units import Array
-
-if TYPE_CHECKING:
-    from tumble.result.calibration import Calibration
 
 _VARIABLES = ("time", "temperature", "temperature²")
 _LINEAR = frozenset(group.name for group in LINEAR)
@@ -84,7 +81,7 @@ def turned(
     return Turned(framed=framed, carry=carry, parameters=linear + after, covariance=covariance)
 
 
-def calibration_in(calibration: Calibration, frame: str) -> Calibration:
+def calibration_in(calibration: AnyCalibration, frame: str) -> AnyCalibration:
     """A calibration in another frame, see `Calibration.in_frame`."""
     if frame == calibration.frame:
         return calibration
@@ -94,7 +91,7 @@ def calibration_in(calibration: Calibration, frame: str) -> Calibration:
     if missing or calibration.accel is None:
         raise CalibrationError(f"frame {frame!r}: expected all parameters, found {', '.join(missing)} missing")
 
-    def in_frame(result: Calibration | Launch) -> Turned:
+    def in_frame(result: CalibrationData | Launch) -> Turned:
         return turned((accel, gyro), frames, result.parameters, result.covariance)
 
     try:

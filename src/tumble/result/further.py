@@ -19,6 +19,7 @@ from tumble.result.coverage import without_expanded
 from tumble.result.evidence import Evidence
 from tumble.result.linear_fit import errors_left
 from tumble.result.parts import Launch, Parameter
+from tumble.sensors.model import WORDS
 from tumble.sensors.parameters import beyond_linear, group_name, named_group, sensor_kind, shown_in
 from tumble.units import Array, engineering, two_digits
 
@@ -35,7 +36,6 @@ NOTHING = 1e-9
 UNSEEN = 0.05
 """A scatter could be there unseen where chance would hide it in more than this part of all sessions."""
 SENSORS = {"accel": "accelerometer", "gyro": "gyro", "mag": "magnetometer"}
-KINDS = {"accel": "accelerometers", "gyro": "gyros", "mag": "magnetometer"}
 _NAME = re.compile(
     r"(?P<kind>accel|gyro|mag)\.(?:axis\.(?P<pair>[xyz]{2})|(?P<what>bias|scale|axis)\."
     r"(?:(?P<letter>[xyz])|(?P<number>\d+))(?:\.(?P<angle>[12]))?)"
@@ -62,15 +62,15 @@ class GroupLine:
 
 def described(name: str) -> str:
     """A parameter in words: "X accelerometer, bias", "angle of the Y accelerometer towards X"."""
-    found = _NAME.fullmatch(name)
-    if found is None:
+    match = _NAME.fullmatch(name)
+    if match is None:
         return ""
-    block = SENSORS[found["kind"]]
-    if found["pair"]:
-        return f"{found['pair'][0].upper()} {block}, axis towards {found['pair'][1].upper()}"
-    sensor = f"{block} {found['number']}" if found["number"] else f"{found['letter'].upper()} {block}"
-    said = {"bias": "bias", "scale": "scale-factor error", "axis": f"axis angle {found['angle']}"}
-    return f"{sensor}, {said[found['what']]}"
+    block = SENSORS[match["kind"]]
+    if match["pair"]:
+        return f"{match['pair'][0].upper()} {block}, axis towards {match['pair'][1].upper()}"
+    sensor = f"{block} {match['number']}" if match["number"] else f"{match['letter'].upper()} {block}"
+    words = {"bias": "bias", "scale": "scale-factor error", "axis": f"axis angle {match['angle']}"}
+    return f"{sensor}, {words[match['what']]}"
 
 
 def linear_parameters(parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
@@ -96,16 +96,16 @@ def group_lines(calibration: Calibration) -> tuple[GroupLine, ...]:
     findings, lines = {group.name: group for group in calibration.groups}, []
     silent: dict[str, list[Parameter]] = {name: [] for name in findings}
     for name, members in (silent | by_group(further_parameters(calibration.parameters))).items():
-        found, entry = findings.get(name), named_group(name)
+        finding, entry = findings.get(name), named_group(name)
         largest = max(members, key=lambda p: abs(p.value), default=None)
-        learned = found.learned if found is not None else [p.learned for p in members if p.learned is not None]
-        prior = found.prior if found is not None else next((p.prior for p in members if p.prior), None)
+        learned = finding.learned if finding is not None else [p.learned for p in members if p.learned is not None]
+        prior = finding.prior if finding is not None else next((p.prior for p in members if p.prior), None)
         unit = largest.unit if largest is not None else entry.unit if entry is not None else ""
         size, shown = shown_in(name, unit, abs(largest.value) if largest is not None else prior or 0.0)
         ends = [f"{100.0 * end(learned):.0f}" for end in (min, max)] if learned and largest is not None else []
         remark = "not determined" if largest is None else ""
-        if largest is not None and found is not None and found.prior_widened > WIDENED:
-            remark = f"prior widened {found.prior_widened:.2g}×"
+        if largest is not None and finding is not None and finding.prior_widened > WIDENED:
+            remark = f"prior widened {finding.prior_widened:.2g}×"
         lines.append(
             GroupLine(
                 name=name,
@@ -125,13 +125,13 @@ def group_lines(calibration: Calibration) -> tuple[GroupLine, ...]:
 def predicted(prediction: Prediction) -> str:
     """What corrected readings are known to, in a line."""
     size, unit = engineering("m/s^2", prediction.force_u)
-    said = f"corrected specific force at 1 g: u {two_digits(prediction.force_u / size)} {unit}"
+    sentence = f"corrected specific force at 1 g: u {two_digits(prediction.force_u / size)} {unit}"
     if prediction.rate_u is None or prediction.at_rate is None:
-        return said
+        return sentence
     size, unit = engineering("rad/s", prediction.rate_u)
     turned, per = engineering("rad/s", prediction.at_rate)
     rate, u = two_digits(prediction.at_rate / turned), two_digits(prediction.rate_u / size)
-    return f"{said}; corrected rate at {rate} {per}: u {u} {unit}"
+    return f"{sentence}; corrected rate at {rate} {per}: u {u} {unit}"
 
 
 def decided_by_priors(calibration: Calibration) -> str | None:
@@ -167,8 +167,8 @@ def verdicts(calibration: Calibration) -> tuple[str, ...]:
 
 def accepted_groups(calibration: Calibration) -> tuple[str, ...]:
     """The groups of parameters whose values may be used, of kinds of sensors that are not accepted as a whole."""
-    outcome, known = calibration.outcome, {group_name(p.name) for p in calibration.parameters}
-    spared = (name for name, judgement in outcome.groups.items() if judgement and name in known)
+    outcome, groups = calibration.outcome, {group_name(p.name) for p in calibration.parameters}
+    spared = (name for name, judgement in outcome.groups.items() if judgement and name in groups)
     return tuple(name for name in spared if not outcome.of(sensor_kind(name)))
 
 
@@ -190,13 +190,13 @@ def rests_said(recorded: Evidence | Launch) -> str:
     rms = sqrt(sum(rest.residual**2 for rest in rests) / len(rests))
     worst = max(range(len(rests)), key=[abs(rest.residual) for rest in rests].__getitem__)
     size, unit = engineering("m/s^2", rms)
-    said = (
+    sentence = (
         f"{len(rests)} rests: corrected readings miss g by {rms / size:.3g} {unit} (rms), at most by "
         f"{abs(rests[worst].residual) / size:.3g} {unit} (rest {worst + 1})"
     )
     if not turns:
-        return said
-    return f"{said}; {len(turns)} turns, the worst {max(turn.sigmas for turn in turns):z.1f} sigma from the fit"
+        return sentence
+    return f"{sentence}; {len(turns)} turns, the worst {max(turn.sigmas for turn in turns):z.1f} sigma from the fit"
 
 
 def checked(fit: Fit) -> bool:
@@ -216,8 +216,8 @@ def left_by_matrix(calibration: Calibration) -> str:
     there are no accelerometers."""
     if calibration.accel is None or calibration.compensator.linear:
         return ""
-    known = calibration.prediction
-    at_rate = None if calibration.gyro is None or known is None else known.at_rate
+    prediction = calibration.prediction
+    at_rate = None if calibration.gyro is None or prediction is None else prediction.at_rate
     force = errors_left(calibration, "accel", calibration.accel.apply)
     rate = np.zeros(1)
     if calibration.gyro is not None and at_rate is not None:
@@ -225,16 +225,16 @@ def left_by_matrix(calibration: Calibration) -> str:
     if max(force.max(), rate.max()) < NOTHING:
         return "with matrix and bias alone: exact at the reference temperature"
 
-    def shown(unit: str, left: Array) -> str:
-        size, per = engineering(unit, float(left.max()))
-        rms = float(np.sqrt(np.mean(left**2)))
-        return f"up to {two_digits(float(left.max()) / size)} {per} (rms {two_digits(rms / size)} {per})"
+    def shown(unit: str, errors: Array) -> str:
+        size, per = engineering(unit, float(errors.max()))
+        rms = float(np.sqrt(np.mean(errors**2)))
+        return f"up to {two_digits(float(errors.max()) / size)} {per} (rms {two_digits(rms / size)} {per})"
 
-    said = f"with matrix and bias alone: off by {shown('m/s^2', force)} at 1 g"
+    sentence = f"with matrix and bias alone: off by {shown('m/s^2', force)} at 1 g"
     if at_rate is None:
-        return said
+        return sentence
     size, per = engineering("rad/s", at_rate)
-    return f"{said}, and by {shown('rad/s', rate)} at {two_digits(at_rate / size)} {per} in 1 g"
+    return f"{sentence}, and by {shown('rad/s', rate)} at {two_digits(at_rate / size)} {per} in 1 g"
 
 
 def remarks(calibration: Calibration) -> tuple[str, ...]:
@@ -246,16 +246,16 @@ def remarks(calibration: Calibration) -> tuple[str, ...]:
         least = 2.0 * float(scipy.special.gammaincinv(0.5 * fit.degrees, UNSEEN))
         return sqrt(max(fit.chi_square / least - 1.0, 0.0)) if least > 0.0 else inf
 
-    found = list(without_expanded(calibration.parameters))
+    sentences = list(without_expanded(calibration.parameters))
     if calibration.evidence.launches:
-        return tuple(found)
-    for kind, sensors in KINDS.items():
+        return tuple(sentences)
+    for kind, sensors in WORDS.items():
         groups = [fit for name, fit in calibration.evidence.fits.items() if name.startswith(kind) and fit.degrees > 0.0]
         hidden = max(((unseen(fit), fit.degrees) for fit in groups if fit.scatter == 0.0), default=(0.0, 0.0))
         if 1.0 < hidden[0] < inf:
-            found.append(
+            sentences.append(
                 f"no scatter of the {sensors} was detected, with {hidden[1]:.2g} degrees of freedom to show one: U "
                 f"covers the noise within rests and turns; a scatter of up to {hidden[0]:.2g} times that noise may be "
                 "there unseen"
             )
-    return tuple(found)
+    return tuple(sentences)

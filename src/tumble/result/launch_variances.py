@@ -22,8 +22,8 @@ import numpy as np
 import scipy
 
 from tumble.result.calibration import Calibration
-from tumble.result.correction import reference_of_parameter
 from tumble.result.parts import CalibratedTemperature
+from tumble.result.record import reference_of_parameter
 from tumble.sensors.parameters import to_temperature
 from tumble.units import Array
 
@@ -61,7 +61,7 @@ def launch_variances(calibration: Calibration) -> LaunchVariances | None:
     if count < 2:
         return None
     u2 = [{p.name: (p.u or 0.0) ** 2 for p in launch.parameters} for launch in calibration.evidence.launches]
-    known = bool(calibration.evidence.budget)
+    has_budget = bool(calibration.evidence.budget)
     return LaunchVariances(
         serial=calibration.serial,
         logs=frozenset(launch.log_sha256 for launch in calibration.evidence.launches),
@@ -69,7 +69,7 @@ def launch_variances(calibration: Calibration) -> LaunchVariances | None:
         variances={
             p.name: (
                 p.run_to_run**2,
-                count * own_variance(calibration, p.name) if known else sum(each[p.name] for each in u2) / count,
+                count * own_variance(calibration, p.name) if has_budget else sum(each[p.name] for each in u2) / count,
             )
             for p in calibration.parameters
             if p.run_to_run is not None and all(p.name in each for each in u2)
@@ -83,15 +83,15 @@ def own_variance(calibration: Calibration, name: str) -> float:
     budget = calibration.evidence.budget
     if not budget:
         return (calibration[name].u or 0.0) ** 2
-    own = (s for s in budget if s.name not in _NOT_OWN and not s.name.startswith("prior."))
-    return sum(source.contributions.get(name, 0.0) ** 2 for source in own)
+    sources = (s for s in budget if s.name not in _NOT_OWN and not s.name.startswith("prior."))
+    return sum(source.contributions.get(name, 0.0) ** 2 for source in sources)
 
 
 def stands_alone(calibration: Calibration) -> bool:
     """Whether a calibration is of one launch and rests on no other calibration."""
     provenance, evidence = calibration.provenance, calibration.evidence
     several = evidence.launches or evidence.together
-    return not several and provenance.prior is None and provenance.calibrated_log_sha256 is None
+    return not several and provenance.prior is None
 
 
 def variances_between(calibrations: Sequence[Calibration]) -> LaunchVariances | None:
@@ -119,8 +119,8 @@ def at_temperature(
     for launch in launches:
         move, C = np.eye(len(names)), launch.covariance_of(names)
         if temperature.reference is not None:
-            there = replace(launch, temperature=temperature)
-            warmer = [reference_of_parameter(there, name) - reference_of_parameter(launch, name) for name in names]
+            moved = replace(launch, temperature=temperature)
+            warmer = [reference_of_parameter(moved, name) - reference_of_parameter(launch, name) for name in names]
             move = to_temperature(names, np.array(warmer))
         values.append(move @ [launch[n].value for n in names])
         covariances.append(move @ (np.zeros_like(move) if C is None else C) @ move.T)
@@ -144,12 +144,12 @@ def variance_of_type(launches: Iterable[LaunchVariances], name: str, noise: floa
     variance, degrees
         Eq. (1); (0, 0) if nothing is known.
     """
-    seen = [(each.degrees, *each.variances[name]) for each in launches if name in each.variances]
-    degrees = sum(count for count, _, _ in seen)
-    between = sum(count * variance for count, variance, _ in seen)
+    of_name = [(each.degrees, *each.variances[name]) for each in launches if name in each.variances]
+    degrees = sum(count for count, _, _ in of_name)
+    between = sum(count * variance for count, variance, _ in of_name)
     if between <= 0.0:
         return 0.0, 0.0
-    within = sum(count * variance for count, _, variance in seen)
+    within = sum(count * variance for count, _, variance in of_name)
     s2 = max(between - within, 0.0) / degrees + noise
     return s2, degrees * (s2 * degrees / between) ** 2
 

@@ -19,7 +19,7 @@ from dataclasses import replace
 import numpy as np
 
 from tumble.inference.prediction import directions
-from tumble.result.calibration import Calibration
+from tumble.result.record import CalibrationData
 from tumble.sensors.instrument import functions
 from tumble.sensors.model import SensorKind, SensorModel
 from tumble.sensors.parameters import CONSTANT, group_name
@@ -31,20 +31,20 @@ UP, DENSE = (np.concatenate([half, -half]) for half in (directions(), np.concate
 """Unit vectors (N, 3) over the sphere, each with its opposite: for a fit, and for the largest error."""
 
 
-def session_rate(calibration: Calibration) -> float:
+def session_rate(calibration: CalibrationData) -> float:
     """The rate of the turns of a session, or a usual one, rad/s."""
-    known = calibration.prediction
-    return USUAL_RATE if known is None or known.at_rate is None else known.at_rate
+    prediction = calibration.prediction
+    return USUAL_RATE if prediction is None or prediction.at_rate is None else prediction.at_rate
 
 
-def readings_at(calibration: Calibration, kind: SensorKind, force: Array, rate: Array) -> Array:
+def readings_at(calibration: CalibrationData, kind: SensorKind, force: Array, rate: Array) -> Array:
     """Readings (N, n), SI, by the whole model at specific forces (N, 3), m/s², and rates (N, 3), rad/s."""
     block, K = calibration.compensator.sensors(kind)
     assert block is not None
     return np.asarray(np.einsum("npb,pb->np", functions(block, force, rate), K, optimize=True))
 
 
-def linear_model(calibration: Calibration, kind: SensorKind, held: Container[str] = ()) -> SensorModel:
+def linear_model(calibration: CalibrationData, kind: SensorKind, held: Container[str] = ()) -> SensorModel:
     """Matrix and bias that fit the whole model best.
 
     Parameters
@@ -63,24 +63,24 @@ def linear_model(calibration: Calibration, kind: SensorKind, held: Container[str
     """
     model = calibration.accel if kind == "accel" else calibration.gyro
     assert model is not None
-    whole = _without(calibration, held)
-    if whole.compensator.linear:
+    fitted = _without(calibration, held)
+    if fitted.compensator.linear:
         return model
     if kind == "accel":  # Eq. (1)
         design = np.column_stack([G_STANDARD * UP, np.ones(len(UP))])
-        readings = readings_at(whole, kind, G_STANDARD * UP, np.zeros_like(UP))
+        readings = readings_at(fitted, kind, G_STANDARD * UP, np.zeros_like(UP))
         solution = np.asarray(np.linalg.lstsq(design, readings)[0], dtype=float)
         return SensorModel(matrix=solution[:3].T, bias=solution[3])
-    at_rest = whole.compensator.gyro_coefficients[:, CONSTANT]  # Eq. (2)
+    at_rest = fitted.compensator.gyro_coefficients[:, CONSTANT]  # Eq. (2)
     rates = session_rate(calibration) * np.concatenate([UP / 3.0, UP / 1.5, UP])[:, [1, 2, 0]]
     force = G_STANDARD * np.tile(UP, (3, 1))
-    both = 0.5 * (readings_at(whole, kind, force, rates) + readings_at(whole, kind, -force, rates))
+    both = 0.5 * (readings_at(fitted, kind, force, rates) + readings_at(fitted, kind, -force, rates))
     matrix = np.asarray(np.linalg.lstsq(rates, both - at_rest)[0], dtype=float).T
     return SensorModel(matrix=matrix, bias=at_rest)
 
 
 def errors_left(
-    calibration: Calibration, kind: SensorKind, correct: Callable[[Array], Array], held: Container[str] = ()
+    calibration: CalibrationData, kind: SensorKind, correct: Callable[[Array], Array], held: Container[str] = ()
 ) -> Array:
     """Errors (N,) of corrected vectors, SI: of the specific force in all attitudes at rest, or of the rate about all
     axes in 1 g, at the rate of the session.
@@ -98,6 +98,6 @@ def errors_left(
     return np.asarray(np.linalg.norm(correct(readings) - true, axis=1))
 
 
-def _without(calibration: Calibration, held: Container[str]) -> Calibration:
+def _without(calibration: CalibrationData, held: Container[str]) -> CalibrationData:
     """The calibration without the parameters of some groups."""
     return replace(calibration, parameters=tuple(p for p in calibration.parameters if group_name(p.name) not in held))

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from itertools import pairwise
 from math import erfc, inf, isfinite, sqrt
-from typing import Annotated, Any
+from typing import Annotated, Any, Protocol
 
 import numpy as np
 import scipy
@@ -83,6 +83,17 @@ Vector = Annotated[tuple[float, ...], Field(max_length=MOST_PARAMETERS)]
 Matrix = Annotated[tuple[Vector, ...], Field(max_length=MOST_PARAMETERS)]
 
 
+class Estimated(Protocol):
+    """A value with its standard uncertainty, SI, and the degrees of freedom of this, as far as they are known."""
+
+    @property
+    def value(self) -> float: ...
+    @property
+    def u(self) -> float | None: ...
+    @property
+    def dof(self) -> float | None: ...
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Parameter:
     """A named quantity with its standard uncertainty (None where the method gives none), SI; where the session names a
@@ -133,8 +144,8 @@ FEWEST_DEGREES = 0.99
 
 def stated_factor(degrees: float | None) -> float | None:
     """The coverage factor for so many degrees of freedom, infinite where None; None where they are too few for a U."""
-    known = inf if degrees is None else degrees
-    return None if known < FEWEST_DEGREES else coverage_factor(known)
+    count = inf if degrees is None else degrees
+    return None if count < FEWEST_DEGREES else coverage_factor(count)
 
 
 def coverage_factor(degrees: float) -> float:
@@ -335,7 +346,7 @@ class CalibratedTemperature:
     reference: float | None = None
     """Of several thermometers the mean."""
     range: tuple[float, float] | None = None
-    """Of rests that are not here, as those of a calibration that a check has updated."""
+    """Of rests that are not in the file."""
     thermometers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """The column of the thermometer of each sensor of "accel" and "gyro", where there are such."""
     references: Mapping[str, Vector] = field(default_factory=dict)
@@ -360,8 +371,8 @@ def checked_result(result: Launch) -> Launch:
     if result.covariance is None or not result.covariance.size:
         return result
     if len(result.covariance) != len(result.parameters):
-        found = f"one of {len(result.covariance)} for {len(result.parameters)} parameters"
-        raise ValueError(f"covariance: expected a row and a column for each parameter, found {found}")
+        sizes = f"one of {len(result.covariance)} for {len(result.parameters)} parameters"
+        raise ValueError(f"covariance: expected a row and a column for each parameter, found {sizes}")
     for number, variance in enumerate(np.diag(result.covariance).tolist(), 1):
         if variance < 0.0 or 0.0 < variance < LEAST**2:
             least = "no variance below 0" if variance < 0.0 else f"zero or a variance of at least {LEAST**2:g}"

@@ -34,14 +34,14 @@ _OF_A_SESSION: tuple[Variable, ...] = ("time",)
 def shared_errors(first: Calibration, second: Calibration) -> dict[str, tuple[Array, Array]]:
     """For every source whose errors both share, what one standard uncertainty of each error changes in all parameters
     of the first (m₁, k) and of the second (m₂, k)."""
-    found = {}
+    changes_by_source = {}
     if shared_gravity(first.provenance.site, second.provenance.site):
         ours, theirs = (
             by_gravity(each.parameters, each.covariance, each.provenance.site)[:, None] for each in (first, second)
         )
-        found[GRAVITY] = (ours, theirs)
+        changes_by_source[GRAVITY] = (ours, theirs)
     if first.serial == second.serial and shared_time_base(first.provenance.clock_u, second.provenance.clock_u):
-        found[TIME_BASE] = (of_time_base(first)[:, None], of_time_base(second)[:, None])
+        changes_by_source[TIME_BASE] = (of_time_base(first)[:, None], of_time_base(second)[:, None])
     if first.serial == second.serial:
         by_ours, by_theirs = (
             by_priors(each.parameters, each.covariance, each.evidence.budget) for each in (first, second)
@@ -49,8 +49,8 @@ def shared_errors(first: Calibration, second: Calibration) -> dict[str, tuple[Ar
         names = [name for name in by_ours if name in by_theirs]
         if names:
             ours, theirs = (np.stack([each[name] for name in names], axis=1) for each in (by_ours, by_theirs))
-            found[PRIORS] = (ours, theirs)
-    return {source: changes for source, changes in found.items() if changes[0].any() and changes[1].any()}
+            changes_by_source[PRIORS] = (ours, theirs)
+    return {source: changes for source, changes in changes_by_source.items() if changes[0].any() and changes[1].any()}
 
 
 def by_priors(
@@ -64,8 +64,8 @@ def by_priors(
     priors = {i: p.prior for i, p in enumerate(parameters) if p.prior is not None and is_of_device(p.name)}
     if not priors:
         return {}
-    at, s = list(priors), np.array(list(priors.values()))
-    widened = np.sqrt(max(np.linalg.eigvalsh(covariance[np.ix_(at, at)] / np.outer(s, s))[-1], 1.0))
+    places, s = list(priors), np.array(list(priors.values()))
+    widened = np.sqrt(max(np.linalg.eigvalsh(covariance[np.ix_(places, places)] / np.outer(s, s))[-1], 1.0))
     changes = {parameters[i].name: covariance[:, i] / (widened * size) for i, size in priors.items()}
     contributions = {each.name.removeprefix("prior."): each.contributions for each in budget}
     for group in {group_name(name) for name in changes} & set(contributions):

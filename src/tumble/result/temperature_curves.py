@@ -13,10 +13,8 @@ from itertools import chain
 
 import numpy as np
 
-from tumble.result.calibration import Calibration
-from tumble.result.correction import reference_of_parameter
 from tumble.result.parts import RestResult, stated_factor
-from tumble.sensors.model import SensorModel
+from tumble.result.record import CalibrationData, reference_of_parameter
 from tumble.units import Array
 
 _ENDINGS = ("t1", "t2")
@@ -40,7 +38,7 @@ class Range:
         return f"{self.low:.1f} to {self.high:.1f} °C"
 
 
-def warm_rests(calibration: Calibration) -> list[RestResult]:
+def warm_rests(calibration: CalibrationData) -> list[RestResult]:
     """The rests of all launches that have a temperature."""
     rests = chain(calibration.evidence.rests, *(launch.rests for launch in calibration.evidence.launches))
     return [rest for rest in rests if rest.temperature is not None]
@@ -49,32 +47,32 @@ def warm_rests(calibration: Calibration) -> list[RestResult]:
 def temperature_of(rest: RestResult, kind: str) -> float:
     """The mean temperature, °C, of the sensors of a kind at a rest; that of the rest where they are not known."""
     sensors = rest.accel if kind == "accel" else rest.gyro
-    own = () if sensors is None else sensors.temperature
-    return math.nan if rest.temperature is None else float(np.mean(own or rest.temperature))
+    celsius = () if sensors is None else sensors.temperature
+    return math.nan if rest.temperature is None else float(np.mean(celsius or rest.temperature))
 
 
-def own_thermometers(calibration: Calibration) -> list[str]:
+def own_thermometers(calibration: CalibrationData) -> list[str]:
     """Which thermometer the temperature of each sensor is that of, where there are several."""
     if len(set(chain(*calibration.temperature.thermometers.values()))) < 2:
         return []
-    said = "the temperature of each sensor, and its reference, is that of its own thermometer"
-    for i, (kind, own) in enumerate(calibration.temperature.thermometers.items()):
+    sentence = "the temperature of each sensor, and its reference, is that of its own thermometer"
+    for i, (kind, columns) in enumerate(calibration.temperature.thermometers.items()):
         celsius = calibration.temperature.references.get(kind, ())
-        at = [f"{name} ({T:.1f} degC)" for name, T in zip(own, celsius, strict=False)] or list(own)
-        which = f"that of {at[0]}" if len(set(own)) == 1 else f"those of {', '.join(at)}, one a sensor"
-        said += f"{'; of' if i else ': of'} {kind} {which}"
-    return [said]
+        labels = [f"{name} ({T:.1f} degC)" for name, T in zip(columns, celsius, strict=False)] or list(columns)
+        which = f"that of {labels[0]}" if len(set(columns)) == 1 else f"those of {', '.join(labels)}, one a sensor"
+        sentence += f"{'; of' if i else ': of'} {kind} {which}"
+    return [sentence]
 
 
-def measured_range(calibration: Calibration) -> Range | None:
+def measured_range(calibration: CalibrationData) -> Range | None:
     """The range of temperatures of the rests of all launches; None where they have none, or all the same."""
-    seen = calibration.temperature_range
-    if seen is None or seen[1] - seen[0] < _LEAST_SPAN:
+    span = calibration.temperature_range
+    if span is None or span[1] - span[0] < _LEAST_SPAN:
         return None
-    return Range(low=seen[0], high=seen[1])
+    return Range(low=span[0], high=span[1])
 
 
-def changing(calibration: Calibration) -> tuple[str, ...]:
+def changing(calibration: CalibrationData) -> tuple[str, ...]:
     """Names of the parameters that change with temperature, in the order of the file."""
     names = {p.name for p in calibration.parameters}
     return tuple(p.name for p in calibration.parameters if any(f"{p.name}.{ending}" in names for ending in _ENDINGS))
@@ -93,21 +91,21 @@ class Curve:
     degrees: Array | None = None
 
 
-def curve(calibration: Calibration, name: str, temperature: Array) -> Curve:
+def curve(calibration: CalibrationData, name: str, temperature: Array) -> Curve:
     """A parameter over temperatures (N,), °C: value and U = k u with u² = pᵀ Σ p, p = (1, T − T₀, (T − T₀)²), and k by
     the effective degrees of freedom of the sum."""
     places = {p.name: i for i, p in enumerate(calibration.parameters)}
     powers = [(0, name), *((d, f"{name}.{ending}") for d, ending in enumerate(_ENDINGS, 1))]
-    known = [(d, places[each]) for d, each in powers if each in places]
+    terms = [(d, places[each]) for d, each in powers if each in places]
     warmer = temperature - reference_of_parameter(calibration, name)
-    P = np.stack([warmer**d for d, _ in known], axis=1)
-    own = [i for _, i in known]
-    parameters, expanded, degrees = [calibration.parameters[i] for i in own], None, None
+    P = np.stack([warmer**d for d, _ in terms], axis=1)
+    members = [i for _, i in terms]
+    parameters, expanded, degrees = [calibration.parameters[i] for i in members], None, None
     if calibration.covariance is not None:
         # Welch–Satterthwaite (JCGM 100:2008, G.4.1). Parameters that go against each other have a sum known better than
         # they are, to which it does not apply: a sum has at least the degrees of freedom of the parameter that has
         # least, as it has where they are independent
-        S = calibration.covariance[np.ix_(own, own)]
+        S = calibration.covariance[np.ix_(members, members)]
         u2 = np.einsum("ni,ij,nj->n", P, S, P)
         per_degree = np.array([0.0 if p.dof is None else 1.0 / p.dof for p in parameters])
         spread = (P**2 * np.diag(S)) ** 2 @ per_degree
@@ -124,35 +122,3 @@ def curve(calibration: Calibration, name: str, temperature: Array) -> Curve:
         expanded=expanded,
         degrees=degrees,
     )
-
-
-def coefficients(calibration: Calibration, kind: str, what: str) -> Array:
-    """What "bias" or "scale" of the sensors of a kind changes by, by channel: (n, 2), per K and per K²."""
-    compensator = calibration.compensator
-    block = compensator.accel if kind == "accel" else compensator.gyro
-    assert block is not None
-    values = {p.name: p.value for p in calibration.parameters}
-    out = np.zeros((block.size, 2))
-    for sensor, channel in zip(block.sensors, block.channels, strict=True):
-        out[channel] = [values.get(f"{kind}.{what}.{sensor}.{ending}", 0.0) for ending in _ENDINGS]
-    return out
-
-
-def model_at(calibration: Calibration, kind: str, temperature: float) -> SensorModel:
-    """Matrix and bias of a kind of sensors at a temperature, °C, by all its thermometers: a scale factor 1 + k changes
-    the length of its row."""
-    model = calibration.accel if kind == "accel" else calibration.gyro
-    assert model is not None
-    warmer = temperature - references(calibration, kind)
-    powers = np.column_stack([warmer, warmer**2])
-    longer = (coefficients(calibration, kind, "scale") * powers).sum(axis=1) / np.linalg.norm(model.matrix, axis=1)
-    bias = model.bias + (coefficients(calibration, kind, "bias") * powers).sum(axis=1)
-    return SensorModel(matrix=(1.0 + longer)[:, None] * model.matrix, bias=bias)
-
-
-def references(calibration: Calibration, kind: str) -> Array:
-    """T₀ (n,), °C, of the channels of a kind of sensors; a calibration without one has no parameter that changes."""
-    compensator = calibration.compensator
-    block = compensator.accel if kind == "accel" else compensator.gyro
-    assert block is not None
-    return compensator.references.get(block.kind, np.zeros(block.size))

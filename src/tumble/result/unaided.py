@@ -102,20 +102,22 @@ def improvement(calibration: Calibration) -> tuple[str, ...]:
 
     Before calibration readings are off by the root mean square over all attitudes at rest, and over all axes at the
     rate of the session's turns; afterwards by their standard uncertainty. Only of sensors that are accepted."""
-    known, accepted, parts = calibration.prediction, accepted_kinds(calibration), list[str]()
-    if known is not None and "accel" in accepted:
-        before, after = _as_read(calibration, "accel"), _of_vector(calibration, "accel", known.force_u)
+    prediction, accepted, parts = calibration.prediction, accepted_kinds(calibration), list[str]()
+    if prediction is not None and "accel" in accepted:
+        before, after = _as_read(calibration, "accel"), _of_vector(calibration, "accel", prediction.force_u)
         parts.append(f"at rest off by {_change(before, after, _FORCES, 0.01)}")
-    if known is not None and known.rate_u is not None and known.at_rate and "gyro" in accepted:
-        before, after = _as_read(calibration, "gyro"), _of_vector(calibration, "gyro", known.rate_u)
-        at = known.at_rate
-        parts.append(f"rates off by {_change(before / at, after / at, _PARTS, 0.01)} of {two_digits(at / DEGREE)} °/s")
+    if prediction is not None and prediction.rate_u is not None and prediction.at_rate and "gyro" in accepted:
+        before, after = _as_read(calibration, "gyro"), _of_vector(calibration, "gyro", prediction.rate_u)
+        rate = prediction.at_rate
+        parts.append(
+            f"rates off by {_change(before / rate, after / rate, _PARTS, 0.01)} of {two_digits(rate / DEGREE)} °/s"
+        )
     lines = ["; ".join(parts)] if parts else []
     if (both := unaided(calibration)) is not None and len(accepted) == len(both):
         changes = (("tilt", _ANGLES), ("heading", _ANGLES), ("position", _LENGTHS))
         first, last = both
-        said = (f"{name} {_change(getattr(first, name), getattr(last, name), units)}" for name, units in changes)
-        lines.append(f"after {SECONDS:.0f} s without aid: {', '.join(said)}")
+        clauses = (f"{name} {_change(getattr(first, name), getattr(last, name), units)}" for name, units in changes)
+        lines.append(f"after {SECONDS:.0f} s without aid: {', '.join(clauses)}")
     return tuple(lines)
 
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from math import sqrt
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -22,11 +22,9 @@ from tumble.earth import EARTH_RATE
 from tumble.errors import CalibrationError
 from tumble.inference.sources import Source, UncertaintyBudget, source
 from tumble.result.parts import SourceContributions
+from tumble.result.record import CalibrationData
 from tumble.sensors.parameters import beyond_linear, group_name, sensor_kind
 from tumble.units import Array
-
-if TYPE_CHECKING:
-    from tumble.result.calibration import Calibration
 
 LESS = 0.25
 """Of a variance: what four times as much of something leaves of it."""
@@ -87,10 +85,10 @@ def contributions_of(
         SourceContributions(
             **_as_source(replace(each, basis=(basis or {}).get(each.name.removeprefix("prior."), each.basis))),
             contributions={
-                n: sqrt(variance) for n, variance in zip(names, own.tolist(), strict=True) if variance > 0.0
+                n: sqrt(variance) for n, variance in zip(names, row.tolist(), strict=True) if variance > 0.0
             },
         )
-        for each, own in zip(budget.sources, variances, strict=True)
+        for each, row in zip(budget.sources, variances, strict=True)
     )
 
 
@@ -98,7 +96,7 @@ def _as_source(each: Source) -> dict[str, Any]:
     return {field.name: getattr(each, field.name) for field in fields(Source)}
 
 
-def uncertainty_budget(calibration: Calibration, name: str) -> tuple[BudgetLine, ...]:
+def uncertainty_budget(calibration: CalibrationData, name: str) -> tuple[BudgetLine, ...]:
     """The budget of a parameter, the largest contribution first. Raises KeyError for a name that is none, and
     CalibrationError where the calibration has no budget."""
     parameter = calibration[name]
@@ -124,7 +122,7 @@ def uncertainty_budget(calibration: Calibration, name: str) -> tuple[BudgetLine,
     return tuple(sorted(lines, key=lambda line: -line.contribution))
 
 
-def with_references(calibration: Calibration) -> tuple[SourceContributions, ...]:
+def with_references(calibration: CalibrationData) -> tuple[SourceContributions, ...]:
     """The budget, and after it the reference standards that have nothing in the u of any parameter."""
     site, budget = calibration.provenance.site, calibration.evidence.budget
     standards = (
@@ -133,56 +131,56 @@ def with_references(calibration: Calibration) -> tuple[SourceContributions, ...]
         source("clock", calibration.provenance.clock_u, "1"),
     )
     compared = {name for kind in {sensor_kind(name) for name in calibration} for name in REFERENCES[kind]}
-    missing = (each for each in standards if each.name in compared - {known.name for known in budget})
+    missing = (each for each in standards if each.name in compared - {line.name for line in budget})
     return (*budget, *(SourceContributions(**_as_source(each), contributions={}) for each in missing))
 
 
-def shares_by_group(calibration: Calibration) -> dict[str, Array]:
+def shares_by_group(calibration: CalibrationData) -> dict[str, Array]:
     """The mean share (S,) of every source in u² of the parameters of each group of the linear model, by its name."""
     variances = _variances(calibration)
     groups: dict[str, list[int]] = {}
     for i, name in enumerate(calibration):
         if not beyond_linear(name):
             groups.setdefault(group_name(name), []).append(i)
-    whole = np.maximum(variances.sum(axis=0), 1e-300)
-    return {group: (variances[:, own] / whole[own]).mean(axis=1) for group, own in groups.items()}
+    total = np.maximum(variances.sum(axis=0), 1e-300)
+    return {group: (variances[:, members] / total[members]).mean(axis=1) for group, members in groups.items()}
 
 
-def shares_of_priors(calibration: Calibration) -> dict[str, dict[str, float]]:
+def shares_of_priors(calibration: CalibrationData) -> dict[str, dict[str, float]]:
     """What the sizes of priors rest on, such as a data sheet or a guessed grade or other units of the type, each with
     the mean share of u² by group of the linear model that rests on it."""
-    shares, found = shares_by_group(calibration), dict[str, dict[str, float]]()
+    shares, by_basis = shares_by_group(calibration), dict[str, dict[str, float]]()
     for s, each in enumerate(calibration.evidence.budget):
         basis = "other units of the type" if each.name == "type" else each.basis
         for group, share in shares.items() if basis else ():
-            of_basis = found.setdefault(basis, {})
+            of_basis = by_basis.setdefault(basis, {})
             of_basis[group] = of_basis.get(group, 0.0) + float(share[s])
-    return found
+    return by_basis
 
 
-def what_would_help(calibration: Calibration) -> str:
+def what_would_help(calibration: CalibrationData) -> str:
     """One sentence: by how much u of bias, scale factors and axis angles would be smaller, the geometric mean, if there
     were more of something, or something were known better; empty without a budget."""
     variances = _variances(calibration)[:, [not beyond_linear(name) for name in calibration]]
     variances = variances[:, variances.any(axis=0)]
     if not variances.size:
         return ""
-    whole, gains = variances.sum(axis=0), list[tuple[float, str]]()
+    total, gains = variances.sum(axis=0), list[tuple[float, str]]()
     for remedy, names in _REMEDIES.items():
-        own = [
+        affected = [
             any(s.name == n or (n.endswith(".") and s.name.startswith(n)) for n in names)
             for s in calibration.evidence.budget
         ]
-        if any(own):
-            left = whole - (1.0 - LESS) * variances[own].sum(axis=0)
-            gains.append((float(np.exp(0.5 * np.mean(np.log(whole / left)))), remedy))
+        if any(affected):
+            remaining = total - (1.0 - LESS) * variances[affected].sum(axis=0)
+            gains.append((float(np.exp(0.5 * np.mean(np.log(total / remaining)))), remedy))
     helping = [f"{gain:.2f} times with {remedy}" for gain, remedy in sorted(gains, reverse=True) if gain >= HELPS]
     idle = [remedy for gain, remedy in gains if gain < HELPS]
     parts = [f"u would be smaller {', '.join(helping)}"] if helping else []
     return ". ".join([*parts, *([f"Next to nothing would be gained by {', '.join(idle)}"] if idle else [])])
 
 
-def _variances(calibration: Calibration) -> Array:
+def _variances(calibration: CalibrationData) -> Array:
     """The variances (S, m) that sources have in parameters."""
     every = [[source.contributions.get(name, 0.0) for name in calibration] for source in calibration.evidence.budget]
     return np.array(every).reshape(len(every), len(calibration)) ** 2

@@ -124,49 +124,49 @@ def calibrate(
     if terms not in get_args(Terms):
         raise InputError(f"terms: expected {' or '.join(get_args(Terms))}, found {terms!r}")
     if session is None and "accel" in arrays:
-        given = session_of_arrays(**arrays)
+        recording = session_of_arrays(**arrays)
     elif session is None or arrays:
         found = ", ".join(arrays) or "nothing"
         beside = "" if session is None else " beside a session"
         raise InputError(f"calibrate: expected a session or readings accel=…, found {found}{beside}")
     else:
-        given = session_from(session)
-    given, stated = given.without(without).of_known_scales(), given
-    known: dict[str, Callable[..., Estimate]] = {**METHODS, **ITERATED_METHODS}
-    if method not in known:
-        raise InputError(f"method: expected one of {', '.join(known)}, found {method!r}")
+        recording = session_from(session)
+    recording, stated = recording.without(without).of_known_scales(), recording
+    methods: dict[str, Callable[..., Estimate]] = {**METHODS, **ITERATED_METHODS}
+    if method not in methods:
+        raise InputError(f"method: expected one of {', '.join(methods)}, found {method!r}")
     if iterations is not None and method not in ITERATED_METHODS:
         raise InputError(
             f"iterations: expected none with the method {method!r}, which iterates until nothing changes, found "
             f"{iterations}; only {', '.join(ITERATED_METHODS)} take a number"
         )
-    estimator: Estimator = known[method] if iterations is None else partial(known[method], iterations=iterations)
+    estimator: Estimator = methods[method] if iterations is None else partial(methods[method], iterations=iterations)
     if prior is not None and (method != "joint" or terms != "full"):
         raise InputError("prior: expected the method joint with all terms, which takes one, found another")
     if frame != "accelerometer":
-        Convention(frame=frame, block=given.accel_block)
-    made = _calibrated(given, method, estimator, frame, terms, progress, prior)
-    if given.log.gyro is not stated.log.gyro:
-        made = _with_provenance(made, notes=(*made.provenance.notes, UNSCALED))
-    if not given.excluded:
-        return made
+        Convention(frame=frame, block=recording.accel_block)
+    calibration = _calibrated(recording, method, estimator, frame, terms, progress, prior)
+    if recording.log.gyro is not stated.log.gyro:
+        calibration = _with_provenance(calibration, notes=(*calibration.provenance.notes, UNSCALED))
+    if not recording.excluded:
+        return calibration
 
     from tumble.result.accepted import accepted_kinds
 
     # what is accepted without some rests only is a choice, and no u contains it: the outcome of all counts too
     try:
-        every = replace(given, excluded=())
-        whole = _calibrated(every, method, estimator, frame, terms, progress, prior).outcome
+        every = replace(recording, excluded=())
+        of_all = _calibrated(every, method, estimator, frame, terms, progress, prior).outcome
     except InputError as error:  # a rest too many for the programme, such as a knocked one
-        whole = Outcome(reasons=(str(error),))
-    of_whole = f"with what was left out: {whole.verdict}" + (f": {'; '.join(whole.reasons)}" if whole.reasons else "")
-    outcome = made.outcome
-    chosen = tuple(kind for kind in accepted_kinds(made) if not whole.of(kind))
+        of_all = Outcome(reasons=(str(error),))
+    of_whole = f"with what was left out: {': '.join(filter(None, [of_all.verdict, '; '.join(of_all.reasons)]))}"
+    outcome = calibration.outcome
+    chosen = tuple(kind for kind in accepted_kinds(calibration) if not of_all.of(kind))
     if not chosen:
-        return _with_provenance(made, notes=(*made.provenance.notes, of_whole))
+        return _with_provenance(calibration, notes=(*calibration.provenance.notes, of_whole))
     remark = f"accepted without what was left out only, a choice of which u contains nothing; {of_whole}"
     concerns = {**outcome.concerns, remark: chosen}
-    return replace(made, outcome=replace(outcome, remarks=(*outcome.remarks, remark), concerns=concerns))
+    return replace(calibration, outcome=replace(outcome, remarks=(*outcome.remarks, remark), concerns=concerns))
 
 
 def _calibrated(
@@ -182,51 +182,54 @@ def _calibrated(
     systematic = systematic_of(session)
     with ThreadPoolExecutor(max_workers=1) as beside:
         observed = inspected(session, progress, beside)
-        taken = observations_for_calibration(observed, biases_jump=method == "joint")
-        known = (estimator, systematic, terms, prior)
-        estimate = taken if isinstance(taken, Outcome) else estimated(session, taken, *known)
+        observations = observations_for_calibration(observed, biases_jump=method == "joint")
+        options = (estimator, systematic, terms, prior)
+        estimate = observations if isinstance(observations, Outcome) else estimated(session, observations, *options)
     provenance, bridged = provenance_of(observed.sha256), (*bridged_in(observed.gaps), *observed.segmentation.unused())
     if isinstance(estimate, Outcome):
-        made = without_result(session, method, estimate, provenance, bridged)
+        calibration = without_result(session, method, estimate, provenance, bridged)
     else:
-        made = result_of(session, *estimate, systematic, frame, provenance, bridged)
+        calibration = result_of(session, *estimate, systematic, frame, provenance, bridged)
         faults = (*observed.gyro_faults, *observed.gyro_bias_faults)
-        at_fault = [made.outcome.concerns.get(reason, ("",))[0] for reason in made.outcome.accel.reasons]
+        at_fault = [calibration.outcome.concerns.get(reason, ("",))[0] for reason in calibration.outcome.accel.reasons]
         by_gyros = bool(at_fault) and all(part.startswith("gyro") for part in at_fault)
-        if by_gyros and method == "joint" and not isinstance(taken, Outcome):  # the accelerometers are better off alone
-            alone = estimated(session, taken.of_accelerometers(), *known)
+        # the accelerometers are better off alone
+        if by_gyros and method == "joint" and not isinstance(observations, Outcome):
+            alone = estimated(session, observations.of_accelerometers(), *options)
             if not isinstance(alone, Outcome):
                 made_alone = result_of(session, *alone, systematic, frame, provenance, bridged)
                 lost = any(name.startswith("accel") for name in made_alone.outcome.unobservable)
                 if made_alone.outcome.accel.accepted and not lost:
-                    because = (f"{why}; the accelerometers are estimated alone" for why in made.outcome.gyro.reasons)
-                    estimate, made, faults = alone, made_alone, (*because, *faults)
-        made = _with_remarks(made, little_used(observed.segmentation), ())
+                    of_gyros = calibration.outcome.gyro.reasons
+                    because = (f"{why}; the accelerometers are estimated alone" for why in of_gyros)
+                    estimate, calibration, faults = alone, made_alone, (*because, *faults)
+        calibration = _with_remarks(calibration, little_used(observed.segmentation), ())
         if estimate[0].gyro is not None and not session.log.increments["gyro"]:
             grade, _ = _ruled_out(session, estimate[1]) or grade_of(session, estimate[1])
             doubts = time_base_doubted(estimate[0], grade_named(grade).gyro.scale)
-            made = _with_remarks(made, doubts, ("gyro.scale",))
+            calibration = _with_remarks(calibration, doubts, ("gyro.scale",))
         if session.log.magnetometer is not None:
             from tumble.run.magnetometer import with_magnetometer
 
-            made = with_magnetometer(made, session.log.magnetometer, estimate[1])
-        made = _with_provenance(made, sample_rate=observed.rate)
+            calibration = with_magnetometer(calibration, session.log.magnetometer, estimate[1])
+        calibration = _with_provenance(calibration, sample_rate=observed.rate)
         if prior is not None and estimate[0].of_type:
-            made = _with_provenance(made, prior=prior.words)
+            calibration = _with_provenance(calibration, prior=prior.words)
         if faults:
             without = session.gyro_block is not None and estimate[0].gyro is None
-            concerns = {**made.outcome.concerns, **dict.fromkeys(faults, ("gyro",) if without else ("gyro.bias",))}
+            part = "gyro" if without else "gyro.bias"
+            concerns = {**calibration.outcome.concerns, **dict.fromkeys(faults, (part,))}
             names = session.gyro_block.names if without and session.gyro_block is not None else ()
             outcome = replace(
-                made.outcome,
-                reasons=(*made.outcome.reasons, *faults),
+                calibration.outcome,
+                reasons=(*calibration.outcome.reasons, *faults),
                 concerns=concerns,
-                unobservable=(*made.outcome.unobservable, *names),
+                unobservable=(*calibration.outcome.unobservable, *names),
             )
-            made = replace(made, outcome=outcome)
-    for sentence in (*made.provenance.notes, *made.outcome.remarks, *made.outcome.reasons):
+            calibration = replace(calibration, outcome=outcome)
+    for sentence in (*calibration.provenance.notes, *calibration.outcome.remarks, *calibration.outcome.reasons):
         _LOG.info("%s: %s", session.name, sentence)
-    return _with_provenance(made, circumstances=observed.circumstances, assumptions=assumptions(session))
+    return _with_provenance(calibration, circumstances=observed.circumstances, assumptions=assumptions(session))
 
 
 def _with_remarks(calibration: Calibration, remarks: tuple[str, ...], concerned: tuple[str, ...]) -> Calibration:
@@ -261,7 +264,7 @@ def with_grade(session: Session, observations: Observations) -> Observations:
     grade, guessed_from = _ruled_out(session, observations) or grade_of(session, observations)
     sheet, noise = session.device.prior, grade_named(grade).noise
     usual = prior_sizes(grade, sheet)
-    said = f"what is not bias, scale or axis angle is taken to be of the size usual for the grade {grade}"
+    note = f"what is not bias, scale or axis angle is taken to be of the size usual for the grade {grade}"
     origin = f", guessed from {guessed_from}; state another as [device] grade" if guessed_from else ""
     of_grade = f"{'guessed' if guessed_from else 'stated'} grade {grade}"
     return replace(
@@ -270,7 +273,7 @@ def with_grade(session: Session, observations: Observations) -> Observations:
         size_basis={name: "data sheet" if name in sheet else of_grade for name in usual},
         too_small=size_factors(grade, usual, sheet, guessed=bool(guessed_from)),
         in_run={"accel": noise.accel_instability, "gyro": noise.gyro_instability},
-        notes=(*observations.notes, said + origin),
+        notes=(*observations.notes, note + origin),
     )
 
 
@@ -284,11 +287,16 @@ def _guessed(observations: Observations) -> tuple[str, str]:
     white = _white_noise(observations)
     if len(white) == 1:
         return guessed_grade(white["accel"], None)
-    return guessed_grade(white["accel"], white["gyro"], float(np.abs(np.median(observations.rests.gyro, axis=0)).max()))
+    rates = observations.rests.gyro
+    bias = float(np.abs(np.median(rates, axis=0)).max()) if len(rates) else 0.0
+    return guessed_grade(white["accel"], white["gyro"], bias)
 
 
 def _white_noise(observations: Observations) -> dict[str, float]:
-    """Typical densities of the noise at rest, SI/√Hz, by kind of sensors."""
+    """Typical densities of the noise, SI/√Hz, by kind of sensors: at rest, or in motion where there is no rest."""
+    links = observations.links
+    if links is not None and not len(observations.rests):
+        return {"accel": links.accel_density**0.5, "gyro": links.gyro_density**0.5}
     noises = {"accel": observations.rests.accel_noise, "gyro": observations.rests.gyro_noise}
     return {kind: float(np.median(noise)) for kind, noise in noises.items() if noise.size}
 
@@ -339,11 +347,11 @@ def estimated(
             notes += linear_model.taken_as_nothing(estimate)
             estimate = linear_model.linear_part(estimate) if terms == "linear" else estimate
         elif prior is not None:
-            estimate, said = with_prior(estimate, observations, prior, reference_of(observations))
-            notes += said
-        if found := _ruled_out(session, observations):
+            estimate, of_type = with_prior(estimate, observations, prior, reference_of(observations))
+            notes += of_type
+        if guess := _ruled_out(session, observations):
             remark = (
-                f"[device] grade is {session.device.grade!r}, but by {found[1]} the device is of the grade {found[0]}, "
+                f"[device] grade is {session.device.grade!r}, but by {guess[1]} the device is of the grade {guess[0]}, "
                 "whose usual sizes are taken: state its grade, or look for what disturbed the recording"
             )
             estimate = replace(estimate, remarks=(*estimate.remarks, remark))
@@ -369,10 +377,10 @@ def assumptions(session: Session) -> tuple[str, ...]:
             f"gravity is taken to its last digit, {mm}, which is in the u of accel.scale; state gravity_u in [site]"
         )
     if log.clock_u is None and by_clock:
-        of = "stamps of a crystal" if log.rate is None else "a sample rate without time stamps"
+        clock = "stamps of a crystal" if log.rate is None else "a sample rate without time stamps"
         size = f"{1e6 * log.time_base_u:.0f} ppm" if log.rate is None else f"{1e2 * log.time_base_u:.0f} %"
         out.append(
-            f"no uncertainty of the time base is stated: {size}, as of {of}, is in the u of "
+            f"no uncertainty of the time base is stated: {size}, as of {clock}, is in the u of "
             f"{' and '.join(by_clock)}; state clock_ppm_u in [log], 0 where it is exact"
         )
     out += [f"doubt: {log.doubt}"] if log.doubt else []

@@ -127,10 +127,10 @@ def align_case(
         gain = np.linalg.solve(rows.T @ rows, rows.T)
         step = gain @ misfit
         mat_cb = rotation_matrix(step[:3]) @ mat_cb
-        left = misfit - rows @ step
-        scatter = float(np.sqrt(left @ left / max(len(left) - rows.shape[1], 1)))
+        residual = misfit - rows @ step
+        scatter = float(np.sqrt(residual @ residual / max(len(residual) - rows.shape[1], 1)))
     covariance = scatter**2 * np.asarray(np.linalg.inv(rows.T @ rows), dtype=float)
-    moved = np.einsum("irk,kj,ijm->irm", basis, mat_cb, by_parameters).reshape(len(left), -1)
+    moved = np.einsum("irk,kj,ijm->irm", basis, mat_cb, by_parameters).reshape(len(residual), -1)
     return CaseAlignment(
         alignment=Alignment(mat_cb=mat_cb, covariance=covariance[:3, :3], by_parameters=gain[:3] @ moved),
         tilt=step[3:],
@@ -154,7 +154,7 @@ def case_of(
             "nine, found none: without it no rest is known to be on a face"
         )
     nominal = np.array([p.vertical_b for p in programme.positions])
-    faces = {f"{axis} {way}": sign * row for axis, row in zip("XYZ", np.eye(3), strict=True) for way, sign in _WAYS}
+    faces = {f"{axis} {sense}": sign * row for axis, row in zip("XYZ", np.eye(3), strict=True) for sense, sign in _WAYS}
     if missing := [name for name, face in faces.items() if np.max(nominal @ face) < _ON_A_FACE]:
         raise InputError(
             f"frame 'case': expected a programme that stands on all six faces, such as cube-14 or nine, found "
@@ -191,12 +191,12 @@ def _attitudes(observations: Observations, verticals: Array, gyro: SensorModel |
 
 def _levelled(attitude: Array, vertical: Array) -> Array:
     """An attitude turned the shortest way so that the vertical is up in it."""
-    found = attitude @ vertical
-    cross = np.cross(found, UP)
+    up = attitude @ vertical
+    cross = np.cross(up, UP)
     sine = float(np.linalg.norm(cross))
-    if sine < _SINGULAR and found @ UP < 0.0:
+    if sine < _SINGULAR and up @ UP < 0.0:
         return np.asarray(np.diag([1.0, -1.0, -1.0]) @ attitude)
-    scale = np.arctan2(sine, float(found @ UP)) / sine if sine > 0.0 else 1.0
+    scale = np.arctan2(sine, float(up @ UP)) / sine if sine > 0.0 else 1.0
     return rotation_matrix(scale * cross) @ attitude
 
 
@@ -207,9 +207,9 @@ def estimate_in(frame: Frame, estimate: Estimate, observations: Observations) ->
     Raises InputError, one line, where the session does not give the case."""
     from scipy.linalg import block_diag
 
-    accel, found = observations.accel_block, None
+    accel, alignment = observations.accel_block, None
     if frame == "case":
-        found = case_of(observations, *_verticals_of_rests(estimate, observations), estimate.gyro)
+        alignment = case_of(observations, *_verticals_of_rests(estimate, observations), estimate.gyro)
     linear = len(estimate.names) if estimate.instrument is None else estimate.instrument.linear_count
     framed = convert(
         accel,
@@ -218,7 +218,7 @@ def estimate_in(frame: Frame, estimate: Estimate, observations: Observations) ->
         values=estimate.values[:linear],
         covariance=estimate.covariance[:linear, :linear],
         target=frame,
-        alignment=None if found is None else found.alignment,
+        alignment=None if alignment is None else alignment.alignment,
     )
     assert framed.covariance is not None
     unseen = set(estimate.unobservable)
@@ -230,11 +230,11 @@ def estimate_in(frame: Frame, estimate: Estimate, observations: Observations) ->
     covariance = jacobian @ estimate.covariance @ jacobian.T
     covariance[: len(framed.names), : len(framed.names)] = framed.covariance
     budget = None if estimate.budget is None else estimate.budget.carried(jacobian)
-    if budget is not None and found is not None:
+    if budget is not None and alignment is not None:
         of_case = np.zeros_like(covariance)
-        own = slice(len(framed.names))
-        of_case[own, own] = framed.covariance - budget.covariances[:, own, own].sum(axis=0)
-        budget = budget.beside(source("case", found.scatter, "rad"), of_case)
+        part = slice(len(framed.names))
+        of_case[part, part] = framed.covariance - budget.covariances[:, part, part].sum(axis=0)
+        budget = budget.beside(source("case", alignment.scatter, "rad"), of_case)
     degrees = estimate.degrees  # parameters of the linear model mix: they have the fewest
     if degrees is not None:
         degrees = np.append(np.full(len(framed.names), degrees[:linear].min()), degrees[linear:])
@@ -251,7 +251,7 @@ def estimate_in(frame: Frame, estimate: Estimate, observations: Observations) ->
         increments=tuple(jacobian @ step for step in estimate.increments),
         degrees=degrees,
     )
-    return moved, found
+    return moved, alignment
 
 
 def _verticals_of_rests(estimate: Estimate, observations: Observations) -> tuple[Array, Array]:

@@ -30,6 +30,7 @@ from tumble.result.parts import (
     RestResult,
     SensorsAtRest,
     TurnResult,
+    learned_fraction,
 )
 from tumble.result.uncertainty_budget import contributions_of
 from tumble.sensors.frames import Frame, convert
@@ -71,19 +72,19 @@ def result_of(
     if frame != "accelerometer":  # nothing of a systematic calibration that lacks one of the parameters
         kept = [block for kind, block in blocks.items() if kind == "accel" or estimate.gyro is not None]
         names = [name for block in kept for name in block.names]
-        known, given, systematic = set(names) <= set(systematic), systematic, {}
-        if known and (frame != "case" or case is not None):
+        complete_passport, passport, systematic = set(names) <= set(systematic), systematic, {}
+        if complete_passport and (frame != "case" or case is not None):
             framed = convert(
                 observations.accel_block,
                 observations.gyro_block if len(names) > len(observations.accel_block.names) else None,
                 source="accelerometer",
-                values=np.array([given[name] for name in names]),
+                values=np.array([passport[name] for name in names]),
                 covariance=None,
                 target=frame,
                 alignment=None if case is None else case.alignment,
             )
             systematic = dict(zip(framed.names, framed.values.tolist(), strict=True))
-    seen = np.flatnonzero(estimate.observable)
+    determined = np.flatnonzero(estimate.observable)
     faces = faces_alone(estimate, outcome.unobservable)
     missing = set() if faces else {sensor_kind(name) for name in outcome.unobservable}
     thermometers = None if observations.rests.temperatures is None else session.log.temperature
@@ -91,8 +92,8 @@ def result_of(
         device=device_of(session),
         method=estimate.method,
         frame=frame if complete else "accelerometer",
-        parameters=with_degrees(parameters_of(estimate, seen, systematic, learned), estimate.fits),
-        covariance=estimate.covariance[np.ix_(seen, seen)],
+        parameters=with_degrees(parameters_of(estimate, determined, systematic, learned), estimate.fits),
+        covariance=estimate.covariance[np.ix_(determined, determined)],
         accel=None if "accel" in missing else estimate.accel,
         gyro=None if missing else estimate.gyro,
         outcome=outcome,
@@ -112,7 +113,7 @@ def result_of(
             integral=estimate.integral,
             process_bias=estimate.process_bias if frame == "accelerometer" else (),
             budget=contributions_of(estimate.budget, estimate.names, observations.size_basis),
-            iterations=tuple({estimate.names[i]: float(step[i]) for i in seen} for step in estimate.increments),
+            iterations=tuple({estimate.names[i]: float(step[i]) for i in determined} for step in estimate.increments),
         ),
         provenance=replace(
             provenance,
@@ -176,10 +177,7 @@ def learned_in(estimate: Estimate) -> dict[str, dict[str, float]]:
     """Prior, as widened, and learned fraction of the parameters of groups beyond the linear model, by name, and of all
     of which the type of the device says anything."""
     u = dict(zip(estimate.names, estimate.u.tolist(), strict=True))
-    of_type = {
-        name: {"prior": s, "learned": min(max(1.0 - (u[name] / s) ** 2, 0.0), 1.0)}
-        for name, s in estimate.of_type.items()
-    }
+    of_type = {name: {"prior": s, "learned": learned_fraction(u[name], s)} for name, s in estimate.of_type.items()}
     if estimate.instrument is None:
         return of_type
     return {
@@ -206,7 +204,7 @@ def references_of(observations: Observations) -> dict[str, tuple[float, ...]]:
 
 def readings_of_session(session: Session) -> dict[str, Readings]:
     """What the readings of a session are."""
-    given = {"accel": session.log.accel, "gyro": session.log.gyro, "mag": session.log.magnetometer}
+    by_kind = {"accel": session.log.accel, "gyro": session.log.gyro, "mag": session.log.magnetometer}
     return {
         kind: Readings(
             columns=channels.columns,
@@ -215,7 +213,7 @@ def readings_of_session(session: Session) -> dict[str, Readings]:
             scale=tuple((channels.scale / channels.unit.factor).tolist()),
             offset=tuple(channels.offset.tolist()),
         )
-        for kind, channels in given.items()
+        for kind, channels in by_kind.items()
         if channels is not None
     }
 
@@ -243,7 +241,7 @@ def rest_results(estimate: Estimate, observations: Observations) -> tuple[RestRe
             at_rest = zip(*(map(tuple, values.tolist()) for values in (mean, noise, drift, warm)), strict=True)
             sensors[block.kind] = [SensorsAtRest(mean=m, noise=n, drift=d, temperature=t) for m, n, d, t in at_rest]
     positions = None if observations.programme is None else observations.programme.positions
-    at = observations.position
+    position = observations.position
     return tuple(
         RestResult(
             file=int(rests.file[i]),
@@ -251,7 +249,7 @@ def rest_results(estimate: Estimate, observations: Observations) -> tuple[RestRe
             stop=float(rests.stop[i]),
             residual=float(estimate.rest_residual[i]),
             sigmas=float(estimate.rest_sigmas[i]),
-            attitude=None if positions is None or at is None else positions[int(at[i])].attitude,
+            attitude=None if positions is None or position is None else positions[int(position[i])].attitude,
             accel=sensors["accel"][i],
             gyro=sensors["gyro"][i],
             temperature=None if rests.temperature is None else float(rests.temperature[i]) - ZERO_CELSIUS,
@@ -321,8 +319,8 @@ def _of_the_fit(estimate: Estimate, observations: Observations) -> Iterator[str]
     cubic = any(group_name(name) == "gyro.cubic" for name in estimate.names)
     if estimate.method != "joint" or turns is None or about is None or cubic:
         return
-    made = turns.duration > 0.0  # between the parts of a rest nothing is turned
-    rates = np.sqrt(about.moments.body_rates[made][:, [0, 3, 5]].sum(axis=1) / turns.duration[made])
+    turned = turns.duration > 0.0  # between the parts of a rest nothing is turned
+    rates = np.sqrt(about.moments.body_rates[turned][:, [0, 3, 5]].sum(axis=1) / turns.duration[turned])
     if len(rates) and rates.max() < ONE_RATE * rates.min():
         yield (
             f"all turns have about {rates.mean() / DEGREE:.2g} °/s: the scale factors of the gyros hold at this rate; "
@@ -392,8 +390,8 @@ def _of_lags(estimate: Estimate, observations: Observations) -> Iterator[str]:
     kelvin = observations.rests.temperatures
     if kelvin is None or estimate.budget is None:
         return
-    own = [i for i, source in enumerate(estimate.budget.sources) if source.name == "lag"]
-    of_lag = np.diagonal(estimate.budget.covariances[own], axis1=1, axis2=2).sum(axis=0)
+    by_lag = [i for i, source in enumerate(estimate.budget.sources) if source.name == "lag"]
+    of_lag = np.diagonal(estimate.budget.covariances[by_lag], axis1=1, axis2=2).sum(axis=0)
     for name, sensors in LAGS.items():
         if name not in estimate.names:
             continue

@@ -42,7 +42,6 @@ from tumble.reduction.observations import Observations
 from tumble.reduction.rests.rests import Rests
 from tumble.result.calibration import Calibration
 from tumble.result.evidence import Evidence
-from tumble.result.further import KINDS
 from tumble.result.parts import CalibratedDevice, Parameter, Readings
 from tumble.run.calibrate import provenance_of
 from tumble.run.case import estimate_in
@@ -62,6 +61,7 @@ from tumble.run.readings_table import (
 from tumble.sensors.frames import Convention, Frame, convert, frame_of
 from tumble.sensors.grades import GRADES
 from tumble.sensors.grades import grade as grade_named
+from tumble.sensors.model import WORDS
 from tumble.sensors.parameters import FURTHER, Terms, prior_sizes, variable_of
 from tumble.units import Array, engineering, fitting_units, is_near_one
 from tumble.usual_setup import MOVE, ON_TABLE
@@ -176,10 +176,10 @@ def calibrate_readings(
     if serial is not None and not serial.strip():
         raise InputError(f"--serial: expected a serial number, found {serial!r}")
     if isinstance(readings, str | os.PathLike):
-        whole = read_table(Path(readings), sensor)
+        rows = read_table(Path(readings), sensor)
     else:
-        whole = readings if isinstance(readings, ReadingsTable) else table_of(np.asarray(readings))
-    table = positions_of(whole, rows_per_position)
+        rows = readings if isinstance(readings, ReadingsTable) else table_of(np.asarray(readings))
+    table = positions_of(rows, rows_per_position)
     nominal = nominal_of(table, **described)
     if grade is not None:
         grade_named(grade)
@@ -189,9 +189,7 @@ def calibrate_readings(
     notes: tuple[str, ...] = ()
     recorded = table.stretch is not None
     if isinstance(fitted, Refusal):
-        refusal = (
-            undetermined(nominal.to_si(whole.values), block=TRIAD) or fitted
-        )  # counts the rows as they are written
+        refusal = undetermined(nominal.to_si(rows.values), block=TRIAD) or fitted  # counts the rows as they are written
         faces = None
         if sensor == "accel" and len(refusal.null) and not recorded and len(table.values) >= FACES:
             faces = _by_faces(table, nominal, noise, grade, terms)
@@ -216,14 +214,14 @@ def calibrate_readings(
             names=tuple(f"{sensor}.{name.partition('.')[2]}" for name in estimate.names),
             units=(nominal.result_unit,) * 3 + estimate.units[3:],
         )
-        seen = np.flatnonzero(estimate.observable)
-        parameters = parameters_of(named, seen, {}, learned)
+        determined = np.flatnonzero(estimate.observable)
+        parameters = parameters_of(named, determined, {}, learned)
         parameters = parameters if has_u else tuple(replace(p, u=None, dof=None) for p in parameters)
     models: dict[str, Any] = dict.fromkeys(("accel", "gyro", "mag")) | {sensor: estimate and estimate.accel}
     site = replace(_site(nominal), gravity_is_unit=nominal.modulus_u is None)
     # where the scatter is that of all there is, a row has no uncertainty beside it
     row_known = fit is not None and (table.covariance is not None or fit.scatter == 0.0)
-    worth = Readings(
+    meaning = Readings(
         columns=table.columns,
         unit=nominal.unit,
         increments=False,
@@ -236,16 +234,16 @@ def calibrate_readings(
         method="ellipsoid" if estimate is None else estimate.method,
         frame="accelerometer" if estimate is None else frame,
         parameters=parameters,
-        covariance=estimate.covariance[np.ix_(seen, seen)] if estimate is not None and has_u else None,
+        covariance=estimate.covariance[np.ix_(determined, determined)] if estimate is not None and has_u else None,
         **models,
         outcome=outcome,
         groups=() if estimate is None else estimate.groups,
         prediction=None if estimate is None else estimate.prediction,
-        evidence=Evidence(fits={} if fit is None else {KINDS[sensor]: fit.fit(nominal.result_unit)}),
+        evidence=Evidence(fits={} if fit is None else {WORDS[sensor]: fit.fit(nominal.result_unit)}),
         provenance=replace(
             provenance_of(table.sha256),
             site=site if sensor == "accel" else None,
-            readings={sensor: worth},
+            readings={sensor: meaning},
             notes=(*table.left_out, *_notes(table, nominal, fit), *notes),
         ),
     )
@@ -270,14 +268,14 @@ def _fitted(table: ReadingsTable, nominal: Nominal, bad: float) -> tuple[Ellipso
         return fit(blocks=table.stretch), none
     if table.covariance is not None:
         floor += table.covariance / np.outer(nominal.scale, nominal.scale)
-    known = fit(covariance=np.broadcast_to(floor, (len(readings), 3, 3)), bad_sigmas=bad)
-    if isinstance(known, Refusal):
-        return known, floor
+    by_digits = fit(covariance=np.broadcast_to(floor, (len(readings), 3, 3)), bad_sigmas=bad)
+    if isinstance(by_digits, Refusal):
+        return by_digits, floor
     within = table.covariance is not None
-    if within and known.scatter == 0.0 and table.degrees:
-        known = replace(known, noise_degrees=float(table.degrees))
-    if within or (known.degrees > 0 and known.chi_square <= known.degrees):
-        return known, floor
+    if within and by_digits.scatter == 0.0 and table.degrees:
+        by_digits = replace(by_digits, noise_degrees=float(table.degrees))
+    if within or (by_digits.degrees > 0 and by_digits.chi_square <= by_digits.degrees):
+        return by_digits, floor
     return fit(bad_sigmas=bad), none
 
 
@@ -305,9 +303,9 @@ def _estimated(
         largest = {name: max(sizes.get(name, 0.0) for sizes in grades) for sizes in grades for name in sizes}
         beyond, leaves = left_out_by_rests(replace(rests, usual=largest), fit.values)
         allowed = _sigmas(BAD_CHANCE, table) * np.linalg.norm(leaves * beyond.usual, axis=1)
-        whole, noise = _fitted(table, nominal, np.inf)
-        if isinstance(whole, EllipsoidFit) and np.all(np.abs(whole.residual) <= np.where(bad, allowed, np.inf)):
-            fit, rests = whole, _rests(table, nominal, noise)
+        of_all, noise = _fitted(table, nominal, np.inf)
+        if isinstance(of_all, EllipsoidFit) and np.all(np.abs(of_all.residual) <= np.where(bad, allowed, np.inf)):
+            fit, rests = of_all, _rests(table, nominal, noise)
     estimate = with_groups(estimate_of(fit, rests), fit, rests, grades, by_residuals=table.stretch is None)
     return fit, estimate, (note,)
 
@@ -324,7 +322,7 @@ def _by_faces(
     middle = 0.5 * (readings.min(axis=0) + readings.max(axis=0))
     usual = {} if terms == "linear" else prior_sizes(chosen)
     covariance = rests.rests.accel_covariance + (LEAST_NOISE * nominal.modulus) ** 2 * np.eye(3)
-    known = replace(
+    observations = replace(
         rests,
         rests=replace(rests.rests, accel_covariance=covariance),
         usual=usual,
@@ -332,12 +330,12 @@ def _by_faces(
         start=dict(zip(TRIAD.names, middle.tolist(), strict=False)),
     )
     try:
-        estimate = with_common_tilt(joint(known), known)
+        estimate = with_common_tilt(joint(observations), observations)
     except np.linalg.LinAlgError:
         return None
     of_rows = "" if table.covariance is None else " and the scatter within positions"
     note = f"nothing checks the readings: u has their last digit{of_rows}, and what is usual for the grade {chosen}"
-    return estimate, verdict(estimate, known), (note,)
+    return estimate, verdict(estimate, observations), (note,)
 
 
 def _usual(grade: str, table: ReadingsTable) -> dict[str, float]:

@@ -111,8 +111,8 @@ def calibrate_launches(
     runs = []
     words: dict[str, Any] = {"iterations": iterations, "frame": frame, "terms": terms, "prior": prior}
     for session in map(session_from, sessions):
-        made = calibrate(session, method=method, progress=progress, **words)
-        runs.append(Run(session=session, calibration=made))
+        calibration = calibrate(session, method=method, progress=progress, **words)
+        runs.append(Run(session=session, calibration=calibration))
     return mean_of_launches(runs, alike=alike) if len(runs) > 1 else runs[0].calibration
 
 
@@ -227,16 +227,17 @@ def _common_errors(
     site, members = launches[0].provenance.site, [[launch[n] for n in names] for launch in launches]
     gravity = np.zeros(len(names))
     if all(shared_gravity(site, launch.provenance.site) for launch in launches):
-        gravity = np.mean([by_gravity(own, C, site) for own, C in zip(members, covariances, strict=True)], axis=0)
+        gravity = np.mean([by_gravity(p, C, site) for p, C in zip(members, covariances, strict=True)], axis=0)
     of_groups: dict[str, Array] = {}
-    for i, (own, C, launch) in enumerate(zip(members, covariances, launches, strict=True)):
+    for i, (parameters, C, launch) in enumerate(zip(members, covariances, launches, strict=True)):
         changes = [
-            (group_name(name), np.outer(each, each)) for name, each in by_priors(own, C, launch.evidence.budget).items()
+            (group_name(name), np.outer(each, each))
+            for name, each in by_priors(parameters, C, launch.evidence.budget).items()
         ]
-        known = {group for group, _ in changes}
+        groups = {group for group, _ in changes}
         for each in launch.evidence.budget:  # of groups that are in u alone, as with linear terms
             prior, _, group = each.name.partition(".")
-            if prior == "prior" and beyond_linear(group) and group not in known and is_of_device(group):
+            if prior == "prior" and beyond_linear(group) and group not in groups and is_of_device(group):
                 changes.append((group, np.diag([each.contributions.get(name, 0.0) ** 2 for name in names])))
         for group, square in changes:
             of_groups.setdefault(group, np.zeros_like(covariances))[i] += square
@@ -259,8 +260,8 @@ def _by_source(
         if name in apart:
             continue
         of_prior = common.of_groups.get(name.removeprefix("prior."), np.zeros((1, *of_launches.shape)))
-        whole = np.array([[each.contributions.get(n, 0.0) ** 2 for n in names] for each in members]).sum(axis=0)
-        variances.append((whole - np.diagonal(of_prior, axis1=1, axis2=2).sum(axis=0)).clip(0.0))
+        summed = np.array([[each.contributions.get(n, 0.0) ** 2 for n in names] for each in members]).sum(axis=0)
+        variances.append((summed - np.diagonal(of_prior, axis1=1, axis2=2).sum(axis=0)).clip(0.0))
         shared.append(of_prior.mean(axis=0))
         u, dof = [each.u or 0.0 for each in members], None
         if all(each.dof is not None for each in members):
@@ -268,10 +269,10 @@ def _by_source(
         rms = None if members[0].u is None else float(np.sqrt(np.mean(np.square(u))))
         sources.append(replace(source(name, rms, members[0].unit, dof), basis=members[0].basis))
     total = np.sum(variances, axis=0) if variances else np.zeros(len(names))
-    budget, own = UncertaintyBudget(sources=(), covariances=np.empty((0, *of_launches.shape))), np.diag(of_launches)
+    budget, between = UncertaintyBudget(sources=(), covariances=np.empty((0, *of_launches.shape))), np.diag(of_launches)
     for of_source, variance, in_common in zip(sources, variances, shared, strict=True):
         share = np.divide(variance, total, out=np.zeros_like(total), where=total > 0.0)
-        budget = budget.beside(of_source, np.diag(share * own) + in_common)
+        budget = budget.beside(of_source, np.diag(share * between) + in_common)
     return budget
 
 
@@ -311,9 +312,9 @@ def _mean_parameters(
 ) -> tuple[tuple[Parameter, ...], Array, Array]:
     """Parameters of the mean with their covariance (m, m), and the part (m, m) of it from the launches themselves."""
     count, of_common = len(launches), common.all_launches
-    own = covariances - common.gravity - common.clock - common.priors
-    variances = np.diagonal(own, axis1=1, axis2=2).clip(0.0)
-    of_launches = own.sum(axis=0) / count**2
+    apart = covariances - common.gravity - common.clock - common.priors
+    variances = np.diagonal(apart, axis1=1, axis2=2).clip(0.0)
+    of_launches = apart.sum(axis=0) / count**2
     covariance = of_launches + of_common
     np.fill_diagonal(of_launches, variances.sum(axis=0) / count**2)
     mean, spread = values.mean(axis=0), np.std(values, axis=0, ddof=1)
@@ -372,8 +373,8 @@ def _common_items(values: Sequence[Mapping[str, _Any]]) -> dict[str, _Any]:
 
 def _mean_where_known(values: Sequence[float | None]) -> float | None:
     """The mean over the launches; None where one has none."""
-    known = [value for value in values if value is not None]
-    return float(np.mean(known)) if len(known) == len(values) else None
+    stated = [value for value in values if value is not None]
+    return float(np.mean(stated)) if len(stated) == len(values) else None
 
 
 def _groups(launches: Sequence[Calibration], parameters: Sequence[Parameter]) -> tuple[GroupFinding, ...]:
@@ -398,25 +399,25 @@ def _notes(runs: Sequence[Run], names: list[str]) -> Iterator[str]:
             launches_by_note.setdefault(note, []).append(run.name)
     for note, launches in launches_by_note.items():
         yield f"{'every launch' if len(launches) == len(runs) else ', '.join(launches)}: {note}"
-    known = positions_by_group(name for run in runs for name in run.calibration if name not in names)
-    if known:
-        yield f"left out of the mean, not known of every launch: {', '.join(known)}"
+    missing = positions_by_group(name for run in runs for name in run.calibration if name not in names)
+    if missing:
+        yield f"left out of the mean, not known of every launch: {', '.join(missing)}"
 
 
 def _prediction(runs: Sequence[Run], names: list[str], values: Array, covariance: Array) -> Prediction | None:
     """What readings corrected with the mean are known to; None where the launches do not say, or in another frame."""
-    session, known = runs[0].session, [run.calibration.prediction for run in runs]
+    session, predictions = runs[0].session, [run.calibration.prediction for run in runs]
     further = set(positions_by_group(names))
     instrument = Instrument.of(session.accel_block, session.gyro_block, further, variables=get_args(Variable))
-    if None in known or runs[0].calibration.frame != "accelerometer" or not set(instrument.names) <= set(names):
+    if None in predictions or runs[0].calibration.frame != "accelerometer" or not set(instrument.names) <= set(names):
         return None
-    at = [names.index(name) for name in instrument.names]
+    order = [names.index(name) for name in instrument.names]
     return prediction(
         instrument,
-        values[at],
-        covariance[np.ix_(at, at)],
+        values[order],
+        covariance[np.ix_(order, order)],
         gravity=float(np.mean([run.session.site.gravity for run in runs])),
-        rate=_mean_where_known([None if each is None else each.at_rate for each in known]),
+        rate=_mean_where_known([None if each is None else each.at_rate for each in predictions]),
     )
 
 

@@ -78,28 +78,28 @@ def magnetometer(observations: Observations, unit: str) -> MagnetometerEstimate:
     if field is None:  # with which the sensitivities are 1 in the geometric mean; 1 where there is no ellipsoid
         algebraic = fit_many(readings[None])
         field = float(np.cbrt(np.linalg.det(algebraic.models().matrix[0]))) if algebraic.found[0] else 1.0
-    found = fit_ellipsoid(readings, modulus=field, covariance=observations.rests.magnetometer_covariance)
-    if isinstance(found, Refusal):
-        reason = f"magnetometer: {found.reason}; or leave [log.magnetometer] out"
+    fit = fit_ellipsoid(readings, modulus=field, covariance=observations.rests.magnetometer_covariance)
+    if isinstance(fit, Refusal):
+        reason = f"magnetometer: {fit.reason}; or leave [log.magnetometer] out"
         return MagnetometerEstimate(values=None, covariance=None, model=None, fits={}, reasons=(reason,), notes=())
     scattering = (
-        f"magnetometer: the rests scatter by {found.scatter:.3g} {unit}, more than {100 * SCATTER_LIMIT:g} % of "
+        f"magnetometer: the rests scatter by {fit.scatter:.3g} {unit}, more than {100 * SCATTER_LIMIT:g} % of "
         "the field: the field is not the same in all of them; record away from steel, or leave [log.magnetometer] out"
     )
     return MagnetometerEstimate(
-        values=found.values,
-        covariance=found.covariance,
-        model=found.model,
-        fits={"magnetometer": found.fit(unit)},
-        reasons=(scattering,) if found.scatter > SCATTER_LIMIT * field else (),
-        notes=_notes(found, observations, field, unit),
+        values=fit.values,
+        covariance=fit.covariance,
+        model=fit.model,
+        fits={"magnetometer": fit.fit(unit)},
+        reasons=(scattering,) if fit.scatter > SCATTER_LIMIT * field else (),
+        notes=_notes(fit, observations, field, unit),
     )
 
 
-def _notes(found: EllipsoidFit, observations: Observations, field: float, unit: str) -> tuple[str, ...]:
+def _notes(fit: EllipsoidFit, observations: Observations, field: float, unit: str) -> tuple[str, ...]:
     """The result in the words of its users, rests that were left out, and what is not known."""
-    hard = ", ".join(f"{b:.4g}" for b in found.model.bias)
-    soft = np.linalg.svd(found.model.matrix, compute_uv=False)
+    hard = ", ".join(f"{b:.4g}" for b in fit.model.bias)
+    soft = np.linalg.svd(fit.model.matrix, compute_uv=False)
     notes = [
         f"magnetometer: hard iron ({hard}) {unit}, to be subtracted; soft iron: the field is read {soft[2]:.4f} to "
         f"{soft[0]:.4f} times its size, depending on its direction, which matrix⁻¹ undoes"
@@ -112,13 +112,13 @@ def _notes(found: EllipsoidFit, observations: Observations, field: float, unit: 
     rests = observations.rests
     notes += [
         f"magnetometer: rest {i + 1} ({rests.start[i]:z.1f}–{rests.stop[i]:z.1f} s) was left out: "
-        f"{found.sigmas[i]:.1f} sigma, the field is {found.residual[i]:+.3g} {unit} off"
-        for i in np.flatnonzero(~found.used)
+        f"{fit.sigmas[i]:.1f} sigma, the field is {fit.residual[i]:+.3g} {unit} off"
+        for i in np.flatnonzero(~fit.used)
     ]
-    if found.doubtful:
-        which = " or ".join(str(i + 1) for i in sorted(found.doubtful))
+    if fit.doubtful:
+        which = " or ".join(str(i + 1) for i in sorted(fit.doubtful))
         notes.append(
-            f"magnetometer: rest {which} does not fit: {found.sigmas[found.doubtful[0]]:.1f} sigma; it was left in"
+            f"magnetometer: rest {which} does not fit: {fit.sigmas[fit.doubtful[0]]:.1f} sigma; it was left in"
         )
     return tuple(notes)
 

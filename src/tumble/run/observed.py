@@ -38,8 +38,8 @@ from tumble.reduction.blocks.reducer import Reduction, reduce_log
 from tumble.reduction.blocks.tuning import USUAL, Tuning
 from tumble.reduction.observations import Observations, observe
 from tumble.reduction.rests.blemishes import without_blemishes
-from tumble.reduction.rests.matching import Match, match_rests, without_jump, without_numbered, without_times
-from tumble.reduction.rests.segmentation import RestSpan, Segmentation, find_rests
+from tumble.reduction.rests.matching import match_rests, without_jump, without_numbered, without_times
+from tumble.reduction.rests.segmentation import Segmentation, Stretch, find_rests
 from tumble.reduction.together import held, in_parts
 from tumble.reduction.turns.turns import torn_turns, without_unknown_turns
 from tumble.rotation import onto_body
@@ -198,29 +198,53 @@ def inspected(session: Session, progress: Progress, beside: Executor, tuning: Tu
     )
 
 
-def _observed(session: Session, reduction: Reduction, rests: tuple[RestSpan, ...]) -> Observations | None:
+def _observed(session: Session, reduction: Reduction, rests: tuple[Stretch, ...]) -> Observations | None:
     """The observations of all of these rests; None where there is none, or numbers that have no squares."""
     channels = (*reduction.accel_channels, *reduction.gyro_channels)
     if not rests or max(max(-each.minimum, each.maximum) for each in channels) > LARGEST_SQUARED:
         return None
-    match = Match(rests=rests, programme=None, position=None)
-    return observe(reduction, match, session.accel_block, session.gyro_block, session.site)
+    return observe(reduction, rests, session.accel_block, session.gyro_block, session.site)
 
 
 def observations_for_calibration(observed: Observed, *, biases_jump: bool = False) -> Observations | Outcome:
     """The observations of the positions of a session's programme, or of all rests where it has none, without the gyros
     where these are spoiled, as they are where their biases jump unless what is made of them can do with that; or why
     there is nothing to calibrate with. Raises ProgrammeError for a recording that does not go through the programme."""
+    moving = _in_motion(observed)
+    if moving is not None:
+        return moving
     matched = _matched(observed)
     if isinstance(matched, Outcome):
         return matched
     reduction, match, torn = matched
     if biases_jump and observed.gyro_bias_faults:
-        reduction = without_jump(reduction, match, observed.segmentation.jump, observed.session.gyro_block)
+        reduction = without_jump(reduction, match, observed.session.gyro_block)
     every = _observed_again(observed, reduction, match)
     every = with_mended_samples(replace(every, notes=(*observed.notes, *every.notes, *torn))).with_blows()
     spoiled = observed.gyro_faults or (observed.gyro_bias_faults and not biases_jump)
     return every.of_accelerometers() if spoiled else every
+
+
+FEWEST_RESTS = 9
+"""Fewer rests determine no accelerometers: then what moves between them counts too."""
+SHORTEST_MOTION = 20.0
+"""s: of less motion nothing is learned."""
+
+
+def _in_motion(observed: Observed) -> Observations | None:
+    """The observations of a recording with few rests or none, from node to node; None of others."""
+    session, segmentation = observed.session, observed.segmentation
+    spoiled = observed.faults or observed.gyro_faults or observed.gyro_bias_faults
+    if session.programme is not None or session.gyro_block is None or session.log.gyro is None or spoiled:
+        return None
+    if len(segmentation.rests) >= FEWEST_RESTS:
+        return None
+    reduction, _ = without_numbered(observed.reduction, segmentation, session.excluded)
+    blocks = session.accel_block, session.gyro_block
+    every = observe(reduction, segmentation.rests, *blocks, session.site, moving=True)
+    if every.links is None or every.links.duration.sum() < SHORTEST_MOTION:
+        return None
+    return replace(every, notes=(*observed.notes, *every.notes))
 
 
 def observations_in_parts(observed: Observed) -> tuple[Observations, IntArray] | Outcome:
@@ -228,23 +252,24 @@ def observations_in_parts(observed: Observed) -> tuple[Observations, IntArray] |
     matched = _matched(observed)
     if isinstance(matched, Outcome):
         return matched
-    reduction, whole, torn = matched
-    match, numbers = in_parts(reduction, whole)
+    reduction, match_of_rests, torn = matched
+    match, numbers = in_parts(reduction, match_of_rests)
     parts = _observed_again(observed, reduction, match)
     parts = with_mended_samples(replace(parts, notes=(*observed.notes, *parts.notes, *torn))).with_blows()
     return held(parts), numbers
 
 
-def _observed_again(observed: Observed, reduction: Reduction, match: Match) -> Observations:
+def _observed_again(observed: Observed, reduction: Reduction, match: Segmentation) -> Observations:
     """The observations of these rests and turns, made anew where they are others."""
     session, before = observed.session, observed.observations
     if before is not None and match.rests == observed.segmentation.rests and reduction is observed.reduction:
         return replace(before, programme=match.programme, position=match.position)
     arrays = None if before is None or observed.gyro_bias_faults else before.arrays
-    return observe(reduction, match, session.accel_block, session.gyro_block, session.site, arrays)
+    again = observe(reduction, match.rests, session.accel_block, session.gyro_block, session.site, arrays)
+    return replace(again, programme=match.programme, position=match.position)
 
 
-def _matched(observed: Observed) -> tuple[Reduction, Match, tuple[str, ...]] | Outcome:
+def _matched(observed: Observed) -> tuple[Reduction, Segmentation, tuple[str, ...]] | Outcome:
     """The rests of a session's programme, or all, the reduction without the turns that are left out, and notes of those
     that were not recorded as a whole."""
     session = observed.session

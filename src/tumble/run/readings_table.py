@@ -189,9 +189,9 @@ def _parsed(path: Path, text: str, sensor: Sensor) -> ReadingsTable:
             raise InputError(f"{path}: line {line}: expected three numbers, one per column, found {len(row)} values")
         for column, cell in zip(columns, row, strict=True):
             if not abs(_number(cell)) < LARGEST:
-                found = repr(cell.strip()[:40]) if cell.strip() else "an empty value"
+                value = repr(cell.strip()[:40]) if cell.strip() else "an empty value"
                 place = f"{path}: line {line}, column {column!r}"
-                raise InputError(f"{place}: expected a number, found {found}; correct the row")
+                raise InputError(f"{place}: expected a number, found {value}; correct the row")
     numbers = [[cell.strip().lower().partition("e") for cell in row] for _, row in rows[1:]]
     # the power of ten of the last digit of each: −3 of 1.250, 2 of 1.25e4
     last = [[int(power or 0) - len(digits.partition(".")[2]) for digits, _, power in row] for row in numbers]
@@ -310,16 +310,16 @@ def nominal_of(table: ReadingsTable, **described: Unpack[ReadingsDescription]) -
     # the output per unit: 1, as stated, or from the readings to three digits
     sizes, estimated = np.ones(3), unit in _RAW and scale is None
     if estimated:
-        seen = sizes_seen(table.values, length / factor)
-        seen = 0.5 * np.ptp(table.values, axis=0) / (length / factor) if seen is None else seen
-        sizes = np.array([float(f"{s:.3g}") if s > 0.0 else 1.0 for s in seen])
+        outputs = sizes_seen(table.values, length / factor)
+        outputs = 0.5 * np.ptp(table.values, axis=0) / (length / factor) if outputs is None else outputs
+        sizes = np.array([float(f"{s:.3g}") if s > 0.0 else 1.0 for s in outputs])
     elif scale is not None:
         if len(scale) not in (1, 3):
             raise InputError(f"--scale: expected one number or three, one per column, found {len(scale)}")
         sizes = np.broadcast_to(np.asarray(scale, dtype=float), 3)
         if not np.all((np.abs(sizes) > 1.0 / LARGEST) & (np.abs(sizes) < LARGEST)):
             raise InputError(f"--scale: expected numbers other than zero, found {', '.join(f'{s:g}' for s in sizes)}")
-    signs, told = _polarity(table, sizes, described.get("directions", {}), free=estimated)
+    signs, told_by = _polarity(table, sizes, described.get("directions", {}), free=estimated)
     return Nominal(
         sensor=sensor,
         unit=unit,
@@ -329,7 +329,9 @@ def nominal_of(table: ReadingsTable, **described: Unpack[ReadingsDescription]) -
         modulus=length,
         modulus_u=length_u,
         estimated=estimated,
-        assumed=tuple(name for name, known_by in zip(table.columns, told, strict=True) if estimated and not known_by),
+        assumed=tuple(
+            name for name, known_by in zip(table.columns, told_by, strict=True) if estimated and not known_by
+        ),
     )
 
 
@@ -351,8 +353,8 @@ def sizes_seen(values: Array, length: float) -> Array | None:
     (N, 3); None where they lie on none."""
     from tumble.methods.quadric import fit_many
 
-    found = fit_many(values[None])
-    return np.linalg.norm(found.models(length).matrix[0], axis=1) if found.found[0] else None
+    fit = fit_many(values[None])
+    return np.linalg.norm(fit.models(length).matrix[0], axis=1) if fit.found[0] else None
 
 
 def _polarity(table: ReadingsTable, sizes: Array, known: Mapping[int, Array], *, free: bool) -> tuple[Array, IntArray]:

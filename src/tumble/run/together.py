@@ -25,7 +25,7 @@ from tumble.recording.session_file import session_from
 from tumble.reduction.observations import Observations
 from tumble.reduction.together import joined
 from tumble.result.calibration import Calibration
-from tumble.result.parts import Member, Parameter
+from tumble.result.parts import Member, Parameter, learned_fraction
 from tumble.run.calibrate import assumptions, by_reference_clock, estimated, provenance_of, systematic_of
 from tumble.run.from_estimate import result_of, without_result
 from tumble.run.launches import Means, check_recordings, circumstances_of_all, digest_of_all
@@ -89,16 +89,16 @@ def calibrate_together(
     names, numbers, circumstances, faults = [], [], [], []
     for session in described:
         observed = inspect_session(session, progress=progress)
-        taken, name = observations_in_parts(observed), Path(session.name).name or session.name
+        parts, name = observations_in_parts(observed), Path(session.name).name or session.name
         circumstances.append(observed.circumstances)
-        if isinstance(taken, Outcome):
-            faults += [f"{name}: {reason}" for reason in taken.reasons]
+        if isinstance(parts, Outcome):
+            faults += [f"{name}: {reason}" for reason in parts.reasons]
             continue
-        rests, turns = taken[0].rests, taken[0].turns
+        rests, turns = parts[0].rests, parts[0].turns
         celsius = np.full(1, np.nan) if rests.temperature is None else rests.temperature - ZERO_CELSIUS
         names.append(session.name)
-        numbers.append(taken[1])
-        observations.append(taken[0])
+        numbers.append(parts[1])
+        observations.append(parts[0])
         members.append(
             Member(
                 session=name,
@@ -117,28 +117,28 @@ def calibrate_together(
     for name, each in zip(names, observations, strict=True):
         if each.rests.temperature is None:
             raise InputError(f"{name}: expected temperatures in the log, found none that are numbers")
-    whole = joined(observations, [member.session for member in members], numbers)
+    joint_observations = joined(observations, [member.session for member in members], numbers)
     first, clocks = _with_clocks(described, members)
-    whole = replace(whole, notes=(*whole.notes, *clocks))
-    estimate = estimated(first, whole, joint, systematic, "full")
+    joint_observations = replace(joint_observations, notes=(*joint_observations.notes, *clocks))
+    estimate = estimated(first, joint_observations, joint, systematic, "full")
     if isinstance(estimate, Outcome):
         return without_result(first, "joint", estimate, provenance)
-    made, own = result_of(first, *estimate, systematic, frame, provenance), estimate[0].own
+    calibration, of_sessions = result_of(first, *estimate, systematic, frame, provenance), estimate[0].own
     return replace(
-        made,
-        outcome=_with_scatter(made.outcome, estimate[0]),
+        calibration,
+        outcome=_with_scatter(calibration.outcome, estimate[0]),
         evidence=replace(
-            made.evidence,
+            calibration.evidence,
             together=tuple(members)
-            if own is None
-            else tuple(replace(member, parameters=_of_its_own(own, s)) for s, member in enumerate(members)),
+            if of_sessions is None
+            else tuple(replace(member, parameters=_of_its_own(of_sessions, s)) for s, member in enumerate(members)),
         ),
         provenance=replace(
-            made.provenance,
+            calibration.provenance,
             circumstances=circumstances_of_all(circumstances),
             assumptions=assumptions(first),
             notes=(
-                *made.provenance.notes,
+                *calibration.provenance.notes,
                 *(
                     f"{member.session}: nothing is turned"
                     f"{f', taken in {member.rests} parts' if member.rests > 1 else ''}: it says how the biases that "
@@ -224,11 +224,10 @@ def _means(observations: Observations) -> Means:
 
 def _of_its_own(own: OwnEstimate, s: int) -> tuple[Parameter, ...]:
     """What the session number s has of its own."""
-    learned = np.clip(1.0 - (own.u[s] / own.priors) ** 2, 0.0, 1.0)
-    numbers = np.column_stack([own.values[s], own.u[s], own.priors, learned]).tolist()
+    numbers = np.column_stack([own.values[s], own.u[s], own.priors]).tolist()
     return tuple(
-        Parameter(name=name, value=value, u=u, unit=unit, prior=prior, learned=part)
-        for name, unit, (value, u, prior, part) in zip(own.names, own.units, numbers, strict=True)
+        Parameter(name=name, value=value, u=u, unit=unit, prior=prior, learned=learned_fraction(u, prior))
+        for name, unit, (value, u, prior) in zip(own.names, own.units, numbers, strict=True)
     )
 
 

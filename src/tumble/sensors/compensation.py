@@ -169,11 +169,29 @@ class Compensator:
         """The sensors of a kind, None where there are none, and their coefficients (n, 15)."""
         return (self.accel, self.accel_coefficients) if kind == "accel" else (self.gyro, self.gyro_coefficients)
 
-    def model(self, kind: str) -> SensorModel:
-        """Matrix and bias of a kind of sensors, without what is beyond them."""
+    def model(self, kind: str, celsius: float | None = None) -> SensorModel:
+        """Matrix and bias of a kind of sensors at a temperature by all its thermometers, that of the reference where
+        None, without what is beyond them. A scale factor that changes changes the length of its row."""
         block, K = self.sensors(kind)
         assert block is not None
-        return SensorModel(matrix=K[:, measured_by(block)], bias=K[:, CONSTANT])
+        matrix, bias = K[:, measured_by(block)], K[:, CONSTANT]
+        if celsius is None:
+            return SensorModel(matrix=matrix, bias=bias)
+        warmer = celsius - self.reference(kind)
+        powers = np.column_stack([warmer, warmer**2])
+        bias_change, scale_change = ((self.changes(kind, what) * powers).sum(axis=1) for what in ("bias", "scale"))
+        longer = 1.0 + scale_change / np.linalg.norm(matrix, axis=1)
+        return SensorModel(matrix=longer[:, None] * matrix, bias=bias + bias_change)
+
+    def reference(self, kind: str) -> Array:
+        """Reference temperatures (n,), °C, of the channels of a kind of sensors; zero where nothing changes with
+        temperature."""
+        return np.asarray(self.references.get(kind, np.zeros(len(self.sensors(kind)[1]))))
+
+    def changes(self, kind: str, what: str) -> Array:
+        """Changes (n, 2) of "bias" or "scale" of the channels of a kind of sensors, per K and per K²."""
+        nothing = np.zeros(len(self.sensors(kind)[1]))
+        return np.column_stack([by.get(f"{kind}.{what}", nothing) for by in (self.slopes, self.curvatures)])
 
     @cached_property
     def accelerometers(self) -> Solver:
@@ -203,12 +221,8 @@ class Compensator:
         """Reference temperature, °C, and changes of biases and sensitivities per K and K² (n, 5)."""
         if not self.warm or block.kind not in self.references:
             return None
-        changes = [
-            np.broadcast_to(by.get(f"{block.kind}.{what}", 0.0), block.size)
-            for what in ("bias", "scale")
-            for by in (self.slopes, self.curvatures)
-        ]
-        return np.column_stack([self.references[block.kind], *changes])
+        changes = (self.changes(block.kind, what) for what in ("bias", "scale"))
+        return np.column_stack([self.reference(block.kind), *changes])
 
 
 def _changes(blocks: tuple[Block, Block | None], values: Mapping[str, float], ending: str) -> dict[str, Array]:

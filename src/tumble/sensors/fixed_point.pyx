@@ -147,35 +147,34 @@ cdef Py_ssize_t _take(
     const double[:, :] accel, const double[:, :] gyro, const double[:] time, const double[:, :] thermometer,
     const double[:] settings, double[:, :] rows, double[:, :] warmth, double[:] clock, Py_ssize_t row,
 ) noexcept nogil:
-    """New samples into the rows from `row` on, less those that are late; returns the row after them. What follows a
-    thermometer with a lag is that of `tumble.reduction.rests.thermometer`, over the time from stamp to stamp, or the
-    usual interval where that is none."""
+    """New samples into the rows from `row` on, less those that are late; returns the row after them. Each follower has
+    the thermometer of its number, counted anew from the first where there are more followers, and its own lag:
+    `tumble.reduction.rests.thermometer`, over the time from stamp to stamp, or the usual interval where that is none."""
     cdef double now, before, behind, t, flag, interval, lag, step, kept
     cdef Py_ssize_t p, n, m
-    interval, lag, step, kept = settings[0], settings[1], settings[0], settings[2]
+    interval = settings[0]
     n, m = accel.shape[1], gyro.shape[1]
     for i in range(accel.shape[0]):
         t = time[i] if time.shape[0] else interval * clock[1]
-        if clock[0] - settings[5] < t <= clock[0]:
+        if clock[0] - settings[3] < t <= clock[0]:
             clock[2] += 1.0
             continue
-        if lag != 0.0:
-            step, kept = t - clock[0], settings[2]
-            if 0.0 < step < 1e300:
-                kept = exp(-step / abs(lag))
-            else:
-                step = interval
+        step = t - clock[0]
+        if not 0.0 < step < 1e300:
+            step = interval
         clock[0], clock[1] = t if t == t else clock[0], clock[1] + 1.0
         flag = 0.0
-        for p in range(thermometer.shape[1]):
-            now, before, behind = thermometer[i, p] - settings[6], warmth[p, 0], warmth[p, 1]
-            if now < settings[3] or now > settings[4]:
+        for p in range(warmth.shape[0]):
+            before, behind, lag = warmth[p, 0], warmth[p, 1], warmth[p, 2]
+            now = thermometer[i, p % thermometer.shape[1]] - settings[4]
+            if now < settings[1] or now > settings[2]:
                 flag = TOO_WARM
             if now != now:
                 now = before
             if lag == 0.0 or behind != behind:
                 behind = now
             else:
+                kept = exp(-step / abs(lag))
                 behind = now - kept * before - (now - before) / step * abs(lag) * (1.0 - kept) + kept * behind
             warmth[p, 0], warmth[p, 1] = now, behind
             rows[row, 2 + n + m + p] = behind if lag >= 0.0 else 2.0 * now - behind
@@ -194,15 +193,15 @@ def advance(given, sensors, settings, state, held, out, *, moved, last):
     given : readings of accelerometers (N, n) and gyros (N, m), stamps (N,) or, of a regular clock, none, and
         temperatures (N, T).
     sensors : sheets of both kinds, their thermometers, their steps, and whether gyros feel the force.
-    settings : interval and lag, s; what is kept of a temperature in an interval; the lowest and the highest, °C; up to
-        how much a late sample is dropped, s; what 0 °C is; the longest step, s; squares of the largest rate and force;
-        and what is not a number.
-    state : rows (held + N, 2 + 2 n + m + T + 9), each of them stamp, flag, readings, temperatures, rate, its change,
-        force, and accelerometers at one point; temperatures (T, 2) of thermometers and of what follows them; the last
-        stamp, the samples, and those that were dropped; and room (2, n) for solving.
+    settings : interval, s; the lowest and the highest temperature, °C; up to how much a late sample is dropped, s; what
+        0 °C is; the longest step, s; squares of the largest rate and force; and what is not a number.
+    state : rows (held + N, 2 + 2 n + m + F + 9), each of them stamp, flag, readings, temperatures, rate, its change,
+        force, and accelerometers at one point; of F followers of thermometers (F, 3) the temperature of the thermometer
+        and of the follower, °C, and its lag, s; the last stamp, the samples, and those that were dropped; and room
+        (2, n) for solving.
     held : how many rows there are. Where readings are to be `moved`, the last of them is not corrected yet, and has to
         wait for the next, unless this is the `last` block.
-    out : stamps, flags and temperatures of the sensors, K or °C as given (M, 2 + T), force and rate (M, 3)."""
+    out : stamps, flags and temperatures of the followers, K or °C as given (M, 2 + F), force and rate (M, 3)."""
     (accel, gyro, time, thermometer), (rows, warmth, clock, known), (stamps, force, rate) = given, state, out
     accel_sheet, gyro_sheet, of_accel, of_gyro, accel_steps, gyro_steps, feels = sensors
     count = _advance(
@@ -225,7 +224,7 @@ cdef Py_ssize_t _advance(
     cdef double[:, :] celsius, turning, change, rates, forces, there, plain
     n, m = accel.shape[1], gyro.shape[1]
     heat = 2 + n + m
-    spin = heat + thermometer.shape[1]
+    spin = heat + warmth.shape[0]
     with nogil:
         total = _take(accel, gyro, time, thermometer, settings, rows, warmth, clock, held)
         plain, turning, celsius = rows[:, 2 : 2 + n], rows[:, 2 + n : heat], rows[:, heat:spin]
@@ -244,7 +243,7 @@ cdef Py_ssize_t _advance(
             )
             first, keep = max(held - 1, 0), min(total, 2)
             stop = total if last else max(total - 1, first)
-            _differ(rates[:total], rows[:total, 0], first, stop, settings[7], settings[10], change)
+            _differ(rates[:total], rows[:total, 0], first, stop, settings[5], settings[8], change)
             _move(plain, rates, change, accel_sheet, first, stop, there)
         _solve(
             there[first:stop], celsius[first:stop], of_accel, forces, accel_sheet, accel_steps, True, False, known,
@@ -258,13 +257,13 @@ cdef Py_ssize_t _advance(
         for j in range(stop - first):
             stamps[j, 0], stamps[j, 1] = rows[first + j, 0], rows[first + j, 1]
             for p in range(spin - heat):
-                stamps[j, 2 + p] = celsius[first + j, p] + settings[6]
+                stamps[j, 2 + p] = celsius[first + j, p] + settings[4]
             x, y, z = force[j, 0], force[j, 1], force[j, 2]
-            if x * x + y * y + z * z > settings[9]:
+            if x * x + y * y + z * z > settings[7]:
                 stamps[j, 1] += TOO_MUCH
             if m:
                 x, y, z = rate[j, 0], rate[j, 1], rate[j, 2]
-                if x * x + y * y + z * z > settings[8]:
+                if x * x + y * y + z * z > settings[6]:
                     stamps[j, 1] += TOO_FAST
         for j in range(keep):
             for p in range(rows.shape[1]):

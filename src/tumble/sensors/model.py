@@ -15,6 +15,7 @@ to it, the body axis with the smallest component in d). `accel.axis.3.1` is Î¸â‚
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Literal
@@ -25,6 +26,8 @@ from tumble.rotation import axes_angles, axes_matrix, left_inverse, tangent_basi
 from tumble.units import Array, IntArray
 
 SensorKind = Literal["accel", "gyro"]
+UNITS: Mapping[SensorKind, str] = {"accel": "m/s^2", "gyro": "rad/s"}
+WORDS: Mapping[str, str] = {"accel": "accelerometers", "gyro": "gyros", "mag": "magnetometer"}
 
 _ANGLE_PAIRS = ("xy", "xz", "yx", "yz", "zx", "zy")
 _FREE_PAIRS: dict[SensorKind, tuple[str, ...]] = {"accel": ("yx", "zx", "zy"), "gyro": _ANGLE_PAIRS}

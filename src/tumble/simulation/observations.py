@@ -52,30 +52,48 @@ SAMPLES = 256
 
 
 def simulate_observations(
-    scenario: Scenario, rng: np.random.Generator, *, only_programmed: bool = False
+    scenario: Scenario,
+    rng: np.random.Generator,
+    *,
+    course: Itinerary | None = None,
+    only_programmed: bool = False,
 ) -> Observations:
-    """Observations of one session of a scenario, whose truth is `scenario.truth`. With `only_programmed`, turns that
-    the programme does not prescribe are left out, as if the log had been stopped for them.
+    """Simulate the observations of one session.
 
-    Raises InputError for a scenario that is impossible or vibrates."""
+    Parameters
+    ----------
+    scenario
+        Instrument, programme and site; its `truth` is that of the session.
+    rng
+        Random numbers.
+    course
+        Attitudes and times of the rests; drawn where None.
+    only_programmed
+        Whether turns that the programme does not prescribe are left out, as if the log had been stopped for them.
+
+    Raises
+    ------
+    InputError
+        For a scenario that is impossible or vibrates.
+    """
     if scenario.vibration.amplitude > 0.0:
         raise InputError(
             f"vibration: expected none in observations without a log, found {scenario.vibration.amplitude:g} m/s^2; "
             "take simulated_recording.record"
         )
     geometry, noise, place = rng.spawn(3)
-    way = itinerary(scenario, geometry)
-    accel, gyro = (SimulatedBlock.of(block, scenario, way.middle) for block in (scenario.accel, scenario.gyro))
+    course = itinerary(scenario, geometry) if course is None else course
+    accel, gyro = (SimulatedBlock.of(block, scenario, course.middle) for block in (scenario.accel, scenario.gyro))
     biases = tuple(
-        block.bias(noise.standard_normal((len(way.rests), len(block.coefficients))), way.rests)
+        block.bias(noise.standard_normal((len(course.rests), len(block.coefficients))), course.rests)
         for block in (accel, gyro)
     )
-    rests = _rests(scenario, way, (accel, gyro), biases, noise)
+    rests = _rests(scenario, course, (accel, gyro), biases, noise)
     listed = scenario.programme
     if only_programmed:
         programmed = [move.axis is not None for move in listed.moves] if listed is not None else False
-        way = replace(way, turned=way.turned & programmed)
-    turns, samples, integrals = _turns(scenario, way, (accel, gyro), biases, noise)
+        course = replace(course, turned=course.turned & programmed)
+    turns, samples, integrals = _turns(scenario, course, (accel, gyro), biases, noise)
     site = scenario.site
     observations = Observations(
         accel_block=scenario.accel,
@@ -85,7 +103,7 @@ def simulate_observations(
         turns=turns,
         turn_samples=samples,
         programme=listed,
-        position=None if listed is None else np.array(way.positions),
+        position=None if listed is None else np.array(course.positions),
         turn_readings=integrals if scenario.gyro.size > 3 else None,
         usual=prior_sizes(scenario.setup.instrument, usual=scenario.setup.further),
         thermometers=None if scenario.climate is None else scenario.climate.record,
@@ -95,16 +113,16 @@ def simulate_observations(
 
 def _rests(
     scenario: Scenario,
-    way: Itinerary,
+    course: Itinerary,
     sensors: tuple[SimulatedBlock, SimulatedBlock],
     biases: tuple[InRunBias, ...],
     rng: np.random.Generator,
 ) -> Rests:
     """The mean readings at rest, with what the biases of accelerometers and gyros change by."""
-    start, stop = way.rests.T
+    start, stop = course.rests.T
     seconds, files, climate = stop - start, np.zeros(len(start), dtype=np.int64), scenario.climate
-    force = scenario.setup.gravity * way.attitudes[:, 1]
-    rate = np.array(earth_rate(scenario.setup.latitude)) @ way.attitudes
+    force = scenario.setup.gravity * course.attitudes[:, 1]
+    rate = np.array(earth_rate(scenario.setup.latitude)) @ course.attitudes
     means = []
     for block, bias in zip(sensors, biases, strict=True):
         noise = block.white / np.sqrt(seconds)[:, None] * rng.standard_normal(bias.values.shape)
@@ -121,7 +139,7 @@ def _rests(
 
 def _turns(
     scenario: Scenario,
-    way: Itinerary,
+    course: Itinerary,
     sensors: tuple[SimulatedBlock, SimulatedBlock],
     biases: tuple[InRunBias, ...],
     rng: np.random.Generator,
@@ -129,12 +147,12 @@ def _turns(
     """The turns (K,), not yet integrated, and their samples: for each turn AHEAD more are
     kept ahead of it, which its first step wants, as if it turned already. All have white noise but those of the gyros
     ahead."""
-    (accel, gyro), first, T = sensors, way.first, way.seconds
-    K, n, S, before = len(first), gyro.block.size, SAMPLES + AHEAD, way.attitudes[first]
-    to_body, to_force = onto_body(gyro.block.axes), np.linalg.pinv(accel.block.axes)
-    vector = inertial_turns(before, way.attitudes[first + 1], way.moves[first], T, scenario.setup.latitude)
+    (accel, gyro), first, T = sensors, course.first, course.seconds
+    K, n, S, before = len(first), gyro.block.size, SAMPLES + AHEAD, course.attitudes[first]
+    to_body, to_force = onto_body(gyro.block.axes), onto_body(accel.block.axes)
+    vector = inertial_turns(before, course.attitudes[first + 1], course.moves[first], T, scenario.setup.latitude)
     dt = T / SAMPLES
-    when = way.rests[first, 1][:, None] + (np.arange(S) - AHEAD + 0.5) * dt[:, None]
+    when = course.rests[first, 1][:, None] + (np.arange(S) - AHEAD + 0.5) * dt[:, None]
     rate = np.repeat((vector / T[:, None])[:, None], S, axis=1)
     force = scenario.setup.gravity * _mean_verticals(scenario, before, vector, T)
     sampled = _sampled(gyro, force, rate, when) + biases[1].at(when)
@@ -143,7 +161,7 @@ def _turns(
         times, which = np.unique(late, return_inverse=True)
         each = [_mean_verticals(scenario, before, vector, T, behind) for behind in times.tolist()]
         force = scenario.setup.gravity * np.stack(each, axis=2)[:, :, which]
-    felt = _sampled(accel, _with_levers(scenario, way, force, vector, T), rate, when)
+    felt = _sampled(accel, _with_levers(scenario, course, force, vector, T), rate, when)
     felt += biases[0].at(when) + accel.white / np.sqrt(dt)[:, None, None] * rng.spawn(1)[0].standard_normal(felt.shape)
     stored = MotionSamples()
     stored.append(
@@ -170,7 +188,7 @@ def _sampled(sensors: SimulatedBlock, force: Array, rate: Array, when: Array) ->
     return sensors.read(flat, rate.reshape(K * S, 3), when.ravel()).reshape(K, S, len(sensors.coefficients))
 
 
-def _with_levers(scenario: Scenario, way: Itinerary, force: Array, vector: Array, T: Array) -> Array:
+def _with_levers(scenario: Scenario, course: Itinerary, force: Array, vector: Array, T: Array) -> Array:
     """Forces at the accelerometers (K, S, n, 3) from those of the body (K, S, 3), or (K, S, n, 3) where accelerometers
     are late; the same where no arm is known.
 
@@ -186,8 +204,8 @@ def _with_levers(scenario: Scenario, way: Itinerary, force: Array, vector: Array
     out = np.repeat(force[:, :, None], len(arms), axis=2) if force.ndim == 3 else force.copy()
     centripetal = skew(rate) @ skew(rate) @ arms.T
     out[:, AHEAD:] += centripetal.swapaxes(1, 2)[:, None]
-    for sample, rests, sign in ((AHEAD, way.first, 1.0), (-1, way.first + 1, -1.0)):
-        jump = skew(rate - earth @ way.attitudes[rests]) @ arms.T
+    for sample, rests, sign in ((AHEAD, course.first, 1.0), (-1, course.first + 1, -1.0)):
+        jump = skew(rate - earth @ course.attitudes[rests]) @ arms.T
         turned = rotation_matrix((late - 0.5 * sign * dt[:, None])[..., None] * rate[:, None])
         out[:, sample] += np.einsum("kpij,kjp->kpi", turned, jump) * (sign / dt)[:, None, None]
     return out

@@ -59,40 +59,42 @@ def record(scenario: Scenario, rng: np.random.Generator) -> Recording:
 
     Raises InputError, one line, if the scenario is impossible or too long."""
     geometry, noise = rng.spawn(2)
-    way, fs = itinerary(scenario, geometry), scenario.setup.sample_rate
-    samples = float(way.rests[-1, 1]) * float(fs)
+    course, fs = itinerary(scenario, geometry), scenario.setup.sample_rate
+    samples = float(course.rests[-1, 1]) * float(fs)
     if not samples <= _MAX_SAMPLES:
         raise InputError(f"session: expected at most {_MAX_SAMPLES:g} samples, found {samples:.3g}")
-    N = math.floor(way.rests[-1, 1] * fs + 1e-6)
+    N = math.floor(course.rests[-1, 1] * fs + 1e-6)
     of_accel, of_gyro = noise.spawn(2)
     late, which = np.unique(scenario.instrument.delays(scenario.values), return_inverse=True)
     streams = [of_accel] if len(late) == 1 else of_accel.spawn(len(late))
     accel = np.empty((scenario.accel.size, N))
-    for k, (behind, own) in enumerate(zip(late.tolist(), streams, strict=True)):
-        accel[which == k] = _block_readings(scenario.accel, scenario, way, own, behind)[which == k]
-    gyro = _block_readings(scenario.gyro, scenario, way, of_gyro, 0.0)
-    happened = {field.name: getattr(way, field.name) for field in fields(way)}
+    for k, (behind, stream) in enumerate(zip(late.tolist(), streams, strict=True)):
+        accel[which == k] = _block_readings(scenario.accel, scenario, course, stream, behind)[which == k]
+    gyro = _block_readings(scenario.gyro, scenario, course, of_gyro, 0.0)
+    happened = {field.name: getattr(course, field.name) for field in fields(course)}
     return Recording(time=np.arange(1, N + 1) / fs, accel=accel.T, gyro=gyro.T, **happened)
 
 
-def _block_readings(block: Block, scenario: Scenario, way: Itinerary, rng: np.random.Generator, late: float) -> Array:
+def _block_readings(
+    block: Block, scenario: Scenario, course: Itinerary, rng: np.random.Generator, late: float
+) -> Array:
     """Readings (n, N) of a block that is `late`, s, piece by piece: rest, move, rest, …
 
     A sample belongs to a rest if all of its interval does."""
-    fs, rests = scenario.setup.sample_rate, way.rests
-    sensors = SimulatedBlock.of(block, scenario, way.middle)
+    fs, rests = scenario.setup.sample_rate, course.rests
+    sensors = SimulatedBlock.of(block, scenario, course.middle)
     out = np.empty((block.size, math.floor(rests[-1, 1] * fs + 1e-6)))
     sampled = _SampledBlock(sensors=sensors, scenario=scenario, late=late, rng=rng, readings=out)
     shifted = rests + late
     shifted[0, 0], shifted[-1, 1] = rests[0, 0], rests[-1, 1]
     edges = np.column_stack([np.ceil(shifted[:, 0] * fs - 1e-6), np.floor(shifted[:, 1] * fs + 1e-6)]).astype(int)
     normal = np.empty((len(rests), block.size))
-    for i, L in enumerate(way.attitudes):
+    for i, L in enumerate(course.attitudes):
         normal[i] = rng.standard_normal(block.size)
         for first, last in _chunks(edges[i, 0], edges[i, 1]):
             sampled.put(first, last, sampled.at_rest(L, first, last))
-        for first, last in _chunks(edges[i, 1], edges[i + 1, 0]) if i < len(way.moves) else ():
-            sampled.put(first, last, sampled.in_move(L, way.moves[i], float(shifted[i, 1]), first, last))
+        for first, last in _chunks(edges[i, 1], edges[i + 1, 0]) if i < len(course.moves) else ():
+            sampled.put(first, last, sampled.in_move(L, course.moves[i], float(shifted[i, 1]), first, last))
     bias = sensors.bias(normal, rests)
     for first, last in _chunks(0, out.shape[1]) if np.any(bias.values) else ():
         begins = (np.arange(first, last) + 1e-6) / fs - late  # that of a rest, where it begins with it

@@ -11,6 +11,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from tumble.planning.itinerary import Itinerary
 from tumble.planning.setup import ACCEL, GYRO, Setup
 from tumble.programme.positions import ANY_MOVE, Move, Programme
 from tumble.recording.session import Site
-from tumble.rotation import UP, rotation_matrix, rotation_vector, rotation_vector_near
+from tumble.rotation import UP, rotation_matrix, rotation_vector_near
 from tumble.sensors.grades import Grade, spread_of
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block
@@ -75,13 +76,28 @@ class Vibration:
 NO_VIBRATION = Vibration()
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True)
 class Scenario:
-    """Everything a simulated session is made of, apart from chance: the set-up, whose spreads do not count, for the
-    sensors of `accel` and `gyro` have the `truth`, values by parameter name of both blocks and of the groups beyond the
-    linear model that the instrument has; it goes into truth.json. Errors of table and mounting are rotations uniform
-    within ± about each axis: of the mounting for the launch (body axes), of the table for every position (geographic
-    axes). With a `climate` a recording has temperatures, and parameters that change with them do."""
+    """Everything that a simulated session is made of, apart from chance.
+
+    Errors of table and mounting are rotations uniform within ± about each axis: of the mounting for the launch (body
+    axes), of the table for every position (geographic axes).
+
+    Attributes
+    ----------
+    setup : Setup
+        Programme, site and noise; its spreads are not used.
+    accel, gyro : Block
+        The sensors.
+    truth : mapping of str to float
+        True values of all parameters, SI, which truth.json has.
+    vibration : Vibration
+        Vibration throughout the log.
+    serial : str
+        Serial number of the device.
+    climate : Climate or None
+        Temperatures of the session, with which parameters change.
+    """
 
     setup: Setup
     accel: Block
@@ -111,7 +127,7 @@ class Scenario:
         """How it moves."""
         return Profile(rate=self.setup.turn_rate, ramp=self.setup.ramp)
 
-    @property
+    @cached_property
     def instrument(self) -> Instrument:
         """The instrument whose true values are given."""
         variables: tuple[Variable, ...] = ("time",)
@@ -124,7 +140,7 @@ class Scenario:
         """Parameters of the instrument."""
         return self.instrument.names
 
-    @property
+    @cached_property
     def values(self) -> Array:
         """True values (m,) of the parameters, in the order of `names`."""
         return np.array([self.truth[name] for name in self.names])
@@ -161,16 +177,12 @@ def itinerary(scenario: Scenario, rng: np.random.Generator) -> Itinerary:
     _check(scenario)
     setup, profile = scenario.setup, scenario.profile
     positions, attitudes, nominal = _attitudes(setup, rng)
-    moves = np.empty((len(nominal), 3))
-    for i, move in enumerate(nominal):
-        turned = attitudes[i + 1] @ attitudes[i].T
-        if move.axis is None or move.angle is None:
-            moves[i] = rotation_vector(turned)
-        else:
-            moves[i] = rotation_vector_near(turned, move.angle * move.axis)
+    listed = [np.zeros(3) if move.axis is None or move.angle is None else move.angle * move.axis for move in nominal]
+    turned = attitudes[1:] @ np.swapaxes(attitudes[:-1], 1, 2)
+    moves = rotation_vector_near(turned, np.reshape(listed, (-1, 3)))  # near none, the shorter way
     rests = np.full(len(moves) + 1, setup.rest)
     rests[0] = max(setup.rest, setup.first_rest)
-    durations = [profile.duration(float(np.linalg.norm(move))) for move in moves]
+    durations = [profile.duration(angle) for angle in np.linalg.norm(moves, axis=1).tolist()]
     with np.errstate(over="ignore"):  # too long a session is refused after
         stops = np.cumsum(rests + np.concatenate([[0.0], durations]))
     return Itinerary(

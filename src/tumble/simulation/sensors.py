@@ -26,26 +26,47 @@ from tumble.units import Array
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class InRunBias:
-    """What the biases of a block change by, `values` (R, n) at the rests (R, 2), s; on the way from one to the next
-    they are `held`, or go straight."""
+    """Change of the biases of a block during a session.
+
+    Attributes
+    ----------
+    rests : (R, 2) array
+        Start and stop of the rests, s.
+    values : (R, n) array
+        Change at each rest, SI.
+    held : bool
+        Whether it is held until the next rest, or goes there linearly.
+    """
 
     rests: Array
     values: Array
     held: bool
 
     def at(self, when: Array) -> Array:
-        """The same (..., n) at times (...), s."""
+        """Change (..., n) at times (...), s."""
         if self.held:
             return np.asarray(self.values[np.maximum(np.searchsorted(self.rests[:, 0], when, side="right") - 1, 0)])
         knots = self.rests.ravel()
-        return np.stack([np.interp(when, knots, np.repeat(own, 2)) for own in self.values.T], axis=-1)
+        return np.stack([np.interp(when, knots, np.repeat(bias, 2)) for bias in self.values.T], axis=-1)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SimulatedBlock:
-    """A block with its coefficients K (n, 15) at the mean time of the rests, s, or at the reference temperature, and
-    what they change by, `changes` (n, 15), with time, 1/s, and with what goes with the temperature; lever arms (n, 3),
-    m; the density of its white noise, and the standard deviation of its in-run bias with its correlation time, s."""
+    """A block of sensors with true errors.
+
+    Attributes
+    ----------
+    coefficients : (n, 15) array
+        K at the mean time of the rests, `middle`, and at the reference temperature.
+    changes : mapping of Variable to (n, 15) array
+        Change of K per second, and with what goes with the temperature of the `climate`.
+    arms : (n, 3) array
+        Lever arms, m.
+    white : float
+        Density of the white noise, SI/√Hz.
+    instability, instability_time : float
+        Standard deviation of the in-run bias, SI, and its correlation time, s.
+    """
 
     block: Block
     coefficients: Array
@@ -76,8 +97,17 @@ class SimulatedBlock:
         )
 
     def bias(self, normal: Array, rests: Array) -> InRunBias:
-        """What biases change by in a session with these rests (R, 2), s, of standard normal numbers (R, n): a process
-        that lasts, by how much they differ from their means over the rests, which are the parameters."""
+        """In-run change of the biases in a session.
+
+        A process that lasts is taken less its mean over the rests, which is the parameter.
+
+        Parameters
+        ----------
+        normal : (R, n)
+            Standard normal numbers.
+        rests : (R, 2)
+            Start and stop of the rests, s.
+        """
         values = self.instability * normal
         if self.instability_time > 0.0:
             ρ = np.exp(-np.diff(rests.mean(axis=1)) / self.instability_time)
@@ -87,9 +117,19 @@ class SimulatedBlock:
         return InRunBias(rests=rests, values=values, held=self.instability_time == 0.0)
 
     def read(self, force: Array, rate: Array, when: Array, seconds: Array | None = None) -> Array:
-        """Readings (N, n) in forces, (N, 3), or (N, n, 3) where those at each sensor are others, and rates (N, 3) of
-        the body, at times (N,), s from the start of the session; over so many `seconds` (N,) about them, of the mean
-        temperatures."""
+        """Readings (N, n) without white noise.
+
+        Parameters
+        ----------
+        force : (N, 3) or (N, n, 3)
+            Specific force of the body, or at each sensor.
+        rate : (N, 3)
+            Angular rate of the body.
+        when : (N,)
+            Times from the start of the session, s.
+        seconds : (N,), optional
+            Intervals about these times over which temperatures are averaged.
+        """
         out = readings(self.block, self.coefficients, force, rate)
         if not self.changes:
             return out

@@ -51,14 +51,38 @@ def simulate_session(
     temperature: TemperatureProfile | None = None,
     log_format: LogFormat = "parquet",
 ) -> Path:
-    """Write a simulated session, session.toml, log and truth.json, into a new folder, and return the folder.
+    """Write a simulated session, session.toml, log and truth.json, into a new folder.
 
-    The same set-up, seed and launch give the same numbers; another launch of a seed is the same device, put on the
-    table and turned anew. With a `temperature` profile the log has a thermometer, and biases and scale factors change
-    with it as is usual in the grade; in a set-up with all terms the sensors follow it with a lag, and biases have a
-    hysteresis. Raises InputError, one line, for a set-up that is impossible, and for a folder that holds a session
-    already.
+    Parameters
+    ----------
+    folder
+        The folder, without a session.
+    setup
+        Instrument, programme and site.
+    seed
+        Seed of the random numbers. The same set-up, seed and launch give the same session.
+    launch
+        Number of the power-on: the same device, put on the table and turned anew.
+    vibration
+        Vertical vibration throughout the log.
+    temperature
+        Temperatures of the session. The log has a thermometer then, and biases and scale factors change with it as is
+        usual in the grade; with all terms the sensors follow it with a lag, and biases have a hysteresis.
+    log_format
+        "parquet" or "csv", in SI; or "counts", a log as a cheap logger writes it, without a session.toml.
 
+    Returns
+    -------
+    Path
+        The folder.
+
+    Raises
+    ------
+    InputError
+        For a set-up that is impossible, and for a folder that holds a session.
+
+    Examples
+    --------
     >>> import tumble
     >>> tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=4), seed=1).name
     'session'
@@ -79,14 +103,14 @@ def simulate_session(
 
 def vibration_of(text: str) -> Vibration:
     """A vibration written as AMPLITUDE@HZ, such as "0.05@30" for 0.05 m/s² at 30 Hz."""
-    amplitude, at, frequency = text.partition("@")
+    amplitude, separator, frequency = text.partition("@")
     try:
-        found = Vibration(amplitude=float(amplitude), frequency=float(frequency))
+        vibration = Vibration(amplitude=float(amplitude), frequency=float(frequency))
     except ValueError:
-        found = Vibration(amplitude=math.nan)
-    if not at or not (0.0 <= found.amplitude < math.inf and 0.0 < found.frequency < math.inf):
+        vibration = Vibration(amplitude=math.nan)
+    if not separator or not (0.0 <= vibration.amplitude < math.inf and 0.0 < vibration.frequency < math.inf):
         raise InputError(f"vibration: expected AMPLITUDE@HZ in m/s^2 and Hz, such as 0.05@30, found {text!r}")
-    return found
+    return vibration
 
 
 def write_simulation(
@@ -100,9 +124,9 @@ def write_simulation(
     import polars as pl  # heavy, and only needed here
 
     log = f"log.{log_format}" if log_format != "counts" else "log.csv"
-    for name, said in ((SESSION_FILE, "a session"), (log, log), (TRUTH_FILE, TRUTH_FILE)):
+    for name, what in ((SESSION_FILE, "a session"), (log, log), (TRUTH_FILE, TRUTH_FILE)):
         if (folder / name).exists():
-            raise InputError(f"{folder}: expected a new folder, found {said} in it; give another one")
+            raise InputError(f"{folder}: expected a new folder, found {what} in it; give another one")
     recording = record(scenario, rng)
     truth = {name: scenario.truth[name] for name in scenario.names}
     if (climate := scenario.climate) is not None:
@@ -150,8 +174,8 @@ def read_truth(path: Path) -> dict[str, float]:
     try:
         content = json_of(text_of_document(path))
     except (InputError, ValueError) as error:
-        said = str(error).removeprefix(f"{path}: ")
-        raise InputError(f"{path}: expected a truth.json as `tumble simulate` writes it: {said}") from error
+        fault = str(error).removeprefix(f"{path}: ")
+        raise InputError(f"{path}: expected a truth.json as `tumble simulate` writes it: {fault}") from error
     numbers: list[Any] = list(content.values()) if isinstance(content, dict) else [None]
     if not all(type(each) in (int, float) and abs(each) < _LARGEST for each in numbers):
         raise InputError(f"{path}: expected an object of parameter names and numbers, found something else")

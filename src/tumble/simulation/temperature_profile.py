@@ -34,9 +34,21 @@ NODES = 128
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Climate:
-    """Temperatures (·, T), K, of the thermometers at times (·,), s, from the start of the session, straight between
-    them; the temperature, K, at which the true parameters have their values; and the `lags` of the sensors behind their
-    thermometers, s, by kind. `span`, the middle and half the range, K, (T,) or of all, are those of a hysteresis."""
+    """Temperatures of thermometers and sensors throughout a session.
+
+    Attributes
+    ----------
+    time : (N,) array
+        Times from the start of the session, s, between which temperatures change linearly.
+    kelvin : (N, T) array
+        Temperatures of the thermometers, K.
+    reference : float
+        Temperature at which the true parameters have their values, K.
+    lags : mapping of str to float
+        Lags of the sensors behind their thermometers, s, by kind.
+    span : (float or (T,) array, float or (T,) array)
+        Middle and half the range of the temperatures, K, of which the hysteresis is made.
+    """
 
     time: Array
     kelvin: Array
@@ -99,9 +111,16 @@ _NODES = 2000
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TemperatureProfile:
-    """Temperatures, °C, at equal steps from the start of a session to its end, one where it stays the same, and on top
-    of them the `heating` of each thermometer from power-on, K, which is reached exponentially with a time constant, s:
-    one for all sensors, two for the accelerometers and the gyros, or one a sensor."""
+    """Temperatures of a session.
+
+    Attributes
+    ----------
+    celsius : tuple of float
+        Temperatures, °C, at equal steps from the start to the end; one if it stays the same.
+    heating : tuple of (float, float)
+        Rise of each thermometer after power-on, K, and the time constant, s, with which it is reached: one for all
+        sensors, two for accelerometers and gyros, or one a sensor.
+    """
 
     celsius: tuple[float, ...]
     heating: tuple[tuple[float, float], ...] = ((0.0, 600.0),)
@@ -126,14 +145,14 @@ class TemperatureProfile:
 
     def blocks(self, accel: Block, gyro: Block) -> tuple[Block, Block]:
         """Accelerometers and gyros with these thermometers. Raises InputError for another number than they can have."""
-        found = thermometers_of(len(self.heating), accel.size, gyro.size)
-        if found is None:
+        numbers = thermometers_of(len(self.heating), accel.size, gyro.size)
+        if numbers is None:
             raise InputError(
                 f"temperature: expected a rise for all sensors, two for the accelerometers and the gyros, or "
                 f"{accel.size + gyro.size}, one a sensor, found {len(self.heating)}"
             )
-        own = found[: accel.size], found[accel.size :]
-        return replace(accel, thermometers=own[0]), replace(gyro, thermometers=own[1])
+        by_block = numbers[: accel.size], numbers[accel.size :]
+        return replace(accel, thermometers=by_block[0]), replace(gyro, thermometers=by_block[1])
 
 
 def temperature_profile(text: str) -> TemperatureProfile:
@@ -142,14 +161,14 @@ def temperature_profile(text: str) -> TemperatureProfile:
     parts = _PROFILE.fullmatch(text.strip())
     course, rises = (text, "") if parts is None else parts.group(1, 2)
     heating = tuple((float(rise), float(constant)) for rise, constant in re.findall(_RISE, rises))
-    found = TemperatureProfile(celsius=tuple(map(_number, course.split(":"))), heating=heating or ((0.0, 600.0),))
-    possible = all(_LOWEST <= c <= _HIGHEST for c in found.celsius)
-    if not possible or not all(abs(rise) <= _HIGHEST and constant > 0.0 for rise, constant in found.heating):
+    profile = TemperatureProfile(celsius=tuple(map(_number, course.split(":"))), heating=heating or ((0.0, 600.0),))
+    possible = all(_LOWEST <= c <= _HIGHEST for c in profile.celsius)
+    if not possible or not all(abs(rise) <= _HIGHEST and constant > 0.0 for rise, constant in profile.heating):
         raise InputError(
             f"temperature: expected {_LOWEST:g} to {_HIGHEST:g} degC, as 25, -10:60, -10:60:-10, or "
             f"START+RISE@SECONDS, such as 22+15@600, found {text!r}"
         )
-    return found
+    return profile
 
 
 def _number(text: str) -> float:
@@ -162,21 +181,21 @@ def draw_thermal(
 ) -> dict[str, float]:
     """True values by name of what changes with temperature, Gaussian with the standard deviations, SI, of a set-up or,
     where it has none, of its grade; and where the set-up has them, of hysteresis."""
-    found: dict[str, float] = {}
+    truth: dict[str, float] = {}
     for group in FURTHER:
         if group.variable not in THERMAL and not (group.variable == "hysteresis" and group.name in spreads):
             continue
         spread = spreads.get(group.name, group.usual[grade] if grade in GRADES else 0.0)
         names = group.names(blocks[group.kind])
-        found |= zip(names, (spread * rng.standard_normal(len(names))).tolist(), strict=True)
-    return found
+        truth |= zip(names, (spread * rng.standard_normal(len(names))).tolist(), strict=True)
+    return truth
 
 
 def draw_lags(spreads: Mapping[str, float], rng: np.random.Generator) -> dict[str, float]:
     """The lags of the sensors behind the thermometer, s, by kind, the sizes of Gaussian numbers with the standard
     deviations of a set-up; none where that has none."""
-    known = {kind: spreads[f"{kind}.lag"] for kind in get_args(SensorKind) if f"{kind}.lag" in spreads}
-    return {kind: abs(spread * float(rng.standard_normal())) for kind, spread in known.items()}
+    sizes = {kind: spreads[f"{kind}.lag"] for kind in get_args(SensorKind) if f"{kind}.lag" in spreads}
+    return {kind: abs(spread * float(rng.standard_normal())) for kind, spread in sizes.items()}
 
 
 def truth_at(
@@ -187,8 +206,8 @@ def truth_at(
     if REFERENCE_NAME not in truth or celsius is None:
         return dict(truth)
     names = list(truth)
-    there = np.array([celsius if own is None else own(name) for name in names])
-    moved = to_temperature(names, there - truth[REFERENCE_NAME]) @ np.array([truth[name] for name in names])
+    temperatures = np.array([celsius if own is None else own(name) for name in names])
+    moved = to_temperature(names, temperatures - truth[REFERENCE_NAME]) @ np.array([truth[name] for name in names])
     return dict(zip(names, moved.tolist(), strict=True)) | {REFERENCE_NAME: celsius}
 
 

@@ -36,7 +36,6 @@ from tumble.recording.text.dialect import DIALECT_KEYS
 from tumble.recording.text.text_log import times_of
 from tumble.result.accepted import accepted_part
 from tumble.result.calibration import Calibration, calibration_from
-from tumble.result.correction import corrected
 from tumble.sensors.compensation import Compensator
 from tumble.sensors.model import SensorModel
 from tumble.sensors.parameters import groups, positions_by_group
@@ -158,7 +157,7 @@ def applied(calibration: Calibration | FilePath, session: Session | FilePath) ->
     """Sentences on the parameters beyond the linear model that `apply_to_session` corrects, and that it does not."""
     calibration, session = accepted_part(calibration_from(calibration)), session_from(session)
     compensator = calibration.compensator
-    found = positions_by_group(p.name for p in calibration.parameters)
+    groups_here = positions_by_group(p.name for p in calibration.parameters)
     out = [f"{absent}; their columns are copied as they are" for absent in calibration.provenance.absent]
     without = "the calibration" if session.log.gyro is not None else "the session"
     if np.any(compensator.levers) and (session.log.gyro is None or compensator.gyro is None):
@@ -170,14 +169,14 @@ def applied(calibration: Calibration | FilePath, session: Session | FilePath) ->
         out.append(f"the delay of the accelerometers, {size}, is not undone: take it off their times")
     if compensator.warm and session.log.temperature is None:
         reference = calibration.reference_temperature
-        at = "the reference" if reference is None else f"{reference:.1f} °C"
-        out.append(f"the session has no temperature: parameters are those at {at}")
+        temperature = "the reference" if reference is None else f"{reference:.1f} °C"
+        out.append(f"the session has no temperature: parameters are those at {temperature}")
     elif compensator.warm and any(compensator.lags.values()):
         lags = ", ".join(f"{lag:z.0f} s ({kind})" for kind, lag in compensator.lags.items())
         out.append(f"sensors follow the thermometer with a lag of {lags}")
-    if any(group.variable == "hysteresis" for group in groups() if group.name in found):
+    if any(group.variable == "hysteresis" for group in groups() if group.name in groups_here):
         out.append("hysteresis over temperature is not applied: parameters are the mean of both ways")
-    if any(group.variable == "time" for group in groups() if group.name in found):
+    if any(group.variable == "time" for group in groups() if group.name in groups_here):
         out.append("drift in time is not undone: it belongs to the session in which it was found")
     return tuple(out)
 
@@ -201,13 +200,13 @@ def _parts(calibration: Calibration, session: Session) -> tuple[_Correction, ...
             )
         parts.append(_Correction(kind=kind, channels=channels, model=model, copied=copied and kind == "accel"))
     if session.log.magnetometer is not None and calibration.mag is not None:
-        given, unit = session.log.magnetometer, calibration["mag.bias.x"].unit
-        if given.unit_name != unit:
+        magnetometer, unit = session.log.magnetometer, calibration["mag.bias.x"].unit
+        if magnetometer.unit_name != unit:
             raise InputError(
                 f"{session.name}: log.magnetometer.unit: expected that of the calibration, {unit!r}, found "
-                f"{given.unit_name!r}; calibrate in the unit of the log"
+                f"{magnetometer.unit_name!r}; calibrate in the unit of the log"
             )
-        parts.append(_Correction(kind="mag", channels=given, model=calibration.mag))
+        parts.append(_Correction(kind="mag", channels=magnetometer, model=calibration.mag))
     return tuple(parts)
 
 
@@ -220,10 +219,10 @@ def _tables(
     numbers = [column for part in parts for column in part.channels.columns]  # the other columns are as they are
     if spec.dialect is not None and spec.dialect.decimal == ",":  # all that the session names
         numbers = [column for column in spec.columns if not (spec.clock and column == spec.time)]
-    rates, blocks = spec.gyro is not None, (session.accel_block, session.gyro_block)
-    thermometers = tuple(np.zeros(0, dtype=np.int64) if block is None else block.thermometer for block in blocks)
-    heat = 1 if spec.temperature is None else len(spec.temperature.columns)
-    stream = Stream(compensator, interval, gyros=rates, thermometers=thermometers, heat=heat)  # type: ignore[arg-type]  # two
+    blocks, heat = (session.accel_block, session.gyro_block), 1
+    if spec.temperature is not None:
+        heat = len(spec.temperature.columns)
+    stream = Stream(compensator, interval, blocks=blocks, heat=heat)
     for file in spec.files:
         source = source_of(file, spec.dialect)
         for added in (column for part in parts for column in part.added if column in source.names):
@@ -235,7 +234,7 @@ def _tables(
                 raise LogError(
                     f"{source.path}: expected the columns of the first file, {', '.join(names)}; write them alike"
                 )
-            true |= {part.kind: corrected(part.model, part.readings(table)) for part in parts if part.kind == "mag"}
+            true |= {part.kind: part.model.apply(part.readings(table)) for part in parts if part.kind == "mag"}
             new = {name: c for part in parts for name, c in part.columns(true[part.kind]).items()}
             corrected_columns = {name: pl.Series(name, column.copy()) for name, column in new.items()}
             # `with_columns` of polars takes as long as correcting a few thousand rows
@@ -275,9 +274,9 @@ def _corrected(
                     steps = np.diff(time, prepend=time[0] - interval if last is None else last)
                     last = float(time[-1])
                     if not (steps > 0.0).all():
-                        at = time[np.argmin(steps > 0.0)]
+                        when = time[np.argmin(steps > 0.0)]
                         raise LogError(
-                            f"{path}: expected times that increase, found {at:.9g} s after a later one; cut the log"
+                            f"{path}: expected times that increase, found {when:.9g} s after a later one; cut the log"
                         )
                     steps /= np.maximum(np.floor(steps / interval + 0.5), 1.0)
                 intervals = steps[:, None]

@@ -32,14 +32,12 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from tumble.arguments import checked
 from tumble.brief import Judged
 from tumble.errors import CalibrationError, InputError
 from tumble.files import FilePath
 from tumble.inference.estimate import Fit, Outcome
-from tumble.inference.prediction import prediction
 from tumble.inference.variables import variables_of
 from tumble.methods.field_check import (
     MISFIT_CHANCE,
@@ -56,17 +54,15 @@ from tumble.recording.session_file import session_from
 from tumble.reduction.observations import Observations
 from tumble.result.accepted import accepted_accelerometers
 from tumble.result.calibration import Calibration, calibration_from
-from tumble.result.correction import reference_of_parameter
 from tumble.result.coverage import by_gravity, shared_gravity
-from tumble.result.evidence import Evidence
 from tumble.result.launch_variances import LaunchVariances, launch_variances
-from tumble.result.parts import learned_fraction
-from tumble.run.calibrate import grade_of, provenance_of
+from tumble.result.record import reference_of_parameter
+from tumble.run.calibrate import grade_of
 from tumble.run.from_estimate import readings_of_session, reference_of, references_of
-from tumble.run.observed import Observed, inspect_session, observations_for_calibration
+from tumble.run.observed import inspect_session, observations_for_calibration
 from tumble.sensors.grades import GRADES, TURN_ON, spread_of
 from tumble.sensors.instrument import Instrument
-from tumble.sensors.parameters import group_of, sensor_kind, shown_in, to_temperature, usual_sizes, variable_of
+from tumble.sensors.parameters import group_of, shown_in, to_temperature, usual_sizes, variable_of
 from tumble.units import ZERO_CELSIUS, engineering
 from tumble.use.apply import check_device
 from tumble.use.positions import PositionResiduals, residuals_in, table_observations
@@ -136,9 +132,6 @@ class FieldCheck(Judged):
         Residuals that no change explains; `rests_agree` if they are those of the turns alone.
     notes : tuple of str
         What was assumed.
-    updated : Calibration or None
-        The calibration, updated by the check: parameters that have changed are known by the check alone. None if no
-        change explains the session, and if the parameters were not tested with a session.
     """
 
     json_fields: ClassVar = (
@@ -159,7 +152,6 @@ class FieldCheck(Judged):
     misfit: Fit | None = None
     rests_agree: bool = False
     notes: tuple[str, ...] = ()
-    updated: Calibration | None = None
 
     @property
     def valid(self) -> bool:
@@ -260,14 +252,14 @@ def check_calibration(
     >>> len(check.rests), check.valid
     (4, True)
     """
-    given = accepted_for_check(calibration)
+    accepted = accepted_for_check(calibration)
     if not isinstance(readings, Session) and not Path(readings).is_dir():
-        rows, table = table_observations(given, Path(readings))
-        residuals = residuals_in(given, rows, table.sha256)
+        rows, table = table_observations(accepted, Path(readings))
+        residuals = residuals_in(accepted, rows, table.sha256)
         labels = [f"position {i} (line {line})" for i, line in enumerate(table.lines, 1)]
         return _checked_rests(str(readings), residuals, labels)
     session = session_from(readings)
-    check_session(given, session)
+    check_session(accepted, session)
     observed = inspect_session(replace(session, programme=None))
     observations = observations_for_calibration(observed)
     if isinstance(observations, Outcome):
@@ -275,9 +267,9 @@ def check_calibration(
     grade, guessed_from = grade_of(session, observations)
 
     # each rest against gravity
-    residuals = residuals_in(given, observations, observed.sha256)
-    at, kelvin = observations.rests, observations.rests.temperature
-    times = list(zip(at.start.tolist(), at.stop.tolist(), strict=True))
+    residuals = residuals_in(accepted, observations, observed.sha256)
+    rest_means, kelvin = observations.rests, observations.rests.temperature
+    times = list(zip(rest_means.start.tolist(), rest_means.stop.tolist(), strict=True))
     celsius = len(times) * [None] if kelvin is None else (kelvin - ZERO_CELSIUS).tolist()
     labels = [f"rest {i} ({start:z.1f}–{stop:z.1f} s)" for i, (start, stop) in enumerate(times, 1)]
     by_rests = _checked_rests(session.name, residuals, labels)
@@ -285,12 +277,12 @@ def check_calibration(
         replace(rest, start=start, stop=stop, celsius=warmth)
         for rest, (start, stop), warmth in zip(by_rests.rests, times, celsius, strict=True)
     )
-    by_rests = replace(by_rests, rests=rests, notes=given.provenance.absent)
-    if residuals.left_out or given.frame == "case":
+    by_rests = replace(by_rests, rests=rests, notes=accepted.provenance.absent)
+    if residuals.left_out or accepted.frame == "case":
         return by_rests
 
     # all parameters
-    converted = given.in_frame("accelerometer")
+    converted = accepted.in_frame("accelerometer")
     if converted.gyro is None and observations.gyro_block is not None:
         observations = observations.of_accelerometers()
     launches, sheet = _launches(converted, launches), session.device.prior
@@ -300,17 +292,13 @@ def check_calibration(
     if not result.explained and observations.gyro_block is not None:
         at_rest = observations.of_accelerometers()
         rests_agree = field_check(at_rest, prior_at_check(converted, at_rest, grade, sheet, launches)).valid
-    check = replace(
+    return replace(
         by_rests,
         turns=0 if observations.turns is None else len(observations.turns),
         **tested(result),
         rests_agree=rests_agree,
         notes=(*by_rests.notes, *_assumptions(converted, reference_of(observations), grade, guessed_from, launches)),
     )
-    if not result.explained:
-        return check
-    updated = _updated(converted, check, result, prior.instrument, observations, observed)
-    return replace(check, updated=updated.in_frame(given.frame))
 
 
 def _checked_rests(source: str, residuals: PositionResiduals, labels: Sequence[str]) -> FieldCheck:
@@ -345,10 +333,10 @@ def _assumptions(
 
 def accepted_for_check(calibration: Calibration | FilePath) -> Calibration:
     """The accepted part of a calibration; raise CalibrationError without accelerometers or uncertainties."""
-    given = accepted_accelerometers(calibration_from(calibration), "a check has its attitudes")
-    if given.covariance is None:
-        raise CalibrationError(f"calibration of {given.serial!r}: expected one with uncertainties, found none")
-    return given
+    accepted = accepted_accelerometers(calibration_from(calibration), "a check has its attitudes")
+    if accepted.covariance is None:
+        raise CalibrationError(f"calibration of {accepted.serial!r}: expected one with uncertainties, found none")
+    return accepted
 
 
 def check_session(calibration: Calibration, session: Session) -> None:
@@ -396,36 +384,36 @@ def prior_at_check(
     names, linear = instrument.names, instrument.names[: instrument.linear_count]
 
     # Σ with the uncertainty of gravity before it: by the calibration, and of the usual size what it does not have
-    given = {p.name: p.value for p in calibration.parameters if variable_of(p.name) != "time"}
-    missing = [name for name in linear if name not in given]
+    calibrated = {p.name: p.value for p in calibration.parameters if variable_of(p.name) != "time"}
+    missing = [name for name in linear if name not in calibrated]
     if missing or calibration.covariance is None:
         raise InputError(
             f"calibration of {calibration.serial!r}: expected the parameters of the session's sensors, found none of "
             f"{', '.join(missing)}; check with recordings of the same device"
         )
-    values, whole = np.zeros(len(names)), np.zeros((len(names) + 1,) * 2)
-    gravity, covariance = observations.site.gravity_u, whole[1:, 1:]
-    whole[0, 0] = gravity**2
+    values, with_gravity = np.zeros(len(names)), np.zeros((len(names) + 1,) * 2)
+    gravity, covariance = observations.site.gravity_u, with_gravity[1:, 1:]
+    with_gravity[0, 0] = gravity**2
     for group, members in instrument.members.items():
         covariance[members, members] = usual[group] ** 2 * np.eye(members.stop - members.start)
-    at = [i for i, name in enumerate(names) if name in given]
-    values[at] = [given[names[i]] for i in at]
-    covariance[np.ix_(at, at)] = calibration.covariance_of([names[i] for i in at])
+    places = [i for i, name in enumerate(names) if name in calibrated]
+    values[places] = [calibrated[names[i]] for i in places]
+    covariance[np.ix_(places, places)] = calibration.covariance_of([names[i] for i in places])
     if shared_gravity(calibration.provenance.site, observations.site):
         change = by_gravity(calibration.parameters, calibration.covariance, calibration.provenance.site)
         by_name = {p.name: c for p, c in zip(calibration.parameters, change.tolist(), strict=True)}
-        whole[0, 1:] = whole[1:, 0] = gravity * np.array([by_name.get(name, 0.0) for name in names])
+        with_gravity[0, 1:] = with_gravity[1:, 0] = gravity * np.array([by_name.get(name, 0.0) for name in names])
 
     # at the temperature of the check
-    now, J = references_of(observations), np.eye(len(whole))
+    now, J = references_of(observations), np.eye(len(with_gravity))
     if calibration.reference_temperature is not None and now:
-        here = replace(calibration, temperature=replace(calibration.temperature, references=now))
-        warmer = [reference_of_parameter(here, name) - reference_of_parameter(calibration, name) for name in names]
+        at_check = replace(calibration, temperature=replace(calibration.temperature, references=now))
+        warmer = [reference_of_parameter(at_check, name) - reference_of_parameter(calibration, name) for name in names]
         J[1:, 1:] = to_temperature(names, np.array(warmer))
     # s² and 1/ν_s of another power-on, Eq. (2)
     single = len(calibration.evidence.launches) < 2 and not calibration.evidence.together
     others = _launches(calibration, launches)
-    turned_on, inverse_degrees = np.zeros((2, len(whole)))
+    turned_on, inverse_degrees = np.zeros((2, len(with_gravity)))
     for i, name in enumerate(linear, 1):
         pooled_from = [(each.degrees, each.variances[name][0]) for each in others if name in each.variances]
         degrees = sum(count for count, _ in pooled_from)
@@ -442,75 +430,10 @@ def prior_at_check(
     return CheckPrior(
         instrument=instrument,
         values=J[1:, 1:] @ values,
-        calibrated=J @ whole @ J.T,
+        calibrated=J @ with_gravity @ J.T,
         turned_on=turned_on,
         inverse_degrees=np.array([0.0, *(inverse.get(name, 0.0) for name in names)]),
         turned_on_inverse_degrees=inverse_degrees,
         to_temperature=J,
         components=replace(components_of(GRADES[grade].noise), **scatter),
-    )
-
-
-# -------------------- the updated calibration --------------------
-
-
-def _updated(
-    before: Calibration,
-    check: FieldCheck,
-    result: CheckResult,
-    instrument: Instrument,
-    observations: Observations,
-    observed: Observed,
-) -> Calibration:
-    """The calibration by the check, at the temperature of the check, in the frame `accelerometer`. Fields that describe
-    the recording of the calibration are emptied."""
-    assert before.covariance is not None
-    u, changed = np.sqrt(np.diag(result.covariance)), {change.name for change in result.changes}
-    parameters, at = [], []
-    for p in before.parameters:
-        if variable_of(p.name) == "time" or p.name not in instrument.names:
-            continue
-        i = instrument.names.index(p.name)
-        value, new_u, learned = float(result.values[i]), float(u[i]), p.learned
-        if p.prior is not None and learned is not None:
-            learned = learned_fraction(new_u, p.prior)
-        dof = None if p.name in changed else p.dof  # what is of the check alone has none of the calibration
-        parameters.append(replace(p, value=value, u=new_u, deviation=None, run_to_run=None, dof=dof, learned=learned))
-        at.append(i)
-    others = [i for i, p in enumerate(before.parameters) if sensor_kind(p.name) == "mag"]  # took no part
-    gyro, warm = instrument.gyro, before.reference_temperature is not None
-    at_rate = None if before.prediction is None else before.prediction.at_rate
-    predicted, site = None, before.provenance.site
-    if site is not None:
-        predicted = prediction(instrument, result.values, result.covariance, gravity=site.gravity, rate=at_rate)
-    note = (
-        f"no calibration of its own: that of {before.provenance.created or 'an unknown date'}, updated by a field "
-        f"check of {len(check.rests)} rests ({check.source}): "
-        f"{'; '.join(check.reasons) or 'nothing had changed beyond chance'}"
-    )
-    return replace(
-        before,
-        parameters=(*parameters, *(before.parameters[i] for i in others)),
-        covariance=block_diag(result.covariance[np.ix_(at, at)], before.covariance[np.ix_(others, others)]),
-        accel=instrument.model(instrument.accel, result.values),
-        gyro=None if gyro is None else instrument.model(gyro, result.values),
-        groups=tuple(group for group in before.groups if variable_of(group.name) != "time"),
-        prediction=predicted,
-        temperature=replace(
-            before.temperature,
-            reference=reference_of(observations) if warm else None,
-            range=before.temperature_range,
-            references=references_of(observations) if warm else {},
-        ),
-        evidence=Evidence(fits=before.evidence.fits),
-        provenance=replace(
-            provenance_of(observed.sha256),
-            calibrated_log_sha256=before.provenance.log_sha256 or "unknown",
-            site=site if site == observations.site else None,
-            circumstances=observed.circumstances,
-            sample_rate=observed.rate,
-            readings=before.provenance.readings,
-            notes=(note, *before.provenance.notes),
-            absent=before.provenance.absent,
-        ),
     )

@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from math import inf, sqrt
-from typing import Any, ClassVar, Protocol, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import scipy
@@ -32,6 +32,7 @@ from tumble.files import FilePath
 from tumble.result.calibration import Calibration, calibration_from
 from tumble.result.coverage import UNLEARNED, apart, expanded_of, welch_satterthwaite
 from tumble.result.further import remarks as remarks_of
+from tumble.result.parts import Estimated
 from tumble.result.shared_errors import shared_errors
 from tumble.units import Array
 
@@ -39,17 +40,6 @@ CHANCE = 0.01
 """Probability that the largest difference of two calibrations that agree is significant."""
 LEAST_PROBABILITY = 1e-3
 """Two calibrations contradict each other if chance exceeds their χ² with a smaller probability than this."""
-
-
-class KnownValue(Protocol):
-    """A value with its standard uncertainty and degrees of freedom, SI."""
-
-    @property
-    def value(self) -> float: ...
-    @property
-    def u(self) -> float | None: ...
-    @property
-    def dof(self) -> float | None: ...
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -75,7 +65,7 @@ class Difference:
     dof: float | None = None
 
     @classmethod
-    def between(cls, first: KnownValue, second: KnownValue, g: Array, h: Array, **others: Any) -> Self:
+    def between(cls, first: Estimated, second: Estimated, g: Array, h: Array, **others: Any) -> Self:
         """The difference of a parameter that errors in common change by `g` (k,) in the first and `h` (k,) in the
         second; `others` are the other fields."""
         parts: list[tuple[float, float | None]] = [

@@ -12,8 +12,7 @@ in the wrong order, ω̇ is unknown and the sample is not transferred. The delay
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import accumulate
-from math import exp, inf, isnan, nan
+from math import inf, nan
 
 import numpy as np
 import numpy.typing as npt
@@ -28,8 +27,9 @@ from tumble.rotation import left_inverse
 from tumble.sensors.compensation import Compensator
 from tumble.sensors.fixed_point import ACROSS, ALONG, TOO_FAST, TOO_MUCH, TOO_WARM, WIDTH, advance
 from tumble.sensors.instrument import Instrument, functions, measured_by
+from tumble.sensors.model import Block
 from tumble.sensors.parameters import FORCE, group_name
-from tumble.units import G_STANDARD, ZERO_CELSIUS, Array, BoolArray, IntArray
+from tumble.units import G_STANDARD, ZERO_CELSIUS, Array, BoolArray
 
 LONGEST_STEP = 3.5
 """Usual intervals between the neighbours of a sample, beyond which its angular acceleration is unknown."""
@@ -98,11 +98,26 @@ class Ranges:
 
 
 class Stream:
-    """Corrects the rows of one stream with a compensator.
+    """Corrects the rows of one stream.
 
-    The usual `interval` of samples is in s. With `gyros` rates are read. Of `heat` thermometers, `thermometers` are the
-    numbers of those of each accelerometer and of each gyro; `zero` is 0 °C in the unit of their temperatures. Samples
-    outside of the `ranges` are flagged. `latest` is LATEST, or 0 for stamps that are in order.
+    Parameters
+    ----------
+    compensator
+        The correction.
+    interval
+        Usual interval of samples, s.
+    blocks
+        Accelerometers and gyros of the stream, with their thermometers.
+    heat
+        Number of thermometers.
+    gyros
+        Whether rates are corrected.
+    ranges
+        Ranges outside of which samples are flagged.
+    zero
+        0 °C in the unit of the temperatures.
+    latest
+        LATEST, or 0 for stamps that are in order.
     """
 
     def __init__(
@@ -110,44 +125,43 @@ class Stream:
         compensator: Compensator,
         interval: float,
         *,
-        gyros: bool,
-        thermometers: tuple[IntArray, IntArray],
+        blocks: tuple[Block, Block | None],
         heat: int,
+        gyros: bool = True,
         ranges: Ranges | None = None,
         zero: float = 0.0,
         latest: float = 0.0,
     ) -> None:
         ranges = ranges or Ranges()
-        self.gyros = gyros and compensator.gyro is not None
+        self.gyros = gyros and blocks[1] is not None and compensator.gyro is not None
+        of_accel, of_gyro = (np.zeros(0, np.int64) if block is None else block.thermometer for block in blocks)
         lags = [compensator.lags.get(kind, 0.0) for kind in ("accel", "gyro")[: 1 + self.gyros]]
-        lag, *others = dict.fromkeys(lags if compensator.warm else [0.0])
-        self._followers = None
-        if others:
-            self._followers = _Followers(np.repeat(lags, heat), interval, latest)
-            lag, thermometers, heat = 0.0, (thermometers[0], heat + thermometers[1]), 2 * heat
+        lags = list(dict.fromkeys(lags)) if compensator.warm else [0.0]
+        if len(lags) > 1:  # followers of each thermometer for accelerometers, and then for gyros
+            of_gyro = heat + of_gyro
         self.moved = self.gyros and bool(np.any(compensator.levers))
         self.delay = int(self.moved)
         accel, rates = compensator.accelerometers, compensator.gyros if self.gyros else None
         n, m = len(accel.sheet), 0 if rates is None else len(rates.sheet)
         sheet = np.zeros((0, WIDTH)) if rates is None else rates.sheet
         steps, feels = (1, False) if rates is None else (rates.steps, rates.feels)
-        self._sensors = accel.sheet, sheet, *thermometers, accel.steps, steps, feels
-        kept = exp(-interval / abs(lag)) if lag else 0.0
+        self._sensors = accel.sheet, sheet, of_accel, of_gyro, accel.steps, steps, feels
         limits = LONGEST_STEP * interval, ranges.rate**2, ranges.force**2
-        self._settings = np.array([interval, lag, kept, *ranges.temperature, latest, zero, *limits, nan])
-        self._start = np.zeros(heat)
-        for block, numbers in zip((compensator.accel, compensator.gyro), thermometers, strict=True):
+        self._settings = np.array([interval, *ranges.temperature, latest, zero, *limits, nan])
+        followers = len(lags) * heat
+        self._start = np.zeros(followers)
+        for block, numbers in ((compensator.accel, of_accel), (compensator.gyro, of_gyro)):
             if block is not None and block.kind in compensator.references and len(numbers) == block.size:
                 self._start[numbers] = compensator.references[block.kind]
         self._state: tuple[Array, ...] = (
-            np.zeros((2, 2 + 2 * n + m + heat + 9)),
-            np.zeros((heat, 2)),
+            np.zeros((2, 2 + 2 * n + m + followers + 9)),
+            np.column_stack([np.zeros((followers, 2)), np.repeat(lags, heat)]),
             np.zeros(3),
             np.zeros((2, max(n, m))),
         )
         self._nothing = np.zeros((0, n)), np.zeros((0, m)), np.zeros(0), np.zeros((0, heat))
         self._lost = self._nothing[3]
-        self._out: tuple[Array, ...] = np.zeros((0, 2 + heat)), np.zeros((0, 3)), np.zeros((0, 3))
+        self._out: tuple[Array, ...] = np.zeros((0, 2 + followers)), np.zeros((0, 3)), np.zeros((0, 3))
         self._view = self._views(0)
         self.reset()
 
@@ -156,8 +170,6 @@ class Stream:
         self._held = 0
         _, warmth, clock, _ = self._state
         warmth[:, 0], warmth[:, 1], clock[:2] = self._start, nan, (-inf, 0.0)
-        if self._followers is not None:
-            self._followers.reset(self._start + self._settings[6])
 
     @property
     def dropped(self) -> int:
@@ -175,7 +187,7 @@ class Stream:
             rows = np.zeros((min(count, _ROWS) + 2, kept.shape[1]))
             rows[:2] = kept[:2]
             self._state, self._view = (rows, *others), self._views(0)
-            self._lost = np.full((min(count, _ROWS), len(self._start)), nan)
+            self._lost = np.full((min(count, _ROWS), self._lost.shape[1]), nan)
         ready = 0
         pieces: tuple[Array | None, ...] = (accel, gyro, time, celsius)
         for i in range(0, count, _ROWS):
@@ -196,8 +208,6 @@ class Stream:
         """Correct more samples after `begun` ones of this call; return how many are ready."""
         absent = (*self._nothing[:3], self._lost)
         rows = tuple(other if each is None else each for each, other in zip(given, absent, strict=True))
-        if self._followers is not None:
-            rows = *rows[:3], self._followers.add(rows[3][: len(rows[0])], rows[2])
         out = self._out if not begun else tuple(each[begun:] for each in self._out)
         ready, self._held = advance(
             rows, self._sensors, self._settings, self._state, self._held, out, moved=self.moved, last=last
@@ -214,57 +224,6 @@ class Stream:
         time, flags, temperature = stamps[:, 0], stamps[:, 1], stamps[:, 2:]
         rates = rate if self.gyros else None
         return Corrected(time=time, force=force, rate=rates, flags=flags, temperature=temperature)
-
-
-class _Followers:
-    """Sensors that follow thermometers with time constants `lags` (C,), s, from block to block of a stream, over the
-    time from stamp to stamp, or the usual `interval` where that is none: `tumble.reduction.rests.thermometer`. Where
-    all have one lag the compiled loop follows by itself."""
-
-    def __init__(self, lags: Array, interval: float, latest: float) -> None:
-        self._lags, self._interval, self._latest = lags, interval, latest
-        self.reset(np.zeros(len(lags)))
-
-    def reset(self, start: Array) -> None:
-        """Begin another stream, in which `start` (C,) counts until the first reading."""
-        self._clock, self._now, self._behind = -inf, start, np.full(len(start), nan)
-
-    def add(self, read: Array, time: Array) -> Array:
-        """Temperatures (N, C) of what follows readings (N, T) at stamps (N,), none of a regular clock."""
-        out = np.tile(read, len(self._lags) // read.shape[1])
-        steps, taken = self._steps(time) if len(time) else (np.full(len(read), self._interval), slice(None))
-        now = out[taken]
-        if not len(now):
-            return out
-        last = np.maximum.accumulate(np.where(np.isnan(now), -1, np.arange(len(now))[:, None]), axis=0)
-        now = np.where(last < 0, self._now, np.take_along_axis(now, np.maximum(last, 0), axis=0))
-        before = np.vstack([self._now, now[:-1]])
-        for c, (lag, behind) in enumerate(zip(np.abs(self._lags).tolist(), self._behind.tolist(), strict=True)):
-            kept = np.exp(-steps / lag) if lag else np.zeros(len(steps))
-            driven = now[:, c] - kept * before[:, c] - (now[:, c] - before[:, c]) / steps * lag * (1.0 - kept)
-            if isnan(behind):
-                kept[0], driven[0], behind = 0.0, now[0, c], 0.0
-            pairs = zip(kept.tolist(), driven.tolist(), strict=True)
-            followed = list(accumulate(pairs, lambda y, pair: pair[1] + pair[0] * y, initial=behind))[1:]
-            self._behind[c] = followed[-1]
-            out[taken, c] = followed if self._lags[c] >= 0.0 else 2.0 * now[:, c] - followed
-        self._now = now[-1]
-        return out
-
-    def _steps(self, time: Array) -> tuple[Array, BoolArray]:
-        """The time (M,), s, since the sample before of those that are not late, and which these are (N,)."""
-        steps, taken = np.diff(time, prepend=self._clock), np.ones(len(time), dtype=bool)
-        if not np.all(steps > 0.0):
-            clock = self._clock
-            for i, t in enumerate(time.tolist()):
-                taken[i] = not clock - self._latest < t <= clock
-                steps[i] = t - clock
-                clock = t if taken[i] and t == t else clock
-            self._clock = clock
-        elif len(time):
-            self._clock = float(time[-1])
-        steps = steps[taken]
-        return np.where((steps > 0.0) & (steps < inf), steps, self._interval), taken
 
 
 class Corrector:
@@ -320,15 +279,13 @@ class Corrector:
         """Ranges outside of which samples are flagged."""
         self._compensator = compensator = self.calibration.compensator
         blocks = compensator.accel, compensator.gyro
-        of_accel, of_gyro = (np.zeros(0, int) if block is None else block.thermometer for block in blocks)
-        self.thermometers = 1 + int(max(*of_accel, *of_gyro))
+        self.thermometers = 1 + max(int(block.thermometer.max()) for block in blocks if block is not None)
         """Number of thermometers that the readings come with."""
         self._sizes = [0 if block is None else block.size for block in blocks]
         self._stream = Stream(
             compensator,
             1.0 / rate,
-            gyros=True,
-            thermometers=(of_accel, of_gyro),
+            blocks=blocks,
             heat=self.thermometers,
             ranges=self.ranges,
             zero=ZERO_CELSIUS,
@@ -430,40 +387,40 @@ class Corrector:
         CalibrationError
             For a calibration without covariance.
         """
-        given, own = self.calibration.in_frame("accelerometer"), self._compensator
-        if given.covariance is None:
-            raise CalibrationError(f"{given.serial}: expected a calibration with covariance, found none")
-        there = given.compensator
-        turned = left_inverse(own.accel_coefficients[:, FORCE]) @ there.accel_coefficients[:, FORCE]
+        loaded, compensator = self.calibration.in_frame("accelerometer"), self._compensator
+        if loaded.covariance is None:
+            raise CalibrationError(f"{loaded.serial}: expected a calibration with covariance, found none")
+        framed = loaded.compensator
+        turned = left_inverse(compensator.accel_coefficients[:, FORCE]) @ framed.accel_coefficients[:, FORCE]
         felt, spun = turned.T @ np.asarray(force), turned.T @ (np.zeros(3) if rate is None else np.asarray(rate))
         variables = "temperature", "temperature²", "hysteresis"
-        instrument = Instrument.of(there.accel, there.gyro, {group_name(name) for name in given}, variables=variables)
-        values = np.array([given[name].value if name in given else 0.0 for name in instrument.names])
-        known = [i for i, name in enumerate(instrument.names) if name in given]
-        names = [instrument.names[i] for i in known]
-        reference = given.reference_temperature
+        instrument = Instrument.of(framed.accel, framed.gyro, set(map(group_name, loaded)), variables=variables)
+        values = np.array([loaded[name].value if name in loaded else 0.0 for name in instrument.names])
+        places = [i for i, name in enumerate(instrument.names) if name in loaded]
+        names = [instrument.names[i] for i in places]
+        reference = loaded.reference_temperature
         warmer = 0.0 if celsius is None or reference is None else celsius - reference
         beta = np.concatenate([functions(block, felt[None], spun[None])[0] for block in instrument.blocks])
-        J = (beta[:, None] @ derivative(instrument, values, warmer)[:, :, known])[:, 0]
-        parameters = np.array(given.covariance_of(names))
-        for bias in given.evidence.process_bias:
+        J = (beta[:, None] @ derivative(instrument, values, warmer)[:, :, places])[:, 0]
+        parameters = np.array(loaded.covariance_of(names))
+        for bias in loaded.evidence.process_bias:
             if bias.name in names:
-                parameters[(names.index(bias.name),) * 2] = max(given[bias.name].u or 0.0, bias.next_u) ** 2
+                parameters[(names.index(bias.name),) * 2] = max(loaded[bias.name].u or 0.0, bias.next_u) ** 2
         kinds = ("accel", "gyro")[: len(instrument.blocks)]
         density = [
-            white_noise(given).get(kind, np.zeros(b.size)) for kind, b in zip(kinds, instrument.blocks, strict=True)
+            white_noise(loaded).get(kind, np.zeros(b.size)) for kind, b in zip(kinds, instrument.blocks, strict=True)
         ]
         noise = np.diag(np.concatenate(density) ** 2 * self.sample_rate)
         onto = np.zeros((3 * len(kinds), len(noise)))
         for k, (block, K) in enumerate(
-            zip(instrument.blocks, (there.accel_coefficients, there.gyro_coefficients), strict=False)
+            zip(instrument.blocks, (framed.accel_coefficients, framed.gyro_coefficients), strict=False)
         ):
             onto[3 * k : 3 * k + 3, instrument.rows(block)] = turned @ left_inverse(K[:, measured_by(block)])
         out = onto @ (J @ parameters @ J.T + noise) @ onto.T
         if self._stream.moved:  # of a central difference over two samples, var(ω̇) = var(ω) · 2 / (2 h)²
-            across = onto[:3, : there.accel.size] @ there.accelerometers.sheet[:, ACROSS:ALONG] @ turned.T
+            across = onto[:3, : framed.accel.size] @ framed.accelerometers.sheet[:, ACROSS:ALONG] @ turned.T
             out[:3, :3] += 0.5 * self.sample_rate**2 * across @ (onto @ noise @ onto.T)[3:, 3:] @ across.T
-        if given.accel is None:
+        if loaded.accel is None:
             out[:3], out[:, :3] = nan, nan
         return np.asarray(out if rate is not None else out[:3, :3])
 
@@ -501,6 +458,6 @@ def derivative(instrument: Instrument, values: Array, warmer: float) -> Array:
     reference, on which those by slopes, curvatures and hysteresis depend."""
     D = instrument.linearised(values)[1].copy()
     by = {"temperature": warmer, "temperature²": warmer**2, "hysteresis": float(warmer != 0.0)}
-    for own, base, variable in instrument.changes:
-        D[:, :, own] = by[variable] * D[:, :, base]
+    for changing, base, variable in instrument.changes:
+        D[:, :, changing] = by[variable] * D[:, :, base]
     return D

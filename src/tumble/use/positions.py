@@ -78,8 +78,8 @@ def table_observations(calibration: Calibration, path: Path) -> tuple[Observatio
 
     Raises InputError for a table that cannot be read, and CalibrationError for a calibration that does not state the
     unit of a reading or its uncertainty."""
-    table, worth = read_table(path), calibration.provenance.readings.get("accel")
-    if calibration.accel is None or worth is None or worth.increments or calibration.provenance.site is None:
+    table, meaning = read_table(path), calibration.provenance.readings.get("accel")
+    if calibration.accel is None or meaning is None or meaning.increments or calibration.provenance.site is None:
         raise CalibrationError(
             f"{path}: expected a calibration of three accelerometers that says what their readings are worth, found "
             "none; calibrate again, or check with a session"
@@ -87,15 +87,15 @@ def table_observations(calibration: Calibration, path: Path) -> tuple[Observatio
 
     # the variance of a row beside the scatter: of a row of its table, or of a mean as long as the rests
     before = [(np.array(r.accel.noise), r.stop - r.start) for r in calibration.evidence.rests if r.accel is not None]
-    variance = np.array(worth.row_u) ** 2 if worth.row_u else np.zeros(3)
-    if before and not worth.row_u:
+    variance = np.array(meaning.row_u) ** 2 if meaning.row_u else np.zeros(3)
+    if before and not meaning.row_u:
         variance = np.median([noise**2 / duration for noise, duration in before], axis=0)
-    elif not worth.row_u and _accelerometer_fit(calibration).scatter == 0.0:
+    elif not meaning.row_u and _accelerometer_fit(calibration).scatter == 0.0:
         raise CalibrationError(
             f"calibration of {calibration.serial!r}: expected one that says how uncertain a reading is, found no "
             "scatter in it: it has as many positions as parameters; calibrate with more"
         )
-    readings = (table.values - np.array(worth.offset)) / np.array(worth.scale)
+    readings = (table.values - np.array(meaning.offset)) / np.array(meaning.scale)
     N, none = len(readings), np.zeros((len(readings), 0))
     start = np.arange(float(N))
     rests = Rests.of_white_noise(start, start + 1.0, accel=readings, gyro=none, densities=(0.0, 0.0))
@@ -121,7 +121,7 @@ def residuals_in(calibration: Calibration, observations: Observations, sha256: s
     determined by nothing but itself."""
     force, J, names, covariance = _length_and_derivative(calibration, observations)
     length = np.linalg.norm(force, axis=1)
-    rests, there, block = observations.rests, observations.site, observations.accel_block
+    rests, site_of_check, block = observations.rests, observations.site, observations.accel_block
     assert calibration.accel is not None
     if any(launch.log_sha256 == sha256 for launch in calibration.evidence.launches):
         raise InputError(
@@ -133,7 +133,7 @@ def residuals_in(calibration: Calibration, observations: Observations, sha256: s
     noise = rests.accel_covariance + fit.scatter**2 * np.eye(block.size)
     variance = (across @ noise @ np.swapaxes(across, 1, 2))[:, 0, 0]
     by_parameters = np.einsum("im,mk,ik->i", J, covariance, J)
-    difference = there.gravity - length
+    difference = site_of_check.gravity - length
 
     def limit(degrees: float) -> float:
         """Quantile of the largest of the ratios."""
@@ -147,23 +147,23 @@ def residuals_in(calibration: Calibration, observations: Observations, sha256: s
                 "does not tell its own positions from others; calibrate with --terms full, or record check positions"
             )
         unlearned = _unlearned(calibration, names, J)
-        left = 1.0 - np.maximum(by_parameters - unlearned - there.gravity_u**2, 0.0) / variance
-        left = np.where(left > NOTHING_LEFT, left, np.nan)
-        if np.isnan(left).all():
+        remaining = 1.0 - np.maximum(by_parameters - unlearned - site_of_check.gravity_u**2, 0.0) / variance
+        remaining = np.where(remaining > NOTHING_LEFT, remaining, np.nan)
+        if np.isnan(remaining).all():
             raise InputError(
                 f"calibration of {calibration.serial!r}: expected more positions than parameters, found "
                 f"{len(difference)}, of which each is determined by itself alone; record check positions"
             )
-        u = np.sqrt(variance * left + unlearned)
+        u = np.sqrt(variance * remaining + unlearned)
         return PositionResiduals(
-            difference=difference / left,
-            u=u / left,
+            difference=difference / remaining,
+            u=u / remaining,
             sigmas=np.sign(difference) * sigmas(difference / u, fit.degrees, fit.scatter > 0.0),
             limit=limit(np.inf),
             left_out=True,
         )
-    shared = site is not None and (site.gravity, site.gravity_u) == (there.gravity, there.gravity_u)
-    by_gravity = -(there.gravity_u**2) if shared else there.gravity_u**2
+    shared = site is not None and (site.gravity, site.gravity_u) == (site_of_check.gravity, site_of_check.gravity_u)
+    by_gravity = -(site_of_check.gravity_u**2) if shared else site_of_check.gravity_u**2
     u = np.sqrt(variance + np.maximum(by_parameters + by_gravity, 0.0))
     by_scatter = float(np.max(fit.scatter**2 * (across[:, 0] ** 2).sum(axis=1) / u**2))
     return PositionResiduals(
@@ -203,8 +203,8 @@ def _length_and_derivative(
             f"calibration of {calibration.serial!r}: expected one of all parameters, found no "
             f"{', '.join(calibration.outcome.unobservable)}; check one from oblique rests too"
         )
-    given = [name for name in calibration if sensor_kind(name) == block.kind]
-    if tuple(name for name in given if not beyond_linear(name)) != convention.names:
+    names_here = [name for name in calibration if sensor_kind(name) == block.kind]
+    if tuple(name for name in names_here if not beyond_linear(name)) != convention.names:
         raise InputError(
             f"calibration of {calibration.serial!r}: expected readings of its {len(calibration.accel.bias)} "
             f"accelerometers, found {block.size} with other axes; check with recordings of the same device"
@@ -212,7 +212,7 @@ def _length_and_derivative(
     over_temperature = _OVER_TEMPERATURE if celsius is not None and reference is not None else ()
     instrument = Instrument.of(block, None, set(map(group_name, calibration)), variables=over_temperature)
     names = convention.names + instrument.names[instrument.linear_count :]
-    if missing := sorted(set(names).difference(given)):
+    if missing := sorted(set(names).difference(names_here)):
         raise InputError(
             f"calibration of {calibration.serial!r}: expected all parameters of a group or none, found no "
             f"{missing[0]!r}: the file was changed; calibrate again"

@@ -81,23 +81,21 @@ class StreamCheck:
     """
 
     def __init__(self, calibration: Calibration | FilePath, session: Session | FilePath, *, sample_rate: float) -> None:
-        given, session = accepted_for_check(calibration), session_from(session)
-        check_session(given, session)
-        if given.gyro is not None and session.gyro_block is None:
+        accepted, session = accepted_for_check(calibration), session_from(session)
+        check_session(accepted, session)
+        if accepted.gyro is not None and session.gyro_block is None:
             raise InputError(f"{session.name}: expected gyros, which the calibration has, found none")
-        self.calibration = given.in_frame("accelerometer")
+        self.calibration = accepted.in_frame("accelerometer")
         self.session, self.rate = session, sample_rate
         self.rests, self.moved = list[CheckedRest](), tuple[MovedBias, ...]()
-        self._gyro = None if given.gyro is None else session.gyro_block
-        self._white, self._ranges = white_noise(given), Ranges.of(given)
-        blocks = session.accel_block, self._gyro
-        of_accel, of_gyro = (np.zeros(0, int) if block is None else block.thermometer for block in blocks)
+        self._gyro = None if accepted.gyro is None else session.gyro_block
+        self._white, self._ranges = white_noise(accepted), Ranges.of(accepted)
         heat = 1 if session.log.temperature is None else len(session.log.temperature.columns)
         self._stream = Stream(
             self.calibration.compensator,
             1.0 / sample_rate,
+            blocks=(session.accel_block, self._gyro),
             gyros=False,
-            thermometers=(of_accel, of_gyro),
             heat=heat,
             ranges=self._ranges,
             zero=ZERO_CELSIUS,
@@ -148,9 +146,9 @@ class StreamCheck:
         if len(too_warm) and too_warm[-1] != self._too_warm:
             self._too_warm = bool(too_warm[-1])
             low, high = self._ranges.temperature
-            there = "outside" if self._too_warm else "again within"
+            where = "outside" if self._too_warm else "again within"
             since = np.flatnonzero(np.append(True, too_warm[1:] != too_warm[:-1]))[-1]
-            text = f"temperature {there} {low:.1f} to {high:.1f} °C, which was calibrated"
+            text = f"temperature {where} {low:.1f} to {high:.1f} °C, which was calibrated"
             events.append(Notice(time=float(chunk.time[since]), text=text))
         piece = replace(chunk, file=0, gyro=None if self._gyro is None else chunk.gyro)
         if chunk.temperature is not None:
@@ -275,21 +273,20 @@ def check_stream(
     >>> len(check.rests), check.verdict
     (4, 'accepted')
     """
-    given, source = calibration_from(calibration), source_of(listen)
+    loaded, source = calibration_from(calibration), source_of(listen)
     described = source.session if session is None else session_from(session)
-    if described is None and given.provenance.site is None:
+    if described is None and loaded.provenance.site is None:
         raise InputError(
             f"{listen}: expected a calibration with its site, found none; name a session with --session, which has the "
             "latitude and the columns"
         )
-    samples = SampleStream(
-        source, described, serial=given.serial, site=given.provenance.site, gyros=given.gyro is not None
-    )
+    site, gyros = loaded.provenance.site, loaded.gyro is not None
+    samples = SampleStream(source, described, serial=loaded.serial, site=site, gyros=gyros)
     check: StreamCheck | None = None
     with suppress(KeyboardInterrupt):
         for chunk in samples.chunks():
             if check is None and samples.interval is not None:
-                check = StreamCheck(given, samples.session, sample_rate=1.0 / samples.interval)
+                check = StreamCheck(loaded, samples.session, sample_rate=1.0 / samples.interval)
             for event in () if check is None else check.feed(chunk):
                 show(event)
     if check is None:

@@ -119,26 +119,7 @@ class Formula:
     kind: Literal["formula"] = "formula"
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class ChartPanel:
-    """A small picture under a name, with a verdict on what it shows, where there is one, and a line in words."""
-
-    name: str
-    svg: str
-    caption: str
-    verdict: str = ""
-    tone: Tone | Literal[""] = ""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Panels:
-    """Small pictures in columns."""
-
-    panels: tuple[ChartPanel, ...]
-    kind: Literal["panels"] = "panels"
-
-
-PageBlock = Text | Items | Facts | Table | Figure | Panels | Matrices | Formula
+PageBlock = Text | Items | Facts | Table | Figure | Matrices | Formula
 Block = str | PageBlock
 
 
@@ -152,8 +133,8 @@ class Section:
 
 def section(title: str, *blocks: Block | None) -> Section:
     """A section of the blocks that there are."""
-    known = (Text(text=block) if isinstance(block, str) else block for block in blocks)
-    return Section(title=title, blocks=tuple(block for block in known if block is not None))
+    given_blocks = (Text(text=block) if isinstance(block, str) else block for block in blocks)
+    return Section(title=title, blocks=tuple(block for block in given_blocks if block is not None))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

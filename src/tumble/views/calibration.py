@@ -86,18 +86,19 @@ def calibration_blocks(
     others
         Calibrations of the same sessions by other methods.
     every
-        Show all parameters, tables of groups, rests, turns and fits, and all remarks and notes. Without it there are
-        the accepted parameters of the linear model, where nothing is compared a row a group, and as many remarks, of
-        MOST_REMARKS, as leave room for the whole on MOST_LINES lines.
+        Show all parameters, tables of groups, rests, turns, fits, launches, iterations and methods, and all remarks and
+        notes. Without it there are the accepted parameters of the linear model, a row a group where nothing stands
+        beside each, a line on launches, iterations and other methods, and as many remarks, of MOST_REMARKS, as leave
+        room for the whole on MOST_LINES lines.
     budget
         Show what every u is made of.
     file, session
         Where the calibration is written and what it is of, for the next command.
     """
-    parameters, whole = calibration.parameters, calibration.evidence
+    parameters, evidence = calibration.parameters, calibration.evidence
     parameters = parameters if every else _usable(calibration, linear_parameters(parameters))
-    several, passport = bool(whole.launches), any(p.deviation is not None for p in parameters)
-    compared = every or several or passport or bool(truth) or bool(others)
+    several, passport = bool(evidence.launches), any(p.deviation is not None for p in parameters)
+    compared = every or passport or bool(truth)
     by_kind = [*verdicts(calibration)]
     if spared := accepted_groups(calibration):
         by_kind.insert(-1, f"accepted all the same: {', '.join(spared)}")
@@ -113,16 +114,16 @@ def calibration_blocks(
         from tumble.views.uncertainty_budget import budget_blocks
 
         blocks += budget_blocks(calibration, every=every)
-    if several:
-        blocks += [launch_table(calibration, parameters, deviations=which) for which in (False, True)[: 1 + passport]]
     blocks.append(_session_table(calibration))
     iterated = [c for c in (calibration, *others) if c.method in ITERATED_METHODS and c.evidence.iterations]
-    for each in iterated:
-        own = [p for p in each.parameters if each is not calibration and p.name in {q.name for q in parameters}]
-        blocks += [f"method {each.method}"] if others else []
-        blocks.append(iteration_table(each, own or parameters))
-    blocks += [WHAT_AN_INCREMENT_SAYS] if iterated else []
-    blocks += [method_table(calibration, other, parameters) for other in others]
+    if every:
+        if several:
+            blocks += [launch_table(calibration, parameters, deviations=each) for each in (False, True)[: 1 + passport]]
+        for each in iterated:
+            blocks += [f"method {each.method}"] if others else []
+            blocks.append(iteration_table(each, [p for p in each.parameters if p.name in calibration]))
+        blocks += [WHAT_AN_INCREMENT_SAYS] if iterated else []
+        blocks += [method_table(calibration, other, parameters) for other in others]
     lines = [] if truth is None else [_against_truth(calibration, truth)]
     if every:
         if not several:
@@ -130,15 +131,20 @@ def calibration_blocks(
 
             blocks += [shown for shown in tables_of(recordings(calibration)[0]) if shown]
         lines += [] if calibration.prediction is None else [predicted(calibration.prediction)]
-        lines += [rests_said(whole)] if whole.rests and not several else []
+        lines += [rests_said(evidence)] if evidence.rests and not several else []
         lines += [f"remark: {remark}" for remark in remarks_of(calibration)]
         site = calibration.provenance.site
         lines += [gravity_said(site)] if site is not None and not site.gravity_is_unit else []
         return [*blocks, Items(items=(*lines, *without_expanded(parameters), *calibration.provenance.notes))]
+    lines += [_run_to_run(parameters)] if several else []
+    lines += [
+        f"{c.method}: the last of {len(c.evidence.iterations)} iterations added {_last_step(c)}" for c in iterated
+    ]
+    lines += [f"{c.method} differs from {calibration.method} by {_largest_difference(calibration, c)}" for c in others]
     lines += without_expanded(parameters)
     following = next_commands(calibration, file, session)
-    taken = len(text_of([*blocks, Items(items=(*lines, "")), *following], WIDTH).splitlines())
-    return [*blocks, Items(items=(*lines, *_fitting(calibration, MOST_LINES - taken))), *following]
+    height = len(text_of([*blocks, Items(items=(*lines, "")), *following], WIDTH).splitlines())
+    return [*blocks, Items(items=(*lines, *_fitting(calibration, MOST_LINES - height))), *following]
 
 
 MOST_LINES, WIDTH, MOST_REMARKS = 24, 100, 3
@@ -181,12 +187,39 @@ def _usable(calibration: Calibration, parameters: Iterable[Parameter]) -> tuple[
     return tuple(p for p in parameters if outcome.of(group_name(p.name)).accepted or "mag" in p.name)
 
 
+def _run_to_run(parameters: Sequence[Parameter]) -> str:
+    """The standard deviation from launch to launch in each group, root mean square over its parameters."""
+    units, shown = shown_units(parameters), []
+    for name, members in by_group(parameters).items():
+        size, unit = units[members[0].name]
+        rms = math.sqrt(sum((p.run_to_run or 0.0) ** 2 for p in members) / len(members))
+        shown.append(f"{name} {significant(rms / size, 2)} {unit}")
+    return f"from launch to launch: {', '.join(shown)}"
+
+
+def _last_step(calibration: Calibration) -> str:
+    """The largest increment of the last iteration, in units of u."""
+    step = calibration.evidence.iterations[-1]
+    return _largest({p.name: step[p.name] / p.u for p in calibration.parameters if p.u and p.name in step})
+
+
+def _largest_difference(calibration: Calibration, other: Calibration) -> str:
+    """The largest difference of another method, in units of u."""
+    both = [p for p in calibration.parameters if p.u and p.name in other]
+    return _largest({p.name: (other[p.name].value - p.value) / p.u for p in both if p.u})
+
+
+def _largest(sigmas: Mapping[str, float]) -> str:
+    name = max(sigmas, key=lambda name: abs(sigmas[name]), default="")
+    return f"at most {significant(abs(sigmas[name]), 2)} u ({name})" if name else "what no u says"
+
+
 def _against_truth(calibration: Calibration, truth: Mapping[str, float]) -> str:
     """How far the values are from true ones, in a line."""
     z = [(p.value - truth[p.name]) / p.u for p in calibration.parameters if p.u and p.name in truth]
     rms = math.sqrt(sum(v * v for v in z) / max(len(z), 1))
-    known = f"{len(z)} parameters, rms of (value − truth)/u {rms:.2f}, expected about 1"
-    return f"truth: {known if z else 'no parameter was estimated that it has'}"
+    sentence = f"{len(z)} parameters, rms of (value − truth)/u {rms:.2f}, expected about 1"
+    return f"truth: {sentence if z else 'no parameter was estimated that it has'}"
 
 
 # -------------------- tables --------------------
@@ -283,9 +316,9 @@ def unknown_blocks(calibration: Calibration) -> list[Block]:
         rows.append(row | {"usual": significant(h.usual / size, 3), "unit": unit})
     blocks: list[Block] = [table(rows, words=("unknown", "what it is", "unit"), dense=True)]
     if (integral := calibration.evidence.integral) is not None:
-        said = f"integrated over them at {integral.points} points, effectively {integral.effective:.0f}; "
+        sentence = f"integrated over them at {integral.points} points, effectively {integral.effective:.0f}; "
         weights = f"shape of the Pareto distribution of their weights {fixed(integral.pareto, 2)}"
-        blocks.append(f"{said}{weights}, above 0.7 not to be relied on")
+        blocks.append(f"{sentence}{weights}, above 0.7 not to be relied on")
     units, rows = shown_units(calibration.parameters), []
     for bias in (each for each in calibration.evidence.process_bias if each.name in units):  # means of their processes
         size, unit = units[bias.name]
@@ -312,7 +345,7 @@ def launch_table(
 
     def row(p: Parameter, size: float, unit: str) -> dict[str, str]:
         u = p.u if p.u is None or not of_a_page else (p.k or 0.0) * p.u
-        row = {heading: shown(there.get(p.name), size) for heading, there in zip(headings, by_name, strict=True)}
+        row = {heading: shown(launch.get(p.name), size) for heading, launch in zip(headings, by_name, strict=True)}
         row |= {} if of_a_page else {"mean": shown(p, size)}
         return row | {"run to run": to_digits_of(p.run_to_run, u, size), "unit": unit}
 
@@ -397,9 +430,9 @@ def as_html(calibration: Calibration) -> str:
 
 def _short(calibration: Calibration) -> list[Block]:
     outcome = calibration.outcome
-    said = (*outcome.reasons, *remarks_of(calibration))
+    sentences = (*outcome.reasons, *remarks_of(calibration))
     notes = tuple(f"note: {note}" for note in calibration.provenance.notes)
-    blocks: list[Block] = [calibration.headline, *([Items(items=said)] if said else [])]
+    blocks: list[Block] = [calibration.headline, *([Items(items=sentences)] if sentences else [])]
     return [*blocks, whole_table(calibration), *([Items(items=notes)] if notes else [])]
 
 

@@ -129,9 +129,9 @@ def plot(observed: Observed, path: Path) -> None:
     lasted = [float(file.edges[-1] - file.edges[0]) for file in files]
     starts = [0.0, *np.cumsum(lasted).tolist()][:-1]
     later = [start - float(file.edges[0]) for start, file in zip(starts, files, strict=True)]
-    found = [(r.start + later[r.file], r.stop + later[r.file], r.file) for r in observed.segmentation.rests]
-    spans = [(start, stop, _RESTS) for start, stop, _ in found]
-    spans += [(before[1], after[0], _TURNS) for before, after in pairwise(found) if before[2] == after[2]]
+    rests = [(r.start + later[r.file], r.stop + later[r.file], r.file) for r in observed.segmentation.rests]
+    spans = [(start, stop, _RESTS) for start, stop, _ in rests]
+    spans += [(before[1], after[0], _TURNS) for before, after in pairwise(rests) if before[2] == after[2]]
     panels = [("accel", log.accel, 1.0, "m/s²")] + ([("gyro", log.gyro, DEGREE, "°/s")] if log.gyro else [])
 
     def draw(figure: Figure) -> None:
@@ -149,9 +149,9 @@ def plot(observed: Observed, path: Path) -> None:
             axes.margins(x=0.005)
             axes.set_ylabel(unit)
             axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
-        for number in range(0, len(found), math.ceil(len(found) / _MOST_NUMBERS) or 1):
+        for number in range(0, len(rests), math.ceil(len(rests) / _MOST_NUMBERS) or 1):
             above: dict[str, Any] = {"xycoords": ("data", "axes fraction"), "ha": "center", "va": "bottom"}
-            middle = 0.5 * (found[number][0] + found[number][1])
+            middle = 0.5 * (rests[number][0] + rests[number][1])
             all_axes[0].annotate(str(number + 1), (middle, 1.0), fontsize=7.0, **above)
         all_axes[-1].set_xlabel("time, s")
 

@@ -48,11 +48,11 @@ class NoiseRow(NamedTuple):
 def shown(parameters: NoiseParameters, unit: str) -> list[NoiseRow]:
     """The coefficients a channel shows, rounded by their uncertainties, in the units of data sheets; `unit` is that of
     the samples, "rad/s" or "m/s^2"."""
-    found: list[tuple[str, Coefficient | None]] = [(name, getattr(parameters, name)) for name in LINEAR]
+    coefficients: list[tuple[str, Coefficient | None]] = [(name, getattr(parameters, name)) for name in LINEAR]
     for process in parameters.gauss_markov:
-        found += [("Gauss–Markov noise", process.sigma), ("correlation time", process.time)]
+        coefficients += [("Gauss–Markov noise", process.sigma), ("correlation time", process.time)]
     out = []
-    for name, coefficient in found:
+    for name, coefficient in coefficients:
         if coefficient is not None:
             symbol, gyro, accel = _SHOWN[name]
             size, unit_name = gyro if unit == "rad/s" else accel
@@ -115,9 +115,9 @@ def _draw(axes: Axes, panel: Panel) -> None:
     for i, (channel, parameters) in enumerate(zip(panel.channels, panel.parameters, strict=True)):
         colour = f"C{i}"
         low, middle, high = (band[:, i] / size for band in (allan.low, allan.deviation, allan.high))
-        said = ", ".join(f"{s.symbol} = {s.value} ± {s.u} {s.unit}" for s in shown(parameters, panel.unit))
+        caption = ", ".join(f"{s.symbol} = {s.value} ± {s.u} {s.unit}" for s in shown(parameters, panel.unit))
         axes.fill_between(tau, low, high, color=colour, alpha=0.2, linewidth=0.0)
-        axes.plot(tau, middle, color=colour, linewidth=1.5, label=f"{channel}: {said}" if said else channel)
+        axes.plot(tau, middle, color=colour, linewidth=1.5, label=f"{channel}: {caption}" if caption else channel)
         terms = parameters.variances(tau)
         if terms:
             total = np.sum(list(terms.values()), axis=0)

@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Protocol, TypeVar
 
 from tumble.result.coverage import expanded_of
-from tumble.result.parts import Parameter
+from tumble.result.parts import Estimated, Parameter
 from tumble.sensors.parameters import group_name, shown_in
 from tumble.units import engineering, rounded
 from tumble.views.blocks import Table, table
@@ -34,17 +34,6 @@ class Quantity(Named, Protocol):
     def value(self) -> float: ...
     @property
     def unit(self) -> str: ...
-
-
-class Estimated(Protocol):
-    """A value with its standard uncertainty, SI, and the degrees of freedom of this, as far as they are known."""
-
-    @property
-    def value(self) -> float: ...
-    @property
-    def u(self) -> float | None: ...
-    @property
-    def dof(self) -> float | None: ...
 
 
 Q = TypeVar("Q", bound=Named)

@@ -62,11 +62,11 @@ def _correction_table(result: ReadingsCalibration) -> Table:
     by_values, matrix = convention.jacobian(values)[:, :3], convention.model(values).inverse()
     to_result = 1.0 / (nominal.scale * nominal.per_factor)
     change = -np.einsum("ip,pqm,qj->ijm", matrix, by_values, matrix) * to_result[:, None]
-    known = np.zeros((9, 9)) if calibration.covariance is None else calibration.covariance[:9, :9]
-    u = np.sqrt(np.einsum("ijm,mn,ijn->ij", change, known, change)).max(axis=1)
+    covariance = np.zeros((9, 9)) if calibration.covariance is None else calibration.covariance[:9, :9]
+    u = np.sqrt(np.einsum("ijm,mn,ijn->ij", change, covariance, change)).max(axis=1)
     rows = []
     for i, axis in enumerate("xyz"):
-        bias = cells(values[i] * nominal.scale[i], float(np.sqrt(known[i, i]) * abs(nominal.scale[i])))
+        bias = cells(values[i] * nominal.scale[i], float(np.sqrt(covariance[i, i]) * abs(nominal.scale[i])))
         row = [cells(float(element), float(u[i])) for element in matrix[i] * to_result]
         rows.append((axis, *bias, *(element for element, _ in row), row[i][1]))
     columns = ("axis", f"{hard} {nominal.unit}", "u (k=1)", f"{soft}: x", "y", "z", "u (k=1)")
@@ -79,8 +79,8 @@ def _paper_table(result: ReadingsCalibration) -> Table:
     values, rows = ((form.k, u[:3], 1.0), (form.theta, u[3:6], 1e-5), (form.b, u[6:], 1e-5)), []
     for i, axis in enumerate("xyz"):
         shown = [cells(float(value[i]), float(of_value[i]), size) for value, of_value, size in values]
-        known = form.covariance is not None
-        rows.append((axis, *(cell for value, each in shown for cell in (value, each if known else ""))))
+        has_u = form.covariance is not None
+        rows.append((axis, *(cell for value, each in shown for cell in (value, each if has_u else ""))))
     headings = (f"k {nominal.unit}/{nominal.per}", "θ 1e-5 rad", f"b 1e-5 {nominal.per}")
     return Table(columns=("axis", *(cell for name in headings for cell in (name, "u (k=1)"))), rows=tuple(rows))
 

@@ -44,11 +44,32 @@ def write_sheet(
     number: str = "",
     revision: str = "",
 ) -> None:
-    """Write the page (.html, .pdf) or the drawing (.svg) by the ending of `path`; the page with the serial number of
-    the device, number and revision of the sheet, or lines for them. Raises InputError for another ending and where it
-    cannot be written, ProgrammeError as `sheet_rows`, and for .pdf MissingExtraError without the extra
-    `tumble[lab]`.
+    """Write the operator's sheet of a programme.
 
+    Parameters
+    ----------
+    path
+        The file: a page, .html or .pdf, or the drawing alone, .svg.
+    programme
+        The positions in their order.
+    rest, move
+        Duration of a rest, and of a move that no programme prescribes, s.
+    rate
+        Rate of the turns, rad/s.
+    serial, number, revision
+        Serial number of the device, number and revision of the sheet; lines for them if empty.
+
+    Raises
+    ------
+    InputError
+        For another ending, and for a file that cannot be written.
+    ProgrammeError
+        For a programme that no sheet can show.
+    MissingExtraError
+        For .pdf without the extra `lab`.
+
+    Examples
+    --------
     >>> import tumble
     >>> tumble.write_sheet("sheet.svg", tumble.programme_of("nine"), rest=30.0)
     """

@@ -71,15 +71,15 @@ def parameter_budget(calibration: Calibration, name: str) -> Table:
         others = Source(name=REST, words=REST, type="B", u=little, unit=parameter.unit)
         kept.append(BudgetLine.of(others, estimate=0.0, sensitivity=1.0, contribution=little, share=small))
     for line in kept:
-        own, in_unit = _unit_of(line)
+        own_size, in_unit = _unit_of(line)
         if line.estimate != 0.0:
-            own, in_unit = 1.0, line.unit.replace("^2", "²")
+            own_size, in_unit = 1.0, line.unit.replace("^2", "²")
         elif line.unit == parameter.unit and line.sensitivity == 1.0:
-            own, in_unit = size, unit
+            own_size, in_unit = size, unit
         u = line.u or 0.0
-        estimate, of_estimate = cells(line.estimate, u, own) if u else (significant(line.estimate, 7), "0")
+        estimate, of_estimate = cells(line.estimate, u, own_size) if u else (significant(line.estimate, 7), "0")
         if line.estimate == 0.0:
-            estimate, of_estimate = "0", _two(u / own)
+            estimate, of_estimate = "0", _two(u / own_size)
         rows.append(
             {
                 "input quantity": _words(line),
@@ -88,7 +88,7 @@ def parameter_budget(calibration: Calibration, name: str) -> Table:
                 "u": of_estimate,
                 "unit": in_unit,
                 "distribution": line.distribution,
-                "sensitivity": _two(line.sensitivity * own / size),
+                "sensitivity": _two(line.sensitivity * own_size / size),
                 "contribution": _two(line.contribution / size),
                 "share": percent(line.share),
                 "dof": _degrees(line.dof),
@@ -96,9 +96,9 @@ def parameter_budget(calibration: Calibration, name: str) -> Table:
         )
     value, whole_u = cells(parameter.value, parameter.u, size)
     distribution = "normal" if parameter.dof is None else "t"
-    whole = {"estimate": value, "u": whole_u, "unit": unit, "distribution": distribution, "sensitivity": ""}
-    whole |= {"contribution": whole_u, "share": percent(1.0), "dof": _degrees(parameter.dof)}
-    rows.append({"input quantity": name, "type": ""} | whole)
+    total = {"estimate": value, "u": whole_u, "unit": unit, "distribution": distribution, "sensitivity": ""}
+    total |= {"contribution": whole_u, "share": percent(1.0), "dof": _degrees(parameter.dof)}
+    rows.append({"input quantity": name, "type": ""} | total)
     caption = f"Uncertainty budget of {name}; contributions in {unit}, sensitivities in {unit} over the unit."
     return table(rows, words=("input quantity", "type", "unit", "distribution"), dense=True, caption=caption)
 
@@ -139,8 +139,8 @@ def budget_section(calibration: Calibration, name: str = "") -> Section | None:
         return None
     if not name:
         return section("Uncertainty budget", share_table(calibration))
-    said = "Bars: share of the largest sources in u² of every parameter of the linear model."
-    bars = Figure(svg=_bars(calibration, name), caption=said)
+    caption = "Bars: share of the largest sources in u² of every parameter of the linear model."
+    bars = Figure(svg=_bars(calibration, name), caption=caption)
     return section("Uncertainty budget", bars, *budget_blocks(calibration, every=True))
 
 

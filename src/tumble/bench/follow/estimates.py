@@ -21,8 +21,8 @@ from tumble.recording.session import Exclusion, Session
 from tumble.reduction.blocks.reducer import Reduction
 from tumble.reduction.observations import observe
 from tumble.reduction.rests.blemishes import without_blemishes
-from tumble.reduction.rests.matching import Match, without_numbered, without_times
-from tumble.reduction.rests.segmentation import RestSpan, find_rests
+from tumble.reduction.rests.matching import without_numbered, without_times
+from tumble.reduction.rests.segmentation import Segmentation, find_rests
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import group_name, positions_by_group, prior_sizes, shown_in
 from tumble.units import G_STANDARD, Array
@@ -82,22 +82,22 @@ class Estimates:
 
 def settled_rests(
     session: Session, reduction: Reduction, until: float, excluded: tuple[Exclusion, ...]
-) -> tuple[RestSpan, ...]:
+) -> Segmentation:
     """Find the rests that a calibration would use, of those that begin before the time `until`, s."""
-    found = find_rests(reduction, session.accel_block, session.gyro_block)
-    return tuple(span for span in without_times(reduction, found, excluded).rests if span.start < until)
+    found = without_times(reduction, find_rests(reduction, session.accel_block, session.gyro_block), excluded)
+    return replace(found, rests=tuple(rest for rest in found.rests if rest.start < until))
 
 
 def estimate_so_far(
-    session: Session, grade: str, reduction: Reduction, spans: tuple[RestSpan, ...], excluded: tuple[Exclusion, ...]
+    session: Session, grade: str, reduction: Reduction, found: Segmentation, excluded: tuple[Exclusion, ...]
 ) -> Estimate | None:
     """Joint estimate from these rests and the turns between them. None from fewer than two rests."""
-    numbered = tuple(one for one in excluded if one.rest is not None and one.rest <= len(spans))
-    _, match = without_numbered(reduction, Match(rests=spans, programme=None, position=None), numbered)
-    if len(match.rests) < 2:
+    numbered = tuple(one for one in excluded if one.rest is not None and one.rest <= len(found.rests))
+    _, found = without_numbered(reduction, found, numbered)
+    if len(found.rests) < 2:
         return None
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        seen = observe(reduction, match, session.accel_block, session.gyro_block, session.site)
+        seen = observe(reduction, found.rests, session.accel_block, session.gyro_block, session.site)
         for usual in (prior_sizes(grade, session.device.prior), {}):  # few rests bear the linear model alone
             with contextlib.suppress(np.linalg.LinAlgError):
                 return joint(replace(seen, usual=usual), quick=True)
@@ -112,10 +112,10 @@ def _shown(task: Task, reduction: Reduction, until: float, excluded: tuple[Exclu
     began = time.thread_time()
     session, wanted = task.session, task.wanted
     reduction = without_blemishes(reduction)
-    spans = settled_rests(session, reduction, until, excluded)
-    estimate = estimate_so_far(session, task.grade, reduction, spans, excluded)
+    found = settled_rests(session, reduction, until, excluded)
+    estimate = estimate_so_far(session, task.grade, reduction, found, excluded)
     if estimate is None:
-        return {**_NO_ESTIMATE, "rests": len(spans)}
+        return {**_NO_ESTIMATE, "rests": len(found.rests)}
 
     # groups of which an uncertainty is wanted, in the units of `tumble calibrate`
     groups: list[GroupShown] = []
@@ -141,7 +141,7 @@ def _shown(task: Task, reduction: Reduction, until: float, excluded: tuple[Exclu
     if not estimate.converged:
         cause = "the readings contradict each other: are the axes, their senses and the units right?"
     elif rest.max(initial=0.0) > FIT_SIGMAS:
-        start = f"{spans[i].start:.0f} s"
+        start = f"{found.rests[i].start:.0f} s"
         cause = f"rest {i + 1} ({start}) does not fit by {rest[i]:.0f}σ: moved, knocked or still settling"
     elif turn.max(initial=0.0) > FIT_SIGMAS:
         cause = f"turn {j + 1} does not fit by {turn[j]:.0f}σ: clipped, samples lost, or a knock in it"
@@ -150,7 +150,7 @@ def _shown(task: Task, reduction: Reduction, until: float, excluded: tuple[Exclu
     best = int(np.argmin(remaining))
     upwards = [f"{name} {'up' if v > 0 else 'down'}" for name, v in zip("XYZ", DIRECTIONS[best], strict=True) if v]
     return {
-        "rests": len(spans),
+        "rests": len(found.rests),
         "groups": groups,
         "enough": all(group["enough"] for group in groups),
         "residuals": [

@@ -15,7 +15,7 @@ from tumble.recording.live.samples import StreamedSamples
 from tumble.recording.log import HEAD_ROWS, Chunk
 from tumble.recording.session import Exclusion
 from tumble.reduction.blocks.reducer import Reducer, Reduction
-from tumble.reduction.rests.live import rests_so_far
+from tumble.reduction.rest_stream import rests_so_far
 from tumble.units import Array
 
 PIECE_BYTES = 1 << 18

@@ -15,8 +15,9 @@ from tumble.bench.follow.wishes import Wanted
 from tumble.programme.positions import Programme
 from tumble.recording.session import Session
 from tumble.reduction.blocks.reducer import Reduction
-from tumble.reduction.rests.live import RestsSoFar, mean_so_far
+from tumble.reduction.rest_stream import mean_so_far
 from tumble.reduction.rests.matching import POSITION_LIMIT, SAME_ATTITUDE, freed_verticals
+from tumble.reduction.rests.segmentation import Segmentation
 from tumble.rotation import onto_body, rotation_matrix, rotation_vector, unit_vector
 from tumble.units import Array
 
@@ -124,20 +125,17 @@ class Judged:
     def of(reduction: Reduction, rest: Rest, wanted: Wanted) -> Judged:
         """Compare the uncertainty of the mean of a rest with the wanted one."""
         mean, seconds = mean_so_far(reduction, rest.first, rest.last), rest.stop - rest.start
-        kinds = [
-            (max(u, 1e-12), twice, level)
-            for u, twice, level in (
-                (mean.accel_u, mean.accel_twice, wanted.accel),
-                (mean.gyro_u, mean.gyro_twice, wanted.gyro),
-            )
-            if u is not None and twice is not None
-        ]
+        levels = {"accel": wanted.accel, "gyro": wanted.gyro}
+        kinds = [(max(u, 1e-12), twice, levels[kind]) for kind, (u, twice) in mean.items()]
         left, flat = None, False
         if kinds:
             over = max(u / level for u, _, level in kinds)
             left = max(seconds * (over**2 - 1.0), SHORTEST_REST - seconds, 0.0)
             flat = seconds > 10.0 and max(twice / u for u, twice, _ in kinds) > NOTHING_MORE
-        return Judged(accel=mean.accel_u, gyro=mean.gyro_u, left=left, enough=left == 0.0 or flat, nothing_more=flat)
+        u = {kind: each for kind, (each, _) in mean.items()}
+        return Judged(
+            accel=u.get("accel"), gyro=u.get("gyro"), left=left, enough=left == 0.0 or flat, nothing_more=flat
+        )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -158,7 +156,7 @@ class Progress:
 
     reduction: Reduction
     blocks: Blocks
-    so_far: RestsSoFar | None
+    so_far: Segmentation | None
     groups: list[list[Rest]]
     judged: tuple[Judged, ...]
 

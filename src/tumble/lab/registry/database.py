@@ -118,22 +118,16 @@ class Database:
             with self.writing():
                 pass
         with self._transaction(**{} if _is_file(self.engine.url) else {"isolation_level": "REPEATABLE READ"}) as begun:
-            try:
-                yield Rows(connection=begun)
-            except (ValueError, TypeError) as error:  # a column that is not what it was written as
-                raise InputError(
-                    f"{self.name}: the registry cannot be used: expected what was written into it, found a damaged "
-                    f"value: {' '.join(str(error).split())}"
-                ) from error
+            yield Rows(connection=begun)
 
     @contextmanager
     def writing(self) -> Iterator[Rows]:
         """The transaction of the only writer, committed when the block ends without an error."""
-        made = False
+        created = False
         try:
             with self._transaction(tumble_writes=True) as begun:
-                made = self.new and not _has_tables(begun, self.name, create=True)
-                if made:
+                created = self.new and not _has_tables(begun, self.name, create=True)
+                if created:
                     _make_tables(begun)
                 yield Rows(connection=begun)
         except BaseException:
@@ -143,14 +137,20 @@ class Database:
             raise
         if self.file is not None and not self.file.is_file():
             raise InputError(f"{self.name}: expected the registry, found that it was removed meanwhile; try again")
-        if made and self.file is not None:  # readers do not wait for writers then; the file remembers it
+        if created and self.file is not None:  # readers do not wait for writers then; the file remembers it
             with suppress(sqlite3.OperationalError), closing(self.engine.raw_connection()) as raw:
                 raw.cursor().execute("PRAGMA journal_mode = WAL")  # or the last of those that opened it at once does
 
     @contextmanager
     def _transaction(self, **options: Any) -> Iterator[Connection]:
-        with in_one_line(self.name), self.engine.connect() as begun, begun.execution_options(**options).begin():
-            yield begun
+        try:
+            with in_one_line(self.name), self.engine.connect() as begun, begun.execution_options(**options).begin():
+                yield begun
+        except (ValueError, TypeError) as error:  # a column that is not what it was written as
+            raise InputError(
+                f"{self.name}: the registry cannot be used: expected what was written into it, found a damaged value: "
+                f"{' '.join(str(error).split())}"
+            ) from error
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -170,7 +170,7 @@ class Rows:
     def _records(self, *conditions: ColumnElement[bool]) -> list[Record]:
         columns = [column for column in CALIBRATION.c if column.name != "file"]
         query = select(*columns).where(*conditions).order_by(CALIBRATION.c.number)
-        return [Record(**_in_utc(row._asdict())) for row in self.connection.execute(query)]
+        return [Record(**_whole(row._asdict(), CALIBRATION)) for row in self.connection.execute(query)]
 
     def file(self, number: int) -> str:
         """The text of the calibration file of a record."""
@@ -187,7 +187,8 @@ class Rows:
 
     def limits(self) -> list[LimitsRecord]:
         """All limits of all types by number; the last ones of a type are in force."""
-        rows = [_in_utc(row._asdict()) for row in self.connection.execute(select(LIMITS).order_by(LIMITS.c.number))]
+        every = self.connection.execute(select(LIMITS).order_by(LIMITS.c.number))
+        rows = [_whole(row._asdict(), LIMITS) for row in every]
         last = {row["model"]: row["number"] for row in rows}
         return [LimitsRecord(**row, in_force=last[row["model"]] == row["number"]) for row in rows]
 
@@ -202,7 +203,10 @@ class Rows:
         return self.limits()[-1]
 
 
-def _in_utc(row: dict[str, Any]) -> dict[str, Any]:
+def _whole(row: dict[str, Any], table: Table) -> dict[str, Any]:
+    """A row of a table with its times in UTC. Raises ValueError for one that lacks what every row has."""
+    if missing := [name for name, value in row.items() if value is None and not table.c[name].nullable]:
+        raise ValueError(f"no {missing[0]}")
     return row | {name: v.replace(tzinfo=UTC) for name, v in row.items() if isinstance(v, datetime)}
 
 

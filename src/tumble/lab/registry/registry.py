@@ -37,12 +37,24 @@ if TYPE_CHECKING:
 
 @contextmanager
 def open_registry(place: FilePath, *, create: bool = False) -> Iterator[Registry]:
-    """Open a registry: an SQLite file, or a PostgreSQL database by its URL; with `create` one that does not exist is
-    made.
+    """Open a registry, in a `with`.
 
-    Raises InputError, one line, for no such registry, the database of another program, or a server that does not
-    answer; MissingExtraError without the extra `lab`.
+    Parameters
+    ----------
+    place
+        An SQLite file, or the URL of a PostgreSQL database.
+    create
+        Whether to make a registry that does not exist.
 
+    Raises
+    ------
+    InputError
+        For no such registry, the database of another program, or a server that does not answer.
+    MissingExtraError
+        Without the extra `lab`.
+
+    Examples
+    --------
     >>> import tumble
     >>> from tumble.lab import open_registry
     >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
@@ -108,13 +120,13 @@ class Registry:
             type for a known serial number, a log that another record stands on.
         """
         text, name = text_and_name(calibration)
-        known = accepted_part(calibration_of(text, name), name)
-        if not known.parameters:
+        part = accepted_part(calibration_of(text, name), name)
+        if not part.parameters:
             raise InputError(f"{name}: parameters: expected at least one, found none")
-        performed = _performed(known, performed, name)
+        performed = _performed(part, performed, name)
         canonical = json.dumps(json.loads(text), sort_keys=True, separators=(",", ":"))
         digest = hashlib.sha256(canonical.encode()).hexdigest()
-        logs = {log for _, log in logs_of(known)} - {""}
+        logs = {log for _, log in logs_of(part)} - {""}
         with self.database.writing() as rows:
             if same := rows.records(sha256=digest):
                 return same[0]
@@ -123,27 +135,27 @@ class Registry:
                     f"{name}: expected a log that is not in the registry, found that of record {record.number} "
                     f"({record.serial}, {record.method})"
                 )
-            earlier = rows.records(serial=known.serial)
-            model = known.model or next((r.model for r in earlier if r.model is not None), None)
+            earlier = rows.records(serial=part.serial)
+            model = part.model or next((r.model for r in earlier if r.model is not None), None)
             for record in earlier:
                 if record.model not in (None, model):
                     raise InputError(
-                        f"{name}: device.model: expected {record.model!r}, as device {known.serial} has it in record "
+                        f"{name}: device.model: expected {record.model!r}, as device {part.serial} has it in record "
                         f"{record.number}, found {model!r}; serial numbers must be unique"
                     )
             occasion = occasion or ("periodic" if earlier else "incoming")
             limits = rows.limits_in_force(model)
             values = {
                 "sha256": digest,
-                "serial": known.serial,
+                "serial": part.serial,
                 "model": model,
-                "method": known.method,
-                "frame": known.frame,
+                "method": part.method,
+                "frame": part.frame,
                 "performed": performed,
                 "occasion": occasion,
                 "state": state,
                 "limits": None if limits is None else limits.number,
-                "verdict": None if limits is None else _in_a_word(known, limits.parsed(), occasion),
+                "verdict": None if limits is None else _in_a_word(part, limits.parsed(), occasion),
                 "added": datetime.now(UTC),
                 "file": text,
             }
@@ -155,30 +167,39 @@ class Registry:
         Raises InputError, one line, for a file that cannot be used."""
         text, systematic = read_limits(Path(file))
         with self.database.writing() as rows:
-            known = rows.limits_in_force(model)
-            if known is None or (known.file, known.systematic) != (text, systematic):
-                known = rows.add_limits(model, text, systematic)
-            return known
+            in_force = rows.limits_in_force(model)
+            if in_force is None or (in_force.file, in_force.systematic) != (text, systematic):
+                in_force = rows.add_limits(model, text, systematic)
+            return in_force
 
     # -------------------- reading --------------------
 
     def records(self, serial: str | None = None) -> list[Record]:
-        """The records of a device, or of all, in the order in which they were performed.
+        """The records in the order in which they were performed.
 
-        Raises InputError for a device that has none."""
+        Parameters
+        ----------
+        serial
+            Serial number of a device; of all devices by default.
+
+        Raises
+        ------
+        InputError
+            For a device without records.
+        """
         with self.database.reading() as rows:
-            found = rows.records() if serial is None else rows.records(serial=serial)
-        if serial is not None and not found:
+            records = rows.records() if serial is None else rows.records(serial=serial)
+        if serial is not None and not records:
             raise InputError(f"device {serial!r}: expected a device of the registry, found none of this serial number")
-        return sorted(found, key=lambda record: (record.performed, record.number))
+        return sorted(records, key=lambda record: (record.performed, record.number))
 
     def record(self, number: int) -> Record:
         """The record of a number. Raises InputError where there is none."""
         with self.database.reading() as rows:
-            found = rows.records(number=number)
-        if not found:
+            records = rows.records(number=number)
+        if not records:
             raise InputError(f"record {number}: expected a record of the registry, found none of this number")
-        return found[0]
+        return records[0]
 
     def file(self, record: Record) -> str:
         """The text of the calibration file of a record, as it was added."""
@@ -212,27 +233,47 @@ class Registry:
     # -------------------- what calibrations say together --------------------
 
     def trend(self, serial: str, parameter: str | None = None) -> Trend:
-        """The parameters of a device, or one of them, over its calibrations, against the limits in force now.
+        """The parameters of a device over its calibrations, against the limits in force now.
 
-        Raises InputError for an unknown device or parameter, and for a record that cannot be taken to the frame of the
-        limits, or of the latest record where there are none."""
+        Parameters
+        ----------
+        serial
+            Serial number of the device.
+        parameter
+            Name of a parameter; all by default.
+
+        Raises
+        ------
+        InputError
+            For an unknown device or parameter, and for a record that cannot be taken to the frame of the limits, or of
+            the latest record where there are none.
+        """
         from tumble.lab.registry.trend import latest_comparison, trend_of
 
         records = self.records(serial)
         with self.database.reading() as rows:
-            given = rows.limits_in_force(records[-1].model)
-        limits = None if given is None else given.parsed()
+            in_force = rows.limits_in_force(records[-1].model)
+        limits = None if in_force is None else in_force.parsed()
         past = self._past(records, records[-1].frame if limits is None else limits.frame)
         names = [p.name for _, calibration in reversed(past) for p in calibration.parameters]
         if parameter is not None and parameter not in names:
-            known = ", ".join(dict.fromkeys(names))
-            raise InputError(f"device {serial!r}: expected one of {known}, found {parameter!r}")
+            listed = ", ".join(dict.fromkeys(names))
+            raise InputError(f"device {serial!r}: expected one of {listed}, found {parameter!r}")
         return trend_of(past, limits, names if parameter is None else [parameter], latest_comparison(past))
 
     def due(self, on: date | None = None) -> list[Due]:
-        """When every device is to be calibrated again, seen on a day, by default today.
+        """When every device is to be calibrated again.
 
-        Devices that failed their latest check come first, then the most urgent; those without an interval last."""
+        Parameters
+        ----------
+        on
+            Day on which this is asked; today by default.
+
+        Returns
+        -------
+        list of Due
+            Devices that failed their latest check first, then the most urgent; those without an interval last.
+        """
         on = datetime.now(UTC).date() if on is None else on
         in_force = {each.model: each.parsed() for each in self.limits() if each.in_force}
         items = []
@@ -272,12 +313,24 @@ class Registry:
     def launches(
         self, *, serial: str | None = None, model: str | None = None, frame: str = "accelerometer"
     ) -> tuple[LaunchVariances, ...]:
-        """The launches behind all calibrations of a device, or of a type, in a frame, for `check_calibration` and
-        `calibrate_launches`; those that cannot be taken to the frame are left out.
+        """The launches behind calibrations, for `check_calibration` and `calibrate_launches`.
 
         Calibrations of one launch each are launches of their device, too, if they are by one method and it was not
-        adjusted between them. Raises InputError where no device has two launches."""
-        found, single = list[LaunchVariances | None](), dict[tuple[str, int, str], list[Calibration]]()
+        adjusted between them.
+
+        Parameters
+        ----------
+        serial, model
+            A device, or a type of devices.
+        frame
+            Frame of the variances; calibrations that cannot be taken to it are left out.
+
+        Raises
+        ------
+        InputError
+            If no device has two launches.
+        """
+        of_means, single = list[LaunchVariances | None](), dict[tuple[str, int, str], list[Calibration]]()
         adjusted = Counter[str]()
         for record in self.records(serial):
             adjusted[record.serial] += record.state == "as-left"
@@ -287,16 +340,28 @@ class Registry:
                 if stands_alone(calibration):
                     stretch = (record.serial, adjusted[record.serial], record.method)
                     single.setdefault(stretch, []).append(calibration)
-                found.append(launch_variances(calibration))
-        known = tuple(each for each in (*found, *map(variances_between, single.values())) if each is not None)
-        if not known:
+                of_means.append(launch_variances(calibration))
+        variances = tuple(each for each in (*of_means, *map(variances_between, single.values())) if each is not None)
+        if not variances:
             which = f"type {model!r}" if serial is None else f"device {serial!r}"
             raise InputError(f"{which}: expected several launches of one device in the registry, found none")
-        return known
+        return variances
 
     def prior(self, model: str, *, without: str | None = None) -> Prior:
-        """What other units of a type are like, as a prior for `calibrate` and `plan`; `without` a serial number. It has
-        no parameters if there are fewer than three units."""
+        """What other units of a type are like, as a prior for `calibrate` and `plan`.
+
+        Parameters
+        ----------
+        model
+            The type.
+        without
+            Serial number of a unit to leave out.
+
+        Returns
+        -------
+        Prior
+            Without parameters if there are fewer than three units.
+        """
         from tumble.lab.device_type import prior_of
 
         return prior_of([unit for unit in self._units(model) if unit.serial != without], model)
@@ -312,8 +377,8 @@ class Registry:
         from tumble.lab.device_type import unit_of
 
         records = (record for record in self.records() if record.model == model)
-        found = map(unit_of, self._in_frame(records, "accelerometer"))
-        return list({unit.serial: unit for unit in found if unit is not None}.values())
+        units = map(unit_of, self._in_frame(records, "accelerometer"))
+        return list({unit.serial: unit for unit in units if unit is not None}.values())
 
     def _in_frame(self, records: Iterable[Record], frame: str) -> Iterator[Calibration]:
         """The calibrations of records that can be taken to a frame."""

@@ -267,10 +267,10 @@ def _sources(calibration: Calibration) -> dict[Hashable, Array]:
 def latest_comparison(past: Past) -> Comparison | None:
     """The last calibration of a device that is no adjustment compared with the one before it; None where there are no
     two with parameters in common."""
-    at = next((i for i in range(len(past) - 1, 0, -1) if past[i][0].state != "as-left"), None)
-    if at is None:
+    latest = next((i for i in range(len(past) - 1, 0, -1) if past[i][0].state != "as-left"), None)
+    if latest is None:
         return None
-    earlier, later = past[at - 1][1], past[at][1]
+    earlier, later = past[latest - 1][1], past[latest][1]
     if not {p.name for p in later.parameters} & {p.name for p in earlier.parameters}:
         return None
     return compare_calibrations(earlier, later)
@@ -326,13 +326,13 @@ def _instability_and_drift(points: Sequence[Point]) -> tuple[float | None, Drift
     launch_variance, launch_square = [], []
     for i, (p, g) in enumerate(zip(points, shared, strict=True)):
         variance[i] = apart(p.u, None, g.tolist())[0] + float((g - mean) @ (g - mean))
-        own = np.array([apart(u, None, g.tolist())[0] for _, u in p.launches])
-        if variance[i] == 0.0 or not np.all(own > 0.0):
+        variances = np.array([apart(u, None, g.tolist())[0] for _, u in p.launches])
+        if variance[i] == 0.0 or not np.all(variances > 0.0):
             return None, None
-        of_mean[i] = own.sum() / max(count[i], 1) ** 2
+        of_mean[i] = variances.sum() / max(count[i], 1) ** 2
         if count[i] > 1:
             values = np.array([value for value, _ in p.launches])
-            launch_variance.append(own)
+            launch_variance.append(variances)
             launch_square.append((values - values.mean()) ** 2)
     within, squares = (np.concatenate(each) if each else np.empty(0) for each in (launch_variance, launch_square))
 

@@ -1,1 +1,1 @@
-"""What the laboratory shows: registry, control charts, data sheets."""
+"""What the laboratory shows: registry and data sheets."""

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from tumble.files import ending_in, whole_file
 from tumble.lab.datasheet import Datasheet, DatasheetRow
-from tumble.result.further import KINDS
+from tumble.sensors.model import WORDS
 from tumble.sensors.parameters import shown_in
 from tumble.views.blocks import Block, Document, Facts, Part, Table, Text, section
 from tumble.views.numbers import quantity_table
@@ -34,7 +34,7 @@ def _facts(sheet: Datasheet) -> tuple[tuple[str, str], ...]:
 
 def _tables(sheet: Datasheet) -> Iterator[Table]:
     """A table for each kind of sensor; a parameter is shown in the unit of its largest value."""
-    for kind, words in KINDS.items():
+    for kind, words in WORDS.items():
         rows = [row for row in sheet.rows if row.name.startswith(f"{kind}.")]
         units = {
             row.name: shown_in(row.name.replace(".in_run", ".bias.x"), row.unit, max(abs(row.least), abs(row.most)))

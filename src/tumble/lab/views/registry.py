@@ -60,9 +60,9 @@ def device_table(records: Iterable[Record]) -> Table:
     for record in records:
         devices.setdefault(record.serial, []).append(record)
     rows = []
-    for serial, own in sorted(devices.items()):
-        r = own[-1]
-        rows.append((serial, r.model, len(own), day_of(r.performed), r.number, r.occasion, r.verdict))
+    for serial, of_device in sorted(devices.items()):
+        r = of_device[-1]
+        rows.append((serial, r.model, len(of_device), day_of(r.performed), r.number, r.occasion, r.verdict))
     return _list(("device", "type", "calibrations", "latest", "record", "check", "verdict"), rows)
 
 
@@ -125,11 +125,11 @@ def record_blocks(record: Record, calibration: Calibration, verdict: Verdict | N
         return cells | {"unit": unit} | ({"verdict": judgement.result if judgement else ""} if judged else {})
 
     parameters = quantity_table(shown, shown_units(shown), row, words=("verdict",), caption=_counted(further))
-    said = ["no verdict: no limits were in force for this type and check when the record was added"]
+    sentences = ["no verdict: no limits were in force for this type and check when the record was added"]
     if verdict is not None:
         over = f", {verdict.over}" if verdict.over else ""
-        said = [RULE, f"{RISK}.{verdict.whole_risk}", *verdict.reasons, f"verdict: {verdict.result}{over}"]
-    return ["\n".join(lines), parameters, Items(items=tuple(said))]
+        sentences = [RULE, f"{RISK}.{verdict.whole_risk}", *verdict.reasons, f"verdict: {verdict.result}{over}"]
+    return ["\n".join(lines), parameters, Items(items=tuple(sentences))]
 
 
 def further_of(names: Iterable[str], judged: Container[str]) -> frozenset[str]:
@@ -141,21 +141,21 @@ def _counted(further: Collection[str]) -> str:
     """How many parameters are not shown."""
     groups = len(set(map(group_name, further)))
     where = "1 group" if groups == 1 else f"{groups} groups"
-    said = f"and {len(further)} parameters beyond bias, scale and axes, in {where}: --all shows them"
-    return said if further else ""
+    sentence = f"and {len(further)} parameters beyond bias, scale and axes, in {where}: --all shows them"
+    return sentence if further else ""
 
 
 # -------------------- a trend --------------------
 
 
-def trend_table(found: Trend, shown: Sequence[ParameterTrend], caption: str = "") -> Table:
+def trend_table(device: Trend, shown: Sequence[ParameterTrend], caption: str = "") -> Table:
     """Parameters of a device over its calibrations, a line each: history, latest value, limits, run to run, drift, the
     last change, and the verdict on the latest value."""
-    limited, launched = bool(found.limits), any(each.run_to_run is not None for each in found.parameters)
+    limited, launched = bool(device.limits), any(each.run_to_run is not None for each in device.parameters)
 
     def row(trend: ParameterTrend, size: float, unit: str) -> dict[str, str]:
         value, U = with_expanded(trend.points[-1], size)
-        low, high = (limit_cell(limit, size) for limit in found.limits.get(trend.name, (math.nan, math.nan)))
+        low, high = (limit_cell(limit, size) for limit in device.limits.get(trend.name, (math.nan, math.nan)))
         drift, drift_u = drift_cells(trend, size)
         change, e_n = _change_cells(trend.last_change, size)
         return {
@@ -169,10 +169,10 @@ def trend_table(found: Trend, shown: Sequence[ParameterTrend], caption: str = ""
             "change": change,
             "E_n": e_n,
             "unit": unit,
-            **({"verdict": found.latest_verdicts.get(trend.name, "")} if limited else {}),
+            **({"verdict": device.latest_verdicts.get(trend.name, "")} if limited else {}),
         }
 
-    return quantity_table(shown, units_of(found), row, words=("history", "verdict"), caption=caption)
+    return quantity_table(shown, units_of(device), row, words=("history", "verdict"), caption=caption)
 
 
 def trend_blocks(found: Trend, *, every: bool) -> list[Block]:
@@ -183,24 +183,20 @@ def trend_blocks(found: Trend, *, every: bool) -> list[Block]:
     shown = [trend for trend in found.parameters if trend.name not in further]
     conclusions = (*change_lines(found), *forecast_lines(found))
     device = device_name(found.latest.serial, found.latest.model)
+    days = {p.number: day_of(p.performed) for trend in found.parameters for p in trend.points}
+    first, last = min(days.values()), max(days.values())
+    since = f"one calibration, of {first}" if len(days) == 1 else f"{len(days)} calibrations from {first} to {last}"
     return [
-        f"device {device} · {calibrations_of(found)} · frame {found.frame}",
+        f"device {device} · {since} · frame {found.frame}",
         trend_table(found, shown, _counted(further)),
         *([Items(items=conclusions)] if conclusions else []),
     ]
 
 
-def calibrations_of(found: Trend) -> str:
-    """How many calibrations a trend is from, and from when."""
-    days = {p.number: day_of(p.performed) for trend in found.parameters for p in trend.points}
-    first, last = min(days.values()), max(days.values())
-    return f"one calibration, of {first}" if len(days) == 1 else f"{len(days)} calibrations from {first} to {last}"
-
-
-def forecast_lines(found: Trend) -> list[str]:
+def forecast_lines(device: Trend) -> list[str]:
     """When parameters meet their limits by their drift, in sentences."""
-    units, lines = units_of(found), []
-    for each in found.forecasts:
+    units, lines = units_of(device), []
+    for each in device.forecasts:
         size, unit = units[each.name]
         latest = "more than 50 years on" if each.latest is None else day_of(each.latest)
         lines.append(
@@ -210,18 +206,18 @@ def forecast_lines(found: Trend) -> list[str]:
     return lines
 
 
-def units_of(found: Trend) -> Units:
+def units_of(device: Trend) -> Units:
     """The unit in which each parameter is shown."""
-    return units_of_values((t.name, p.value, t.unit) for t in found.parameters for p in t.points)
+    return units_of_values((t.name, p.value, t.unit) for t in device.parameters for p in t.points)
 
 
-def change_lines(found: Trend) -> list[str]:
+def change_lines(device: Trend) -> list[str]:
     """What has changed since the calibration before, in sentences."""
     from tumble.views.checks import judged_lines
 
-    if found.comparison is None:
+    if device.comparison is None:
         return []
-    first, *others = judged_lines(found.comparison)
+    first, *others = judged_lines(device.comparison)
     return [f"the latest against the one before: {first}", *others]
 
 

@@ -14,18 +14,32 @@ All functions take any leading axes. Source: §2 to §4 of the turntable method 
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from itertools import combinations
+
 import numpy as np
 
 from tumble.errors import ProgrammeError
 from tumble.methods.least_squares import solved
+from tumble.methods.paper.blocks import TRIAD, in_body, sensing_axes, turned_axes, turning
+from tumble.programme.positions import code_of_vertical
 from tumble.rotation import unit_vector
-from tumble.sensors.model import SensorModel, triad_model
+from tumble.sensors.model import Block, SensorModel, triad_model
 from tumble.units import Array, BoolArray
 
-EXACT = 1e-6
-"""By how much nominal cosines may miss what the programme of the vector method asks for."""
+STANDING = 1e-6
+"""Cosine deficit at which a nominal axis still counts as vertical, 0.08°."""
+SYMMETRIC = 1e-3
+"""By how much the cosines of two nominal axes may differ that are to be symmetric."""
+IN_LINE = 0.1
+"""Sine of the angle between axes that are too nearly in line to span a plane."""
+INDEPENDENT = 0.05
+"""Least singular value of angles between axes, per axis angle, that determine these."""
+ROUNDS = 12
+"""Corrections of axis angles of some degrees until nothing is left but rounding."""
 
-PAIRS = ((0, 1), (0, 2), (1, 2))
+Pair = tuple[int, int]
+PAIRS: tuple[Pair, ...] = ((0, 1), (0, 2), (1, 2))
 """The accelerometers between whose axes the angles yx, zx, zy are."""
 
 
@@ -68,42 +82,125 @@ def axis_angles(between_xy: Array, between_xz: Array, between_yz: Array) -> Arra
     return np.stack([yx, zx, np.arcsin(sine)], axis=-1)
 
 
-def by_vector(readings: Array, nominal: Array, gravity: Array) -> SensorModel:
-    """Stages 1 and 2 for a triad: its model from readings (..., N, 3) at rests whose programmed verticals in the
-    body are `nominal` (N, 3). Stage 2 uses readings corrected by stage 1."""
-    cosines, of_axes = levelled_cosines(readings, np.eye(3)), []
-    for p in range(3):
-        standing = np.abs(nominal[:, p]) > 1.0 - EXACT
-        of_axes.append(bias_and_scale(readings[..., standing, p], cosines[..., standing, p], gravity))
-    bias, scale = (np.stack(values, axis=-1) for values in zip(*of_axes, strict=True))
-    corrected, between = (readings - bias[..., None, :]) / (1.0 + scale[..., None, :]), []
-    for p, q in PAIRS:  # the mean over the rests made for them
-        w = corrected[..., _oblique(nominal, p, q), :]
-        angles = angle_between(w[..., p], w[..., q], w[..., 3 - p - q], np.asarray(gravity)[..., None])
-        between.append(np.asarray(angles.mean(axis=-1)))
-    return triad_model(bias, scale, axis_angles(*between))
+def by_vector(readings: Array, nominal: Array, gravity: Array, block: Block = TRIAD) -> SensorModel:
+    """Model of a block of accelerometers by stages 1 and 2. Stage 2 uses readings corrected by stage 1.
+
+    Parameters
+    ----------
+    readings : (..., N, n)
+        Specific forces at rest along the sensing axes, m/s².
+    nominal : (N, 3)
+        Programmed verticals in the body.
+    gravity : (...)
+        Gravity, m/s².
+    block
+        The accelerometers, three or more with axes of any directions.
+    """
+    axes, biases, scales = sensing_axes(block), list[Array](), list[Array]()
+    cosines = levelled_cosines(in_body(axes, readings), axes)
+    for p, along in enumerate((nominal @ axes.T).T):
+        standing = np.abs(along) > 1.0 - STANDING
+        bias, scale = bias_and_scale(readings[..., standing, p], cosines[..., standing, p], gravity)
+        biases.append(bias)
+        scales.append(scale)
+    bias, scale = np.stack(biases, axis=-1), np.stack(scales, axis=-1)
+    corrected, between = (readings - bias[..., None, :]) / (1.0 + scale[..., None, :]), dict[Pair, Array]()
+    for pair in oblique_pairs(nominal, axes):  # the mean over the rests made for them
+        rests, side = oblique(nominal, axes, pair)
+        w, normal = corrected[..., rests, :], normal_of(axes, pair)
+        across = in_body(axes, w) @ normal
+        angles = angle_between(w[..., pair[0]], side * w[..., pair[1]], across, np.asarray(gravity)[..., None])
+        between[pair] = np.asarray(np.where(side > 0.0, angles, np.pi - angles).mean(axis=-1))
+    if block.triad:
+        return triad_model(bias, scale, axis_angles(*(between[pair] for pair in PAIRS)))
+    turned = turned_axes(block, angles_of_pairs(block, between))
+    return SensorModel(matrix=(1.0 + scale)[..., None] * turned, bias=bias)
 
 
-def _oblique(nominal: Array, p: int, q: int) -> BoolArray:
-    """Rests (N,) in which axes p and q are symmetric about the horizon in a vertical plane."""
-    return np.asarray((np.abs(nominal[:, p] + nominal[:, q]) < EXACT) & (np.abs(nominal[:, 3 - p - q]) < EXACT))
+def normal_of(axes: Array, pair: Pair) -> Array:
+    """Unit normal (3,) of the plane of two sensing axes."""
+    return unit_vector(np.cross(axes[pair[0]], axes[pair[1]]))
 
 
-def check_for_vector(nominal: Array) -> None:
-    """Raise ProgrammeError unless there are rests (N, 3) for every axis and every pair."""
-    wanted = [
-        (f"{'XYZ'[p]} {side}", np.asarray(sign * nominal[:, p] > 1.0 - EXACT))
-        for p in range(3)
-        for side, sign in (("up", 1.0), ("down", -1.0))
-    ]
-    wanted += [
-        (f"{'XYZ'[p]} 45° above and {'XYZ'[q]} 45° below the horizon", _oblique(nominal, p, q)) for p, q in PAIRS
-    ]
-    missing = [name for name, rests in wanted if not rests.any()]
+def oblique(nominal: Array, axes: Array, pair: Pair) -> tuple[BoolArray, float]:
+    """Rests (N,) in which two axes are in a vertical plane, symmetric about the horizon where the angle between them is
+    at most 90° (side 1), and about the vertical where it is larger (side −1), which is best by Eq. (9)."""
+    first, second = nominal @ axes[pair[0]], nominal @ axes[pair[1]]
+    side = 1.0 if axes[pair[0]] @ axes[pair[1]] > -SYMMETRIC else -1.0
+    symmetric = np.abs(first + side * second) < SYMMETRIC
+    return np.asarray(symmetric & (np.abs(nominal @ normal_of(axes, pair)) < SYMMETRIC)), side
+
+
+def every_pair(axes: Array) -> list[Pair]:
+    """Pairs of sensing axes (n, 3) that span a plane."""
+    pairs = combinations(range(len(axes)), 2)
+    return [(p, q) for p, q in pairs if np.linalg.norm(np.cross(axes[p], axes[q])) > IN_LINE]
+
+
+def oblique_pairs(nominal: Array, axes: Array) -> list[Pair]:
+    """Pairs of sensing axes between which a programme measures the angle."""
+    return [pair for pair in every_pair(axes) if oblique(nominal, axes, pair)[0].any()]
+
+
+def by_axis_angles(block: Block, pairs: Sequence[Pair]) -> Array:
+    """Derivatives (r, a) of the angles between pairs of axes by the axis angles of a block, at its nominal axes."""
+    moved = np.cross(np.swapaxes(turning(block), 1, 2), block.axes[:, None])  # (n, a, 3)
+    p, q = np.array(pairs, dtype=int).reshape(-1, 2).T
+    axes = block.axes[:, :, None]
+    changed = (moved[p] @ axes[q] + moved[q] @ axes[p])[..., 0]  # of the cosines
+    return np.asarray(-changed / np.linalg.norm(np.cross(block.axes[p], block.axes[q]), axis=1)[:, None])
+
+
+def angles_of_pairs(block: Block, between: Mapping[Pair, Array]) -> Array:
+    """Axis angles (..., a), rad, of a block from the angles (...) between pairs of axes, by least squares about its
+    nominal axes: what Eq. (2) is for a triad."""
+    p, q = np.array(list(between)).T
+    measured = np.stack(list(between.values()), axis=-1)
+    inverse = np.linalg.pinv(by_axis_angles(block, list(between)))
+    angles = np.zeros((*measured.shape[:-1], len(inverse)))
+    for _ in range(ROUNDS):
+        axes = turned_axes(block, angles)
+        cosines = (axes[..., p, :] * axes[..., q, :]).sum(axis=-1)
+        angles = angles + (measured - np.arccos(cosines)) @ inverse.T
+    return angles
+
+
+def verticals(block: Block) -> dict[str, Array]:
+    """Verticals (3,) in the body of the paper's programme for a block of accelerometers, by what they are for: every
+    axis up and down, and the fewest pairs of axes that determine the axis angles, each in a vertical plane."""
+    axes, names = sensing_axes(block), list("XYZ") if block.triad else [f"accelerometer {p}" for p in block.sensors]
+    out = {f"{name} up": axis for name, axis in zip(names, axes, strict=True)}
+    out |= {f"{name} down": -axis for name, axis in zip(names, axes, strict=True)}
+    pairs = list[Pair]()
+    for pair in every_pair(axes):
+        rows = by_axis_angles(block, [*pairs, pair])
+        if len(rows) <= len(block.angles) and np.linalg.svd(rows, compute_uv=False)[-1] > INDEPENDENT:
+            pairs.append(pair)
+    inclined: dict[str, Array] = {}
+    for p, q in pairs:
+        side = oblique(axes, axes, (p, q))[1]
+        vertical = unit_vector(axes[p] - side * axes[q])
+        above = f"{np.degrees(np.arcsin(axes[p] @ vertical)):.0f}°"
+        name = f"{names[p]} {above} above and {names[q]} {above} {'below' if side > 0.0 else 'above'} the horizon"
+        if all(abs(vertical @ other) < 1.0 - STANDING for other in inclined.values()):  # else it serves two pairs
+            inclined[name] = vertical
+    return out | inclined
+
+
+def check_for_vector(nominal: Array, block: Block = TRIAD) -> None:
+    """Raise ProgrammeError unless there are rests (N, 3) for every axis, and pairs of axes for all axis angles."""
+    block = TRIAD if block.triad else block
+    axes, wanted = block.axes, verticals(block)
+    rows = by_axis_angles(block, oblique_pairs(nominal, axes))
+    determined = len(rows) > 0 and np.linalg.matrix_rank(rows, INDEPENDENT) == len(block.angles)
+    needed = list(wanted.items())[: 2 * len(axes) if determined else None]
+    missing = [name for name, vertical in needed if (nominal @ vertical).max() <= 1.0 - STANDING]
     if missing:
+        codes = ", ".join(f'"{code_of_vertical(vertical)}"' for vertical in wanted.values())
+        advice = "take the programme rough-table" if block.triad else f"list the positions {codes}"
         raise ProgrammeError(
             f"method sequential: expected rests with {'; '.join(missing)}, found none in the programme; "
-            "take the programme rough-table or the method joint"
+            f"{advice}, or take the method joint"
         )
 
 
@@ -125,18 +222,17 @@ def scalar_fit(readings: Array, verticals: Array, gravity: Array) -> SensorModel
     return triad_model(np.asarray(gravity)[..., None] * X[..., :3], X[..., 3:6], X[..., 6:])
 
 
-def by_modulus_nominal(readings: Array, nominal: Array, gravity: Array) -> SensorModel:
+def by_modulus_nominal(readings: Array, nominal: Array, gravity: Array, _: Block = TRIAD) -> SensorModel:
     """Stages 1 and 2 at once, with the orientation of the programme."""
     return scalar_fit(readings, np.broadcast_to(nominal, readings.shape), gravity)
 
 
-def by_modulus(readings: Array, nominal: Array, gravity: Array) -> SensorModel:
-    """Stages 1 and 2 at once, with the estimated orientation: the programme's `nominal` is not used."""
-    del nominal
+def by_modulus(readings: Array, _: Array, gravity: Array, __: Block = TRIAD) -> SensorModel:
+    """Stages 1 and 2 at once, with the estimated orientation: the programme's is not used."""
     return scalar_fit(readings, unit_vector(readings), gravity)
 
 
-def check_for_modulus(nominal: Array) -> None:
+def check_for_modulus(nominal: Array, _: Block = TRIAD) -> None:
     """Raise ProgrammeError unless |ŵ| at rests with these verticals (N, 3) determines all nine parameters."""
     rank = int(np.linalg.matrix_rank(scalar_rows(nominal)))
     if rank < 9:

@@ -12,10 +12,10 @@ pass over the same data, with the turns integrated about the gyro model of the p
 
 The covariance is that of the data, propagated by the derivative of the passes with respect to every mean reading, turn,
 gravity and start value, by central differences, chained. If the residuals need more than the noise within rests and
-turns, scatter between rests and of turns is estimated from them. The error of the last pass by its method is the
-difference from where further passes would lead; there the residuals are taken, too. What instruments usually have
-beyond bias, scale factor and axis angles is in the result as nothing within its size, and in the covariance, by the
-same derivative (`tumble.diagnosis.linear_model`).
+turns and the groups below, scatter between rests and of turns is estimated from them. The error of the last pass by its
+method is the difference from where further passes would lead; there the residuals are taken, too. What instruments
+usually have beyond bias, scale factor and axis angles is in the result as nothing within its size, and in the
+covariance, by the same derivative (`tumble.diagnosis.linear_model`).
 
 Source: Vodicheva & Parysheva 2019; the turntable method, §2 to §6.
 """
@@ -28,8 +28,9 @@ from functools import partial
 from itertools import pairwise
 
 import numpy as np
+from scipy.linalg import block_diag
 
-from tumble.diagnosis.linear_model import by_joint, left_out_by_passes, with_left_out
+from tumble.diagnosis.linear_model import LeftOut, by_joint, groups_in_data, with_left_out
 from tumble.earth import earth_rate
 from tumble.errors import InputError, ProgrammeError, SessionError
 from tumble.inference.estimate import Estimate, Fit
@@ -42,14 +43,17 @@ from tumble.methods.paper.accelerometers import (
     check_for_modulus,
     check_for_vector,
 )
+from tumble.methods.paper.blocks import TRIAD, compensated, composed, model_of, parameters_of, sensing_axes, to_sensors
 from tumble.methods.paper.gyros import (
-    STANDING,
     RecordedTurn,
     Series,
+    along_vertical,
     check_directions,
     horizontal_differences,
     known_turns,
     programme_matrix,
+    recorded_matrix,
+    spare_sensitivities,
     triad,
     vertical_bias,
 )
@@ -57,10 +61,11 @@ from tumble.programme.positions import Programme
 from tumble.reduction.observations import Observations
 from tumble.reduction.turns.turns import Turns
 from tumble.rotation import rotation_matrix, unit_vector
-from tumble.sensors.model import ACCEL_ANGLES, PERFECT_TRIAD, Block, SensorModel, triad_model, triad_parameters
+from tumble.sensors.model import PERFECT_TRIAD, Block, SensorModel, triad_model
 from tumble.sensors.parameters import group_name, units_of
 from tumble.units import Array, IntArray
 
+GYRO_TRIAD = replace(TRIAD, kind="gyro")
 MAX_PASSES = 30
 NEGLIGIBLE = 1e-2
 """Of the uncertainties, or of the steps of the differences: increments that mean nothing."""
@@ -68,17 +73,18 @@ NEGLIGIBLE = 1e-2
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PaperMethod:
-    """A method of the paper: stages 1 and 2, `accelerometers(readings, nominal, gravity)`, and stage 3,
-    `gyro_bias(rates, force, earth_rate, nominal)`. `check(nominal)` raises ProgrammeError if rests with the nominal
-    verticals (N, 3) are not enough."""
+    """A method of the paper: stages 1 and 2, `accelerometers(readings, nominal, gravity, block)`, and stage 3,
+    `gyro_bias(rates, force, earth_rate, nominal, axes)`. `check(nominal, block)` raises ProgrammeError if rests with
+    the nominal verticals (N, 3) are not enough. `any_axes` is whether it takes blocks other than triads."""
 
     name: str
-    accelerometers: Callable[[Array, Array, Array], SensorModel]
-    check: Callable[[Array], None]
-    gyro_bias: Callable[[Array, Array, Array, Array], Array] = vertical_bias
+    accelerometers: Callable[[Array, Array, Array, Block], SensorModel]
+    check: Callable[[Array, Block], None]
+    gyro_bias: Callable[[Array, Array, Array, Array, Array], Array] = vertical_bias
+    any_axes: bool = False
 
 
-SEQUENTIAL = PaperMethod(name="sequential", accelerometers=by_vector, check=check_for_vector)
+SEQUENTIAL = PaperMethod(name="sequential", accelerometers=by_vector, check=check_for_vector, any_axes=True)
 SCALAR = PaperMethod(name="scalar", accelerometers=by_modulus, check=check_for_modulus)
 SCALAR_NOMINAL = PaperMethod(name="scalar-nominal", accelerometers=by_modulus_nominal, check=check_for_modulus)
 
@@ -102,13 +108,16 @@ def scalar_nominal(observations: Observations, iterations: int = 2) -> Estimate:
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ProgrammeCourse:
     """Rests and turns of a session by its programme: nominal verticals (N, 3) in the body, series
-    of recorded turns, durations (K,) of all turns, the Earth's rate (3,) in N, U, E, and the programme matrix."""
+    of recorded turns, durations (K,) of all turns, the Earth's rate (3,) in N, U, E, and the programme matrix, None
+    where that of the turns as they were is taken."""
 
     nominal: Array
     series: tuple[Series, ...]
     duration: Array
     earth_rate: Array
-    matrix: Array
+    matrix: Array | None
+    accel: Block = TRIAD
+    gyro: Block = GYRO_TRIAD
 
 
 # One pass
@@ -121,23 +130,49 @@ def one_pass(
     turn: Callable[[SensorModel], Array] | None,
     gravity: Array,
     before: tuple[SensorModel, SensorModel],
+    matrix: Array | None = None,
+    integral: Array | None = None,
 ) -> tuple[SensorModel, SensorModel]:
     """Models of accelerometers and gyros after all stages, from those of the pass before.
 
-    `rests` are the readings (..., N, 3) of accelerometers and gyros at rest; without gyros the latter have N = 0.
-    `turn` gives the turns (..., K, 3, 3) integrated with a gyro model; if it is None, the pass ends with stage 3."""
+    Parameters
+    ----------
+    method, course
+        The method, and rests and turns by the programme.
+    rests : (..., N, n) each
+        Readings of accelerometers and gyros at rest; without gyros the latter have N = 0.
+    turn
+        Gives the turns (..., K, 3, 3) integrated with a gyro model; if it is None, the pass ends with stage 3.
+    gravity : (...)
+        Gravity, m/s².
+    before
+        Models of accelerometers and gyros.
+    matrix : (2T, 9)
+        Matrix of stage 4 in place of that of the programme.
+    integral : (..., K, n)
+        Integrals of the readings of more than three gyros over the turns, rad.
+    """
     readings, rates = rests
     accel, gyro = before
-    accel = accel.composed(method.accelerometers(accel.apply(readings), course.nominal, gravity))
+    axes = sensing_axes(course.accel)
+    inner = method.accelerometers(compensated(accel, readings, axes), course.nominal, gravity, course.accel)
+    accel = composed(accel, inner, axes)
     if not rates.shape[-2]:
         return accel, gyro
-    force = accel.apply(readings)
-    bias = method.gyro_bias(gyro.apply(rates), force, course.earth_rate, course.nominal)
-    gyro = gyro.composed(SensorModel(matrix=np.eye(3), bias=bias))
+    force, axes = accel.apply(readings), sensing_axes(course.gyro)
+    bias = method.gyro_bias(compensated(gyro, rates, axes), force, course.earth_rate, course.nominal, axes)
+    gyro = composed(gyro, SensorModel(matrix=axes, bias=bias), axes)
     if turn is None:
         return accel, gyro
-    x = solved(course.matrix, differences(course, rates, force, turn(gyro), gyro))
-    return accel, gyro.composed(triad_model(np.zeros_like(x[..., :3]), x[..., :3], x[..., 3:]))
+    matrix = course.matrix if matrix is None else matrix
+    assert matrix is not None
+    x = solved(matrix, differences(course, rates, force, turn(gyro), gyro))
+    sensitivity = axes @ triad_model(np.zeros_like(x[..., :3]), x[..., :3], x[..., 3:]).matrix
+    if integral is not None:
+        unbiased = integral - course.duration[:, None] * gyro.bias[..., None, :]
+        scaled = compensated(replace(gyro, bias=np.zeros_like(gyro.bias)), unbiased, axes)
+        sensitivity = sensitivity + spare_sensitivities(scaled, axes)
+    return accel, composed(gyro, SensorModel(matrix=sensitivity, bias=np.zeros_like(bias)), axes)
 
 
 def differences(course: ProgrammeCourse, rates: Array, force: Array, C: Array, model: SensorModel) -> Array:
@@ -157,26 +192,37 @@ def course_of(observations: Observations, method: PaperMethod) -> ProgrammeCours
             f"method {method.name}: expected a programme with known positions and turns, such as rough-table, "
             "found none; give [programme] in session.toml or take the method joint"
         )
-    for block in (observations.accel_block, observations.gyro_block):
-        if block is not None and not block.triad:
+    accel, gyro, triads = observations.accel_block, observations.gyro_block, True
+    for block in (accel, gyro):
+        triads = triads and (block is None or block.triad)
+        if block is not None and not block.triad and not method.any_axes:
             raise InputError(
                 f"method {method.name}: expected three sensors of a kind along the body axes, found {block.size} "
-                f"({block.kind}) with other directions; take the method joint"
+                f"({block.kind}) with other directions; take the method sequential or joint"
             )
     nominal = np.array([programme.positions[k].vertical_b for k in position])
-    method.check(nominal)
-    if observations.gyro_block is None:
+    method.check(nominal, accel)
+    if gyro is None:
+        none = np.empty((0, 9))
         return ProgrammeCourse(
-            nominal=nominal, series=(), duration=np.empty(0), earth_rate=np.zeros(3), matrix=np.empty((0, 9))
+            nominal=nominal, series=(), duration=np.empty(0), earth_rate=np.zeros(3), matrix=none, accel=accel
         )
-    if not np.all(np.any(np.abs(nominal) > 1.0 - STANDING, axis=0)):
+    vertical = along_vertical(nominal, sensing_axes(gyro))
+    if not vertical.any(axis=0).all():
+        lying = ", ".join(
+            f"gyro {name}" for name, found in zip(gyro.sensors, vertical.T, strict=True) if not found.any()
+        )
         raise ProgrammeError(
-            f"method {method.name}: expected rests in which X, Y and Z each are vertical, found others in the "
-            "programme; take the programme rough-table or the method joint"
+            f"method {method.name}: expected rests in which every gyro is vertical, found none for {lying} in the "
+            "programme; take the programme rough-table for sensors along X, Y and Z, or the method joint"
         )
-    check_directions(programme)
     turns, latitude = observations.turns, observations.site.latitude
-    series = _series(programme, position, [] if turns is None else turns.first.tolist())
+    if triads:
+        check_directions(programme)
+        series = _series(programme, position, [] if turns is None else turns.first.tolist())
+    else:
+        joined = [] if turns is None else zip(turns.first.tolist(), turns.last.tolist(), strict=True)
+        series = tuple((RecordedTurn(turn=k, first=a, last=b, counts=True),) for k, (a, b) in enumerate(joined))
     if latitude is None:
         raise SessionError(
             f"[site]: expected latitude_deg, from which the method {method.name} has the Earth's rate, found none; "
@@ -187,7 +233,9 @@ def course_of(observations: Observations, method: PaperMethod) -> ProgrammeCours
         series=series,
         duration=np.empty(0) if turns is None else turns.duration,
         earth_rate=np.array(earth_rate(latitude)),
-        matrix=programme_matrix(programme)[0],
+        matrix=programme_matrix(programme)[0] if triads else None,
+        accel=accel,
+        gyro=gyro,
     )
 
 
@@ -253,20 +301,23 @@ class _Turned:
 
     turns: Turns
     about: SensorModel
+    matrix: Array | None
+    """That of the turns as they were, None where that of the programme is taken."""
 
     def rotations(self, error: Array, model: SensorModel) -> Array:
         """C (..., K, 3, 3) about `model`, with errors (..., K, 3) of the turns, where rates compensated by `about` are
         (I + E) ω + δ: exp([−(M : E + B δ)×]) C."""
-        E = np.linalg.solve(self.about.matrix, model.matrix) - np.eye(3)
-        δ = np.linalg.solve(self.about.matrix, (model.bias - self.about.bias)[..., None])[..., 0]
+        inverse = self.about.inverse()
+        E, δ = inverse @ model.matrix - np.eye(3), (model.bias - self.about.bias) @ inverse.T
         turned = np.einsum("kipq,...pq->...ki", self.turns.M, E) + np.einsum("kip,...p->...ki", self.turns.B, δ)
         return np.asarray(rotation_matrix(error) @ rotation_matrix(-turned) @ self.turns.C)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _SessionData:
-    """A session as one vector of data, the mean readings in body axes, the errors of the turns and gravity, and one
-    of values, the parameters of the blocks in their order; with either, leading axes for many at once."""
+    """A session as one vector of data, the mean readings (`to_sensors`), the errors of the turns, integrals of the
+    readings of more than three gyros over them, and gravity, and one of values, the parameters of the blocks in their
+    order; with either, leading axes for many at once."""
 
     observations: Observations
     method: PaperMethod
@@ -276,10 +327,11 @@ class _SessionData:
     @staticmethod
     def of(observations: Observations, method: PaperMethod) -> _SessionData:
         course = course_of(observations, method)
-        rests, block = observations.rests, observations.gyro_block
-        parts = [(rests.accel @ observations.accel_block.axes).ravel()]
+        rests, block, integrals = observations.rests, observations.gyro_block, observations.turn_readings
+        parts = [(rests.accel @ to_sensors(observations.accel_block)).ravel()]
         if block is not None:
-            parts += [(rests.gyro @ block.axes).ravel(), np.zeros(3 * len(course.duration))]
+            parts += [(rests.gyro @ to_sensors(block)).ravel(), np.zeros(3 * len(course.duration))]
+            parts += [] if integrals is None else [integrals.integral.ravel()]
         parts.append(np.array([observations.site.gravity]))
         return _SessionData(observations=observations, method=method, course=course, data=np.concatenate(parts))
 
@@ -295,8 +347,10 @@ class _SessionData:
     @property
     def kinds(self) -> dict[str, slice]:
         """Where the data of each kind are, by the group of residuals that they make."""
-        n, last = 3 * len(self.observations.rests), len(self.data) - 1
-        return {"accelerometers": slice(0, n), "gyro rests": slice(n, min(2 * n, last)), "gyro turns": slice(2 * n, -1)}
+        N, (accel, *gyro) = len(self.observations.rests), self.blocks
+        first = N * accel.size
+        second = first + sum(N * block.size for block in gyro)
+        return {"accelerometers": slice(0, first), "gyro rests": slice(first, second), "gyro turns": slice(second, -1)}
 
     @property
     def steps(self) -> Array:
@@ -306,47 +360,58 @@ class _SessionData:
         values = [{"accel.bias": 1e-5, "gyro.bias": 1e-9}.get(group_name(name), 1e-6) for name in self.names]
         return np.concatenate([data, values])
 
-    def readings(self, data: Array) -> tuple[Array, Array, Array, Array]:
-        """Specific forces and rates (..., N, 3), errors of turns (..., K, 3), both empty without gyros, and g (...)."""
-        parts = (data[..., kind] for kind in self.kinds.values())
-        force, rate, turning = (part.reshape(*part.shape[:-1], -1, 3) for part in parts)
-        return force, rate, turning, data[..., -1]
+    def readings(self, data: Array) -> tuple[tuple[Array, Array], Array, Array | None, Array]:
+        """Specific forces and rates (..., N, n) at rest, errors of turns (..., K, 3), empty without gyros, integrals
+        over turns (..., K, n) of more than three gyros, and g (...)."""
+        accel, *gyro = self.blocks
+        force, rate, turning = (data[..., kind] for kind in self.kinds.values())
+        n, split = gyro[0].size if gyro else 3, 3 * len(self.course.duration)
+        at_rest = _rows(force, accel.size), _rows(rate, n)
+        integral = None if self.observations.turn_readings is None else _rows(turning[..., split:], n)
+        return at_rest, _rows(turning[..., :split], 3), integral, data[..., -1]
 
     def models(self, values: Array) -> tuple[SensorModel, SensorModel]:
-        """Models in body axes; without gyros those of perfect ones."""
-        signs = [block.axes.sum(axis=0) for block in self.blocks]
-        accel = triad_model(signs[0] * values[..., :3], values[..., 3:6], values[..., 6:9])
-        if len(signs) == 1:
-            return accel, PERFECT_TRIAD
-        return accel, triad_model(signs[1] * values[..., 9:12], values[..., 12:15], values[..., 15:])
+        """Models of the data; without gyros those of perfect ones."""
+        accel, *gyro = self.blocks
+        own = len(accel.names)
+        return model_of(accel, values[..., :own]), model_of(gyro[0], values[..., own:]) if gyro else PERFECT_TRIAD
 
     def values(self, accel: SensorModel, gyro: SensorModel) -> Array:
-        """Parameters of models in body axes: `models` inverted."""
-        parts = []
-        for block, model in zip(self.blocks, (accel, gyro), strict=False):
-            bias, scale, angles = triad_parameters(model)
-            angles = angles if block.kind == "gyro" else angles[..., ACCEL_ANGLES]
-            parts += [block.axes.sum(axis=0) * bias, scale, angles]
-        return np.concatenate(parts, axis=-1)
+        """Parameters of models: `models` inverted."""
+        parts = zip(self.blocks, (accel, gyro), strict=False)
+        return np.concatenate([parameters_of(block, model) for block, model in parts], axis=-1)
 
     def turned(self, values: Array) -> _Turned | None:
-        """The turns integrated about the gyro model of values (m,)."""
-        block = self.observations.gyro_block
+        """The turns integrated about the gyro model of values (m,). Raises ProgrammeError where they do not determine
+        the gyros."""
+        block, (accel, about), matrix = self.observations.gyro_block, self.models(values), self.course.matrix
         if block is None:
             return None
-        about = self.observations.turns_about(block.model(values[9:]))
-        return _Turned(turns=about, about=self.models(values)[1])
+        if self.observations.turns is None:
+            raise ProgrammeError("method sequential: expected turns between the rests in the log, found none")
+        turns = self.observations.turns_about(block.model(values[len(self.observations.accel_block.names) :]))
+        if matrix is None:
+            (force, rate), *_ = self.readings(self.data)
+            matrix = recorded_matrix(self.course.series, triad(accel.apply(force), about.apply(rate)), turns.M)
+            rank = int(np.linalg.matrix_rank(matrix, 1e-3))
+            if rank < 9:
+                raise ProgrammeError(
+                    f"method sequential: expected turns that determine nine combinations of gyro parameters, found "
+                    f"{rank}; turn about more axes between the rests, or take the method joint"
+                )
+        return _Turned(turns=turns, about=about, matrix=matrix)
 
     def after_pass(self, data: Array, values: Array, turned: _Turned | None) -> Array:
         """Values (..., m) after all stages of a pass over data (..., d) that starts from values (..., m); after the
         stages of the rests where the turns are not integrated."""
-        force, rate, turning, gravity = self.readings(data)
-        turn = None if turned is None else partial(turned.rotations, turning)
-        return self.values(*one_pass(self.method, self.course, (force, rate), turn, gravity, self.models(values)))
+        at_rest, turning, integral, gravity = self.readings(data)
+        turn, matrix = (None, None) if turned is None else (partial(turned.rotations, turning), turned.matrix)
+        before = self.models(values)
+        return self.values(*one_pass(self.method, self.course, at_rest, turn, gravity, before, matrix, integral))
 
     def residuals(self, data: Array, values: Array, turned: _Turned | None) -> Array:
         """What is left at values (..., m): |w| − g of every rest, û·ω − Ω sin B of every rest, y of every turn."""
-        force, rate, turning, gravity = self.readings(data)
+        (force, rate), turning, _, gravity = self.readings(data)
         accel, gyro = self.models(values)
         corrected = accel.apply(force)
         parts = [np.linalg.norm(corrected, axis=-1) - gravity[..., None]]
@@ -368,22 +433,23 @@ class _SessionData:
 
     def covariance(self, scatter: Mapping[str, float]) -> Array:
         """Covariance (d, d) of the data: noise within rests and turns, scatter between them, and gravity."""
-        rests, (accel, *gyro) = self.observations.rests, self.blocks
-        blocks = [
-            accel.axes.T @ rests.accel_covariance @ accel.axes + scatter.get("accelerometers", 0.0) ** 2 * np.eye(3)
-        ]
-        if gyro and self.observations.turns is not None:
-            turns, rest_scatter = self.observations.turns, scatter.get("gyro rests", 0.0)
-            blocks.append(gyro[0].axes.T @ rests.gyro_covariance @ gyro[0].axes + rest_scatter**2 * np.eye(3))
-            drift = (rest_scatter * turns.duration) ** 2 + scatter.get("gyro turns", 0.0) ** 2
-            blocks.append(turns.covariance + drift[:, None, None] * np.eye(3))
-        every = np.concatenate(blocks)
-        count, of_data = len(every), np.zeros((len(self.data), len(self.data)))
-        apart = np.zeros((count, 3, count, 3))
-        apart[np.arange(count), :, np.arange(count)] = every
-        of_data[:-1, :-1] = apart.reshape(3 * count, 3 * count)
-        of_data[-1, -1] = self.observations.site.gravity_u**2
-        return of_data
+        rests, turns, integrals = self.observations.rests, self.observations.turns, self.observations.turn_readings
+        scatters, every = [scatter.get(name, 0.0) for name in _GROUPS], list[Array]()
+        for block, noise, more in zip(
+            self.blocks, (rests.accel_covariance, rests.gyro_covariance), scatters, strict=False
+        ):
+            axes = to_sensors(block)
+            every += [*(axes.T @ noise @ axes + more**2 * np.eye(block.size))]
+        if len(self.blocks) == 2 and turns is not None:
+            drift = (scatters[1] * turns.duration) ** 2 + scatters[2] ** 2
+            every += [*(turns.covariance + drift[:, None, None] * np.eye(3))]
+            every += [] if integrals is None else [*integrals.covariance]
+        return np.asarray(block_diag(*every, np.array([[self.observations.site.gravity_u**2]])))
+
+
+def _rows(values: Array, n: int) -> Array:
+    """Values (..., N n) as N rows (..., N, n)."""
+    return values.reshape(*values.shape[:-1], -1, n)
 
 
 # Uncertainty, and how well it fits
@@ -410,8 +476,14 @@ def _estimate(launch: _SessionData, values: Array, derivative: Array, increments
     rows = {"accelerometers": slice(0, n), "gyro rests": slice(n, 2 * n), "gyro turns": slice(2 * n, None)}
     groups = {name: _GROUPS[name] for name in list(_GROUPS)[: 3 if len(launch.blocks) == 2 else 1]}
 
+    observations, beside, found, by_groups = launch.observations, None, None, np.zeros((len(launch.data),) * 2)
+    if observations.usual:
+        beside, (problem, shown) = by_joint(observations), groups_in_data(observations)
+        found = LeftOut.of(problem, derivative @ shown, beside)
+        by_groups = (shown * found.sizes**2) @ shown.T
+
     def residuals_of(name: str, scatter: Mapping[str, float]) -> Residuals:
-        noise, chosen = launch.covariance(scatter), rows[name]
+        noise, chosen = launch.covariance(scatter) + by_groups, rows[name]
         variance = np.sum(direct[chosen] @ noise * direct[chosen], axis=1)
         return Residuals(residual=residual[chosen], variance=variance, left=total[chosen] @ noise @ total[chosen].T)
 
@@ -446,8 +518,8 @@ def _estimate(launch: _SessionData, values: Array, derivative: Array, increments
         covariance=budget.covariances.sum(axis=0),
         observable=np.ones(len(values), dtype=bool),
         null=np.empty((0, len(values))),
-        accel=accel.model(values[:9]),
-        gyro=gyro[0].model(values[9:]) if gyro else None,
+        accel=accel.model(values[: len(accel.names)]),
+        gyro=gyro[0].model(values[len(accel.names) :]) if gyro else None,
         rest_residual=launch.residuals(launch.data, values, turned)[:n],
         rest_sigmas=np.max(list(outliers.values()), axis=0),
         turn_sigmas=turn_sigmas,
@@ -459,12 +531,9 @@ def _estimate(launch: _SessionData, values: Array, derivative: Array, increments
         ),
         budget=budget,
     )
-    observations = launch.observations
-    if not observations.usual:
+    if found is None:
         return estimate
-    beside = by_joint(observations)
     estimate = replace(estimate, linearised=None if beside is None or not converged else beside.linearised)
-    found = left_out_by_passes(observations, derivative, beside)
     return with_left_out(estimate, found, observations.site.gravity)
 
 

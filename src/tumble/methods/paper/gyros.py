@@ -1,12 +1,9 @@
 """The paper's methods for gyros: biases from rests, stage 3, and scale factors and axis angles from turns, stage 4.
 
-Stage 3 compares the readings of gyros at rest with the Earth's rate Ω, in two ways. Bias is the reading minus the true
-rate.
-
-    vector          ω̂ − L̂ᵀΩ, L̂ by TRIAD                  Eq. (16); at the pole (17), vertical (18)
-    scalar          (ω̂² − Ω²)/2Ω = û^Ω·δω                 after (12), (13)
-
-Both are levelled by the accelerometers, an error δw of which leaves Ω cos B δw/g in each.
+Stage 3 compares the readings of gyros at rest with the Earth's rate Ω in the attitude by TRIAD, Eq. (16): a bias is the
+reading less ω = L̂ᵀΩ where the axis of the gyro is vertical, Eq. (18). An error δw of the accelerometers leaves
+Ω cos B δw/g. The scalar method for gyros, which the paper has too, holds for small biases only
+(studies/accuracy_formulas.py).
 
 Stage 4, the indirect method, sees what errors of the gyros do to the horizontal after a turn. A series of turns starts
 from an attitude by TRIAD, which the gyros carry through the turns and which is held during rests. Each turn by 180°
@@ -32,14 +29,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from tumble.errors import ProgrammeError
-from tumble.methods.least_squares import solved
+from tumble.methods.paper.accelerometers import STANDING
+from tumble.methods.paper.blocks import in_body
 from tumble.programme.positions import Programme
 from tumble.rotation import rotation_matrix, unit_vector
-from tumble.sensors.model import ACCEL_ANGLES
-from tumble.units import DEGREE, Array
-
-STANDING = 1e-6
-"""Cosine deficit at which a nominal axis still counts as vertical."""
+from tumble.sensors.model import ACCEL_ANGLES, PERFECT_TRIAD
+from tumble.units import DEGREE, Array, BoolArray
 
 LEAK = 1e-6
 """Biases that enter scale factors with less than this coefficient cancel."""
@@ -62,30 +57,27 @@ def triad(force: Array, rate: Array) -> Array:
     return np.stack([np.cross(up, east), up, east], axis=-2)
 
 
-def vector_bias(rate: Array, force: Array, earth_rate: Array) -> Array:
-    """Bias (..., N, 3), rad/s, of every gyro in every rest: ω̂ − L̂ᵀΩ with L̂ by TRIAD, Eq. (16).
+def vector_bias(rate: Array, force: Array, earth_rate: Array, axes: Array = PERFECT_TRIAD.matrix) -> Array:
+    """Bias (..., N, n), rad/s, of every gyro in every rest, from rates (..., N, n) along sensing axes (n, 3): ω̂ − L̂ᵀΩ
+    with L̂ by TRIAD, Eq. (16).
 
     It holds along the polar axis, where sensor errors enter times deviations from the programme, Eq. (17), and along
     the vertical, Eq. (18). At the polar axis TRIAD leaves −δω_E²/2Ω, which is not in the paper (1.8 % of 0.3 °/h)."""
-    return np.asarray(rate - earth_rate @ triad(force, rate))
+    return np.asarray(rate - earth_rate @ triad(force, in_body(axes, rate)) @ axes.T)
 
 
-def vertical_bias(rate: Array, force: Array, earth_rate: Array, nominal: Array) -> Array:
-    """Bias (..., 3) by the vector method, Eq. (18): mean over the rests in which the nominal vertical (N, 3) is along
-    the axis of the gyro."""
-    shown = vector_bias(rate, force, earth_rate)
-    standing = np.abs(nominal) > 1.0 - STANDING
-    return np.stack([shown[..., standing[:, q], q].mean(axis=-1) for q in range(3)], axis=-1)
+def vertical_bias(
+    rate: Array, force: Array, earth_rate: Array, nominal: Array, axes: Array = PERFECT_TRIAD.matrix
+) -> Array:
+    """Bias (..., n) by the vector method, Eq. (18): mean over the rests in which the nominal vertical (N, 3) is along
+    the axis of the gyro, of rates (..., N, n) along sensing axes (n, 3)."""
+    shown, standing = vector_bias(rate, force, earth_rate, axes), along_vertical(nominal, axes)
+    return np.stack([shown[..., standing[:, q], q].mean(axis=-1) for q in range(len(axes))], axis=-1)
 
 
-def scalar_bias(rate: Array, force: Array, earth_rate: Array) -> Array:
-    """Bias (..., 3) by the scalar method, as Eqs. (12), (13) with the estimated orientation: least squares of
-    (ω̂² − Ω²)/2Ω = û^Ω·δω, û^Ω = L̂ᵀΩ/Ω.
-
-    Its error (δω_N² + δω_U² − δω_E²)/2Ω cancels over a programme in which the sensors stand both ways."""
-    Ω = float(np.linalg.norm(earth_rate))
-    polar = earth_rate @ triad(force, rate) / Ω
-    return solved(polar, ((rate**2).sum(axis=-1) - Ω**2) / (2.0 * Ω))
+def along_vertical(nominal: Array, axes: Array) -> BoolArray:
+    """Whether axes (n, 3) are up or down in positions with these verticals (N, 3) in the body: (N, n)."""
+    return np.asarray(np.abs(nominal @ axes.T) > 1.0 - STANDING)
 
 
 # Stage 4: the programmed turns
@@ -144,6 +136,27 @@ def programme_matrix(programme: Programme) -> tuple[Array, Array]:
     α = (L @ (each[..., :3] + (M @ up[..., None])[..., 0])[..., None])[..., 0]
     tilt = np.stack([-ψ[..., 2], ψ[..., 0]], axis=-1)
     return tilt.reshape(9, -1).T, ((α[:, first + 1] - α[:, first]) @ _LEVEL.T).reshape(9, -1).T
+
+
+def recorded_matrix(course: Sequence[Series], attitude: Array, M: Array) -> Array:
+    """Derivatives (2T, 9) of y of recorded turns by the errors of gyros in the order of columns, from the attitudes
+    (N, 3, 3) of the rests and the sensitivities M (K, 3, 3, 3) of the turns, Eq. (6.1): ψ = L (M : E), whatever way a
+    turn took."""
+    counted = [t for series in course for t in series if t.counts]
+    first, k = [t.first for t in counted], [t.turn for t in counted]
+    p, q = np.transpose([*((i, i) for i in range(3)), *_PAIRS])
+    ψ = attitude[first] @ M[k][..., p, q]
+    return np.stack([-ψ[:, 2], ψ[:, 0]], axis=1).reshape(-1, 9)
+
+
+def spare_sensitivities(integral: Array, axes: Array) -> Array:
+    """Errors (..., n, 3) of the sensitivities of n gyros along `axes` (n, 3) across these, from the integrals
+    (..., K, n), rad, of their compensated readings over turns: what no rate explains of them, by least squares over the
+    rotations about the body axes. Three gyros have none."""
+    turned = in_body(axes, integral)
+    spare = integral - turned @ axes.T
+    across = np.swapaxes(turned, -1, -2)
+    return np.swapaxes(np.linalg.solve(across @ turned, across @ spare), -1, -2)
 
 
 def accelerometer_leakage(programme: Programme) -> Array:

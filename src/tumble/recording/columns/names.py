@@ -222,8 +222,9 @@ def _split(name: str) -> tuple[list[str], str]:
     words = _words(name)
     for count in (2, 1):
         unit = "_".join(words[-count:])
-        rest = words[:-count]  # which must have all that a name needs, an axis or the time
-        if rest and unit in ALL_UNITS and (_axes(rest) or score(TIME_KIND, "_".join(rest))):
+        rest = words[:-count]  # which must have all that a name needs, an axis, a direction or the time
+        told = _axes(rest) or any(map(_DIRECTION.fullmatch, rest)) or score(TIME_KIND, "_".join(rest))
+        if rest and unit in ALL_UNITS and told:
             return rest, unit
         inner = "_".join(words[-count - 1 : -1])
         if len(words) > count + 1 and inner in ALL_UNITS and len(inner) > 1 and words[-1] in _LETTERS:
@@ -274,8 +275,8 @@ def _of_sensors(found: dict[str, Place], *, gyros: bool) -> tuple[str, ...]:
     kind, or that which names none."""
     if not found:
         return ()
-    own = {kind: _of_kind(found, kind, gyros=gyros) for kind in (ACCEL, GYRO)}
-    first, second = own[ACCEL] or own[GYRO], own[GYRO] or own[ACCEL]
+    accel, gyro = _of_kind(found, ACCEL), _of_kind(found, GYRO)
+    first, second = accel or gyro, gyro or accel
     unnamed = [name for name, (kind, _) in found.items() if not kind]
     accel, gyro = (kinds or unnamed[:1] or list(found)[:1] for kinds in (first, second))
     if len(accel) == len(gyro) == 1:
@@ -284,17 +285,12 @@ def _of_sensors(found: dict[str, Place], *, gyros: bool) -> tuple[str, ...]:
     return tuple(name for columns in every for name in (columns if len(columns) == 3 else 3 * columns))
 
 
-def _of_kind(found: dict[str, Place], kind: str, *, gyros: bool) -> list[str]:
+def _of_kind(found: dict[str, Place], kind: str) -> list[str]:
     """The three thermometers of the sensors of a kind, or the one that it has; none where it has none of its own."""
     for whose in (kind, ""):
         by_place = {place: name for name, (of, place) in found.items() if of == whose and place}
-        numbered = sorted(place for place in by_place if place.isdecimal())
         if set("xyz") <= by_place.keys():
             return [by_place[axis] for axis in "xyz"]
-        if "".join(numbered) in ("012", "123"):
-            return [by_place[place] for place in numbered]
-        if not whose and gyros and "".join(numbered) in ("012345", "123456"):
-            return [by_place[place] for place in (numbered[:3] if kind == ACCEL else numbered[3:])]
         alone = [name for name, (of, place) in found.items() if of == whose == kind and not place]
         if alone:
             return alone[:1]

@@ -1,5 +1,5 @@
-"""What columns without telling names are, by their numbers: of all hypotheses, which three columns side by side are
-accelerometers and which are gyros, the one of the least cost over the whole recording, and the next one beside it.
+"""Columns without telling names, identified by their numbers: of all hypotheses, which three columns side by side are
+accelerometers and which are gyros, the one of the least cost over the whole recording.
 
 The cost is −2 times the logarithm of a likelihood, up to what all hypotheses have in common. Accelerometers read one
 length at rest about a zero that is near none, in a unit or in counts of data sheets, and scatter little; as the body
@@ -60,6 +60,8 @@ many of them tell."""
 
 _MOVED = 0.01
 """Of gravity: what each accelerometer of a body that is never at rest scatters by, at least."""
+_ABOUT_GRAVITY, _SHAKEN = 0.12, 0.4
+"""Of gravity: what the median length of means over a block is off for a body that flies or walks, and their spread."""
 _ONE_WAY = 0.05
 """Of the steps of a sensor half fall, whatever it is of: 1 of 20 and less by chance once in 50,000 times."""
 
@@ -72,18 +74,15 @@ Run = tuple[int, int, int]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class IdentifiedColumns:
-    """Columns by their numbers, and the next hypotheses in words; none where nothing was told."""
+    """Columns by their numbers, and whether the next hypothesis is too near to be sure."""
 
     columns: Columns
-    rivals: str = ""
     near: bool = False
-    """Whether the next one is too near to be sure."""
 
-    def said(self, named: Collection[str] = ()) -> list[str]:
-        """What was told, but for kinds of sensors that are `named`, and what else it may be, in sentences."""
-        told = {kind: s for kind, s in self.columns.triads.items() if kind not in named}
-        guesses = [f"{kind}: columns {', '.join(s.columns)}, by their numbers (a guess)" for kind, s in told.items()]
-        return [*guesses, *filter(None, [self.rivals])] if guesses else []
+    def guesses(self, named: Collection[str] = ()) -> list[str]:
+        """A sentence for each kind of sensors that is not `named`."""
+        triads = {kind: s for kind, s in self.columns.triads.items() if kind not in named}
+        return [f"{kind}: columns {', '.join(s.columns)}, by their numbers (a guess)" for kind, s in triads.items()]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -95,11 +94,6 @@ class _Hypothesis:
     of_accel: float
     accel: Run
     gyro: Run | None
-
-    def said(self, names: Sequence[str]) -> str:
-        """In words."""
-        named = [", ".join(in_order([names[j] for j in run])) for run in (self.accel, self.gyro) if run]
-        return f"accelerometers {named[0]}, {f'gyros {named[1]}' if self.gyro else 'no gyros'}"
 
 
 def columns_by_data(names: Sequence[str], read: Array) -> IdentifiedColumns:
@@ -119,18 +113,10 @@ def columns_by_data(names: Sequence[str], read: Array) -> IdentifiedColumns:
         for kind, run in ((ACCEL, best.accel), (GYRO, best.gyro))
         if run is not None
     }
-    # the next hypotheses after the best, of the same accelerometers, of others and of none
-    rivals = (next((h for h in others if (h.accel == best.accel) == same), None) for same in (True, False))
-    further = [(rival.cost - best.cost, rival.said(names)) for rival in rivals if rival is not None]
-    further.append((_LIMIT - best.of_accel, "no accelerometers at all"))
-    listed = ", ".join(f"{said} (cost +{cost:.1f})" for cost, said in sorted(further))
-    near = min(further)[0] < _APART
-    doubt = "; too near to be sure: state --accel, --gyro" if near else ""
-    return IdentifiedColumns(
-        columns=Columns(time=time, time_unit=None, triads=triads),
-        rivals=f"columns: next would be {listed}; +{_APART:g} is 20 times less likely{doubt}",
-        near=near,
-    )
+    next_cost = min(
+        [_LIMIT - best.of_accel, *(rival.cost - best.cost for rival in others[:1])]
+    )  # without any, or others
+    return IdentifiedColumns(columns=Columns(time=time, time_unit=None, triads=triads), near=next_cost < _APART)
 
 
 def _hypotheses(names: Sequence[str], read: Array, columns: Sequence[int]) -> list[_Hypothesis]:
@@ -170,7 +156,8 @@ def _hypotheses(names: Sequence[str], read: Array, columns: Sequence[int]) -> li
 
 def _of_gravity_alone(names: Sequence[str], read: Array, columns: Sequence[int]) -> dict[str, Sensors]:
     """Sensors of a log that is never at rest, and has three or six columns beside times and constants: accelerometers
-    are the three, in a unit, whose median length is that of gravity, gyros the others; none where that is not clear."""
+    are the three, in a unit, whose length is about that of gravity most of the time, gyros the others; none where that
+    is not clear."""
     filled = [j for j in columns if np.isfinite(read[:, j]).mean() > 0.5]
     varying = [j for j in filled if np.nanstd(read[:, j]) > 0.0]
     runs = [tuple(varying[k : k + 3]) for k in range(0, len(varying), 3)]
@@ -178,13 +165,17 @@ def _of_gravity_alone(names: Sequence[str], read: Array, columns: Sequence[int])
         return {}
     if not all(_are_one_sensor([names[j] for j in run]) for run in runs) or _attitudes(read, varying):
         return {}
-    lengths = [float(np.nanmedian(np.linalg.norm(read[:, run], axis=1))) for run in runs]
     units = [c.value for c in CANDIDATES[ACCEL] if c.unit is not None and not c.increment]
-    least = [float(np.nanstd(read[:, run], axis=0).min()) for run in runs]
-    like = [
-        scatter > _MOVED * length and min(abs(np.log(length / unit)) for unit in units) < NEAR
-        for scatter, length in zip(least, lengths, strict=True)
-    ]
+    like = []
+    for run in runs:
+        rows = read[np.isfinite(read[:, run]).all(axis=1)][:, run]
+        if len(rows) < _BLOCK:
+            return {}
+        lengths = np.linalg.norm(_means(rows)[0], axis=1)
+        length, spread = float(np.median(lengths)), float(lengths.std())
+        moved = float(rows.std(axis=0).min()) > _MOVED * length
+        near = min(abs(np.log(length / unit)) for unit in units) < _ABOUT_GRAVITY
+        like.append(moved and near and spread < _SHAKEN * length)
     if like.count(True) != 1:
         return {}
     in_order_of = sorted(range(len(runs)), key=lambda k: not like[k])

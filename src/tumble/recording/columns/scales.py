@@ -45,7 +45,7 @@ class KnownScale:
         return self.value / rate if self.increment else self.value
 
     @property
-    def said(self) -> str:
+    def label(self) -> str:
         return self.unit or (f"{self.value:.6g} counts" if self.value != 1.0 else "counts")
 
 

@@ -11,6 +11,7 @@ import math
 import struct
 import zipfile
 import zlib
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -71,7 +72,8 @@ def messages(path: Path) -> list[Message]:
     by_data: list[Message] = []
     for length in sorted({max(shape) for shape, _ in arrays.values()}, reverse=True):
         columns = dict(_columns({name: array for name, array in arrays.items() if max(array[0]) == length}))
-        known = columns_by_name(columns)
+        widths = Counter(column.array for name, column in columns.items() if name != f"{column.array}/t")
+        known = columns_by_name([name for name, column in columns.items() if widths[column.array] <= len("xyz")])
         guessed, remark = ACCEL not in known.triads, ""
         if guessed:
             known, remark = _with_told_by_data(columns, known)
@@ -118,9 +120,7 @@ def _columns(arrays: Mapping[str, tuple[Shape, Read]]) -> Iterator[tuple[str, Co
 def _with_told_by_data(columns: Mapping[str, Column], known: Known) -> tuple[Known, str]:
     """What columns are where no name says which are accelerometers: by their numbers, but for the triads that an array
     of their own is named as; and that in words."""
-    wide = {column.array for column in columns.values() if column.axis is not None and column.axis > 3}
-    named = {k: t for k, t in known.triads.items() if columns[t.columns[0]].array not in wide}
-    taken = {column for triad in named.values() for column in triad.columns}
+    taken = {column for triad in known.triads.values() for column in triad.columns}
     free = {name: column for name, column in columns.items() if name not in taken}
     together = {name: column for name, column in free.items() if column.axis is not None} or free
     if not 0 < len(together) <= _WIDEST:
@@ -128,9 +128,9 @@ def _with_told_by_data(columns: Mapping[str, Column], known: Known) -> tuple[Kno
     told = columns_by_data(list(together), np.column_stack([column.part(_WHOLE) for column in together.values()]))
     found = told.columns
     if ACCEL not in found.triads:
-        return replace(known, triads=named), ""
-    known = replace(known, triads={**found.triads, **named}, time=known.time or found.time)
-    return known, "; ".join(told.said(named))
+        return known, ""
+    remark = "; ".join(told.guesses(known.triads))
+    return replace(known, triads={**found.triads, **known.triads}, time=known.time or found.time), remark
 
 
 def _rows(columns: Mapping[str, Column], length: int, time: str | None, factor: float) -> Iterator[pl.DataFrame]:

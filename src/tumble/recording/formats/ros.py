@@ -21,6 +21,7 @@ import polars as pl
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
+from tumble.documents import check_regular
 from tumble.recording.columns.names import thermometer
 from tumble.recording.formats import AXES, TIME, Message, triads_of
 from tumble.recording.text.pieces import check_unpacked
@@ -44,6 +45,7 @@ _MCAP, _MCAP_CHUNK, _BAG = b"\x89MCAP0\r\n", 6, b"#ROSBAG V2.0\n"
 def messages(path: Path) -> list[Message]:
     """Topics with inertial sensors."""
     for file in sorted(path.iterdir()) if path.is_dir() else [path]:
+        check_regular(file)
         check_unpacked(file, _bytes_of_chunks(file))
     with _opened(path) as bag:
         filled = [(c.topic, c.msgtype, c.msgcount) for c in bag.connections if c.msgtype in _FIELDS and c.msgcount]

@@ -1,8 +1,8 @@
 """PX4 flight logs (ULog): the uncorrected messages sensor_accel and sensor_gyro, one per instance, and sensor_mag; of
 sensor_baro the temperature.
 
-sensor_combined is left aside where the others are there: it holds values that PX4 has corrected with its own
-calibration and averaged.
+sensor_combined is left aside where the others are there at its rate or more: it holds values that PX4 has corrected
+with its own calibration and averaged. By default PX4 logs the others once a second.
 """
 
 from __future__ import annotations
@@ -22,9 +22,10 @@ from tumble.recording.session import AutopilotSensor
 NOTHING = "no messages sensor_accel or sensor_combined; set SDLOG_PROFILE to log the raw sensors"
 
 _SECOND = 1e-6  # times are in µs
+_COMBINED = "sensor_combined"
 _REMARKS = {
-    "sensor_combined": "PX4 has corrected these readings with its own calibration: reset it (CAL_ACC*, CAL_GYRO*) "
-    "before recording"
+    _COMBINED: "PX4 has corrected these readings with its own calibration: reset it (CAL_ACC*, CAL_GYRO*) before "
+    "recording, or log the raw sensors at their rate (SDLOG_PROFILE)"
 }
 _UNITS = {"accel": "m/s^2", "gyro": "rad/s", "field": "gauss"}
 _FIELDS: Mapping[str, Mapping[str, str]] = {
@@ -32,7 +33,7 @@ _FIELDS: Mapping[str, Mapping[str, str]] = {
     "sensor_gyro": {f"gyro_{axis}": axis for axis in AXES},
     "sensor_mag": {f"field_{axis}": axis for axis in AXES},
     "sensor_baro": {},
-    "sensor_combined": {f"accel_{axis}": f"accelerometer_m_s2[{i}]" for i, axis in enumerate(AXES)}
+    _COMBINED: {f"accel_{axis}": f"accelerometer_m_s2[{i}]" for i, axis in enumerate(AXES)}
     | {f"gyro_{axis}": f"gyro_rad[{i}]" for i, axis in enumerate(AXES)},
 }
 """Columns of each message, and its fields."""
@@ -49,8 +50,10 @@ def messages(path: Path) -> list[Message]:
     kept = [data for data in kept if data.name != "sensor_baro" or _has_temperature(data.data)]
     origin = min((int(_taken(data.data)[0]) for data in kept), default=0)
     found = [_message(data, origin, log.initial_parameters) for data in kept]
-    raw = [m for m in found if not m.name.startswith("sensor_combined")]
-    return raw if any(m.accel for m in raw) else found
+    combined = max((m.count for m in found if m.name.startswith(_COMBINED)), default=0)
+    slow = [m for m in found if (m.accel or m.gyro) and m.count < combined // 2]
+    raw = [m for m in found if m not in slow and not m.name.startswith(_COMBINED)]
+    return raw if any(m.accel for m in raw) else [m for m in found if m not in slow]
 
 
 def _message(data: Any, origin: int, parameters: Mapping[str, Any]) -> Message:
@@ -93,5 +96,7 @@ def _taken(values: dict[str, Any]) -> Any:
 
 def _rows(values: dict[str, Any], fields: dict[str, str], origin: int) -> Iterator[pl.DataFrame]:
     """The whole message: a flight log is in memory anyway."""
-    time = (_taken(values).astype(np.int64) - origin) * _SECOND
-    yield pl.DataFrame({TIME: time} | {name: values[field].astype(np.float64) for name, field in fields.items()})
+    with np.errstate(invalid="ignore"):  # of a damaged log
+        time = (_taken(values).astype(np.int64) - origin) * _SECOND
+        readings = {name: values[field].astype(np.float64) for name, field in fields.items()}
+    yield pl.DataFrame({TIME: time} | readings)

@@ -39,7 +39,10 @@ FREE = 3
 MOST = 100_000
 """A gap of so many samples is bridged, however many there are, to 100 000: what each adds to the angle of a turn is in
 its scatter. Rows without a time of their own are at most 2 % of a file's and 3."""
-REGULAR_HINT = "if the rows are equally spaced whatever their time stamps say, put regular = true in [log]"
+REGULAR_HINT = (
+    "if the rows are equally spaced whatever their time stamps say, put regular = true in [log], or with arrays give "
+    "rate= instead of time="
+)
 _SHORTEST_TIME = 2.0
 _LARGEST = 1e30
 """Beyond what any sensor or clock reads, in any unit, and its tenth power is a number still."""

@@ -350,11 +350,16 @@ class _StampLine:
 
 
 def _stamps(source: LogSource, spec: LogSpec) -> Iterator[Array]:
-    """All time stamps, s, of the lines that are rows, table by table."""
+    """All time stamps, s, of the lines that are rows, table by table; times of day go on past midnight."""
     assert spec.time is not None
-    first = 1
+    first, days, last = 1, 0, np.empty(0)
     for table, unread in source.tables([spec.time], spec.time if spec.clock else None):
         keep = np.ones(table.height, dtype=bool)
         keep[[u.row - first for u in unread if u.kind in (Kind.NO_ROW, Kind.CUT)]] = False
         first += table.height
-        yield table[spec.time].to_numpy()[keep] * spec.time_factor
+        time = table[spec.time].to_numpy()[keep] * spec.time_factor
+        passed = days + np.cumsum(np.diff(np.concatenate([last, time])) < -_HALF_DAY) if spec.clock else np.zeros(0)
+        if len(passed):
+            last, days = time[-1:], int(passed[-1])
+            time = time + 2.0 * _HALF_DAY * np.concatenate([np.zeros(len(time) - len(passed)), passed])
+        yield time

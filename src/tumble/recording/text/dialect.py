@@ -39,7 +39,7 @@ _POINT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?nan|[+-]?inf", 
 _COMMA = re.compile(r"[+-]?(\d+|\d*,\d+)([eE][+-]?\d+)?|[+-]?nan|[+-]?inf", re.IGNORECASE)
 _CLOCK = re.compile(
     r"(\d{1,4}[-./]\d{1,2}[-./]\d{1,4}[T ]?)?\s*"
-    r"(\d{1,2}:\d{2}(:\d{2}([.,:]\d+)?)?\s*([AaPp]\.?[Mm]\.?)?\s*(Z|[+-]\d\d:?\d\d)?)?"
+    r"(\d{1,2}:\d{2}(:\d{2}([.,:]\d+)?|[.,]\d+)?\s*([AaPp]\.?[Mm]\.?)?\s*(Z|[+-]\d\d:?\d\d)?)?"
 )
 JOINED = (
     r"(\d{4})[_-]?(\d{2})[_-]?(\d{2})[_ T-](\d{2})[_:-]?(\d{2})[_:-]?(\d{2})(?:[._-](\d+))?",
@@ -52,8 +52,10 @@ MONTHS = "jan", "feb", "m[aä]r|mrz", "apr", "ma[iy]", "jun", "jul", "aug", "sep
 NAMED_MONTH = (
     r"(?i)(?P<day>\d{{1,2}})[-/. ](?:{0})[a-zä]*[-/. ](?P<year>\d{{4}})",
     r"(?i)(?:{0})[a-zä]*\.? (?P<day>\d{{1,2}}),? (?P<year>\d{{4}})",
+    r"(?i)(?:^[a-z]{{2,3}},? +)?(?:{0}) +(?P<day>\d{{1,2}}) +"
+    r"(?P<time>\d+:\d\d:\d\d)(?: [a-z]{{3,4}})? +(?P<year>\d{{4}})",
 )
-"""A date whose month has a name: 15-Jun-2026, Jun 15, 2026."""
+"""A date whose month has a name: 15-Jun-2026, Jun 15, 2026, and as C prints it, Mon Jun 15 12:34:56 2026."""
 _NAMED_MONTH = [re.compile(date.format("|".join(MONTHS))) for date in NAMED_MONTH]
 
 
@@ -115,13 +117,13 @@ class Top:
 
     names: tuple[str, ...]
     lines: int
-    remarks: tuple[str, ...] = ()
+    preamble: tuple[str, ...] = ()
 
 
 def is_clock(cell: str) -> bool:
     """Whether a cell is a time of day or a date with one."""
     for date in _NAMED_MONTH if ":" in cell else ():
-        cell = date.sub("1.1.2000", cell)
+        cell = date.sub(lambda found: f"1.1.2000 {found.groupdict().get('time', '')}", cell)
     return bool(_JOINED.fullmatch(cell) or (":" in cell and _CLOCK.fullmatch(cell)))
 
 
@@ -163,8 +165,8 @@ def top_of(lines: tuple[str, ...], dialect: Dialect) -> Top | None:
         if grouped is not None:
             names = grouped
             used.add(at - 1)
-    remarks = (" ".join(line.split()) for i, line in enumerate(above) if i not in used)
-    return Top(names=numbered(names), lines=first, remarks=tuple(filter(None, remarks)))
+    preamble = (" ".join(line.split()) for i, line in enumerate(above) if i not in used)
+    return Top(names=numbered(names), lines=first, preamble=tuple(filter(None, preamble)))
 
 
 def _names(cells: Sequence[str], rows: Sequence[Sequence[str]], dialect: Dialect) -> tuple[str, ...] | None:

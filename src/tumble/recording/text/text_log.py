@@ -114,35 +114,44 @@ class TextLog:
         ended = piece.endswith(b"\n")
         lines = piece.decode("utf-8", errors="replace").removesuffix("\n").split("\n")
         numbers = np.full((len(lines), len(columns)), np.nan)
-        unread: list[Unread] = []
+        clocks = [""] * len(lines)
+        faults: dict[int, tuple[str, Kind, str | None]] = {}
         for i, line in enumerate(line.removesuffix("\r") for line in lines):
-            fault: tuple[str, Kind, str | None] | None = None
             values: list[str] = []
             if not line.strip() or self.dialect.is_comment(line):
-                fault = line if line.strip() else "a blank line", Kind.NO_ROW, None
-            else:
-                try:
-                    values = self.cells(line)
-                except csv.Error as error:
-                    fault = str(error), Kind.ROW, None
-            if fault is None and len(values) != len(self.names):
-                with_numbers = any(self.dialect.is_number(v.strip()) for v in values)
-                fault = (f"{len(values)} values", Kind.ROW, None) if with_numbers else (line.strip(), Kind.TEXT, None)
-            for j, column in enumerate(columns if fault is None else ()):
+                faults[i] = line if line.strip() else "a blank line", Kind.NO_ROW, None
+                continue
+            try:
+                values = self.cells(line)
+            except csv.Error as error:
+                faults[i] = str(error), Kind.ROW, None
+                continue
+            if len(values) != len(self.names):
+                faults[i] = line.strip(), Kind.TEXT, None
+                if any(self.dialect.is_number(v.strip()) for v in values):
+                    faults[i] = f"{len(values)} values", Kind.ROW, None
+                continue
+            for j, column in enumerate(columns):
                 cell = values[self.names.index(column)]
+                if column == clock:
+                    clocks[i] = cell
+                    continue
                 try:
-                    if column == clock:
-                        numbers[i, j] = float(seconds_of(pl.Series([cell], dtype=pl.String), day)[0])
-                    elif "_" in cell:  # a date such as 2026_06_15, which float() takes for a number
+                    if "_" in cell:  # a date such as 2026_06_15, which float() takes for a number
                         raise ValueError(cell)
-                    else:
-                        numbers[i, j] = float(cell.replace(",", ".") if self.dialect.decimal == "," else cell)
-                except (TypeError, ValueError):
-                    fault = fault or (cell, Kind.VALUE, column)
-            if fault is not None:
-                text, kind, at = fault
-                cut = i == len(lines) - 1 and not ended and kind != Kind.NO_ROW
-                unread.append(Unread(row=first + i, column=at, found=text, kind=Kind.CUT if cut else kind))
+                    numbers[i, j] = float(cell.replace(",", ".") if self.dialect.decimal == "," else cell)
+                except ValueError:
+                    faults.setdefault(i, (cell, Kind.VALUE, column))
+        if clock is not None:
+            times = seconds_of(pl.Series(clocks, dtype=pl.String), day)
+            numbers[:, columns.index(clock)] = times.fill_null(np.nan).to_numpy()
+            for i in np.flatnonzero(times.is_null().to_numpy()).tolist():
+                if i not in faults or faults[i][1] == Kind.VALUE:
+                    faults[i] = clocks[i], Kind.VALUE, clock
+        unread = []
+        for i, (text, kind, at) in sorted(faults.items()):
+            cut = i == len(lines) - 1 and not ended and kind != Kind.NO_ROW
+            unread.append(Unread(row=first + i, column=at, found=text, kind=Kind.CUT if cut else kind))
         return pl.DataFrame(numbers, schema=list(columns), orient="row"), unread
 
     def whole(self, numbers: Sequence[str]) -> Iterator[pl.DataFrame]:
@@ -226,12 +235,12 @@ def text_log(path: Path, dialect: Dialect | None) -> TextLog:
 
 
 # -------------------- times of day and dates as seconds --------------------
-# ISO 8601, 31.12.2025 23:59:59,5, 23:59:59.5, 11:59:59.5 PM and 2025_12_31_23_59_59.5
+# ISO 8601, 31.12.2025 23:59:59,5, 23:59:59.5, 59:59.5, 11:59:59.5 PM, 2025_12_31_23_59_59.5, Wed Dec 31 23:59:59 2025
 
 
 def day_of(text: str) -> int:
     """The day of a text's date, counted from 1970-01-01; 0 without a date."""
-    return int(_days(pl.Series([text], dtype=pl.String)).fill_null(0)[0])
+    return int(_days(_parted(pl.Series([text], dtype=pl.String))).fill_null(0)[0])
 
 
 def date_of(text: str) -> str | None:
@@ -261,19 +270,21 @@ def seconds_of(text: pl.Series, day: int) -> pl.Series:
 
 
 def _parted(text: pl.Series) -> pl.Series:
-    """Dates and times whose parts are all joined alike, or whose month has a name, as ISO 8601 has them."""
+    """Dates and times whose parts are all joined alike, or whose month has a name, as ISO 8601 has them, and minutes
+    and seconds, as Excel shows times, with an hour."""
+    text = text.str.replace(r'^\s*"?(\d{1,2}:\d{2}[.,]\d+)("?)$', "00:${1}${2}")
     for joined in JOINED:
         text = text.str.replace(f'^\\s*"?{joined}("?)$', "${1}-${2}-${3}T${4}:${5}:${6}.${7}${8}")
     text = text.str.replace(r'\.("?)$', "${1}")
     if re.search("[A-Za-z]{3}", next((cell for cell in text if cell), "")):
         for (number, month), date in product(enumerate(MONTHS, 1), NAMED_MONTH):
-            text = text.str.replace(date.format(month), f"${{year}}-{number}-${{day}}")
+            text = text.str.replace(date.format(month), f"${{year}}-{number}-${{day}} ${{time}}")
     return text
 
 
 def _days(text: pl.Series) -> pl.Series:
-    """Days since 1970-01-01; null without a date."""
-    found = [_parted(text).str.extract(_DATE, k) for k in range(1, 7)]
+    """Days since 1970-01-01 of dates as `_parted` has them; null without a date."""
+    found = [text.str.extract(_DATE, k) for k in range(1, 7)]
     year, month, day = (found[i].zip_with(found[i].is_not_null(), found[j]) for i, j in ((0, 5), (1, 4), (2, 3)))
     written = year + "-" + month.str.zfill(2) + "-" + day.str.zfill(2)
     return written.str.to_date("%Y-%m-%d", strict=False).cast(pl.Int32).cast(pl.Int64)

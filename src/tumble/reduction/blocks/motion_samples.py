@@ -20,10 +20,11 @@ IN_MEMORY_BYTES = 16 * 2**20
 
 
 class MotionSamples:
-    """Angular rates (rad/s) and specific forces (m/s²) in the body as nominal sensors read them, P_g and P_a times the
-    readings, the interval (s) of each sample, and `spare` numbers more. Samples may be added while others are read,
-    from other threads too. The arrays that are added are kept as they are, and in the file column after column, so that
-    nothing is copied on the way."""
+    """Angular rates, rad/s, and specific forces, m/s², in the body as nominal sensors read them, with the interval, s,
+    of each sample and `spare` further numbers.
+
+    Samples may be added while others are read, also from other threads. Arrays that are added are kept without a copy,
+    and written to the file column after column."""
 
     def __init__(self, spare: int = 0) -> None:
         self._columns = 7 + spare  # rate, force, interval, spare
@@ -36,14 +37,14 @@ class MotionSamples:
         self.count = 0
 
     def less(self, first: int, rate: Array) -> MotionSamples:
-        """The same samples, those from `first` on with so much (3,), rad/s, taken off their rates. Nothing is to be
-        added to them."""
+        """The same samples with a rate (3,), rad/s, subtracted from those of sample `first` on. Nothing may be added to
+        them."""
         out = copy(self)
         out._less = self, first, rate
         return out
 
     def since(self, first: int) -> MotionSamples:
-        """A copy of the samples from `first` on, which more may be added to."""
+        """A copy of the samples from `first` on, to which others may be added."""
         out = MotionSamples(self._columns - 7)
         if first < self.count:
             rates, forces, dt, spare = self.read_with_spare(first, self.count)
@@ -51,14 +52,14 @@ class MotionSamples:
         return out
 
     def append(self, rates: Array, forces: Array, dt: Array, spare: Array | None = None) -> None:
-        """Add samples: mean rates (m, 3) and mean forces (m, 3) over intervals dt (m,), and what is `spare` (m, ·)."""
+        """Add samples: mean rates (m, 3) and forces (m, 3) over intervals dt (m,), s, and `spare` numbers (m, ·)."""
         with self._lock:
             self._chunks.append((rates, forces, dt[:, None]) if spare is None else (rates, forces, dt[:, None], spare))
             self._starts.append(self.count)
             self.count += len(dt)
             if 8 * self._columns * (self.count - self._parts[-1]) <= IN_MEMORY_BYTES:
                 return
-            if self._file is None:  # to which what is in memory is moved, as a part of it
+            if self._file is None:
                 self._file = tempfile.TemporaryFile()  # noqa: SIM115
                 weakref.finalize(self, self._file.close)
             self._file.seek(0, os.SEEK_END)
@@ -74,7 +75,7 @@ class MotionSamples:
         return self.read_with_spare(start, stop)[:3]
 
     def read_with_spare(self, start: int, stop: int) -> tuple[Array, Array, Array, Array]:
-        """The same, and what is spare (m, ·)."""
+        """The same with the spare numbers (m, ·)."""
         if self._less is not None:
             whole, beyond, off = self._less
             rates, *others = whole.read_with_spare(start, stop)
@@ -92,6 +93,6 @@ class MotionSamples:
             for place in range(max(bisect_right(self._starts, start) - 1, 0), bisect_left(self._starts, stop)):
                 first, chunk = self._starts[place], self._chunks[place]
                 a, b = max(start, first), min(stop, first + len(chunk[0]))
-                own = [values[a - first : b - first] for values in chunk]
-                np.concatenate(own, axis=1, out=rows[a - start : b - start])
+                wanted = [values[a - first : b - first] for values in chunk]
+                np.concatenate(wanted, axis=1, out=rows[a - start : b - start])
         return rows[:, :3], rows[:, 3:6], rows[:, 6], rows[:, 7:]

@@ -1,7 +1,7 @@
-"""A log reduced to blocks: the means of 0.1 s or less, the state of each channel, and the samples for the turns.
+"""A log reduced to blocks: means over 0.1 s or less, the state of each channel, and the samples for the turns.
 
-The log is fed chunk by chunk to a `Reducer`. A block is defined by the sample number in its file, so chunks of any size
-give the same blocks.
+A log is fed chunk by chunk to a `Reducer`. Blocks are counted in samples from the beginning of a file, so that chunks
+of any size give the same blocks.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from tumble.units import Array, IntArray
 
 BLOCK_SECONDS = 0.1
 UNRECORDED = 2.0
-"""Samples: what is left between two samples beyond their interval is a gap, not jitter."""
+"""Intervals: a longer time between two samples that neither covers is a gap, not jitter."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ChannelState:
-    """What the samples of one channel say about its health, over a whole log, in SI."""
+    """The range and the repeated values of one channel over a whole log, SI."""
 
     samples: int
     minimum: float
@@ -39,21 +39,29 @@ class ChannelState:
     repeats: int
     """Samples equal to the one before."""
     run: int
-    """Longest row of equal samples, and where it ended (s, in its file)."""
+    """Longest row of equal samples; `run_stop`, s, is its end in its file, and `run_value` its value."""
     run_stop: float
     run_value: float
     step: float
     """Smallest step from one value to another: the resolution, where it is coarser than the noise."""
     extreme_run: int
-    """Longest row of equal samples at the minimum or the maximum, and where it ended."""
+    """Longest row of equal samples at the minimum or the maximum, and its end, s."""
     extreme_stop: float
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ChannelSeries:
-    """The channels of one kind over the K blocks of a file: their `means` (K, n), the last sample of each block, which
-    shows their resolution, `ends` (K, n), and the `weights` (K,) of the blocks in a mean; of the samples after the last
-    whole block the weighted total (n,) and the weight. n is 0 where there are none."""
+    """The n channels of one kind over the K blocks of a file; n is 0 where there are none.
+
+    Attributes
+    ----------
+    means, ends
+        Means of the blocks (K, n), and their last samples (K, n), which show the resolution.
+    weights
+        Weights (K,) of the blocks in a mean.
+    tail_total, tail_weight
+        Weighted sum (n,) and weight of the samples after the last whole block.
+    """
 
     means: Array
     ends: Array
@@ -70,18 +78,30 @@ class ChannelSeries:
 
 
 def extremes(channels: tuple[ChannelState, ...]) -> Array:
-    """The least and the most (2, n) that channels read, SI."""
+    """The smallest and the largest readings (2, n) of channels, SI."""
     return np.array([[channel.minimum for channel in channels], [channel.maximum for channel in channels]])
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class FileBlocks:
-    """The K blocks of one file, of `size` samples each: their `edges` (K + 1) in s, the accelerometers and gyros in SI,
-    the magnetometer in its unit, and the temperatures (K, T), K, with which the blocks end."""
+    """The K blocks of one file.
+
+    Attributes
+    ----------
+    file, first_sample
+        Its number, and the index of its first sample among the stored ones.
+    size
+        Samples of a block.
+    edges
+        Edges (K + 1,) of the blocks, s.
+    accel, gyro, magnetometer
+        The channels, SI, those of the magnetometer in its unit.
+    temperature
+        Temperatures (K, T) at the ends of the blocks, K. None without thermometers.
+    """
 
     file: int
     first_sample: int
-    """Position of the file's first sample among the stored increments."""
     size: int
     edges: Array
     accel: ChannelSeries
@@ -93,13 +113,13 @@ class FileBlocks:
         return len(self.edges) - 1
 
     def sample_at(self, block: int) -> int:
-        """Position of a block's first sample among the stored increments."""
+        """The index of the first sample of a block among the stored ones."""
         return self.first_sample + self.size * block
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Blemish:
-    """Blocks first … last − 1 of a file, from `start` (s) on, with so many bad samples."""
+    """Blocks first … last − 1 of a file, from `start`, s, on, with the number of bad `samples` in them."""
 
     file: int
     first: int
@@ -110,7 +130,7 @@ class Blemish:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Reduction:
-    """A log, or what there is of it so far, reduced to blocks."""
+    """A log, or the part of it that has been read, reduced to blocks."""
 
     rate: float
     files: tuple[FileBlocks, ...]
@@ -119,17 +139,17 @@ class Reduction:
     samples: MotionSamples | None
     magnetometer_channels: tuple[ChannelState, ...]
     lost: int
-    """Samples that long intervals leave room for; those that were bridged when the log was read are not among them."""
+    """Samples for which long intervals leave room, without those that were bridged when the log was read."""
     repeated_rows: int
-    """Rows whose accelerometers and gyros all read what they read in the row before."""
+    """Rows in which all accelerometers and gyros repeat their readings of the row before."""
     gaps: tuple[Gap, ...] = ()
-    """Lost samples of the log, as it was read."""
+    """Lost samples of the log."""
     blemishes: tuple[Blemish, ...] = ()
     """Blocks with bad samples, which have no weight."""
     tuning: Tuning = USUAL
-    """By which rests and bad samples are told from movement."""
+    """Thresholds of the search for rests and bad samples."""
     clock_rate: float = 1.0
-    """Seconds in a second of the log's clock, which times are of; intervals of samples are in seconds."""
+    """Seconds in a second of the log's clock. Times are by this clock; intervals of samples are in seconds."""
 
     @property
     def by_file(self) -> dict[int, FileBlocks]:
@@ -143,8 +163,8 @@ class Reduction:
 
     @property
     def held(self) -> int:
-        """Samples that are copies of the one before: the repeated rows, where they are more than chance makes of
-        channels of coarse resolution, else 0.
+        """Samples that are copies of the one before: the repeated rows, if there are more than channels of coarse
+        resolution have by chance, else 0.
 
         They are if hardly any channel repeats without all the others, or if channels that repeat independently in a
         `held_share` of the log would seldom do so together."""
@@ -157,7 +177,7 @@ class Reduction:
 
 
 class _Growing:
-    """Rows that are added to an array; the views that were given out stay as they are."""
+    """An array to which rows are added; views that were given out stay as they are."""
 
     def __init__(self, width: int) -> None:
         self._values = np.empty((256, width))
@@ -180,13 +200,13 @@ class _Growing:
 
     @property
     def rows(self) -> Array:
-        """All rows so far."""
+        """All rows."""
         return self._values[: self._count]
 
 
 class _Channels:
-    """Running block sums and channel states of one kind of sensor. Samples that came as increments have the weight of
-    their intervals in a mean, samples that came as rates one and the same weight, whatever their time stamps."""
+    """Running block sums and channel states of one kind of sensor. In a mean, samples that came as increments have the
+    weight of their intervals, samples that came as rates equal weights, whatever their time stamps."""
 
     def __init__(self, sensors: int, size: int, *, increments: bool) -> None:
         self.size, self.increments = size, increments
@@ -199,7 +219,7 @@ class _Channels:
         self.means, self.weights, self.ends = _Growing(len(self.state)), _Growing(1), _Growing(len(self.state))
 
     def feed(self, samples: Array | None, time: Array, dt: Array, ends: IntArray, seconds: Array) -> None:
-        """Add samples, of which `ends` (k,) are the last of their blocks, which take `seconds` (k,)."""
+        """Add samples (m, n), of which those at `ends` (k,) complete blocks of `seconds` (k,)."""
         values = samples if len(self.state) and samples is not None else np.empty((len(dt), 0))
         weight = dt if self.increments else np.ones(len(dt))
         out = np.empty((len(ends), len(self.sums)))
@@ -215,7 +235,7 @@ class _Channels:
             rows.forget(blocks)
 
     def series(self, seconds: float) -> ChannelSeries:
-        """What there is of the file; what is left after the last block takes so many `seconds`."""
+        """The channels over the blocks of the file; the samples after the last block cover so many `seconds`."""
         return ChannelSeries(
             means=self.means.rows,
             ends=self.ends.rows,
@@ -225,7 +245,7 @@ class _Channels:
         )
 
     def states(self) -> tuple[ChannelState, ...]:
-        """What the samples of each channel say, of the numbers that `block_sums` keeps."""
+        """The states of the channels, from the numbers that `block_sums` keeps."""
         out = []
         for row in self.state.tolist():
             samples, minimum, maximum, repeats, _, _, run, run_stop, run_value, *extremes, step = row
@@ -241,8 +261,21 @@ class _Channels:
 
 
 class Reducer:
-    """Takes a log chunk by chunk and keeps what segmentation and reduction need. It can be asked at any moment what it
-    has (`now`), and goes on as if nobody had asked."""
+    """Reduces a log to blocks, chunk by chunk. Its result so far is there at any moment (`now`), and more may be added.
+
+    Parameters
+    ----------
+    rate
+        Samples per second.
+    accel, gyro
+        The accelerometers and the gyros; None without gyros.
+    increments
+        For each kind of sensor whether a sample is an increment over its interval.
+    magnetometer
+        Whether there is a magnetometer.
+    clock_rate
+        Seconds in a second of the log's clock.
+    """
 
     def __init__(
         self,
@@ -254,8 +287,6 @@ class Reducer:
         magnetometer: bool = False,
         clock_rate: float = 1.0,
     ) -> None:
-        """`increments`: whether the readings of a kind of sensor came as increments per sample; `magnetometer`:
-        whether there is one; `clock_rate`: seconds in a second of the log's clock."""
         self.rate, self.accel, self.gyro, self.clock_rate = rate, accel, gyro, clock_rate
         self.size = max(1, int(BLOCK_SECONDS * rate * (1.0 + 1e-9)))
         self._channels = {
@@ -268,6 +299,7 @@ class Reducer:
         self._edges, self._temperature = _Growing(1), _Growing(1)
         self._unrecorded: dict[int, float] = {}
         self._beyond = (beyond_body(accel.axes), beyond_body(gyro.axes)) if gyro and accel.size >= FEWEST else None
+        self._to_body = [_to_body(block) for block in (accel, gyro) if block is not None]
         self._stored = MotionSamples(0 if self._beyond is None else sum(map(len, self._beyond))) if gyro else None
         self._lost = self._repeated = 0
         self._last: tuple[Array, ...] = ()
@@ -283,7 +315,7 @@ class Reducer:
             self._edges, self._last, self._unrecorded = _Growing(1), (), {}
             self._temperature = _Growing(1 if chunk.temperature is None else chunk.temperature.shape[1])
             self._edges.add(np.array([[chunk.time[0] - chunk.dt[0]]]))
-        # blocks in which time passed between two samples that no sample covers, and how much, s
+        # the time, s, in each block that no sample covers
         left = chunk.time - chunk.dt
         left[0] -= self._stop if self._count else float(chunk.time[0] - chunk.dt[0])
         left[1:] -= chunk.time[:-1]
@@ -298,13 +330,15 @@ class Reducer:
             channels.feed(getattr(chunk, kind), chunk.time, chunk.dt, ends, seconds)
         if self._stored is not None and self.gyro is not None and chunk.gyro is not None:
             spare = None
-            if self._beyond is not None:  # of an array, what it reads beyond force and rate
+            if self._beyond is not None:  # readings of an array beyond force and rate
                 spare = np.hstack([v @ to.T for v, to in zip((chunk.accel, chunk.gyro), self._beyond, strict=True)])
-            rates, forces = _in_body(self.gyro, chunk.gyro), _in_body(self.accel, chunk.accel)
+            forces, rates = (
+                v if to is None else v @ to for v, to in zip((chunk.accel, chunk.gyro), self._to_body, strict=True)
+            )
             self._stored.append(rates, forces, chunk.dt, spare)
         if chunk.temperature is not None:
             self._temperature.add(chunk.temperature[ends])
-        # rows that are equal to the ones before; the first of a file has none before it
+        # rows that are equal to the row before, which the first row of a file does not have
         readings = (chunk.accel,) if chunk.gyro is None else (chunk.accel, chunk.gyro)
         if self._last:
             self._repeated += all(np.array_equal(v[0], last) for v, last in zip(readings, self._last, strict=True))
@@ -362,8 +396,8 @@ class Reducer:
         self._files, self._first, self._count = [], 0, self._count - samples
 
     def now(self) -> Reduction:
-        """The reduction of what was fed so far, to the bit that of a log which ends here. No block is copied; more may
-        be fed afterwards."""
+        """The reduction of the samples so far, to the bit that of a log which ends here. No block is copied, and more
+        samples may be added."""
         return Reduction(
             rate=self.rate,
             files=(*self._files, self._blocks()) if self._file >= 0 else (),
@@ -377,17 +411,34 @@ class Reducer:
         )
 
 
-def _in_body(block: Block, readings: Array) -> Array:
-    """Readings (m, n) of a block as vectors (m, 3) in the body; themselves where its sensors are along its axes."""
+def _to_body(block: Block) -> Array | None:
+    """The matrix (n, 3) that takes readings (m, n) of a block to vectors (m, 3) in the body; None where its sensors are
+    along the axes of the body."""
     to_body = np.asarray(onto_body(block.axes).T, dtype=float)
-    return readings if np.array_equal(to_body, np.eye(3)) else readings @ to_body
+    return None if np.array_equal(to_body, np.eye(3)) else to_body
 
 
 def reduce_log(
     log: Log, accel: Block, gyro: Block | None, chunks: Iterable[Chunk] | None = None, tuning: Tuning = USUAL
 ) -> Reduction:
-    """Read a log once and reduce it; `chunks` stands in for `log.chunks()`, e.g. to show progress, and
-    what follows goes by the `tuning`. Raises LogError where gaps leave nothing of it."""
+    """Read a log once and reduce it.
+
+    Parameters
+    ----------
+    log
+        The log.
+    accel, gyro
+        The accelerometers and the gyros; None without gyros.
+    chunks
+        Its samples, by default `log.chunks()`; others may show progress on the way.
+    tuning
+        Thresholds of what follows.
+
+    Raises
+    ------
+    LogError
+        If gaps leave no block.
+    """
     spec = log.session.log
     reducer = Reducer(
         rate=log.rate,

@@ -1,8 +1,7 @@
 """The thresholds of the search for rests and for bad samples, in one record, so that a study can sweep them.
 
-What follows from the recording itself, such as noise floors and resolutions, is no threshold and is not here. Every
-field says what it means and what justifies it: a derivation, or, where a value was chosen by hand, the study that moves
-it (`studies/tuning.py`).
+Noise floors and resolutions follow from the recording itself and are no thresholds. Every field has its meaning in
+words and a reason: a derivation, or, for a value chosen by hand, the study that moves it (`studies/tuning.py`).
 """
 
 from __future__ import annotations
@@ -15,11 +14,11 @@ from tumble.units import DEGREE, G_STANDARD
 
 BY_HAND = "chosen by hand; swept by studies/tuning.py"
 _UNITS = {"°": DEGREE, "°/s": DEGREE, "°/s/g": DEGREE / G_STANDARD}
-"""What the units shown are in SI, where they differ."""
+"""SI values of the units that are shown."""
 
 
 def _of(value: float, unit: str, words: str, why: str = BY_HAND) -> Any:
-    """A field with its default in a unit, in words, and with what justifies it."""
+    """A field with its default in a unit, its meaning in words and the reason for the value."""
     size = value * _UNITS[unit] if unit in _UNITS else value
     return field(default=size, metadata={"value": value, "unit": unit, "words": words, "why": why})
 
@@ -48,6 +47,7 @@ class Tuning:
     short_window: float = _of(0.5, "s", "the window in such a recording")
     short_margin: float = _of(0.1, "s", "the least margin in it")
     fewest_short: int = _of(9, "", "rests more than before that make it such a recording")
+    moment: float = _of(0.2, "s", "the shortest rest that is named where there is none", "two blocks")
     # the level of the gyros at rest
     level_blocks: int = _of(10, "", "blocks of a stretch at least that shows the level of the gyros")
     level_spread: float = _of(
@@ -110,18 +110,23 @@ class Tuning:
 
     @property
     def still(self) -> int:
-        """How long to lie still, whole s, so that a rest is left between its margins."""
+        """The time to lie still, whole s, that leaves a rest between its margins."""
         return math.ceil(self.rest + 2.0 * self.margin_least)
 
     def margin_of(self, duration: float) -> float:
-        """What is taken off at each end of a stretch that lasts so long, s, where it borders on movement."""
+        """The margin, s, at each end of a stretch of this duration, s, that borders on movement."""
         return max(self.margin_least, min(self.margin_fraction * duration, self.margin_most))
 
     def for_short_rests(self, rate: float) -> Tuning:
-        """The same for a recording of short rests at a sample rate, Hz."""
+        """The thresholds for a recording of short rests at a sample rate, Hz."""
         rest = max(self.short_rest, self.short_samples / rate)
         return replace(self, window=self.short_window, rest=rest, margin_least=self.short_margin)
 
+    @property
+    def for_moments(self) -> Tuning:
+        """The thresholds for a recording in which nothing rests for long enough."""
+        return replace(self, window=self.moment, rest=self.moment, margin_least=0.0, margin_fraction=0.0)
+
 
 USUAL = Tuning()
-"""As they are unless a study moves them."""
+"""The thresholds of every recording outside of studies."""

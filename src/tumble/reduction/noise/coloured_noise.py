@@ -1,24 +1,24 @@
-"""How uncertain the mean of a stretch of coloured noise is.
+"""The variance of the mean of a stretch of coloured noise.
 
-The means of short blocks of a rest are joined to about BATCHES batches a rest (so that a correlation time of a
-twentieth of the rest spans several of them), and these, less the mean of the rest, are modelled channel by channel
-as an autoregressive process, from the autocovariances pooled over all rests. Its order is one for all channels, by the
-sum of their Akaike's criteria, corrected for few samples (Hurvich and Tsai 1989): an order for every channel, by what
-that one shows, would make white noise twice as uncertain. The variance of a mean over K blocks is then
+The means of short blocks are averaged to about BATCHES batches a rest (so that a correlation time of a twentieth of the
+rest spans several of them), and these, about the mean of the rest, are modelled channel by channel as an autoregressive
+process, from the autocovariances pooled over all rests. All channels have one order, by the sum of their Akaike
+criteria, corrected for few samples (Hurvich and Tsai 1989): orders chosen channel by channel would make white noise
+twice as uncertain. The variance of a mean over K blocks is then
 
     v(K) = (1/K) [γ₀ + 2 Σ_{j<K} (1 − j/K) γ_j]
 
-with γ_j continued by the recursion. Subtracting the mean of a rest lowers every autocovariance by about v(K);
-that is put back and the fit repeated until it no longer changes, without which a correlation time of a twentieth
-of the rest would be underestimated by a third. A rest that is evidently noisier or quieter than the others has
-its own level. Correlation between channels is that of the innovations.
+with γ_j continued by the recursion. Subtracting the mean of a rest lowers every autocovariance by about v(K); this is
+added again and the fit repeated until it no longer changes, without which a correlation time of a twentieth of the rest
+would be underestimated by a third. A rest that is evidently noisier or quieter than the others has another level.
+Correlation between channels is that of the innovations.
 
-A rest more than LONG times as long as most, as the first one by hand is, shows drift that the others have no time for,
-and so much of it that it would pass for their noise. For their sake it is cut into pieces as long as they are, of which
-those that are evidently noisier are left out; it has a noise of its own, fitted to the long rests alone.
+A rest more than LONG times as long as most, such as the first one by hand, contains drift that the others are too short
+for, and which would pass for their noise. In their fit it is divided into pieces as long as they are, without those
+that are evidently noisier; the long rests have a noise that is fitted to them alone.
 
-A drift along a line moves the mean of a rest by nothing, but would pass for noise of so long a memory that a mean does
-not get rid of it. Where the rests bend less than such noise would, the line of each rest is taken off like its mean.
+A linear drift does not move the mean of a rest, but would pass for noise of so long a memory that averaging does not
+remove it. Where the rests bend less than such noise would, the line of each rest is subtracted like its mean.
 """
 
 from __future__ import annotations
@@ -35,9 +35,12 @@ from tumble.units import Array, BoolArray
 
 BATCHES = 120
 MAX_ORDER = 32
+"""Largest order of the autoregressive process: a memory of a quarter of the batches of a rest."""
 LEVEL_SIGMAS = 5.0
+"""Standard deviations of the variance of a rest beyond which it has another level: 6e-7 by chance."""
 LONG = 2.0
 STRAIGHT_SIGMAS = 2.3
+"""Standard deviations by which the rests have to be straighter than their noise: 1 % by chance."""
 WHITE = 4.0 / 3.0
 """`ColouredNoise.arising` of white noise."""
 LEAST = 1e-3  # of what white noise of the same variance would give: quantisation gives more, rounding may give less
@@ -46,23 +49,35 @@ NEGLIGIBLE = 1e-9  # of the variance: autocovariances below are zero
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ColouredNoise:
-    """Noise of block means: autocovariances (c, L) of batches of `batch` blocks from lag 0, correlation (c, c)
-    between channels, and the level (r, c) of each rest as a factor on the variance."""
+    """Noise of the block means of c channels in r rests.
+
+    Attributes
+    ----------
+    batch
+        Blocks of a batch.
+    autocovariance
+        Autocovariances (c, L) of batches from lag 0.
+    correlation
+        Correlation (c, c) between channels.
+    level
+        Factor (r, c) on the variance of each rest.
+    apart
+        For rests that are much longer than most, by their number, their noise and their index in it.
+    """
 
     batch: int
     autocovariance: Array
     correlation: Array
     level: Array
     apart: Mapping[int, tuple[ColouredNoise, int]] = field(default_factory=dict)
-    """The noise of rests that are much longer than most, by the number of the rest, and which rest of it each is."""
 
     def variance_of_mean(self, blocks: float) -> Array:
-        """Variance (c,) of the mean over so many blocks, at level 1."""
+        """Variance (c,) of a mean over blocks, at level 1."""
         return _variance_of_mean(self.autocovariance, blocks / self.batch)
 
     def arising(self, blocks: float) -> float:
-        """Variance of ∫ (T − t) n dt over T, so many blocks, in parts of T²/4 times that of ∫ n dt, over all channels:
-        4/3 of white noise, 1 of noise that lasts as long."""
+        """The time at which the noise of an integral over T, so many blocks, arises: the variance of ∫ (T − t) n dt in
+        parts of T²/4 times that of ∫ n dt, over all channels; 4/3 for white noise, 1 for constant noise."""
         r, K = self.autocovariance.sum(axis=0), blocks / self.batch  # white within batches
         lags = np.arange(1, min(len(r), int(K)))
         k, later = K - lags, r[lags]
@@ -72,7 +87,7 @@ class ColouredNoise:
         return float(4.0 * moments / (K**2 * sums)) if sums > LEAST * r[0] * K else WHITE
 
     def covariance_of_mean(self, blocks: float, rest: int | None = None) -> Array:
-        """Covariance (c, c) of the mean over so many blocks, at the level of a rest or at level 1."""
+        """Covariance (c, c) of a mean over blocks, at the level of a rest or at level 1."""
         if rest is not None and rest in self.apart:
             noise, index = self.apart[rest]
             return noise.covariance_of_mean(blocks, index)
@@ -81,7 +96,7 @@ class ColouredNoise:
 
 
 def fit_coloured_noise(rests: Sequence[Array]) -> ColouredNoise:
-    """The noise of the block means of several rests, each (K, c), half of them with K ≥ 8."""
+    """Fit the noise of the block means (K, c) of several rests, half of them with K ≥ 8."""
     typical = float(np.median([len(rest) for rest in rests]))
     long = [i for i, rest in enumerate(rests) if len(rest) > LONG * typical]
     if not long:
@@ -89,14 +104,14 @@ def fit_coloured_noise(rests: Sequence[Array]) -> ColouredNoise:
     ordinary = [i for i, rest in enumerate(rests) if len(rest) <= LONG * typical]
     pieces = [piece for i in long for piece in np.array_split(rests[i], math.ceil(len(rests[i]) / typical))]
     alike = _alike([rests[i] for i in ordinary], pieces)
-    noise, own = _fit([rests[i] for i in ordinary] + alike), fit_coloured_noise([rests[i] for i in long])
+    noise, of_long = _fit([rests[i] for i in ordinary] + alike), fit_coloured_noise([rests[i] for i in long])
     level = np.empty((len(rests), rests[0].shape[1]))
-    level[ordinary], level[long] = noise.level[: len(ordinary)], own.level
-    return replace(noise, level=level, apart={rest: (own, index) for index, rest in enumerate(long)})
+    level[ordinary], level[long] = noise.level[: len(ordinary)], of_long.level
+    return replace(noise, level=level, apart={rest: (of_long, index) for index, rest in enumerate(long)})
 
 
 def _alike(rests: list[Array], pieces: list[Array]) -> list[Array]:
-    """Those of the pieces that are not evidently noisier than the rests."""
+    """The pieces that are not evidently noisier than the rests."""
     noise = _fit(rests)
     centred = _centred(rests + pieces, noise.batch)
     levels = [_levels([x[:, c] for x in centred], a) for c, a in enumerate(noise.autocovariance)]
@@ -105,13 +120,13 @@ def _alike(rests: list[Array], pieces: list[Array]) -> list[Array]:
 
 
 def _centred(rests: Sequence[Array], batch: int) -> list[Array]:
-    """Means of every `batch` blocks of each rest, less their mean."""
+    """Means of every `batch` blocks of each rest, about their mean."""
     batched = [rest[: len(rest) // batch * batch].reshape(-1, batch, rest.shape[1]).mean(axis=1) for rest in rests]
     return [rest - rest.sum(axis=0) / max(1, len(rest)) for rest in batched]
 
 
 def _fit(rests: Sequence[Array]) -> ColouredNoise:
-    """The noise of rests of much the same length."""
+    """Fit the noise of rests of about the same length."""
     batch = max(1, round(float(np.median([len(rest) for rest in rests])) / BATCHES))
     centred = _centred(rests, batch)
     longest, channels = max(len(c) for c in centred), centred[0].shape[1]
@@ -166,7 +181,7 @@ def _slope(n: int) -> Array:
 
 def _straight(series: list[Array], autocovariance: Array) -> bool:
     """Whether the rests bend less than noise of this autocovariance would: the means of their thirds, first − 2 second
-    + third, which no slope changes, judged as a chi-square at STRAIGHT_SIGMAS (Wilson and Hilferty)."""
+    + third, which do not depend on the slope, tested as a chi-square at STRAIGHT_SIGMAS (Wilson and Hilferty)."""
     if autocovariance[0] <= 0.0:
         return False
     ratio, of_length = [], dict[int, tuple[Array, float]]()
@@ -186,7 +201,7 @@ def _straight(series: list[Array], autocovariance: Array) -> bool:
 
 def _fit_channels(channels: list[list[Array]], longest: int, sloping: BoolArray) -> tuple[list[Array], Array]:
     """Prediction-error filters (1, −a₁, … −a_p) of one order and autocovariances (c, longest) of channels, each a list
-    by rests; `sloping`: the slope was taken off a channel's series, as the mean always is."""
+    by rests. From the series of `sloping` channels the slope was subtracted, from all the mean."""
     lengths = np.array([len(x) for x in channels[0]])
     order_limit, total = min(MAX_ORDER, int(np.median(lengths)) // 4), int(lengths.sum())
     raw = np.array([_products(series, order_limit) for series in channels])
@@ -205,8 +220,8 @@ def _fit_channels(channels: list[list[Array]], longest: int, sloping: BoolArray)
             of_orders.append((of_order[:count], powers[:count]))
         orders = min(len(powers) for _, powers in of_orders)
         surprise = total * sum(np.log(powers[:orders]) for _, powers in of_orders)
-        known = np.arange(orders) + 1.0
-        best = int(np.argmin(surprise + 2.0 * len(noisy) * known * total / (total - known - 1.0)))
+        fitted = np.arange(orders) + 1.0
+        best = int(np.argmin(surprise + 2.0 * len(noisy) * fitted * total / (total - fitted - 1.0)))
         now = np.zeros(len(channels))
         for c, (of_order, _) in zip(noisy, of_orders, strict=True):
             filters[c] = of_order[best, : best + 1]
@@ -218,8 +233,7 @@ def _fit_channels(channels: list[list[Array]], longest: int, sloping: BoolArray)
             break
         lost = now
         for c in np.flatnonzero(sloping):
-            # by how much taking its slope q off lowers the autocovariances of a rest: λ Σ q_t q_{t+j} / (n − j), λ its
-            # variance
+            # subtracting a slope q of variance λ lowers the autocovariances of a rest by λ Σ q_t q_{t+j} / (n − j)
             q = np.correlate(_slope(middle), _slope(middle), "full")[middle - 1 :]
             variance = q[0] * autocovariance[c, 0] + 2.0 * (q[1:] @ autocovariance[c, 1:middle])
             bent[c] = max(variance, 0.0) * q[: order_limit + 1] / (middle - np.arange(order_limit + 1))
@@ -233,8 +247,8 @@ def _products(series: list[Array], most: int) -> Array:
 
 
 def _levels(series: list[Array], autocovariance: Array) -> Array:
-    """Variance of each rest over the median one, where it differs beyond doubt, else 1. What subtracting its mean took
-    from a rest is allowed for; the ratio is judged as a chi-square (Wilson and Hilferty)."""
+    """Variance of each rest in parts of the median one, where it differs evidently, else 1. The loss by subtracting the
+    mean of a rest is corrected, and the ratio tested as a chi-square (Wilson and Hilferty)."""
     level = np.ones(len(series))
     long = [i for i, x in enumerate(series) if len(x) > 1]
     if autocovariance[0] <= 0.0:

@@ -338,7 +338,7 @@ def _chosen(variance: Array, moments: _Moments, error: float) -> tuple[_Sum, _Su
             times = tuple(np.array(found.times)[beyond].tolist())
             found = replace(found, squares=squares[np.r_[np.full(len(LINEAR), True), beyond]], times=times)
             if set(found.active.tolist()) <= {LINEAR.index("ramp")}:  # which is no noise
-                return replace(found, deviance=np.inf), weight
+                return replace(found, deviance=np.inf, u=np.empty(0)), weight
             weight = weights(found)
             found = _fitted(variance, tau, found, weight)
             if abs(found.deviance - last) < 0.02:

@@ -1,19 +1,19 @@
-"""Single bad samples in what is otherwise a rest: a bit that fell over, a packet that was misread.
+"""Single bad samples, of a wrong bit or a misread packet, in rests and in turns.
 
-A block stands out where the second before it and the second after it agree, in every channel, and it is off their mean
-by more than `block_beyond` times the scatter within them. What is off in it must be samples of no longer than `brief`
-together, without which the block is like its neighbours: a device that was knocked, or turned a little, shows that for
-longer, and goes on being two rests with a turn between. A block with bad samples is left out of the mean of the rest,
-as if it had not been recorded, and stands for no movement where rests are looked for.
+In a rest a block stands out where the second before it and the second after it agree, in every channel, and it is off
+their mean by more than `block_beyond` times the scatter within them. Its bad samples must last no longer than `brief`
+together, and the block without them must be like its neighbours: a device that was knocked, or turned a little, shows
+that for longer, and these are two rests with a turn between. A block with bad samples has no weight in the mean of the
+rest, and does not count as movement where rests are searched for.
 
 In a turn, where there is no mean to compare with, a sample is compared with the cubic through the two before and the
 two after it (Hampel's test about a local fit): it is off by a sixth of its fourth difference. The band of a channel is
-the most that others are off in a quarter of a second, once what is judged is replaced, and at least the noise of the
-rests. A suspect is beyond that, and its neighbours are not: a sensor follows a blow through its filter and the body
-rings after it. It stands out in one channel alone, or would change the velocity or the attitude of the body by more
-than a hand does in a sample. Its value in the channels that stand out is that of the cubic. A blow may still look like
-it, as of a device that is put down on a face: which suspects are replaced is decided by whether their turn closes
-(`tumble.inference.mended_samples`).
+the largest such distance of other samples in a quarter of a second, once the suspect is replaced, and at least the
+noise of the rests. A suspect is beyond that, and its neighbours are not: a sensor follows a blow through its filter and
+the body rings after it. It stands out in one channel alone, or would change the velocity or the attitude of the body by
+more than a hand does in a sample. Its value in the channels that stand out is replaced by that of the cubic. A blow, as
+of a device that is put down on a face, may still look like it: which suspects are replaced is decided by whether their
+turn closes (`tumble.inference.mended_samples`).
 
 The thresholds, and how often noise exceeds them, are those of `Tuning`.
 """
@@ -29,16 +29,16 @@ import numpy as np
 from tumble.reduction.blocks.motion_samples import MotionSamples
 from tumble.reduction.blocks.reducer import Blemish, FileBlocks, Reduction
 from tumble.reduction.blocks.tuning import USUAL, Tuning
-from tumble.reduction.rests.segmentation import RestSpan, inner_mean, inner_variance
+from tumble.reduction.rests.segmentation import Stretch, inner_mean, inner_variance
 from tumble.units import Array, BoolArray, IntArray
 
 AT_A_TIME = 2**17
-"""Samples of a turn that are looked at."""
+"""Samples of a turn that are in memory."""
 
 
 def without_blemishes(reduction: Reduction) -> Reduction:
-    """A reduction whose blocks with bad samples have the mean of the seconds beside them and no weight. That of a log
-    without gyros, of which no samples are kept, stays as it is."""
+    """A reduction whose blocks with bad samples have the mean of the seconds beside them and no weight. Without gyros
+    no samples are kept, and the reduction is returned as it is."""
     if reduction.samples is None:
         return reduction
     side = max(2, round(reduction.tuning.side / reduction.block_seconds))
@@ -60,7 +60,7 @@ def without_blemishes(reduction: Reduction) -> Reduction:
 
 
 def _blemishes(reduction: Reduction, samples: MotionSamples, f: FileBlocks, side: int) -> Iterator[Blemish]:
-    """The blemishes of a file, the shortest first, by so many blocks on either side."""
+    """The blemishes of a file, the shortest first, by comparison with `side` blocks before and after each."""
     tuning, values = reduction.tuning, np.hstack([f.accel.means, f.gyro.means])
     if len(values) <= 2 * side:
         return
@@ -87,8 +87,8 @@ def _blemishes(reduction: Reduction, samples: MotionSamples, f: FileBlocks, side
 
 
 def _bad_samples(samples: MotionSamples, f: FileBlocks, blocks: slice, side: int, tuning: Tuning) -> int:
-    """How many samples of a run of blocks are off those of the sides; 0 where they last too long, or the others are off
-    too."""
+    """The number of samples in a run of blocks that are off those of the sides; 0 where they last too long, or the
+    other samples are off too."""
     rates, forces, dt = samples.read(f.sample_at(blocks.start - side), f.sample_at(blocks.stop + side))
     values, run = np.hstack([rates, forces]), slice(f.size * side, len(dt) - f.size * side)
     sides = np.concatenate([values[: run.start], values[run.stop :]])
@@ -106,8 +106,8 @@ def _bad_samples(samples: MotionSamples, f: FileBlocks, blocks: slice, side: int
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class BadSamples:
-    """Bad samples of turns, by their place (m,) among the stored ones, ascending, with the turn (m,) they are of, and
-    rates, rad/s, and forces, m/s² (m, 6), to have in their place."""
+    """Bad samples of turns: their indices `at` (m,) among the stored samples, ascending, the turn (m,) of each, and the
+    rates, rad/s, and forces, m/s², that replace them (m, 6)."""
 
     at: IntArray
     turn: IntArray
@@ -126,8 +126,23 @@ def bad_samples_of_turns(
     least: Array,
     tuning: Tuning = USUAL,
 ) -> BadSamples:
-    """The bad samples of turns from `start` to `stop` (K,) in files that are `within` these samples (K,) each, at a
-    sample rate, Hz; `least` (6,) is what rates, rad/s, and forces, m/s², have to be off by."""
+    """Find the bad samples of turns.
+
+    Parameters
+    ----------
+    samples
+        The stored samples.
+    start, stop
+        First samples of the K turns, and those after their last ones (K,).
+    within
+        The same for the file of each turn.
+    rate
+        Sample rate, Hz.
+    least
+        The smallest distance (6,) of a bad sample, rates in rad/s and forces in m/s².
+    tuning
+        Thresholds.
+    """
     beside, bad = max(tuning.band_samples, round(tuning.band * rate)), list[tuple[int, int, Array]]()
     for turn, (begin, end, low, high) in enumerate(zip(start, stop, *within, strict=True)):
         for first in range(int(begin), int(end), AT_A_TIME):
@@ -145,8 +160,8 @@ def bad_samples_of_turns(
 
 
 def _bad_in(values: Array, dt: Array, beside: int, least: Array, tuning: Tuning) -> Iterator[tuple[int, Array]]:
-    """The places of bad samples among rates and forces (m, 6) at intervals (m,), and what to have there; a band is
-    that of so many samples `beside` them."""
+    """Indices of bad samples among rates and forces (m, 6) at intervals (m,), with their replacements; the band is that
+    of `beside` samples on either side."""
     reach = tuning.longest_run + 2
     if len(values) < 2 * (tuning.band_samples + reach) + 1:
         return
@@ -161,7 +176,7 @@ def _bad_in(values: Array, dt: Array, beside: int, least: Array, tuning: Tuning)
 
 
 def _largest_about(values: Array, width: int) -> Array:
-    """The largest of `width` values ≥ 0 about each (m, n), by windows of 1, 2, 4, … of them."""
+    """The largest of `width` values ≥ 0 about each of (m, n), by windows of 1, 2, 4, … values."""
     largest, wide = np.zeros((len(values) + width - 1, values.shape[1])), 1
     largest[width // 2 : width // 2 + len(values)] = values
     while wide < width:
@@ -171,7 +186,7 @@ def _largest_about(values: Array, width: int) -> Array:
 
 
 def _off_cubic(values: Array) -> Array:
-    """By how much values (m, n) are off the cubic through the two before and the two after; 0 at the ends."""
+    """Distances (m, n) of values from the cubic through the two before and the two after; 0 at the ends."""
     out = np.zeros_like(values)
     out[2:-2] = np.abs(np.diff(values, n=4, axis=0)) / 6.0
     return out
@@ -180,7 +195,7 @@ def _off_cubic(values: Array) -> Array:
 def _bad_run(
     values: Array, dt: Array, among: tuple[int, int], beside: int, least: Array, tuning: Tuning
 ) -> Iterator[tuple[int, Array]]:
-    """The places of the shortest run of bad samples `among` suspects, and what to have in their place."""
+    """Indices of the shortest run of bad samples `among` suspects, with their replacements."""
     for length in range(1, tuning.longest_run + 1):
         for first in range(max(among[0] - 1, 2), min(among[1] + 1, len(values) - length - 1)):
             run = slice(first, first + length)
@@ -208,13 +223,13 @@ def _bad_run(
 
 @cache
 def _of_cubic(length: int) -> Array:
-    """What the cubic through two samples before and two after a run of so many has in it, by these (length, 4)."""
+    """Weights (length, 4) of the two samples before and the two after a run of samples for the cubic within it."""
     nodes, inside = np.array([-2.0, -1.0, length, length + 1.0]), np.arange(float(length))
     return np.array([np.prod([(inside - b) / (a - b) for b in nodes if b != a], axis=0) for a in nodes]).T
 
 
 def _corrupt(off: Array, dt: Array, beyond: BoolArray, tuning: Tuning) -> bool:
-    """Whether rates and forces (k, 6) that are off by so much at intervals (k,), `beyond` their bands (6,), are of no
+    """Whether samples that are `off` by (k, 6) at intervals (k,), in the channels `beyond` their bands (6,), are no
     motion."""
     size, kind = np.abs(off).max(axis=0), np.repeat([0, 1], 3)
     if np.any((off * np.sign(off[0])).min(axis=0)[beyond] < 0.5 * size[beyond]):
@@ -228,11 +243,11 @@ def _corrupt(off: Array, dt: Array, beyond: BoolArray, tuning: Tuning) -> bool:
     return moved > tuning.violent_velocity or turned > tuning.violent_angle
 
 
-# Words
+# Notes
 
 
-def blemish_notes(reduction: Reduction, spans: Sequence[RestSpan]) -> tuple[str, ...]:
-    """The bad samples that were left out of rests, counted, in words."""
+def blemish_notes(reduction: Reduction, spans: Sequence[Stretch]) -> tuple[str, ...]:
+    """A note that counts the bad samples which were left out of rests."""
     inside = [
         (number, one)
         for number, span in enumerate(spans, 1)
@@ -242,18 +257,18 @@ def blemish_notes(reduction: Reduction, spans: Sequence[RestSpan]) -> tuple[str,
     if not inside:
         return ()
     bad, rests = sum(one.samples for _, one in inside), sorted({number for number, _ in inside})
-    left_out = _told(bad, "about", "left out of rest", [str(number) for number in rests])
+    left_out = _counted(bad, "about", "left out of rest", [str(number) for number in rests])
     return (f"{left_out}, with a tenth of a second each; the first at {inside[0][1].start:.1f} s",)
 
 
 def bad_sample_notes(bad: BadSamples, first: IntArray) -> tuple[str, ...]:
-    """The bad samples that were replaced in turns, which begin at rests `first` (K,), counted, in words."""
+    """A note that counts the bad samples which were replaced in turns from rests `first` (K,)."""
     turns = [f"{i} to {i + 1}" for i in (np.unique(first[bad.turn]) + 1).tolist()]
     replaced = "replaced by what is between these in the turn"
-    return (_told(len(bad.at), "beside", replaced, turns),) if turns else ()
+    return (_counted(len(bad.at), "beside", replaced, turns),) if turns else ()
 
 
-def _told(count: int, where: str, what: str, names: list[str]) -> str:
+def _counted(count: int, where: str, what: str, names: list[str]) -> str:
     """Such as "2 bad samples, far off those beside them, left out of rests 4, 6"."""
     bad, them = ("1 bad sample", "it") if count == 1 else (f"{count} bad samples", "them")
     plural, more = "s" if len(names) > 1 else "", f" and {len(names) - 5} more" if len(names) > 5 else ""

@@ -1,16 +1,16 @@
 """The level of the gyros at rest as a function of the attitude and of time.
 
-A gyro that feels specific force, 0.1 °/s/g in a MEMS unit, reads in every attitude another rate at rest, and one that
+A gyro that feels specific force, 0.1 °/s/g in a MEMS unit, reads another rate at rest in every attitude, and one that
 warms quickly another one in every rest. Then
 
     level = b + G f + d t + s (t > t₀)
 
-with the specific force f and time t, −1 … 1 over the log; s is what a driver does that measures the bias anew on its
-way, or another device in the second part of a log, at a time t₀ between two stretches. A stretch in which the
-accelerometers are quiet and the gyros steady is a rest, or a turn about the vertical so slow that it is not seen to be
-one: a turn about any other axis moves the vertical, and the accelerometers see it. Which it is only the other stretches
-say. G, and where it takes them d or s, are fitted to all of them with the sum of the distances as the measure, which a
-minority cannot bend, and a stretch off the level is accepted if the fit to the others predicts its level.
+with the specific force f and time t, −1 … 1 over the log; s is the jump of a driver that measures the bias anew during
+a log, or of a second device in it, at a time t₀ between two stretches. A stretch in which the accelerometers are quiet
+and the gyros steady is a rest, or a turn about the vertical: a turn about any other axis moves the vertical, which the
+accelerometers see. Only the other stretches tell the two apart. G, and d or s where they are needed, are fitted to all
+stretches by the least sum of distances, which a minority cannot bend, and a stretch off the level is accepted if the
+fit to the others predicts its level.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ Span = tuple[int, int]
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class OffLevel:
-    """A quiet and steady stretch, blocks first … last − 1 of the file at `place` in the log, in which the gyros read a
-    `rate` (3,), rad/s, off their level at rest."""
+    """A quiet and steady stretch in which the gyros are off their level at rest by a `rate` (3,), rad/s: blocks
+    first … last − 1 of the file at `place` in the log."""
 
     place: int
     first: int
@@ -40,8 +40,17 @@ class OffLevel:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class LevelFunction:
-    """G (3, 3), rad/s per m/s², and d and s (3,), rad/s, with the time t₀ of the step, and by file the stretches whose
-    level follows them."""
+    """The level of the gyros as a function of force and time.
+
+    Attributes
+    ----------
+    g_sensitivity
+        G (3, 3), rad/s per m/s².
+    drift, step, step_at
+        d and s (3,), rad/s, and the time t₀ of the step, −1 … 1.
+    accepted
+        By file the stretches whose level follows the function.
+    """
 
     g_sensitivity: Array
     drift: Array
@@ -50,7 +59,7 @@ class LevelFunction:
     accepted: list[list[Span]]
 
     def without(self, rates: list[Array], force: list[Array], time: list[Array]) -> list[Array]:
-        """The rates of blocks with the part of the level taken off that changes."""
+        """The rates of blocks without the part of the level that changes."""
         return [
             w - f @ self.g_sensitivity.T - t[:, None] * self.drift - (t > self.step_at)[:, None] * self.step
             for w, f, t in zip(rates, force, time, strict=True)
@@ -58,7 +67,7 @@ class LevelFunction:
 
 
 _G, _G_AND_DRIFT, _STEP, _G_AND_STEP = [0, 1, 2, 3], [0, 1, 2, 3, 4], [0, 5], [0, 1, 2, 3, 5]
-"""Which columns of b, G, d, s are tried together."""
+"""The columns of b, G, d, s that are tried together."""
 
 
 def level_function(
@@ -70,9 +79,24 @@ def level_function(
     least: int,
     tuning: Tuning,
 ) -> LevelFunction | None:
-    """G, d and s from the mean rates of rests of at least `least` blocks and of stretches off the level, by file, and
-    from the forces and times that they go with. None where no function of these explains to `limit` (rad/s) the levels
-    of most, or one level does as well."""
+    """Fit G, d and s to the levels of rests and of stretches off the level.
+
+    Parameters
+    ----------
+    rates, goes_with
+        By file the block means (K, 3) of the rate, rad/s, of the specific force, m/s², and their times (K,), −1 … 1.
+    rests, off
+        By file the rests, of which those of at least `least` blocks count, and the stretches off the level.
+    limit
+        Largest distance from a level that follows the function, rad/s.
+    tuning
+        Thresholds.
+
+    Returns
+    -------
+    LevelFunction or None
+        None where no function explains the levels of most stretches, or where one level does as well.
+    """
     of_rests = [(k, i, j) for k, spans in enumerate(rests) for i, j in spans if j - i >= least]
     stretches = of_rests + [(s.place, s.first, s.last) for s in off]
     if len(stretches) < tuning.level_attitudes:
@@ -87,13 +111,14 @@ def level_function(
     )
 
     def explains_more(columns: list[int], follow: BoolArray, near: BoolArray) -> bool:
-        """Whether so many more stretches follow a function of these columns than follow that before it that it is
-        one."""
+        """Whether enough more stretches follow a function of these columns than follow the one before it."""
         least = tuning.level_attitudes if columns == _G else tuning.level_stretches
         share, gain = tuning.level_share * len(near), near.sum() + tuning.level_gain * len(near)
         return bool(follow.sum() >= max(least, share, gain))
 
     used, near, step_at = [0], _near(rows[:, :1], level, limit), np.inf
+    if near.all():
+        return None
     for more in (_G, _G_AND_DRIFT):  # each where it explains more
         follow = _near(rows[:, more], level, limit)
         if explains_more(more, follow, near):
@@ -133,22 +158,22 @@ def level_function(
 
 
 def times_of(edges: list[Array]) -> list[Array]:
-    """When blocks between these edges are, −1 … 1 over the log, by file."""
+    """The times of the blocks between these edges, −1 … 1 over the log, by file."""
     middle = [0.5 * (each[1:] + each[:-1]) for each in edges]
     first, last = min(float(t[0]) for t in middle), max(float(t[-1]) for t in middle)
     return [(2.0 * t - first - last) / max(last - first, 1e-9) for t in middle]
 
 
 def core(first: int, last: int, window: int) -> Span:
-    """The middle of a stretch: without half a window at each end, by which the moving mean that found it blurs the
-    turns beside it, and at least without the first and the last quarter, in which a turn may begin slowly."""
+    """The middle of a stretch, without half a window at each end, into which the moving mean blurs the turns beside it,
+    and at least without the first and last quarter, in which a turn may begin slowly."""
     off = max(min(window, last - first - 1) // 2, (last - first) // 4)
     return first + off, last - off
 
 
 def _near(rows: Array, level: Array, limit: float) -> BoolArray:
-    """Which levels (N, 3) are within `limit` of the function with the smallest sum of distances, those below the tenth
-    part of `limit` squared (weights iterated)."""
+    """The levels (N, 3) within `limit` of the function with the smallest sum of distances, distances below a tenth of
+    `limit` squared, by iterated weights."""
     weight = np.ones(len(rows))
     for _ in range(50):
         distance = np.linalg.norm(level - rows @ _least_squares(rows, level, weight)[0], axis=1)
@@ -159,8 +184,8 @@ def _near(rows: Array, level: Array, limit: float) -> BoolArray:
 
 
 def _least_squares(rows: Array, level: Array, weight: Array | float = 1.0) -> tuple[Array, Array]:
-    """Bias, G, d and s (6, 3), or some of them, by weighted least squares, and the normal matrix; rows are scaled so
-    that all but the bias, of which nothing is known, are 1 where they are usual, in limits."""
+    """Coefficients (p, 3) of rows (N, p) by weighted least squares, and the normal matrix (p, p). Rows are scaled so
+    that all coefficients but the bias, whose prior is flat, have prior standard deviations of 1, in limits."""
     weighted = np.broadcast_to(weight, len(rows))[:, None] * rows
     normal = weighted.T @ rows + np.diag([0.0, *(rows.shape[1] - 1) * [1.0]])
     return np.asarray(np.linalg.solve(normal, weighted.T @ level)), normal

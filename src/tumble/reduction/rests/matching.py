@@ -1,19 +1,18 @@
-"""Rests found in a log, matched to the positions of a programme, less what a session leaves out.
+"""The rests of a log matched to the positions of a programme, without what a session excludes.
 
-Verticals are compared (bias taken off by the median difference), for programmes in order also the turns as the
-gyros saw them. Rests that follow each other without a turn between them are one position; without gyros, rests in a
-row with one vertical are the positions in a row that have it; in a programme in any order rests in a row with one
-vertical are one position. A rest that cannot be the programme's position, a
-missing or a surplus one, is a `ProgrammeError` that names the position.
+Verticals are compared, freed from bias by the median difference, and for programmes in order also the turns as the
+gyros saw them. Rests that follow each other without a turn between them are one position. Without gyros, successive
+rests with one vertical are the successive positions that have it; in a programme in any order they are one position. A
+rest that cannot be the position of the programme, a missing or a surplus one, is a `ProgrammeError` that names it.
 
-Times that [[exclude]] of session.toml leaves out are taken out of the rests before: a rest is what is left of it, if
-that is long enough. Rests and turns by number are those of the results, and are left out after the matching, so that a
-rest of a programme that is left out is not missing.
+Times that [[exclude]] of session.toml excludes are removed from the rests before: the longest part of a rest remains,
+if it is long enough. Rests and turns that are excluded by number have the numbers of the results, and are removed after
+the matching, so that such a rest of a programme is not missing.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import groupby
 
 import numpy as np
@@ -22,7 +21,7 @@ from tumble.errors import ProgrammeError, SessionError
 from tumble.programme.positions import Programme
 from tumble.recording.session import Exclusion, ProgrammeSpec, Session
 from tumble.reduction.blocks.reducer import BLOCK_SECONDS, FileBlocks, Reduction
-from tumble.reduction.rests.segmentation import LevelJump, RestSpan, Segmentation, unrecorded
+from tumble.reduction.rests.segmentation import Segmentation, Stretch, unrecorded
 from tumble.rotation import onto_body, unit_vector
 from tumble.sensors.model import Block
 from tumble.units import DEGREE, Array, IntArray
@@ -37,24 +36,22 @@ SHORTEST_STATED = 1.0
 """s: below, a rest has too few blocks for the noise of its mean."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Match:
-    """The rests to use, and where there is a programme, it and the index of each rest's position in it (N,)."""
+def match_rests(session: Session, reduction: Reduction, segmentation: Segmentation) -> Segmentation:
+    """The rests to use: all that were found where no programme is given, else those of the programme's positions.
 
-    rests: tuple[RestSpan, ...]
-    programme: Programme | None
-    position: IntArray | None
-
-
-def match_rests(session: Session, reduction: Reduction, segmentation: Segmentation) -> Match:
-    """The rests to use: all that were found where no programme is given, else those of the programme's positions."""
+    Raises
+    ------
+    ProgrammeError
+        If the recording does not go through the programme.
+    """
     spec = session.programme
     if spec is None:
-        return Match(rests=segmentation.rests, programme=None, position=None)
+        return segmentation
     listed = spec.listed
     rests = _with_stated(listed, reduction, segmentation.rests, spec)
+    segmentation = replace(segmentation, rests=rests, programme=listed, position=np.empty(0, dtype=np.int64))
     if not rests:
-        return Match(rests=(), programme=listed, position=np.empty(0, dtype=np.int64))
+        return segmentation
     by_file = reduction.by_file
     means = np.array([by_file[s.file].accel.mean(s.first, s.last) for s in rests])
     readings = means @ onto_body(session.log.accel.axes).T
@@ -67,7 +64,7 @@ def match_rests(session: Session, reduction: Reduction, segmentation: Segmentati
         + "`tumble inspect` shows what was found and rejected"
     )
     if not listed.ordered:
-        return Match(rests=rests, programme=listed, position=_any_order(listed, rests, verticals, off, why_missing))
+        return replace(segmentation, position=_any_order(listed, rests, verticals, off, why_missing))
     if session.log.gyro is None:
         groups = _groups_by_vertical(expected, verticals)
     else:
@@ -82,14 +79,14 @@ def match_rests(session: Session, reduction: Reduction, segmentation: Segmentati
     _check_order(listed, [rests[i] for i in first], verticals[first], off[:, first], why_missing)
     _check_turns(session, reduction, listed, rests, groups)
     position = np.array([next(k for k, group in enumerate(groups) if i in group) for i in range(len(rests))])
-    return Match(rests=rests, programme=listed, position=position)
+    return replace(segmentation, position=position)
 
 
 def _with_stated(
-    listed: Programme, reduction: Reduction, found: tuple[RestSpan, ...], spec: ProgrammeSpec
-) -> tuple[RestSpan, ...]:
-    """Rests found, with those that a position states by its times in their place: these are in the (first) file, and
-    long enough to have a mean."""
+    listed: Programme, reduction: Reduction, found: tuple[Stretch, ...], spec: ProgrammeSpec
+) -> tuple[Stretch, ...]:
+    """The rests that were found, those replaced whose times a position of the programme states. Stated times are in the
+    first file, and long enough for the noise of a mean."""
     file, stated = reduction.files[0], []
     for k, p in enumerate(spec.position or ()):
         if p.start is None or p.stop is None:
@@ -104,14 +101,14 @@ def _with_stated(
                 f"programme {listed.name}, {_named(listed, k)}: expected a rest of at least {SHORTEST_STATED:g} s, "
                 f"found start {p.start:g} s and stop {p.stop:g} s"
             )
-        stated.append(RestSpan.between(file, p.start, p.stop))
+        stated.append(Stretch.between(file, p.start, p.stop))
     kept = [s for s in found if not any(s.file == t.file and s.start < t.stop and t.start < s.stop for t in stated)]
     return tuple(sorted([*kept, *stated], key=lambda s: (s.file, s.start)))
 
 
-def _rotation_between(session: Session, reduction: Reduction, before: RestSpan, after: RestSpan) -> Array | None:
-    """Sum of the gyro increments (3,) between two rests, rad, less the rate at rest; None where no gyro saw it. For a
-    turn about one axis it is the rotation vector."""
+def _rotation_between(session: Session, reduction: Reduction, before: Stretch, after: Stretch) -> Array | None:
+    """Sum of the gyro increments (3,) between two rests, rad, without the rate at rest: the rotation vector of a turn
+    about one axis. None where there are no gyros, or another file."""
     blocks = reduction.by_file[before.file]
     if session.log.gyro is None or before.file != after.file:
         return None
@@ -122,8 +119,8 @@ def _rotation_between(session: Session, reduction: Reduction, before: RestSpan, 
 
 
 def _groups_by_vertical(expected: Array, verticals: Array) -> list[list[int]]:
-    """Indices of rests by position where no gyro sees the turns between them: a turn about the vertical hardly shows,
-    so that rests in a row with one vertical belong to all positions in a row that have it."""
+    """Indices of rests by position, without gyros. A turn about the vertical hardly shows, so that successive rests
+    with one vertical belong to all successive positions that have it."""
     same = np.argmax(expected @ expected.T > 1.0 - 1e-9, axis=1)
     nearest = same[np.argmax(verticals @ expected.T, axis=1)]
     lengths: dict[int, list[int]] = {}
@@ -139,11 +136,11 @@ def _groups_by_vertical(expected: Array, verticals: Array) -> list[list[int]]:
 
 
 def freed_verticals(readings: Array, expected: Array, gravity: float) -> Array:
-    """Directions of the vertical in the body (N, 3), freed from bias by the median difference from the nearest of
-    those that are expected; of one or two readings the difference may be all that is wrong with them, and stays."""
+    """Directions of the vertical in the body (N, 3), freed from bias by the median difference from the nearest expected
+    ones. With one or two readings nothing is subtracted: the difference may be an error of the attitude."""
     bias = np.median(readings - gravity * expected[np.argmax(unit_vector(readings) @ expected.T, axis=1)], axis=0)
-    told = len(readings) > 2 and np.linalg.norm(bias) < BIAS_LIMIT * gravity
-    return unit_vector(readings - bias if told else readings)
+    plausible = len(readings) > 2 and np.linalg.norm(bias) < BIAS_LIMIT * gravity
+    return unit_vector(readings - bias if plausible else readings)
 
 
 def _named(listed: Programme, k: int) -> str:
@@ -155,8 +152,9 @@ def _seen(vertical: Array) -> str:
     return "(" + ", ".join(f"{v:+.2f}" for v in vertical) + ")"
 
 
-def _check_order(listed: Programme, rests: list[RestSpan], verticals: Array, off: Array, why_missing: str) -> None:
-    """Every position has its rest, in order; the vertical of rest j is `off` that of position k by off[k, j], rad."""
+def _check_order(listed: Programme, rests: list[Stretch], verticals: Array, off: Array, why_missing: str) -> None:
+    """Raise ProgrammeError unless every position has its rest, in order. off[k, j], rad, is the angle between the
+    verticals of position k and rest j."""
     expected = len(listed.positions)
     if len(rests) == expected:
         for k, (rest, vertical) in enumerate(zip(rests, verticals, strict=True)):
@@ -197,9 +195,9 @@ def _check_order(listed: Programme, rests: list[RestSpan], verticals: Array, off
 
 
 def _check_turns(
-    session: Session, reduction: Reduction, listed: Programme, rests: tuple[RestSpan, ...], groups: list[list[int]]
+    session: Session, reduction: Reduction, listed: Programme, rests: tuple[Stretch, ...], groups: list[list[int]]
 ) -> None:
-    """The gyros saw the programmed turns, about their axes and in their directions."""
+    """Raise ProgrammeError unless the gyros saw the turns of the programme, in their directions."""
     for k, move in enumerate(listed.moves):
         before, after = rests[groups[k][-1]], rests[groups[k + 1][0]]
         turned = _rotation_between(session, reduction, before, after)
@@ -218,10 +216,10 @@ def _check_turns(
 
 
 def _any_order(
-    listed: Programme, rests: tuple[RestSpan, ...], verticals: Array, off: Array, why_missing: str
+    listed: Programme, rests: tuple[Stretch, ...], verticals: Array, off: Array, why_missing: str
 ) -> IntArray:
-    """The position of every rest. Every position must have one, and once: rests that follow each other in it, as of a
-    cube turned on its face, count as one."""
+    """The position (N,) of every rest. Every position has to have one, once: successive rests in it, as of a cube that
+    is turned on its face, count as one."""
     nearest = np.argmin(off, axis=0)
     for j, rest in enumerate(rests):
         k = int(nearest[j])
@@ -232,7 +230,7 @@ def _any_order(
                 f"the body as in the nearest, {_named(listed, k)}, found {_seen(verticals[j])}, "
                 f"{off[k, j] / DEGREE:.1f}° off; at most {POSITION_LIMIT / DEGREE:.0f}° can be the same position"
             )
-    taken: dict[int, list[RestSpan]] = {}
+    taken: dict[int, list[Stretch]] = {}
     for k, members in groupby(range(len(rests)), key=nearest.tolist().__getitem__):
         taken.setdefault(k, []).append(rests[next(members)])
     missing = [_named(listed, k) for k in range(len(listed.positions)) if k not in taken]
@@ -253,11 +251,11 @@ def _any_order(
     return np.asarray(nearest)
 
 
-# What a session leaves out
+# What a session excludes
 
 
 def without_times(reduction: Reduction, found: Segmentation, excluded: tuple[Exclusion, ...]) -> Segmentation:
-    """The rests of a log without the stretches of time that are left out; of a rest the longest part remains."""
+    """The rests of a log without excluded stretches of time; the longest part of a rest remains."""
     rests = list(found.rests)
     for one in excluded:
         if one.start is not None and one.stop is not None:
@@ -266,8 +264,8 @@ def without_times(reduction: Reduction, found: Segmentation, excluded: tuple[Exc
     return replace(found, rests=tuple(rests))
 
 
-def _longest(reduction: Reduction, span: RestSpan, file: int, start: float, stop: float) -> RestSpan | None:
-    """The longer part of a rest before or after a stretch of time; None where none is long enough."""
+def _longest(reduction: Reduction, span: Stretch, file: int, start: float, stop: float) -> Stretch | None:
+    """The longer part of a rest before or after a stretch of time. None where neither is long enough."""
     if span.file != file or start >= span.stop or stop <= span.start:
         return span
     edges = reduction.by_file[file].edges
@@ -276,13 +274,28 @@ def _longest(reduction: Reduction, span: RestSpan, file: int, start: float, stop
     first, last = max(before, after, key=lambda part: part[1] - part[0])
     if last <= first or edges[last] - edges[first] < reduction.tuning.rest:
         return None
-    return RestSpan(file=file, first=first, last=last, start=float(edges[first]), stop=float(edges[last]))
+    lasts = span.lasts and last == span.last
+    return replace(span, first=first, last=last, start=float(edges[first]), stop=float(edges[last]), lasts=lasts)
 
 
-def without_numbered(reduction: Reduction, match: Match, excluded: tuple[Exclusion, ...]) -> tuple[Reduction, Match]:
-    """A reduction in which the turns that are left out by number were not recorded, and the rests to use without those
-    that are. Raises SessionError for a number of which there are not so many."""
-    counts, numbers = {"turn": len(match.rests) - 1, "rest": len(match.rests)}, dict[str, list[int]]()
+def without_numbered(
+    reduction: Reduction, found: Segmentation, excluded: tuple[Exclusion, ...]
+) -> tuple[Reduction, Segmentation]:
+    """Exclude turns and rests by their numbers.
+
+    Returns
+    -------
+    Reduction
+        With the excluded turns as gaps.
+    Segmentation
+        Without the excluded rests.
+
+    Raises
+    ------
+    SessionError
+        If there are fewer turns or rests.
+    """
+    counts, numbers = {"turn": len(found.rests) - 1, "rest": len(found.rests)}, dict[str, list[int]]()
     for what, count in counts.items():
         stated = [(one.by, getattr(one, what)) for one in excluded if getattr(one, what) is not None]
         for by, number in stated:
@@ -290,32 +303,33 @@ def without_numbered(reduction: Reduction, match: Match, excluded: tuple[Exclusi
                 where = "without" if by == "request" else f"session.toml: exclude.{what}"
                 raise SessionError(f"{where}: expected a {what} from 1 to {count}, found {number}")
         numbers[what] = [number for _, number in stated]
-    ends = [match.rests[turn - 1 : turn + 1] for turn in numbers["turn"]]
-    gaps = [unrecorded(before, after, 1, "left out", why="") for before, after in ends]  # `left_out` tells it
+    ends = [found.rests[turn - 1 : turn + 1] for turn in numbers["turn"]]
+    gaps = [unrecorded(before, after, 1, "left out", why="") for before, after in ends]  # the note is `left_out`
     reduction = replace(reduction, gaps=(*reduction.gaps, *gaps)) if gaps else reduction
     if not numbers["rest"]:
-        return reduction, match
-    kept = [i for i in range(len(match.rests)) if i + 1 not in numbers["rest"]]
-    position = None if match.position is None else match.position[kept]
-    return reduction, replace(match, rests=tuple(match.rests[i] for i in kept), position=position)
+        return reduction, found
+    kept = [i for i in range(len(found.rests)) if i + 1 not in numbers["rest"]]
+    position = None if found.position is None else found.position[kept]
+    return reduction, replace(found, rests=tuple(found.rests[i] for i in kept), position=position)
 
 
-def without_jump(reduction: Reduction, match: Match, jump: LevelJump | None, gyro: Block | None) -> Reduction:
-    """A reduction without the jump of the biases of the gyros: it is taken off all that follows, and the turn on whose
-    way they jump was not recorded."""
-    rests = match.rests
+def without_jump(reduction: Reduction, found: Segmentation, gyro: Block | None) -> Reduction:
+    """A reduction without the jump of the biases of the gyros: it is subtracted from all that follows, and the turn in
+    which they jump is a gap."""
+    rests, jump = found.rests, found.jump
     before = 0 if jump is None else sum((rest.file, rest.start) < (jump.file, jump.time) for rest in rests)
     if jump is None or gyro is None or not 0 < before < len(rests):
         return reduction
     last, first = rests[before - 1 : before + 1]
     step, files = gyro.axes @ jump.step, list[FileBlocks]()
     for file in reduction.files:
-        own, since = file.gyro, first.first if file.file == first.file else 0
+        series, since = file.gyro, first.first if file.file == first.file else 0
         if file.file >= first.file:
             later = np.arange(len(file))[:, None] >= since
-            tail = own.tail_total - own.tail_weight * step
-            own = replace(own, means=own.means - later * step, ends=own.ends - later * step, tail_total=tail)
-        files.append(replace(file, gyro=own))
+            tail = series.tail_total - series.tail_weight * step
+            means, ends = series.means - later * step, series.ends - later * step
+            series = replace(series, means=means, ends=ends, tail_total=tail)
+        files.append(replace(file, gyro=series))
     samples, gaps = reduction.samples, reduction.gaps
     if samples is not None:
         samples = samples.less(reduction.by_file[first.file].sample_at(first.first), jump.step)
@@ -325,7 +339,7 @@ def without_jump(reduction: Reduction, match: Match, jump: LevelJump | None, gyr
 
 
 def left_out(excluded: tuple[Exclusion, ...]) -> tuple[str, ...]:
-    """What a session leaves out, as notes."""
+    """Notes on what a session excludes."""
     notes = []
     for one in excluded:
         in_file = f" of file {one.file}" if (one.file or 1) > 1 else ""

@@ -1,4 +1,9 @@
-"""Rests: their mean readings with covariance, drift, noise and temperatures, from the blocks of a log."""
+"""Rests: mean readings with covariance, drift, noise and temperatures, from the blocks of a log.
+
+The covariance of a mean is that of coloured noise (`coloured_noise`), fitted to the means of the blocks within all
+rests, and of rounding (`rounding`). What is not noise is taken off the blocks before: what goes with the temperature
+(`warming`), and what a device that is held in the hand sways by (`sway`).
+"""
 
 from __future__ import annotations
 
@@ -11,23 +16,37 @@ import numpy as np
 from tumble.reduction.blocks.reducer import ChannelState, Reduction
 from tumble.reduction.noise.coloured_noise import ColouredNoise, fit_coloured_noise
 from tumble.reduction.noise.rounding import Rounding, rounding
-from tumble.reduction.rests.segmentation import RestSpan
+from tumble.reduction.rests.segmentation import Stretch
+from tumble.reduction.rests.sway import Sway
 from tumble.reduction.rests.thermometer import Thermometers
 from tumble.reduction.rests.warming import KelvinAtLag, without_warming
 from tumble.rotation import onto_body, tangent_basis
 from tumble.sensors.model import Block
 from tumble.units import Array, IntArray
 
-ACCEL_FLOOR = 1e-9  # m/s²
-GYRO_FLOOR = 1e-11  # rad/s
+ACCEL_FLOOR, GYRO_FLOOR = 1e-9, 1e-11
+"""m/s² and rad/s: no mean is taken to be better known, a simulation without noise included."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Rests:
-    """N rests: file, start and stop (s), mean readings and their covariances in SI; drift is the change of a
-    reading over the rest (slope times duration) and noise its density, unit/√Hz. The gyro arrays are empty
-    (N, 0) where there are no gyros; the mean `temperatures` are those of the thermometers (N, T), K; the magnetometer's
-    mean readings and their covariances are in its unit. None where there are none."""
+    """Mean readings of N rests, with n sensors of a kind; 0 gyros where there are none.
+
+    Attributes
+    ----------
+    file, start, stop
+        File and times (N,), s.
+    accel, gyro
+        Mean readings (N, n), m/s² and rad/s, and their covariances (N, n, n).
+    accel_drift, gyro_drift
+        Changes of the readings (N, n) over each rest: slope times duration.
+    accel_noise, gyro_noise
+        Densities of the noise (N, n), unit/√Hz.
+    temperatures
+        Means (N, T) of the thermometers, K. None without any.
+    magnetometer, magnetometer_covariance
+        Mean readings (N, 3) in the unit of the magnetometer and their covariances (N, 3, 3). None without one.
+    """
 
     file: IntArray
     start: Array
@@ -57,8 +76,7 @@ class Rests:
         densities: tuple[float, float],
         temperatures: Array | None = None,
     ) -> Rests:
-        """Rests of one file with these mean readings (N, n), in white noise of these densities of the accelerometers
-        and the gyros."""
+        """Rests of one file with mean readings (N, n) in white noise, by the densities for accelerometers and gyros."""
 
         def covariance(readings: Array, density: float, floor: float) -> Array:
             variance = density**2 / (stop - start) + floor**2
@@ -90,17 +108,38 @@ _Arrays = TypeVar("_Arrays", bound=Any)
 
 
 def rows_of(whole: _Arrays, rows: slice | IntArray) -> _Arrays:
-    """Some of the rows of all arrays."""
+    """Some rows of all arrays of a record."""
     columns = {field.name: getattr(whole, field.name) for field in fields(whole)}
-    some = {name: None if values is None else values[rows] for name, values in columns.items()}
-    return replace(whole, **some)
+    return replace(whole, **{name: None if values is None else values[rows] for name, values in columns.items()})
 
 
 def reduced_rests(
-    reduction: Reduction, spans: tuple[RestSpan, ...], accel: Block, gyro: Block | None
+    reduction: Reduction, spans: tuple[Stretch, ...], accel: Block, gyro: Block | None, sway: Sway | None = None
 ) -> tuple[Rests, list[Array], ColouredNoise | None, dict[str, Rounding]]:
-    """The rests at these spans, at least one, what their noise is fitted to of the accelerometers, the noise of the
-    gyros and the rounding by kind of channel."""
+    """Reduce the blocks of rests to means with covariance.
+
+    Parameters
+    ----------
+    reduction
+        The blocks of the log.
+    spans
+        The rests, at least one.
+    accel, gyro
+        The accelerometers and the gyros; None without gyros.
+    sway
+        Sway of the device, if it sways.
+
+    Returns
+    -------
+    rests
+        The rests.
+    accel_quiet
+        Block means (K, n) of the accelerometers in each rest, m/s², which their noise is fitted to.
+    gyro_noise
+        The noise of the gyros. None without gyros.
+    rounded
+        For "accel" and "gyro", the resolution of the readings.
+    """
     by_file, kinds = reduction.by_file, ("accel", "gyro", "magnetometer")
     pairs = [(by_file[s.file], slice(s.first, s.last)) for s in spans]
     series = {kind: [getattr(f, kind).means[span] for f, span in pairs] for kind in kinds}
@@ -114,14 +153,14 @@ def reduced_rests(
         time = np.concatenate([f.edges[1:][span] for f, span in pairs])
 
         def warmth(lag: float) -> Array:
-            """What follows each thermometer."""
+            """Temperatures (K, T) at the blocks of all rests, with a lag behind the thermometers."""
             return read if lag == 0.0 else thermometers.means(file, time, time, lag).kelvin
 
         of_lag = warmth
     rounded: dict[str, Rounding] = {}
 
     def spread(kind: Literal["accel", "gyro", "magnetometer"], by_noise: Array, floor: float) -> Array:
-        """Covariances (N, n, n) of the means of rests by noise and rounding, which is noted."""
+        """Covariances (N, n, n) of the means by noise and rounding, which is added to `rounded`."""
         channels: Sequence[ChannelState] = getattr(reduction, f"{kind}_channels")
         ends = {f.file: getattr(f, kind).ends for f in reduction.files}
         every, of_rests = list(ends.values()), [ends[s.file][s.first : s.last] for s in spans]
@@ -135,7 +174,10 @@ def reduced_rests(
         """Noise density (N, n), unit/√Hz, behind the covariance of the means."""
         return np.asarray(np.sqrt(np.diagonal(covariance, axis1=1, axis2=2) * seconds))
 
-    accel_quiet = without_warming(series["accel"], of_lag, accel.thermometer)
+    accel_series = series["accel"]
+    if sway is not None:
+        accel_series = [y - force @ accel.axes.T for y, force in zip(accel_series, sway.force, strict=True)]
+    accel_quiet = without_warming(accel_series, of_lag, accel.thermometer)
     accel_spread = spread("accel", accel_covariance(accel_quiet, accel), ACCEL_FLOOR)
     gyro_noise, gyro_spread = None, np.empty((len(spans), 0, 0))
     if gyro is not None:
@@ -166,26 +208,26 @@ def reduced_rests(
 
 
 def thermometers_of(reduction: Reduction) -> Thermometers:
-    """The records of the thermometers: a temperature is that at the end of a block."""
+    """The records of the thermometers, at the ends of the blocks."""
     return Thermometers.of({f.file: (f.edges[1:], f.temperature) for f in reduction.files if f.temperature is not None})
 
 
 def accel_covariance(series: list[Array], block: Block) -> Array:
-    """Covariance (N, n, n) of the mean accelerometer readings, from what the rests themselves show.
+    """Covariance (N, n, n) of the mean accelerometer readings, from the block means (K, n) within each rest.
 
-    A rest in which the body slowly tilts shows it in the horizontal directions, where it would pass for sensor
-    noise; the vertical, and for n > 3 the directions that no specific force explains, are free of it to first
-    order. The two kinds of direction therefore have noises of their own. Channels are first divided by their
-    noise from block to block; a rough bias is taken off first, lest it should turn the directions."""
+    A slow tilt of the body shows in the horizontal directions, where it would pass for sensor noise; the vertical, and
+    for n > 3 the directions that no specific force explains, are free of it to first order. The noise of the two kinds
+    of direction is therefore estimated separately. Channels are first divided by their noise from block to block, and a
+    rough bias is subtracted, which would turn the directions."""
     size = np.sqrt(np.median([np.diff(s, axis=0).var(axis=0) for s in series], axis=0))
     size = np.where(size > 0.0, size, 1.0)
     mean = np.array([s.mean(axis=0) for s in series])
     force = mean @ onto_body(block.axes).T
-    # the centre of the sphere through the specific forces is the bias, where they tell it
+    # the centre of the sphere through the specific forces is the bias, where they determine it
     rows = np.column_stack([2.0 * force, np.ones(len(force))])
     (*centre, _), _, rank, singular = np.linalg.lstsq(rows, (force**2).sum(axis=1))
-    seen = rank == 4 and len(force) >= 6 and singular[-1] > 0.1
-    if seen and np.linalg.norm(centre) < 0.5 * np.linalg.norm(force, axis=1).mean():
+    determined = rank == 4 and len(force) >= 6 and singular[-1] > 0.1
+    if determined and np.linalg.norm(centre) < 0.5 * np.linalg.norm(force, axis=1).mean():
         force = force - centre
     tilted = np.einsum("pk,ijk->ipj", block.axes, tangent_basis(force / np.linalg.norm(force, axis=1, keepdims=True)))
     basis, _ = np.linalg.qr(tilted / size[:, None], mode="complete")
@@ -194,8 +236,8 @@ def accel_covariance(series: list[Array], block: Block) -> Array:
     for group in (slice(0, 2), slice(2, None)):
         columns = [column[:, None] for r in rotated for column in r[:, group].T]
         fit = fit_coloured_noise(columns)
-        of_columns = [fit.covariance_of_mean(len(x), i)[0, 0] for i, x in enumerate(columns)]
-        variance[:, group] = np.array(of_columns).reshape(len(series), -1).mean(axis=1, keepdims=True)
+        variances = [fit.covariance_of_mean(len(x), i)[0, 0] for i, x in enumerate(columns)]
+        variance[:, group] = np.array(variances).reshape(len(series), -1).mean(axis=1, keepdims=True)
     scaled = basis * size[:, None]
     return np.asarray(scaled * variance[:, None, :] @ np.swapaxes(scaled, 1, 2))
 

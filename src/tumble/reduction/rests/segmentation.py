@@ -3,8 +3,8 @@
 `find_rests` works on the blocks of a `Reduction` and sets its limits from the whole log, by its `Tuning`:
 
 1. The level of the gyros at rest is the densest point of the one-second means of the angular rate where the
-   accelerometers are quiet, their scatter within `quiet_factor` of its floor: turns go many ways, rests all read the
-   bias (and the Earth's rate, within 2Ω), and slow turns that take most of the log are not quiet.
+   accelerometers are quiet, their scatter within `quiet_factor` of its floor: turns have many directions, rests all
+   read the bias (and the Earth's rate, within 2Ω), and slow turns that take most of the log are not quiet.
 2. The noise floor of the distance from that level is a clipped median, started from the tenth percentile. A
    block belongs to a rest where the distance is below `floor_factor` floors (and 2Ω for the Earth's rate), and
    the scatter of the accelerometers in the same second below `scatter_factor` of its own floor. Vibration that
@@ -13,16 +13,17 @@
 3. A rest is extended block by block while single blocks stay within `edge` sigmas of its own mean, then
    shortened by a margin for settling at both ends, except where the file itself begins or ends. What lies between two
    rests of a file is a turn.
-4. Gyros that feel specific force have a level of their own in every attitude, those that warm in every rest. What
-   is quiet and steady but off the level is therefore looked at again (`gyro_levels`): where a linear function of the
-   specific force and of time explains the levels, it is taken off the rates, and steps 1 and 2 are repeated. Nothing is
-   accepted but a stretch whose level the others predict: a slow turn about the vertical stays a turn.
+4. Gyros that feel specific force have another level in every attitude, those that warm in every rest. Quiet and steady
+   stretches off the level are therefore examined again (`gyro_levels`): where a linear function of the specific force
+   and of time explains the levels, it is subtracted from the rates, and steps 1 and 2 are repeated. A stretch is
+   accepted only if the others predict its level: a slow turn about the vertical stays a turn.
 5. A recording whose stretches are nearly all too short was made so: it is searched again with windows of half a second
-   and margins of a tenth, and a rest is then what has `short_rest` between them.
-6. What seemed a rest while the vertical moved by more than `tilt` is none: where nothing rests, the floors
-   are those of the movement.
+   and margins of a tenth, and a rest then has at least `short_rest` between these. One in which nothing rests is
+   searched for moments of rest with windows of two tenths, only to say that they are too short.
+6. A stretch in which the vertical moves by more than `tilt` is no rest: where nothing rests, the floors are those of
+   the movement.
 
-Without gyros only the accelerometers decide: their scatter, and the step between the means of two neighbouring
+Without gyros the accelerometers decide alone: by their scatter, and by the step between the means of two neighbouring
 seconds, which shows a turn about a nearly vertical axis by the little it tilts.
 """
 
@@ -34,6 +35,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from tumble.earth import EARTH_RATE
+from tumble.programme.positions import Programme
 from tumble.recording.rows.gaps import Gap
 from tumble.reduction.blocks.reducer import FileBlocks, Reduction
 from tumble.reduction.blocks.tuning import USUAL, Tuning
@@ -56,51 +58,70 @@ Fails = Literal["duration", "scatter", "vertical", "level"]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class RestSpan:
-    """A rest found: blocks [first, last) of a file, start and stop in s."""
+class Stretch:
+    """A quiet stretch of a log: a rest, or what fails to be one.
+
+    Attributes
+    ----------
+    file, first, last
+        Blocks first … last − 1 of a file.
+    start, stop
+        Its times, s.
+    lasts
+        Whether it reaches the end of the log. A single block there may be off by chance.
+    fails
+        What keeps it from being a rest: its duration, the scatter of the accelerometers, the constancy of the vertical
+        or the level of the gyros. None of a rest.
+    reason
+        The same in words, with the number that decided.
+    """
+
+    json_fields: ClassVar = ("file", "start", "stop", "fails", "reason")
 
     file: int
     first: int
     last: int
     start: float
     stop: float
+    lasts: bool = False
+    fails: Fails | None = None
+    reason: str = ""
 
     @staticmethod
-    def between(f: FileBlocks, start: float, stop: float) -> RestSpan:
+    def between(f: FileBlocks, start: float, stop: float) -> Stretch:
         """The whole blocks between two times of a file, s."""
         first = int(np.searchsorted(f.edges, start - 1e-9))
         last = int(np.searchsorted(f.edges, stop + 1e-9, side="right")) - 1
-        return RestSpan(file=f.file, first=first, last=last, start=float(f.edges[first]), stop=float(f.edges[last]))
+        return Stretch.of_blocks(f, (first, last))
+
+    @staticmethod
+    def of_blocks(f: FileBlocks, span: Span) -> Stretch:
+        """The blocks of a span of a file."""
+        start, stop = (float(f.edges[i]) for i in span)
+        return Stretch(file=f.file, first=span[0], last=span[1], start=start, stop=stop)
+
+    @staticmethod
+    def rejected(f: FileBlocks, span: Span, fails: Fails, reason: str) -> Stretch:
+        """The blocks of a span of a file, which are no rest."""
+        return replace(Stretch.of_blocks(f, span), fails=fails, reason=reason)
+
+    @staticmethod
+    def too_short(f: FileBlocks, span: Span, tuning: Tuning) -> Stretch:
+        """The blocks of a span of a file in which nothing moves, but not for long enough."""
+        reason = f"{f.edges[span[1]] - f.edges[span[0]]:.1f} s is too short: rests of {tuning.still} s are long enough"
+        return Stretch.rejected(f, span, "duration", reason)
 
 
-def unrecorded(before: RestSpan, after: RestSpan, samples: int, what: str, why: str) -> Gap:
-    """A turn between two rests that is taken as not recorded, for so many of its samples."""
+def unrecorded(before: Stretch, after: Stretch, samples: int, what: str, why: str) -> Gap:
+    """The gap that a turn between two rests is, if it counts as not recorded because of so many of its samples."""
     at, stop = before.stop, after.start
     return Gap(file=before.file, row=0, time=at, samples=samples, what=what, stop=stop, integrable=False, why=why)
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Rejected:
-    """A quiet stretch that is not a rest, in what it fails (its duration, the scatter of the accelerometers, the
-    constancy of the vertical, or the level of the gyros), and the number that decided."""
-
-    file: int
-    start: float
-    stop: float
-    fails: Fails
-    reason: str
-
-    @staticmethod
-    def of(f: FileBlocks, span: Span, fails: Fails, reason: str) -> Rejected:
-        """The blocks of a span of a file."""
-        start, stop = (float(f.edges[i]) for i in span)
-        return Rejected(file=f.file, start=start, stop=stop, fails=fails, reason=reason)
-
-
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class LevelJump:
-    """Where the first rest begins that has another level of the gyros, by a `step` (3,) in rad/s, than those before:
-    its file and the time, s."""
+    """A jump of the level of the gyros at rest, by a `step` (3,), rad/s, at the beginning of a rest: its file and time,
+    s."""
 
     file: int
     time: float
@@ -109,23 +130,47 @@ class LevelJump:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Segmentation:
-    """Rests of a log in the order of time, what was rejected, and the thresholds that were found:
-    rate_limit (rad/s; None without gyros) and scatter_limit (m/s²)."""
+    """The rests of a log.
+
+    Attributes
+    ----------
+    rests, rejected
+        The rests, and the quiet stretches that are none, in the order of time.
+    rate_limit, scatter_limit
+        Distance of the rate from its level at rest, rad/s, and scatter of the specific force, m/s², up to which nothing
+        moves. The first is None without gyros.
+    jump
+        Where the level of the gyros at rest jumps.
+    stated_rate
+        Samples per second, Hz, where no time in the log shows them: what is a second, and so a rest, hangs on it.
+    tuning
+        Thresholds of the search.
+    still
+        Whether nothing moves at the end of the log.
+    programme, position
+        The programme that the rests were matched to, and the index (N,) of the position of each in it.
+    """
 
     json_fields: ClassVar = ("scatter_limit", "rate_limit", "rejected")
 
-    rests: tuple[RestSpan, ...]
-    rejected: tuple[Rejected, ...]
+    rests: tuple[Stretch, ...]
+    rejected: tuple[Stretch, ...]
     rate_limit: float | None
     scatter_limit: float
     jump: LevelJump | None = None
     stated_rate: float | None = None
-    """Samples per second, Hz, where no time in the log shows them: what is a second, and so a rest, hangs on it."""
     tuning: Tuning = USUAL
+    still: bool = False
+    programme: Programme | None = None
+    position: IntArray | None = None
+
+    @property
+    def lasting(self) -> bool:
+        """Whether the last of the rests reaches the end of the log."""
+        return bool(self.rests) and self.rests[-1].lasts
 
     def jumped(self) -> tuple[str, ...]:
-        """That the level of the gyros at rest jumps once between two of the rests, and what to do; nothing where it
-        does not."""
+        """A sentence on a jump of the level of the gyros between two of the rests, and what to do; none without it."""
         jump = self.jump
         before = 0 if jump is None else sum((r.file, r.start) < (jump.file, jump.time) for r in self.rests)
         if jump is None or not 0 < before < len(self.rests):
@@ -140,8 +185,7 @@ class Segmentation:
         )
 
     def passed_over(self) -> tuple[str, ...]:
-        """Quiet stretches that were nearly rests, counted, in words: the too short ones, and those discarded for the
-        level of the gyros."""
+        """Sentences that count the quiet stretches that were nearly rests: too short, or off the level of the gyros."""
         by = "" if self.stated_rate is None else f", by log.rate_hz = {self.stated_rate:g}, which no time confirms"
         reasons: dict[Fails, str] = {
             "duration": f"too short: rests of {self.tuning.still} s are long enough{by}",
@@ -157,8 +201,7 @@ class Segmentation:
         return tuple(sentences)
 
     def unused(self) -> tuple[str, ...]:
-        """Every quiet stretch that is not used as a rest, with its times and durations and why not: a sentence for each
-        reason."""
+        """A sentence for each reason why quiet stretches are no rests, with their times and duration."""
         reasons: dict[Fails, str] = {
             "level": "the accelerometers are quiet, but the gyros read otherwise than at rest",
             "scatter": "the gyros are quiet, but the accelerometers are not",
@@ -176,24 +219,52 @@ class Segmentation:
 
 
 def find_rests(reduction: Reduction, accel: Block, gyro: Block | None) -> Segmentation:
-    """The rests of a reduced log (module docstring)."""
+    """Find the rests of a log, or of a part of it.
+
+    Parameters
+    ----------
+    reduction
+        The blocks of the log, with the thresholds of the search.
+    accel, gyro
+        The accelerometers and the gyros. None where the accelerometers are to decide alone.
+
+    Returns
+    -------
+    Segmentation
+        The rests, the stretches that are none, and the thresholds that were set from the whole log.
+    """
     tuning = reduction.tuning
     usual = _RestSearch(reduction, accel, gyro, tuning).rests()
     short = sum(r.fails == "duration" and r.stop - r.start >= tuning.short_rest for r in usual.rejected)
+    if not usual.rests and not short:
+        moments = _RestSearch(reduction, accel, gyro, tuning.for_moments).rests().rests
+        rejected = tuple(
+            Stretch.too_short(reduction.by_file[one.file], (one.first, one.last), tuning) for one in moments
+        )
+        return replace(usual, rejected=rejected or usual.rejected)
     if short <= 2 * len(usual.rests):
         return usual
     again = _RestSearch(reduction, accel, gyro, tuning.for_short_rests(reduction.rate)).rests()
-    # what is too short is said as in any other recording
+    # the advice how long to lie still is that for any other recording
     return replace(again, tuning=tuning) if len(again.rests) >= len(usual.rests) + tuning.fewest_short else usual
 
 
 class _RestSearch:
-    """The search of a log with windows of so many blocks: by file the block means of the specific force, m/s², and of
-    the rate, rad/s (none without gyros), in the body, and what coarse channels may do to these without anything
-    moving."""
+    """The search of a log with one set of thresholds.
+
+    Attributes
+    ----------
+    window
+        Blocks of a window.
+    forces, rates
+        By file the block means (K, 3) of the specific force, m/s², and of the rate, rad/s, in the body. No rates
+        without gyros.
+    force_step, rate_step
+        Changes of these by the resolution of the channels, without movement.
+    """
 
     def __init__(self, reduction: Reduction, accel: Block, gyro: Block | None, tuning: Tuning) -> None:
-        self.files, self.tuning, self.still = reduction.files, tuning, reduction.tuning.still
+        self.files, self.tuning, self.usual = reduction.files, tuning, reduction.tuning
         self.window = max(2, round(tuning.window * reduction.rate / self.files[0].size))
         # column after column in memory: sums over three numbers a row are slow
         self.forces = [np.asfortranarray(f.accel.means @ onto_body(accel.axes).T) for f in self.files]
@@ -217,7 +288,7 @@ class _RestSearch:
         scatter_limit = factor * floor + self.force_step
         calm = [s < scatter_limit for s in scatter]
         if rates is None:
-            step = []  # between the means of the rows before and behind each, at the ends that of the nearest
+            step = []  # between the means of the windows before and after each block, at the ends that of the nearest
             for force in self.forces:
                 wide = min(window, len(force) // 2)
                 mean = inner_mean(force, wide)
@@ -229,7 +300,7 @@ class _RestSearch:
         quiet = [s < tuning.quiet_factor * floor + self.force_step for s in scatter]
         spans, unmoved, rate_limit = self._still(rates, calm, quiet)
         off = self._off_level(rates, calm, spans, rate_limit)
-        # the limit of the distance of a level that the noise within stretches asks for
+        # the limit for levels of whole stretches, from the noise within them
         stretches = [(k, i, j) for k, of_file in enumerate(spans) for i, j in of_file if j - i >= 2 * window]
         stretches += [(s.place, s.first, s.last) for s in off]
         noise = [np.sqrt(rates[k][slice(*core(i, j, window))].var(axis=0).sum() / window) for k, i, j in stretches]
@@ -248,26 +319,26 @@ class _RestSearch:
                 f"their level at rest, more than {rate_limit / DEGREE:.2g} °/s: a slow turn, or a bias that depends on "
                 "attitude"
             )
-            rejected.append(Rejected.of(self.files[s.place], (s.first, s.last), "level", reason))
+            rejected.append(Stretch.rejected(self.files[s.place], (s.first, s.last), "level", reason))
         for f, shaken, still, c in zip(self.files, scatter, unmoved, calm, strict=True):
             for i, j in still:
                 if not c[i:j].any() and f.edges[j] - f.edges[i] >= tuning.rest:
                     reason = f"accelerometer scatter {shaken[i:j].max():.2g} m/s^2 within a second is above "
-                    rejected.append(Rejected.of(f, (i, j), "scatter", f"{reason}{scatter_limit:.2g} m/s^2"))
+                    rejected.append(Stretch.rejected(f, (i, j), "scatter", f"{reason}{scatter_limit:.2g} m/s^2"))
         whole = self._assembled(spans, rates, scatter_limit, rate_limit, rejected)
         if level is None or not np.any(level.step):
             return whole
         time = dict(zip((f.file for f in self.files), goes_with[1], strict=True))
         later = [r for r in whole.rests if float(time[r.file][(r.first + r.last) // 2]) > level.step_at]
-        if not later:  # only what is too short for a rest has the other level
+        if not later:  # only stretches that are too short for a rest have the other level
             return whole
         return replace(whole, jump=LevelJump(file=later[0].file, time=later[0].start, step=level.step))
 
     def _still(
         self, rates: list[Array], calm: list[BoolArray], quiet: list[BoolArray]
     ) -> tuple[list[list[Span]], list[list[Span]], float]:
-        """Stretches of blocks, per file, in which the body is calm and does not turn, those in which it only does not
-        turn, and the limit of the rate, rad/s."""
+        """Stretches of blocks, by file, that are calm and do not turn, those that only do not turn, and the limit of
+        the rate, rad/s."""
         smooth = [_moving_mean(w, self.window) for w in rates]
         in_quiet = np.concatenate(quiet)
         densest = _densest(np.concatenate([s[q][:: self.window] for s, q in zip(smooth, quiet, strict=True)]))
@@ -287,8 +358,8 @@ class _RestSearch:
     def _off_level(
         self, rates: list[Array], calm: list[BoolArray], spans: list[list[Span]], limit: float
     ) -> list[OffLevel]:
-        """Quiet stretches in which the gyros are steady, but off their level at rest by more than `limit` and less than
-        `level_spread`, and the vertical stays where a turn of that rate would not leave it."""
+        """Quiet stretches with steady gyros, off their level at rest by more than `limit` and less than `level_spread`,
+        in which the vertical moves by less than a turn of that rate would move it."""
         tuning, window = self.tuning, self.window
         at_rest = [w[i:j] for w, of_file in zip(rates, spans, strict=True) for i, j in of_file]
         if not at_rest:
@@ -314,7 +385,7 @@ class _RestSearch:
         return out
 
     def _rate_limit(self, distances: Array) -> float:
-        """Which distance from their level gyros have at rest at most, rad/s, from the distances of quiet blocks."""
+        """The largest distance of the gyros from their level at rest, rad/s, from the distances of quiet blocks."""
         return self.tuning.floor_factor * self._floor(distances) + 2.0 * EARTH_RATE + self.rate_step
 
     def _floor(self, values: Array) -> float:
@@ -343,10 +414,10 @@ class _RestSearch:
         rates: list[Array] | None,
         scatter_limit: float,
         rate_limit: float | None,
-        rejected: list[Rejected],
+        rejected: list[Stretch],
     ) -> Segmentation:
-        """Extend the stretches found, take the margins off, and keep those that are long enough."""
-        tuning, rests = self.tuning, list[RestSpan]()
+        """Extend the stretches, remove the margins, and keep those that are long enough and do not tilt."""
+        tuning, rests = self.tuning, list[Stretch]()
         for k, (f, force) in enumerate(zip(self.files, self.forces, strict=True)):
             signals = [(force, self.force_step)] + ([] if rates is None else [(rates[k], self.rate_step)])
             joined: list[Span] = []
@@ -359,23 +430,23 @@ class _RestSearch:
                 duration = float(f.edges[last] - f.edges[first])
                 margin = tuning.margin_of(duration)
                 before, after = margin if first > 0 else 0.0, margin if last < len(f) else 0.0
-                span = RestSpan.between(f, f.edges[first] + before, f.edges[last] - after)
+                span = Stretch.between(f, f.edges[first] + before, f.edges[last] - after)
                 too_short = duration - before - after < tuning.rest - 1e-9
                 mean = force[first:last].mean(axis=0)
                 off = np.linalg.norm(_moving_mean(force[first:last], self.window) - mean, axis=1).max()
                 tilt = float(off / np.linalg.norm(mean))
                 if too_short or span.last - span.first < tuning.fewest_blocks:
                     if duration > 0.5:
-                        reason = f"{duration:.1f} s is too short: rests of {self.still} s are long enough"
-                        rejected.append(Rejected.of(f, (first, last), "duration", reason))
+                        rejected.append(Stretch.too_short(f, (first, last), self.usual))
                 elif tilt > tuning.tilt:
                     at_most = f"in a rest at most {tuning.tilt / DEGREE:g}°"
                     reason = f"the vertical moves by {tilt / DEGREE:.0f}°, {at_most}"
-                    rejected.append(Rejected.of(f, (first, last), "vertical", reason))
+                    rejected.append(Stretch.rejected(f, (first, last), "vertical", reason))
                 else:
-                    rests.append(span)
+                    rests.append(replace(span, lasts=f is self.files[-1] and span.last >= len(f) - 1))
         return Segmentation(
             rests=tuple(rests),
+            still=bool(rests) and rests[-1].lasts,
             rejected=tuple(sorted(rejected, key=lambda r: (r.file, r.start))),
             rate_limit=rate_limit,
             scatter_limit=scatter_limit,
@@ -383,14 +454,14 @@ class _RestSearch:
         )
 
     def _extended(self, signals: list[tuple[Array, float]], first: int, last: int) -> Span:
-        """A stretch of blocks with its ends set where single blocks leave `edge` sigmas of its own scatter: the moving
-        window has blurred them by half its length."""
+        """A stretch of blocks whose ends are where single blocks are more than `edge` sigmas of its scatter off: the
+        moving window has blurred them by half its length."""
         tenth = (last - first) // 10
         cores = [values[first + tenth : last - tenth] for values, _ in signals]
         means, sigmas = [core.mean(axis=0) for core in cores], [np.sqrt(core.var(axis=0).sum()) for core in cores]
 
         def end(block: int, way: int) -> int:
-            """Where blocks are no longer like the stretch, from one of them on, backwards (−1) or forwards (1)."""
+            """The first block that is unlike the stretch, backwards (−1) or forwards (1) from one within it."""
             while True:
                 rows = slice(max(0, block - _STRIDE), block) if way < 0 else slice(block, block + _STRIDE)
                 each = [
@@ -408,7 +479,7 @@ class _RestSearch:
 
 
 def _overlapping(spans: list[Span], others: list[Span]) -> list[Span]:
-    """The stretches that overlap one of the others."""
+    """The spans that overlap one of the others."""
     return [(i, j) for i, j in spans if any(i < b and a < j for a, b in others)]
 
 

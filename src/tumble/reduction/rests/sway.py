@@ -12,7 +12,8 @@ test): with t = Σ s and W = tᵀ (Σ s sᵀ)⁻¹ t, (n − m) W / m (n − W) 
 freedom. Both see the part of |û × α|² that a fit of δ by these columns explains of |δ|².
 
 The noise of the gyros beside the sway is that of their samples, by differences of fourth order, in which there is next
-to nothing of a hand.
+to nothing of a hand. The noise of the mean of a rest is that of the forces less f̄ × α: turns go from mean attitude to
+mean attitude, so that a rest which sways is known as well as one that does not.
 """
 
 from __future__ import annotations
@@ -23,8 +24,9 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from tumble.reduction.blocks.reducer import Reduction
-from tumble.reduction.rests.segmentation import RestSpan
+from tumble.reduction.blocks.motion_samples import MotionSamples
+from tumble.reduction.blocks.reducer import FileBlocks, Reduction
+from tumble.reduction.rests.segmentation import Stretch
 from tumble.rotation import unit_vector
 from tumble.units import DEGREE, Array
 
@@ -32,8 +34,8 @@ FOURTH_DIFFERENCES = 70.0
 """Variance of the fourth differences, 1 −4 6 −4 1, of independent samples, in parts of theirs."""
 STRETCH = 10
 """Blocks, 1 s, of a stretch."""
-LONGEST = 1000
-"""Blocks, 100 s, of a rest that are looked at."""
+LONGEST = 200
+"""Blocks, 20 s, of a rest that are looked at: as long as a hand holds still, and enough stretches of a longer rest."""
 CHANCE = 1e-5
 """Probability of sums that are as large without sway, below which there is sway."""
 LEAST = 1e-12
@@ -42,16 +44,85 @@ LEAST = 1e-12
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Sway:
-    """Sway of a device in its rests: the `angle` an axis, rad, about the mean attitude of a rest, root mean square, of
-    the median rest; the part (N,) by which the mean specific force of each is `shortened`; and the `density` (3, 3),
-    rad²/s, of the noise of the gyros in the body without it."""
+    """Sway of a device in its rests.
+
+    Attributes
+    ----------
+    angle
+        Root mean square an axis about the mean attitude of a rest, of the median rest, rad.
+    shortened
+        Part (N,) by which the mean specific force of each rest is shortened.
+    force
+        What sway adds to the specific force of each rest, means of blocks (K, 3) in the body, m/s², of mean 0.
+    density
+        Density (3, 3) of the noise of the gyros in the body without sway, rad²/s.
+    """
 
     angle: float
     shortened: Array
+    force: tuple[Array, ...]
     density: Array
 
 
-def sway_of(reduction: Reduction, spans: Sequence[RestSpan]) -> Sway | None:
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _Motion:
+    """How a body moves in a rest.
+
+    Attributes
+    ----------
+    up
+        Direction (3,) of the mean specific force in the body, and `size` (m/s²) of that.
+    path, turning, force
+        Means of the K blocks (K, 3): the angle about the mean attitude, rad, the angular acceleration, rad/s², and the
+        specific force, m/s².
+    angle, tilt
+        Variance of the angle an axis, and of the angle about horizontal axes, both axes together, rad².
+    density
+        Density (3,) of the noise of the gyros, rad²/s.
+    """
+
+    up: Array
+    size: float
+    path: Array
+    turning: Array
+    force: Array
+    angle: float
+    tilt: float
+    density: Array
+
+    @staticmethod
+    def of(samples: MotionSamples, f: FileBlocks, first: int, last: int) -> _Motion:
+        """That of blocks first … last − 1 of a file."""
+        rate, force, dt = samples.read(f.sample_at(first), f.sample_at(last))
+        path = np.cumsum((rate - rate.mean(axis=0)) * dt[:, None], axis=0)
+        path -= path.mean(axis=0)
+        squares, mean = path.T @ path / len(path), force.mean(axis=0)
+        up, differences = unit_vector(mean), np.diff(rate * dt[:, None], n=4, axis=0)
+        return _Motion(
+            up=up,
+            size=float(np.linalg.norm(mean)),
+            path=path.reshape(-1, f.size, 3).mean(axis=1),
+            turning=np.gradient(rate, axis=0).reshape(-1, f.size, 3).mean(axis=1) / dt.mean(),
+            force=force.reshape(-1, f.size, 3).mean(axis=1),
+            angle=float(np.trace(squares)) / 3.0,
+            tilt=float(np.trace(squares) - up @ squares @ up),
+            density=(differences**2).sum(axis=0) / (FOURTH_DIFFERENCES * dt[4:].sum()),
+        )
+
+    @property
+    def columns(self) -> Array:
+        """What forces across the vertical go with (s, STRETCH, 3, 4): û × α and ω̇ × e_j."""
+        levers = (np.cross(self.turning, e) for e in np.eye(3))
+        across = (np.cross(self.up, self.path), *(lever - (lever @ self.up)[:, None] * self.up for lever in levers))
+        return np.stack([_level(each) for each in across], axis=-1)
+
+    @property
+    def across(self) -> Array:
+        """The forces across the vertical (s, STRETCH, 3)."""
+        return _level(self.force - (self.force @ self.up)[:, None] * self.up)
+
+
+def sway_of(reduction: Reduction, spans: Sequence[Stretch]) -> Sway | None:
     """Find out whether a device sways in its rests by more than the noise of its gyros adds up to in one.
 
     Parameters
@@ -68,22 +139,12 @@ def sway_of(reduction: Reduction, spans: Sequence[RestSpan]) -> Sway | None:
     """
     if reduction.samples is None:
         return None
-    columns, forces, tilts, angles, variances = [], list[Array](), list[float](), list[float](), list[Array]()
-    for span in spans:
-        f = reduction.by_file[span.file]
-        last = min(span.last, span.first + LONGEST)
-        rate, force, dt = reduction.samples.read(f.sample_at(span.first), f.sample_at(last))
-        path, up = np.cumsum((rate - rate.mean(axis=0)) * dt[:, None], axis=0), unit_vector(force.mean(axis=0))
-        path -= path.mean(axis=0)
-        tilt, change = np.cross(up, path), np.gradient(rate, axis=0) / dt.mean()
-        across = [tilt, *(each - (each @ up)[:, None] * up for each in (np.cross(change, e) for e in np.eye(3)))]
-        columns.append(np.stack([_level(each, f.size) for each in across], axis=-1))
-        forces.append(_level(force - (force @ up)[:, None] * up, f.size))
-        tilts.append(float((tilt**2).sum(axis=1).mean()))
-        angles.append(float(np.sqrt((path**2).mean())))
-        differences = np.diff(rate * dt[:, None], n=4, axis=0)
-        variances.append((differences**2).sum(axis=0) / (FOURTH_DIFFERENCES * dt[4:].sum()))
-    p, δ = np.concatenate(columns), np.concatenate(forces)
+    files, samples = [reduction.by_file[span.file] for span in spans], reduction.samples
+    ends = [(span.first, span.last) for span in spans]
+    motions = [
+        _Motion.of(samples, f, first, min(last, first + LONGEST)) for f, (first, last) in zip(files, ends, strict=True)
+    ]
+    p, δ = np.concatenate([m.columns for m in motions]), np.concatenate([m.across for m in motions])
     s, size = np.einsum("ikcj,ikc->ij", p, δ), np.sqrt((p**2).sum(axis=(0, 1, 2)))
     if not (len(s) and size.all() and np.isfinite(s).all() and np.isfinite(size).all()):
         return None  # too short, or damaged
@@ -92,18 +153,23 @@ def sway_of(reduction: Reduction, spans: Sequence[RestSpan]) -> Sway | None:
     W = float(t @ np.linalg.lstsq(s.T @ s, t, rcond=LEAST)[0])
     if n <= m or scipy.special.fdtrc(m, n - m, (n - m) / m * W / max(n - W, LEAST)) > CHANCE:
         return None
-    explained = float(t @ np.linalg.lstsq(normal, t, rcond=LEAST)[0] / (δ**2).sum())
-    density, longest = np.median(variances, axis=0), float(np.median([span.stop - span.start for span in spans]))
-    if 0.5 * explained * size[0] ** 2 / (δ.size / 3) <= density.mean() * longest / 3.0:
+    # the variance of the tilt that both see, and that of the angle by which gyro noise grows in the median rest
+    explained = float(t @ np.linalg.lstsq(normal, t, rcond=LEAST)[0] / (δ**2).sum()) * size[0] ** 2 / (δ.size / 3)
+    density, longest = np.median([m.density for m in motions], axis=0), np.median([r.stop - r.start for r in spans])
+    if 0.5 * explained <= density.mean() * longest / 3.0:
         return None
-    return Sway(angle=float(np.median(angles)), shortened=0.5 * np.array(tilts), density=np.diag(density))
+    whole = [_Motion.of(samples, f, *blocks) for f, blocks in zip(files, ends, strict=True)]
+    return Sway(
+        angle=float(np.sqrt(np.median([motion.angle for motion in whole]))),
+        shortened=0.5 * np.array([motion.tilt for motion in whole]),
+        force=tuple(motion.size * np.cross(motion.up, motion.path) for motion in whole),
+        density=np.diag(density),
+    )
 
 
-def _level(values: Array, size: int) -> Array:
-    """Means of blocks of so many of the values (m, 3) in stretches (s, STRETCH, 3), less the mean and the slope of
-    each."""
-    whole = len(values) // (STRETCH * size) * STRETCH * size
-    stretches = values[:whole].reshape(-1, STRETCH, size, 3).mean(axis=2)
+def _level(values: Array) -> Array:
+    """Means of blocks (K, 3) in stretches (s, STRETCH, 3), less the mean and the slope of each."""
+    stretches = values[: len(values) // STRETCH * STRETCH].reshape(-1, STRETCH, 3)
     x = np.arange(STRETCH) - 0.5 * (STRETCH - 1)
     x /= np.linalg.norm(x)
     off = stretches - stretches.mean(axis=1, keepdims=True)

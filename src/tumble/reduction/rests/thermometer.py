@@ -1,10 +1,12 @@
-"""The records of thermometers, and the temperatures of what follows each with a time constant.
+"""The records of thermometers, and the temperatures of bodies that follow them with a time constant.
 
-Between two readings the record is straight. What follows it with the time constant λ, λ ẏ = T − y, is then exact:
+Between two readings the record is a straight line. A body that follows it with the time constant λ, λ ẏ = T − y, then
+has exactly
 
     y₁ = a y₀ + (T₁ − a T₀) − s λ (1 − a),    a = e^{−h/λ},    s = (T₁ − T₀)/h
 
-and as warm as the thermometer where a file begins. A negative λ is what the thermometer follows: 2 T − y(−λ).
+and the temperature of the thermometer where a file begins. With a negative λ the thermometer follows the body, of which
+2 T − y(−λ) is an approximation.
 """
 
 from __future__ import annotations
@@ -18,38 +20,45 @@ from tumble.reduction import kernels as _kernels
 from tumble.units import Array, IntArray
 
 STEP = 1.0
-"""s between the temperatures that are kept of a record."""
+"""s between the temperatures of a stored record."""
 MOVED = 0.5
 """K: a change of temperature by less has no direction."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Warmth:
-    """Of some stretches of time and thermometers (N, T): the mean temperature, K, its variance, K², and the mean of
-    sgn(Ṫ)(1 − x²), which a hysteresis goes with, x = −1 … 1 over the range of the thermometer in the file and Ṫ that of
-    the thermometer."""
+    """Temperatures of T thermometers over N stretches of time.
+
+    Attributes
+    ----------
+    kelvin, variance
+        Means (N, T), K, and variances (N, T), K².
+    hysteresis
+        Means (N, T) of sgn(Ṫ)(1 − x²), to which a hysteresis is proportional, with x = −1 … 1 over the range of the
+        thermometer in the file.
+    """
 
     kelvin: Array
     variance: Array
     hysteresis: Array
 
     def __getitem__(self, some: slice) -> Warmth:
-        """Of some of the stretches."""
+        """The temperatures over some of the stretches."""
         return Warmth(kelvin=self.kelvin[some], variance=self.variance[some], hysteresis=self.hysteresis[some])
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Thermometers:
-    """Temperatures (K, T), K, of the thermometers every STEP from a start, s, by file: (start, temperatures)."""
+    """Records of T thermometers: by file the start, s, and the temperatures (K, T), K, every STEP from it."""
 
     files: Mapping[int, tuple[float, Array]]
 
     _directions: dict[int, Array] = field(default_factory=dict, repr=False)
-    """The directions (K, T) at every step, by file, once they were asked for."""
+    """The directions (K, T) at every step, by file, computed on demand."""
 
     @staticmethod
     def of(records: Mapping[int, tuple[Array, Array]]) -> Thermometers:
-        """The records of times (K,), s, and temperatures (K, T), K, by file."""
+        """Records from times (K,), s, and temperatures (K, T), K, by file."""
         files = {}
         for file, (time, kelvin) in records.items():
             steps = time[0] + STEP * np.arange(max(int(np.ceil((time[-1] - time[0]) / STEP)), 1) + 1)
@@ -58,13 +67,13 @@ class Thermometers:
 
     @property
     def count(self) -> int:
-        """How many thermometers there are."""
+        """The number of thermometers."""
         _, kelvin = next(iter(self.files.values()))
         return int(kelvin.shape[1])
 
     def means(self, file: IntArray, start: Array, stop: Array, lag: float = 0.0) -> Warmth:
-        """What follows each thermometer, from start to stop (N,), s, of files (N,); of a shorter time than STEP, about
-        its middle."""
+        """Temperatures of bodies that follow the thermometers with a `lag`, s, from start to stop (N,), s, in files
+        (N,); at least over STEP about the middle."""
         half = 0.5 * np.maximum(stop - start, STEP)
         early, late = 0.5 * (start + stop) - half, 0.5 * (start + stop) + half
         out, middle = np.empty((3, self.count, len(start))), np.empty((self.count, len(start)))
@@ -82,8 +91,8 @@ class Thermometers:
         return Warmth(kelvin=mean + middle.T, variance=np.maximum(square - mean**2, 0.0), hysteresis=hysteresis)
 
     def _direction(self, file: int) -> Array:
-        """The directions (K, T), 1, −1 or 0, at every step of a file: they turn where the temperature has come back by
-        more than MOVED from its furthest."""
+        """The directions (K, T), 1, −1 or 0, at every step of a file: they change where the temperature has returned by
+        more than MOVED from its extreme."""
         if file not in self._directions:
             self._directions[file] = out = np.zeros(self.files[file][1].shape)
             for t, record in enumerate(self.files[file][1].T.tolist()):
@@ -98,8 +107,8 @@ class Thermometers:
         return self._directions[file]
 
     def direction(self, file: IntArray, time: Array) -> Array:
-        """Whether the temperatures (N, T) at times (N,) of files (N,) came from below, 1, or from above, −1; 0 where
-        they were the same, to MOVED, since the file began."""
+        """Whether the temperatures (N, T) at times (N,) of files (N,) came from below, 1, or from above, −1; 0 if they
+        have not changed by MOVED since the file began."""
         out = np.zeros((len(time), self.count))
         for number, (start, kelvin) in self.files.items():
             of = file == number
@@ -109,8 +118,8 @@ class Thermometers:
 
 
 def _integral(series: Array, at: Array) -> Array:
-    """Integrals (q, N) from the first to times (N,), s, after it of series (q, K) of values every STEP that are
-    straight between, and the same beyond their ends."""
+    """Integrals (q, N) up to times (N,), s after the first value, of series (q, K) every STEP, which are linear between
+    values and constant beyond the ends."""
     last = series.shape[1] - 1
     whole = np.zeros_like(series)
     np.cumsum(0.5 * STEP * (series[:, 1:] + series[:, :-1]), axis=1, out=whole[:, 1:])
@@ -122,8 +131,8 @@ def _integral(series: Array, at: Array) -> Array:
 
 
 def followed(kelvin: Array, step: float, lag: float, first: float | None = None) -> Array:
-    """Temperatures (K,) of what follows temperatures (K,) every `step` s with a time constant `lag`, s; `first` is what
-    it has with the first of them, the same where None."""
+    """Temperatures (K,) of a body that follows temperatures (K,) every `step` s with the time constant `lag`, s, from a
+    `first` temperature on, by default that of the thermometer."""
     if lag == 0.0 or len(kelvin) == 0:
         return kelvin
     if lag < 0.0:

@@ -1,14 +1,14 @@
-"""Readings at rest as they would be without the change of temperature within each rest.
+"""Readings at rest without the change of temperature within each rest.
 
-A sensor that gets warmer drifts, and the drift would pass for noise of a long memory, of which the mean of a rest is
-not to know: parameters follow the temperature in the estimate. What is taken off is what goes with the temperature
-through all rests alike, block by block,
+A sensor that gets warmer drifts, and the drift would pass for noise of a long memory. It is none in the estimate, where
+parameters follow the temperature. So the part that depends on the temperature alike in all rests is subtracted, block
+by block,
 
     y − ȳ = (a + c m)(T − T̄) + (b + d m)((T − T₀)² − mean),    m = ȳ less its mean over the rests,
 
-a and b of biases, c and d of scale factors: four numbers a channel, so that slow noise of the rests stays. Over a range
-of temperatures T is that of the sensors, which follow the thermometer with the lag that leaves least: where a ramp
-begins or bends they fall behind it, which is no noise either.
+with a and b of biases, c and d of scale factors: four numbers a channel, so that slow noise of the rests remains. Over
+a range of temperatures T is that of the sensors, which follow the thermometer with the lag of the least residual: where
+a ramp begins or bends they fall behind it, which is no noise either.
 """
 
 from __future__ import annotations
@@ -21,20 +21,29 @@ import numpy as np
 from tumble.units import Array, IntArray
 
 WARMED = 0.1
-"""K: where no rest warms or cools by more, nothing is taken off."""
+"""K: where no rest warms or cools by more, nothing is subtracted."""
 OVER_TEMPERATURE = 10.0
-"""K: where the rests span less, a lag and a hysteresis are not sought."""
+"""K: where the rests span less, no lag is sought."""
 LAGS = np.array([-200.0, -100.0, -50.0, -25.0, 0.0, 25.0, 50.0, 100.0, 200.0, 400.0, 800.0])
 CLOSER, BETWEEN = 4, 7
-"""s: among LAGS the best is sought, and then CLOSER times between those beside it, each time BETWEEN of them."""
+"""The best of LAGS, s, is refined CLOSER times, each time among BETWEEN values between its neighbours."""
 
 KelvinAtLag = Callable[[float], Array]
-"""From a lag, s, to the temperatures (K, T), K, that what follows each thermometer has at the blocks of all rests."""
+"""From a lag, s, to the temperatures (K, T), K, at the blocks of all rests of bodies that follow the thermometers."""
 
 
 def without_warming(series: Sequence[Array], kelvin: KelvinAtLag | None, thermometer: IntArray) -> list[Array]:
-    """Block means (K, c) of every rest less what goes with their temperatures about those of the rest; each channel
-    has a `thermometer` (c,)."""
+    """Subtract the part of the readings that depends on the temperature within each rest.
+
+    Parameters
+    ----------
+    series
+        Block means (K, c) of every rest.
+    kelvin
+        Temperatures at the blocks. None without thermometers.
+    thermometer
+        The thermometer (c,) of each channel.
+    """
     if kelvin is None or not len(thermometer):
         return list(series)
     read = np.split(kelvin(0.0), np.cumsum([len(each) for each in series])[:-1])
@@ -43,7 +52,7 @@ def without_warming(series: Sequence[Array], kelvin: KelvinAtLag | None, thermom
     with_one = {t: _Rests.of([each[:, thermometer == t] for each in series]) for t in np.unique(thermometer).tolist()}
 
     def explained(lag: float) -> float:
-        """By how much the sum of squares falls, the sensors being so late."""
+        """The fall of the sum of squares with a lag, s."""
         warm = kelvin(lag)
         return sum(rests.explained(warm[:, t]) for t, rests in with_one.items())
 
@@ -63,9 +72,17 @@ def without_warming(series: Sequence[Array], kelvin: KelvinAtLag | None, thermom
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Rests:
-    """Block means of rests, of channels with one thermometer: their means (c, N), what they differ by from these
-    (c, K), where the rests begin among the blocks (N,), how many blocks they have (N,), and the noise (c,) from block
-    to block."""
+    """Block means of N rests, of the c channels of one thermometer.
+
+    Attributes
+    ----------
+    means, off
+        Means of the rests (c, N), and the differences (c, K) of the blocks from these.
+    first, count
+        First block and number of blocks (N,) of each rest.
+    noise
+        Standard deviation (c,) of the differences from block to block.
+    """
 
     means: Array
     off: Array
@@ -87,12 +104,12 @@ class _Rests:
         )
 
     def explained(self, kelvin: Array) -> float:
-        """By how much the sum of squares, in units of the noise, falls."""
+        """The fall of the sum of squares, in units of the noise."""
         _, coefficients, along = self._fitted(kelvin)
         return float(((coefficients * along).sum(axis=1) / self.noise**2).sum())
 
     def without(self, kelvin: Array) -> list[Array]:
-        """Block means (K, c) of the rests less what goes with the temperature."""
+        """Block means (K, c) of the rests without the part that depends on the temperature."""
         columns, coefficients, _ = self._fitted(kelvin)
         of_bias, of_scale = coefficients[:, :2, None], coefficients[:, 2:, None]
         slopes = np.repeat(of_bias + self._apart[:, None] * of_scale, self.count, axis=2)
@@ -100,8 +117,8 @@ class _Rests:
         return np.split(quiet.T, self.first[1:])
 
     def _fitted(self, kelvin: Array) -> tuple[Array, Array, Array]:
-        """T and its square (2, K) about their means in each rest, their coefficients (c, 4), and the products of the
-        columns with the readings (c, 4): normal equations, their columns of length 1."""
+        """Solve the normal equations, their columns scaled to length 1: T and its square (2, K) about their means in
+        each rest, their coefficients (c, 4), and the products of the columns with the readings (c, 4)."""
         warmer = kelvin - self._mean(kelvin).mean()
         columns = np.stack([warmer, warmer**2])
         columns -= np.repeat(self._mean(columns), self.count, axis=1)
@@ -117,7 +134,7 @@ class _Rests:
 
     @property
     def _apart(self) -> Array:
-        """The means (c, N) less their mean over the rests."""
+        """The means (c, N) about their mean over the rests."""
         return np.asarray(self.means - self.means.mean(axis=1, keepdims=True))
 
     def _mean(self, values: Array) -> Array:
@@ -126,6 +143,6 @@ class _Rests:
 
 
 def warming_of(kelvin: Array) -> float:
-    """The most that temperatures (K, T) change by from the first to the last tenth."""
+    """The largest change of temperatures (K, T) from the first to the last tenth."""
     tenth = max(len(kelvin) // 10, 1)
     return float(np.abs(kelvin[-tenth:].mean(axis=0) - kelvin[:tenth].mean(axis=0)).max())

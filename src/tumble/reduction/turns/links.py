@@ -24,7 +24,7 @@ import numpy as np
 
 from tumble.reduction.blocks.motion_samples import MotionSamples
 from tumble.reduction.blocks.reducer import Reduction
-from tumble.reduction.rests.segmentation import RestSpan
+from tumble.reduction.rests.segmentation import Stretch
 from tumble.reduction.turns.turns import TurnSamples
 from tumble.rotation import rotation_matrix, skew
 from tumble.units import Array, BoolArray, IntArray
@@ -81,7 +81,7 @@ class Links:
         return len(self.before)
 
 
-def links_of(reduction: Reduction, spans: Sequence[RestSpan]) -> Links | None:
+def links_of(reduction: Reduction, spans: Sequence[Stretch]) -> Links | None:
     """The links of all motion of a recording that is no turn between rests; None where there is none."""
     if reduction.samples is None:
         return None
@@ -133,7 +133,7 @@ def links_of(reduction: Reduction, spans: Sequence[RestSpan]) -> Links | None:
     )
 
 
-def stretched(before: RestSpan, after: RestSpan) -> bool:
+def stretched(before: Stretch, after: Stretch) -> bool:
     """Whether the motion between two rests is cut into links."""
     return before.file == after.file and after.start - before.stop >= STRETCH
 

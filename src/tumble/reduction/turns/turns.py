@@ -1,18 +1,18 @@
 """Turns: rotation and velocity from rest to rest, their sensitivities, covariances from the noise of the rests, and the
 samples they are integrated from.
 
-Left out and named are turns of which the gyros do not say where they have led. Numbers of a converter end at 2^k − 1
-and −2^k: a gyro that reads this in a turn turned faster than it can say. Turns of gyros in physical units, whose
-converter is not known, are judged by whether they fit. And a reading of more than half a turn from sample to sample is
-no reading: what a turn by more is cannot be told from one the other way round.
+Turns whose end the gyros do not determine are left out, with a note. The numbers of a converter end at 2^k − 1 and
+−2^k: a gyro with such a reading turned faster than it can measure. Turns of gyros in physical units, whose converter is
+not known, are judged by their residuals. A reading of more than half a turn from sample to sample is ambiguous: it may
+be a turn by less the other way round.
 
-A device that sways in the hand leaves a rest from another attitude than the mean one its accelerometers read, and
-arrives at another one. Its turns are therefore from mean to mean: the samples of a rest from t₀ to t₁ count with the
-weight w = (t − t₀)/(t₁ − t₀) in the turn that follows and with 1 − w in the one before, since
+A device that sways in the hand leaves a rest from another attitude than the mean one that its accelerometers read, and
+arrives at another one. Its turns are therefore taken from mean to mean: the samples of a rest from t₀ to t₁ count with
+the weight w = (t − t₀)/(t₁ − t₀) in the turn that follows and with 1 − w in the one before, since
 
     α(t₁) − mean α = ∫ w α̇ dt,    mean v(after) − mean v(before) = ∫ w v̇ dt                            (w = 1 between)
 
-to first order in the sway α. Where the device lies still, that would only add the noise of the rests.
+to first order in the sway α. Of a device that lies still that would only add the noise of the rests.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from tumble.reduction.noise.coloured_noise import ColouredNoise
 from tumble.reduction.noise.rounding import Rounding
 from tumble.reduction.rests.blemishes import NO_BAD_SAMPLES, BadSamples, bad_samples_of_turns
 from tumble.reduction.rests.rests import Rests
-from tumble.reduction.rests.segmentation import RestSpan, unrecorded
+from tumble.reduction.rests.segmentation import Stretch, unrecorded
 from tumble.reduction.rests.sway import FOURTH_DIFFERENCES, Sway
 from tumble.reduction.turns.array_motion import read_by
 from tumble.reduction.turns.moments import BlockCompensation, Compensation, Pieces, integrate, moments_of
@@ -43,9 +43,9 @@ from tumble.units import G_STANDARD, Array, IntArray
 
 PATH_STEPS = 32
 VELOCITY_FLOOR = 1e-8  # m/s
-VELOCITY_STEP = 0.02  # of the velocity times the cube of the angle of a step: what the integration errs by
+VELOCITY_STEP = 0.02  # of the velocity times the cube of the angle of a step: the error of the integration
 BEYOND_NOISE = 9.0
-"""Times the variance by noise: where independent samples would make no more, nothing is said of them."""
+"""Times the variance by noise that independent samples would have to exceed to be taken for such."""
 TURN_FLOOR = 1e-10  # rad: no mean and no turn is taken to be better known, a simulation without noise included
 BATCH_SAMPLES = 2**17
 """Of turns, that are in memory at a time: 7 MB."""
@@ -66,13 +66,28 @@ _BODY = Block(kind="gyro", axes=np.eye(3))
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Turns:
-    """K turns from rest `first` to rest `last` (K,) of `duration` (s): rotation C (K, 3, 3), its sensitivities
-    M (K, 3, 3, 3) rad and B (K, 3, 3) s, the covariance (K, 3, 3) of the rotation from gyro noise, rad², and
-    `arising` (K,), when in the turn it arose: `ColouredNoise.arising`; the covariance (K, 3, 3) of the velocity
-    increment from accelerometer noise, m²/s², and `jumps` (K,), m²/s², the sum of the squares of what the force jumps
-    by from sample to sample times the interval, docs/explanation/mathematics.md (18). All are resolved in the
-    non-rotating frame that is the body at the start of the turn. `aliased` (K,), rad², is the variance of the rotation
-    if what changes in the rate from sample to sample were independent, which it is in samples that are no means."""
+    """K turns, resolved in the non-rotating frame that is the body at the start of each.
+
+    Attributes
+    ----------
+    first, last
+        The rests (K,) before and after.
+    duration
+        Durations (K,), s.
+    C, M, B
+        Rotations (K, 3, 3) and their sensitivities (K, 3, 3, 3), rad, and (K, 3, 3), s.
+    covariance, arising
+        Covariances (K, 3, 3) of the rotations from gyro noise, rad², and the time in the turn at which the noise arose
+        (K,), see `ColouredNoise.arising`.
+    velocity_covariance
+        Covariances (K, 3, 3) of the velocity increments from accelerometer noise, m²/s².
+    jumps
+        Sums (K,) of the squares of the jumps of the force from sample to sample times the interval, m²/s²,
+        docs/explanation/mathematics.md (18).
+    aliased
+        Variances of the rotations (K,), rad², if changes of the rate from sample to sample were independent, as in
+        samples that are no means.
+    """
 
     json_fields: ClassVar = ("first", "last", "duration", "C", "covariance")
 
@@ -94,8 +109,8 @@ class Turns:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TurnReadings:
-    """Integrals (K, n) of the gyro readings over the turns, rad, and their covariance (K, n, n) from noise: what a
-    redundant block says beyond the rotation of the body."""
+    """Integrals (K, n) of the readings of redundant gyros over the turns, rad, and their covariances (K, n, n) from
+    noise."""
 
     integral: Array
     covariance: Array
@@ -103,9 +118,19 @@ class TurnReadings:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TurnSamples:
-    """Where the samples of the turns are: turn k is samples start[k] … stop[k] − 1 of `samples`, the `bad` ones among
-    them replaced; those of further sessions are `others`, after so many turns. Of a device that sways the weight of
-    the samples rises over the first `ramps[k, 0]` of them and falls over the last `ramps[k, 1]`."""
+    """The samples of the turns.
+
+    Attributes
+    ----------
+    samples, start, stop
+        Turn k is samples start[k] … stop[k] − 1 of the stored `samples`.
+    bad
+        Bad samples among them, which are replaced.
+    others
+        Samples of further sessions, with the number of turns before each.
+    ramps
+        Of a device that sways, the numbers (K, 2) of samples over which their weight rises and falls.
+    """
 
     samples: MotionSamples
     start: IntArray
@@ -117,15 +142,15 @@ class TurnSamples:
 
     @property
     def lengths(self) -> IntArray:
-        """How many samples the turns have (K,)."""
+        """The numbers of samples (K,) of the turns."""
         return np.concatenate([self.stop - self.start, *(other.lengths for _, other in self.others)])
 
     def with_bad(self, bad: BadSamples) -> TurnSamples:
-        """The same samples with these as the bad ones that are replaced."""
+        """The same samples, of which these are replaced."""
         return replace(self, bad=bad, _kept=[])
 
     def pieces(self) -> Iterator[Pieces]:
-        """Batches of whole or cut turns, of no turn two pieces."""
+        """Batches of turns or parts of turns, each with one piece of a turn at most."""
         if not self._kept and int(np.sum(self.stop - self.start)) < KEPT_SAMPLES:
             self._kept.extend(self._gathered())
         yield from self._kept or self._gathered()
@@ -133,7 +158,7 @@ class TurnSamples:
             yield from (replace(pieces, turn=pieces.turn + before) for pieces in other.pieces())
 
     def _gathered(self) -> Iterator[Pieces]:
-        """The same of these samples alone."""
+        """The batches of these samples, without those of `others`."""
         parts: list[tuple[int, int, int, int]] = []
         count = 0
         for turn, (start, stop) in enumerate(zip(self.start, self.stop, strict=True)):
@@ -148,7 +173,7 @@ class TurnSamples:
             yield self._pieces(parts, count)
 
     def _pieces(self, parts: list[tuple[int, int, int, int]], count: int) -> Pieces:
-        """So many samples in parts of turns: turn, first sample to be read, first of the part, and its end."""
+        """A batch of `count` samples in parts of turns: turn, first sample to read, first of the part, and its end."""
         rates, forces, intervals = np.empty((count, 3)), np.empty((count, 3)), np.empty(count)
         pieces, done = [], 0
         for turn, first, at, end in parts:
@@ -169,7 +194,7 @@ class TurnSamples:
 
 
 def linear_compensation(gyro: Block, gyro_model: SensorModel, accel: Block, accel_model: SensorModel) -> Compensation:
-    """Compensation by the linear models."""
+    """The compensation of samples by linear models."""
     of_gyro, of_accel = BlockCompensation.of(gyro.axes, gyro_model), BlockCompensation.of(accel.axes, accel_model)
     return Compensation(gyro=of_gyro, accel=of_accel, g_sensitivity=np.zeros((3, 3)), delay=0.0)
 
@@ -177,16 +202,28 @@ def linear_compensation(gyro: Block, gyro_model: SensorModel, accel: Block, acce
 def reduced_turns(
     reduction: Reduction,
     stored: MotionSamples,
-    spans: tuple[RestSpan, ...],
+    spans: tuple[Stretch, ...],
     rests: Rests,
     accel_noise: tuple[Block, ColouredNoise],
     gyro_noise: tuple[Block, ColouredNoise],
     rounded: Mapping[str, Rounding],
     sway: Sway | None = None,
 ) -> tuple[Turns, TurnSamples]:
-    """The turns between consecutive rests, those that were recorded as a whole, integrated with nominal gyros. Samples
-    that are `rounded` err as `Rounding.of_integrals` has it; of a device that sways turns are from mean attitude to
-    mean attitude."""
+    """Integrate the turns between consecutive rests, those that were recorded as a whole, with nominal gyros.
+
+    Parameters
+    ----------
+    reduction, stored
+        The blocks of the log and its samples.
+    spans, rests
+        The rests.
+    accel_noise, gyro_noise
+        The sensors, with the noise of their block means.
+    rounded
+        For "accel" and "gyro", the resolution of the readings.
+    sway
+        Sway of the device. If it sways, turns are from mean attitude to mean attitude.
+    """
     whole = [
         i
         for i, (before, after) in enumerate(pairwise(spans))
@@ -261,8 +298,8 @@ def no_turns(stored: MotionSamples) -> tuple[Turns, TurnSamples]:
 
 
 def _least_off(reduction: Reduction, rests: Rests) -> Array:
-    """What the samples (6,) of rates and forces in the body are off by at least where they are bad, by what they do at
-    rest and their resolution. More than three gyros are not judged: their readings go another way too."""
+    """The smallest distances (6,) of bad samples, rates, rad/s, and forces, m/s², in the body, by the noise at rest and
+    the resolution. Samples of more than three gyros are not tested."""
     least, tuning = np.empty(6), reduction.tuning
     kinds = (reduction.gyro_channels, rests.gyro_noise), (reduction.accel_channels, rests.accel_noise)
     for part, (channels, noise) in zip((slice(3), slice(3, 6)), kinds, strict=True):
@@ -296,8 +333,8 @@ def rotations_of_independent(samples: TurnSamples) -> Array:
 
 
 def aliased_rotations(samples: TurnSamples, covariance: Array) -> Array:
-    """The same where for most turns it is far beyond their noise, of `covariance` (K, 3, 3), for that is how a log is
-    sampled; else 0: of a single turn it may be that samples are missing."""
+    """The same if for most turns it is far beyond their noise, of `covariance` (K, 3, 3), which shows how the log is
+    sampled; else 0: in a single turn samples may be missing."""
     variance, noise = rotations_of_independent(samples), np.trace(covariance, axis1=1, axis2=2) / 3.0
     aliased = len(noise) > 0 and np.median(variance / noise) > BEYOND_NOISE
     return variance if aliased else np.zeros_like(variance)
@@ -306,8 +343,8 @@ def aliased_rotations(samples: TurnSamples, covariance: Array) -> Array:
 def unread_velocities(samples: TurnSamples) -> Array:
     """Variance an axis (K,), m²/s², of the velocities by blows: (∫ (|f| − BLOW) dt)² over samples beyond BLOW.
 
-    A device that is put down hard stops within a sample or two. In them a sensor may be at the end of its range, which
-    their mean does not show, and what is not linear in it at 10 g is not what it is at 1 g: a blow says nothing of
+    A device that is put down hard stops within a sample or two. In these a sensor may be at the end of its range, which
+    a mean over a sample does not show, and its nonlinearity at 10 g is not that at 1 g: a blow does not determine the
     quadratic and cubic terms at rest."""
     out = np.zeros(len(samples.lengths))
     for pieces in samples.pieces():
@@ -318,14 +355,14 @@ def unread_velocities(samples: TurnSamples) -> Array:
 
 
 def _in_body(block: Block, covariance: Array) -> Array:
-    """The covariance (..., 3, 3) in the body of what has this one (..., n, n) in the sensors of a block."""
+    """The covariance (..., 3, 3) in the body, from that (..., n, n) of the readings of a block."""
     to_body = onto_body(block.axes)
     return np.asarray(to_body @ covariance @ to_body.T)
 
 
 def turn_readings(
     reduction: Reduction,
-    spans: tuple[RestSpan, ...],
+    spans: tuple[Stretch, ...],
     turned: tuple[Turns, TurnSamples],
     gyro_noise: tuple[Block, ColouredNoise],
     rounded: Rounding,
@@ -369,19 +406,19 @@ def _carried(samples: TurnSamples, density: Array) -> Array:
     return out
 
 
-# Turns that are not known
+# Turns that are left out
 
 
-def torn_turns(spans: tuple[RestSpan, ...], gaps: tuple[Gap, ...]) -> tuple[str, ...]:
-    """The turns that were not recorded as a whole, and why, as notes."""
+def torn_turns(spans: tuple[Stretch, ...], gaps: tuple[Gap, ...]) -> tuple[str, ...]:
+    """Notes on the turns that were not recorded as a whole, with the reason."""
     torn = [(i, _tear(before, after, gaps)) for i, (before, after) in enumerate(pairwise(spans), 1)]
     return tuple(
         f"turn from rest {i} to rest {i + 1} is left out: {gap.why}" for i, gap in torn if gap is not None and gap.why
     )
 
 
-def _tear(before: RestSpan, after: RestSpan, gaps: tuple[Gap, ...]) -> Gap | None:
-    """The last gap between two rests of a file across which no turn is known."""
+def _tear(before: Stretch, after: Stretch, gaps: tuple[Gap, ...]) -> Gap | None:
+    """The last gap between two rests of a file over which the gyros cannot be integrated."""
     for gap in reversed(gaps):
         in_file = gap.file == before.file == after.file
         if in_file and not gap.integrable and gap.time < after.start and gap.stop > before.stop:
@@ -390,10 +427,10 @@ def _tear(before: RestSpan, after: RestSpan, gaps: tuple[Gap, ...]) -> Gap | Non
 
 
 def without_unknown_turns(
-    reduction: Reduction, rests: tuple[RestSpan, ...], gyro: Block, channels: Channels
+    reduction: Reduction, rests: tuple[Stretch, ...], gyro: Block, channels: Channels
 ) -> Reduction:
-    """A reduction in which turns between these rests with clipped gyros, or with readings of more than half a turn from
-    sample to sample, were not recorded."""
+    """A reduction with gaps for the turns between these rests in which gyros are clipped, or read more than half a turn
+    from sample to sample."""
     clipped, fast = dict[int, Gap](), dict[int, Gap]()
     limits, turns, beyond = _limits(reduction, channels), list(pairwise(rests)), gyro.size - 3
     may_clip = np.isfinite(limits).any()
@@ -423,8 +460,8 @@ def without_unknown_turns(
 
 
 def _limits(reduction: Reduction, channels: Channels) -> Array:
-    """The least and the most (2, n) that gyros read, SI, where that is where a converter ends, in counts or in steps of
-    their resolution; else infinite."""
+    """The smallest and largest readings (2, n) of gyros, SI, that are the ends of a converter, in counts or in steps of
+    the resolution; else infinite."""
     read, steps = extremes(reduction.gyro_channels), np.array([state.step for state in reduction.gyro_channels])
     raw = read / np.where(steps > 0.0, steps, np.inf)
     if channels.unit_name == "count":

@@ -58,6 +58,6 @@ def set_in_type(template: str, content: str, *, timestamp: int) -> bytes:
     fonts = typst.Fonts(include_system_fonts=False, font_paths=[f"{get_data_path()}/fonts/ttf"])
     source = files("tumble.views.render").joinpath(f"templates/{template}").read_bytes()
     compiler = typst.Compiler(source, font_paths=fonts, sys_inputs={"document": content})
-    made = compiler.compile(format="pdf", pdf_standards=["a-2b"], timestamp=timestamp)
-    assert isinstance(made, bytes)
-    return made
+    document = compiler.compile(format="pdf", pdf_standards=["a-2b"], timestamp=timestamp)
+    assert isinstance(document, bytes)
+    return document

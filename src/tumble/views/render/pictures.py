@@ -69,32 +69,22 @@ def write_picture(path: Path, what: str, size: tuple[float, float], draw: Callab
             figure.savefig(temporary, dpi=150, metadata=_UNDATED.get(ending))
 
 
-def svg_of(size: tuple[float, float], draw: Callable[[Figure], None], style: Any, metadata: Any, **saving: Any) -> str:
-    """The SVG of a figure of this size in inches that `draw` fills."""
+def drawn(name: str, width: float, height: float, draw: Callable[[Figure], None]) -> str:
+    """The svg element of a figure of this size in inches that `draw` fills, without comments. `name` is put before
+    every identifier in it: several figures of a page share one name space."""
     with needs_extra("a figure", "lab", "matplotlib"):
         from matplotlib import rc_context
         from matplotlib.figure import Figure
-    with rc_context(style):
-        figure = Figure(figsize=size, layout="constrained")
+    with rc_context(STYLE):
+        figure = Figure(figsize=(width, height), layout="constrained")
         draw(figure)
         layout = figure.get_layout_engine()
         assert layout is not None
         layout.execute(figure)  # once: savefig would draw the figure twice to lay it out
         figure.set_layout_engine("none")
         out = io.StringIO()
-        figure.savefig(out, format="svg", metadata=metadata, **saving)
-    return out.getvalue()
-
-
-def drawn(name: str, width: float, height: float, draw: Callable[[Figure], None]) -> str:
-    """The SVG of a figure of this size in inches that `draw` fills. `name` is put before every identifier in it:
-    several figures of a page share one name space."""
-    return for_a_page(svg_of((width, height), draw, STYLE, _DATA_OF_THE_FILE, transparent=True), name)
-
-
-def for_a_page(svg: str, name: str) -> str:
-    """The svg element alone, its identifiers made this figure's own, without comments."""
-    svg = re.sub(r"<!--.*?-->", "", svg[svg.index("<svg") :], flags=re.DOTALL)
+        figure.savefig(out, format="svg", metadata=_DATA_OF_THE_FILE, transparent=True)
+    svg = re.sub(r"<!--.*?-->", "", out.getvalue()[out.getvalue().index("<svg") :], flags=re.DOTALL)
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     svg = re.sub(r'\b(?:d|x|y)="[^"]*"', _to_a_tenth, svg)
     own = {each: f"{name}-{i}" for i, each in enumerate(dict.fromkeys(re.findall(r'(?:href="|url\()#([^")]+)', svg)))}

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterator, Mapping
 
-import numpy as np
-
+from tumble.result.applied_correction import Example, examples, linear_example
 from tumble.result.calibration import Calibration
 from tumble.result.further import SENSORS, further_parameters, left_by_matrix
-from tumble.sensors.model import SensorModel
+from tumble.sensors.model import SensorKind
 from tumble.sensors.parameters import group_name, variable_of
 from tumble.units import Array
 from tumble.views.blocks import Block, Formula, Matrices, Matrix, Section, Text, section, table
 from tumble.views.numbers import fixed, significant, unit_text
 
-_TEST_VECTORS = {"accel": (1.0, -2.0, 9.5), "gyro": (0.1, -0.2, 0.3), "mag": (0.4, -0.2, 0.3)}
-"""True values (m/s², rad/s, unit of the field) near which the readings of the test vectors are."""
 _WARMER = 10.0
 """K above the reference temperature, of the test vector of a calibration over temperature."""
 _MOST_UNHALVED = 12
@@ -62,7 +59,7 @@ def application(calibration: Calibration) -> Section:
     """The model and its frame, what a reading is, the matrices and a test vector for each block, and what is beyond
     them."""
     models = {"accel": calibration.accel, "gyro": calibration.gyro, "mag": calibration.mag}
-    known = {kind: model for kind, model in models.items() if model is not None}
+    present = {kind: model for kind, model in models.items() if model is not None}
     frame = _FRAMES.get(calibration.frame, "It is described in the documentation of the software.")
     if calibration.frame == "accelerometer" and "accel.bias.0" in calibration:
         frame = _NUMBERED_FRAME
@@ -82,26 +79,26 @@ def application(calibration: Calibration) -> Section:
             "sensors follow the formula below. "
         )
     meant += "The rows of the matrix are the sensitivities of the sensors times their axes"
-    triads = any(len(model.matrix) <= 3 for model in known.values()) or not known
+    triads = any(len(model.matrix) <= 3 for model in present.values()) or not present
     if triads:
         three = (
             f"{meant}: for three sensors along the body axes, k being the scale-factor errors and γ the axis angles,"
         )
         corrected = "A reading is corrected by"
         blocks += [three, Formula(name="axes"), corrected, Formula(name="apply")]
-    if any(len(model.matrix) > 3 for model in known.values()):
+    if any(len(model.matrix) > 3 for model in present.values()):
         least = "by least squares, matrix⁺ being the pseudo-inverse:"
         which = f"One of more sensors {least}" if triads else f"{meant}. A reading is corrected {least}"
         blocks += [which, Formula(name="apply_redundant")]
-    blocks += _what_a_reading_is(calibration, known or models)
-    left = left_by_matrix(calibration)
-    if left:
-        linear = f"This is the linear model, {left}; the whole correction is at the end of the section."
+    blocks += _what_a_reading_is(calibration, present or models)
+    left_over = left_by_matrix(calibration)
+    if left_over:
+        linear = f"This is the linear model, {left_over}; the whole correction is at the end of the section."
         blocks.append(linear)
-    if not known:
+    if not present:
         blocks.append("No matrix can be given: a parameter it needs was not determined.")
-    for kind, model in known.items():  # matrix, its inverse and bias, and a reading with what comes out
-        unit, reading = _unit(calibration, kind), test_reading(kind, model)
+    for kind, model in present.items():  # matrix, its inverse and bias, and a reading with what comes out
+        unit = _unit(calibration, kind)
         symbol = "pseudo-inverse matrix⁺" if len(model.matrix) > 3 else "matrix⁻¹"
         bias = Matrix(symbol="bias", rows=_numbers(model.bias[:, None]), unit=unit)
         blocks += [
@@ -109,9 +106,9 @@ def application(calibration: Calibration) -> Section:
             Matrices(matrices=(Matrix(symbol="matrix", rows=_numbers(model.matrix)), bias)),
             Matrices(matrices=(Matrix(symbol=symbol, rows=_numbers(model.inverse())),)),
             "Test vector: with these numbers, this reading gives this true value.",
-            _test_vector(reading, model.apply(reading), unit),
+            _test_vector(linear_example(kind, model), unit),
         ]
-    return section("How to apply it", *blocks, *(_whole_correction(calibration) if left else ()))
+    return section("How to apply it", *blocks, *(_whole_correction(calibration) if left_over else ()))
 
 
 def _what_a_reading_is(calibration: Calibration, kinds: Container[str]) -> list[Block]:
@@ -142,8 +139,8 @@ def _unit(calibration: Calibration, kind: str) -> str:
     return unit_text(unit)
 
 
-def _test_vector(reading: Array, true: Array, unit: str) -> Matrices:
-    columns = (("reading", reading, 6), ("true", true, TRUE_DIGITS))
+def _test_vector(worked: Example, unit: str) -> Matrices:
+    columns = (("reading", worked.reading, 6), ("true", worked.true, TRUE_DIGITS))
     return Matrices(
         matrices=tuple(
             Matrix(symbol=symbol, rows=tuple((fixed(v, digits),) for v in vector), unit=unit)
@@ -188,25 +185,14 @@ def _whole_correction(calibration: Calibration) -> Iterator[Block]:
     yield " ".join(sentences)
     rows = [{"parameter": p.name, "value, SI": significant(p.value, 8), "unit": unit_text(p.unit)} for p in further]
     yield table(rows, dense=True, halves=len(rows) > _MOST_UNHALVED)
-    assert calibration.accel is not None
-    readings = {"accel": test_reading("accel", calibration.accel)}
-    warmer = {kind: at + _WARMER for kind, at in compensator.references.items()} if compensator.warm else {}
-    true = {"accel": compensator.force(readings["accel"][None], warmer.get("accel"))}
-    if calibration.gyro is not None:
-        readings["gyro"] = test_reading("gyro", calibration.gyro)
-        true["gyro"] = compensator.rate(readings["gyro"][None], true["accel"], warmer.get("gyro"))
+    kinds: tuple[SensorKind, ...] = ("accel",) if calibration.gyro is None else ("accel", "gyro")
     warm = f" and {_WARMER:.0f} K above the reference temperature" if compensator.warm else ""
     yield (
         f"Test vector of the whole correction, at a constant rate{warm}: these readings together give these true "
         "values."
     )
-    for kind, reading in readings.items():
-        yield _test_vector(reading, true[kind][0], _unit(calibration, kind))
-
-
-def test_reading(kind: str, model: SensorModel) -> Array:
-    """The reading (n,) of a test vector, exact to six digits behind the point."""
-    return np.asarray(model.predict(np.array(_TEST_VECTORS[kind])).round(6))
+    for kind, worked in examples(compensator, kinds, _WARMER).items():
+        yield _test_vector(worked, _unit(calibration, kind))
 
 
 def _numbers(matrix: Array) -> tuple[tuple[str, ...], ...]:

@@ -53,8 +53,8 @@ def report_of(sources: Sequence[ReportedFile], further_sections: Sequence[Sequen
     parts = [Part(title="Comparison", sections=(result.compared(titles, calibrations),))] if several else []
     for i, (source, title) in enumerate(zip(sources, titles, strict=True)):
         inserted = further_sections[i] if further_sections else ()
-        made = tuple(each for each in _sections(source, inserted, f"c{i + 1}") if each is not None)
-        parts.append(Part(title=title if several else "", sections=made))
+        sections = tuple(each for each in _sections(source, inserted, f"c{i + 1}") if each is not None)
+        parts.append(Part(title=title if several else "", sections=sections))
     verdict, tone = verdict_on(calibrations)
     return Document(
         title="Calibration report",
@@ -102,8 +102,8 @@ def _sections(source: ReportedFile, inserted: Sequence[Section], key: str) -> It
     calibration, recordings = source.calibration, recording.recordings(source.calibration)
     yield result.result(calibration, f"{key}-improvement")
     yield from inserted
-    known = calibration.provenance
-    yield notes(*further.remarks(calibration), *known.assumptions, *known.notes)
+    origin = calibration.provenance
+    yield notes(*further.remarks(calibration), *origin.assumptions, *origin.notes)
     yield from annexes(calibration, key)
     yield result.unknown(calibration)
     yield from (recording.noise(each) for each in recordings)
@@ -136,13 +136,13 @@ def notes(*sentences: str) -> Section | None:
 
 def provenance(source: ReportedFile) -> Section:
     """The calibration file, the log and the software."""
-    known = source.calibration.provenance
+    origin = source.calibration.provenance
     rows = (
         ("data annex", f"the calibration file {source.file}: all values, u, k, ν and covariances in SI"),
         ("its SHA-256", source.sha256),
-        ("SHA-256 of the log" + ("s" if source.calibration.evidence.launches else ""), known.log_sha256 or NONE),
-        ("software", known.software or NONE),
-        ("computed", _in_words(known.created or NONE)),
+        ("SHA-256 of the log" + ("s" if source.calibration.evidence.launches else ""), origin.log_sha256 or NONE),
+        ("software", origin.software or NONE),
+        ("computed", _in_words(origin.created or NONE)),
         ("method", source.calibration.method),
     )
     return section("Provenance", Facts(rows=rows))
@@ -168,7 +168,7 @@ def front(first: Calibration, titles: Sequence[str]) -> tuple[tuple[str, str], .
         *(recording.site_facts(recordings[0].recorded.site) if first.provenance.site is not None else ()),
         ("temperature", recording.temperature(recordings)),
     ]
-    given, air = first.provenance.circumstances, first.provenance.circumstances.conditions
+    circumstances, air = first.provenance.circumstances, first.provenance.circumstances.conditions
     if air.temperature_degC is not None:
         u = "" if air.temperature_u is None else f", U = {significant(2.0 * air.temperature_u, 2)} °C (k = 2)"
         rows.append(("air temperature", f"{fixed(air.temperature_degC, 1)} °C{u}"))
@@ -176,9 +176,9 @@ def front(first: Calibration, titles: Sequence[str]) -> tuple[tuple[str, str], .
         rows.append(("relative humidity", f"{significant(air.humidity_percent, 3)} %"))
     if air.pressure_hPa is not None:
         rows.append(("air pressure", f"{significant(air.pressure_hPa, 5)} hPa"))
-    if given.operator is not None:
-        rows.append(("operator", given.operator))
-    return (*rows, *((("equipment", "; ".join(given.equipment)),) if given.equipment else ()))
+    if circumstances.operator is not None:
+        rows.append(("operator", circumstances.operator))
+    return (*rows, *((("equipment", "; ".join(circumstances.equipment)),) if circumstances.equipment else ()))
 
 
 def _in_words(moment: str) -> str:

@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tumble.inference.estimate import FIT_SIGMAS
-from tumble.result.accepted import WORDS, accepted_kinds
+from tumble.result.accepted import accepted_kinds
 from tumble.result.calibration import Calibration
 from tumble.result.further import linear_parameters
 from tumble.result.linear_fit import session_rate
 from tumble.result.parts import RestResult, TurnResult
+from tumble.sensors.model import WORDS
 from tumble.sensors.parameters import group_name, sensor_kind, within_kind
 from tumble.units import DEGREE, G_STANDARD, Array, engineering
 from tumble.views.render.pictures import COLOURS, FAINT, GREY, INK, PAGE, drawn, grid
@@ -49,12 +50,12 @@ BACK = np.diag([-1.0, 1.0, -1.0]) @ FRONT
 """The other side of the sphere, seen after half a turn about the vertical of the picture."""
 
 
-def sphere(name: str, found: Array, nominal: Array) -> str:
+def sphere(name: str, verticals: Array, nominal: Array) -> str:
     """Both sides of the sphere of directions in the body with the vertical (N, 3) of every rest, by its number, and
     those of the programme (M, 3)."""
     together: list[list[int]] = []  # rests in groups whose directions are nearly one
-    for i, direction in enumerate(found):
-        near = [group for group in together if float(found[group[0]] @ direction) > math.cos(_SAME)]
+    for i, direction in enumerate(verticals):
+        near = [group for group in together if float(verticals[group[0]] @ direction) > math.cos(_SAME)]
         if near:
             near[0].append(i)
         else:
@@ -67,11 +68,11 @@ def sphere(name: str, found: Array, nominal: Array) -> str:
             axes.set_title(title, loc="center", fontweight="normal", color=GREY)
             _globe(axes, view)
             if len(nominal):
-                seen, ring = _in_front(nominal @ view.T), {"markeredgecolor": COLOURS[1], "markeredgewidth": 0.9}
-                axes.plot(*seen, "o", label="programme", markerfacecolor="none", markersize=9, **ring)
-            rests = found @ view.T
+                positions, ring = _in_front(nominal @ view.T), {"markeredgecolor": COLOURS[1], "markeredgewidth": 0.9}
+                axes.plot(*positions, "o", label="programme", markerfacecolor="none", markersize=9, **ring)
+            rests = verticals @ view.T
             axes.plot(*_in_front(rests), "o", color=COLOURS[0], markersize=3.5, label="vertical at a rest")
-            for members in together if len(found) <= _MOST_NUMBERS else ():
+            for members in together if len(verticals) <= _MOST_NUMBERS else ():
                 x, y, z = rests[members].mean(axis=0)
                 if z >= 0.0:
                     numbers: dict[str, Any] = {"ha": "center", "va": "bottom", "fontsize": 7}
@@ -82,9 +83,9 @@ def sphere(name: str, found: Array, nominal: Array) -> str:
     return drawn(name, SPHERE * PAGE, 0.62 * SPHERE * PAGE, draw)
 
 
-def _in_front(seen: Array) -> Array:
+def _in_front(directions: Array) -> Array:
     """Picture coordinates (2, N) of directions (N, 3) on the near side."""
-    return np.asarray(seen[seen[:, 2] >= 0.0, :2].T)
+    return np.asarray(directions[directions[:, 2] >= 0.0, :2].T)
 
 
 def _globe(axes: Axes, view: Array) -> None:
@@ -93,9 +94,10 @@ def _globe(axes: Axes, view: Array) -> None:
         circle = np.zeros((len(_CIRCLE), 3))
         radius = math.sqrt(1.0 - sine**2)
         circle[:, p], circle[:, q], circle[:, 3 - p - q] = radius * np.cos(_CIRCLE), radius * np.sin(_CIRCLE), sine
-        seen = circle @ view.T
-        seen[seen[:, 2] < 0.0] = np.nan
-        axes.plot(seen[:, 0], seen[:, 1], color=GREY if sine == 0.0 else FAINT, linewidth=0.6 if sine == 0.0 else 0.4)
+        projected = circle @ view.T
+        projected[projected[:, 2] < 0.0] = np.nan
+        colour, width = (GREY, 0.6) if sine == 0.0 else (FAINT, 0.4)
+        axes.plot(projected[:, 0], projected[:, 1], color=colour, linewidth=width)
     for axis, sign in ((axis, sign) for axis in range(3) for sign in (1.0, -1.0)):
         x, y, z = sign * view[:, axis]
         if z > 0.0:
@@ -104,29 +106,29 @@ def _globe(axes: Axes, view: Array) -> None:
             axes.annotate(mark, (x, y), (0, -9), textcoords="offset points", ha="center", va="top", color=GREY)
 
 
-def farthest_from(found: Array) -> float:
+def farthest_from(verticals: Array) -> float:
     """The largest angle (rad) from any direction to the nearest of these (N, 3), to about a degree."""
     n = 5000
     k = np.arange(n) + 0.5
     z, azimuth = 1.0 - 2.0 * k / n, math.pi * (1.0 + math.sqrt(5.0)) * k
     radius = np.sqrt(1.0 - z**2)
     everywhere = np.column_stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z])
-    return float(np.arccos(np.clip((everywhere @ found.T).max(axis=1), -1.0, 1.0)).max())
+    return float(np.arccos(np.clip((everywhere @ verticals.T).max(axis=1), -1.0, 1.0)).max())
 
 
 def before_and_after(name: str, calibration: Calibration) -> str:
     """The error of a reading at 1 g, and at the rate of the session, that each parameter makes before the calibration,
     and its standard uncertainty afterwards."""
-    rate, known = session_rate(calibration), [p for p in linear_parameters(calibration.parameters) if p.u]
-    shown = {kind: [p for p in known if sensor_kind(p.name) == kind] for kind in accepted_kinds(calibration)}
+    rate, linear = session_rate(calibration), [p for p in linear_parameters(calibration.parameters) if p.u]
+    shown = {kind: [p for p in linear if sensor_kind(p.name) == kind] for kind in accepted_kinds(calibration)}
     kinds = [kind for kind, parameters in shown.items() if parameters]
 
     def draw(figure: Figure) -> None:
         for axes, kind in zip(figure.subplots(1, len(kinds), squeeze=False)[0], kinds, strict=True):
             unit, full = ("m/s^2", G_STANDARD) if kind == "accel" else ("rad/s", rate)
-            worth = [1.0 if within_kind(group_name(p.name)) == "bias" else full for p in shown[kind]]
-            before = np.array([abs(p.value) * w for p, w in zip(shown[kind], worth, strict=True)])
-            after = np.array([(p.u or 0.0) * w for p, w in zip(shown[kind], worth, strict=True)])
+            in_reading = [1.0 if within_kind(group_name(p.name)) == "bias" else full for p in shown[kind]]
+            before = np.array([abs(p.value) * w for p, w in zip(shown[kind], in_reading, strict=True)])
+            after = np.array([(p.u or 0.0) * w for p, w in zip(shown[kind], in_reading, strict=True)])
             (size, per), rows = engineering(unit, float(np.median(before))), -np.arange(len(before))
             axes.hlines(rows, after / size, before / size, color=FAINT, linewidth=2.0)
             axes.plot(before / size, rows, "o", color=GREY, markersize=4, label="before: the error")

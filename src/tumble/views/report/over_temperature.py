@@ -4,7 +4,7 @@ beyond is drawn apart, as an extrapolation."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -39,22 +39,22 @@ def section(calibration: Calibration, name: str) -> Section | None:
     measured, reference, names = measured_range(calibration), calibration.reference_temperature, changing(calibration)
     if measured is None or reference is None or not names:
         return None
-    at, rows = np.array([measured.low, reference, measured.high]), []
-    curves = [curve(calibration, each, at) for each in names]
+    celsius, rows = np.array([measured.low, reference, measured.high]), []
+    curves = [curve(calibration, each, celsius) for each in names]
     units = units_of_values((each.name, float(max(each.value, key=abs)), each.unit) for each in curves)
     for each in curves:
         size, unit = units[each.name]
         bands = [None] * 3 if each.expanded is None else each.expanded.tolist()
         shown = (cells(value, U, size) for value, U in zip(each.value.tolist(), bands, strict=True))
         rows.append((each.name, *(cell for pair in shown for cell in pair), unit))
-    columns = ("parameter", *(cell for T in at.tolist() for cell in (f"at {fixed(T, 1)} °C", "U")), "unit")
+    columns = ("parameter", *(cell for T in celsius.tolist() for cell in (f"at {fixed(T, 1)} °C", "U")), "unit")
     text = (
         f"Measured from {fixed(measured.low, 1)} to {fixed(measured.high, 1)} °C. All other values in this report are "
         f"those at the reference temperature, {fixed(reference, 1)} °C; at T they are θ + θ₁ (T − T₀) + θ₂ (T − T₀)², "
         "θ₁ and θ₂ being the parameters that end in t1 and t2. U is that of the whole sum. Beyond the measured range "
         "the curve is an extrapolation, for which U does not stand."
     )
-    text += "".join(f" {said[0].upper()}{said[1:]}." for said in own_thermometers(calibration))
+    text += "".join(f" {sentence[0].upper()}{sentence[1:]}." for sentence in own_thermometers(calibration))
     over = Figure(
         svg=_curves(name, calibration, names, measured, reference),
         caption=f"Change from the value at {fixed(reference, 1)} °C (upright line), with the band ±U of the value. "
@@ -73,8 +73,9 @@ def _curves(name: str, calibration: Calibration, names: Sequence[str], measured:
         panels = figure.subplots(-(-len(by_group) // 2), 2, squeeze=False).ravel()
         for axes, members in zip(panels, by_group.values(), strict=False):
             _panel(axes, calibration, members, measured, reference)
-            seen = [temperature_of(rest, sensor_kind(members[0])) for rest in rests]
-            axes.plot(seen, np.zeros(len(seen)), "|", color=GREY, markersize=4, transform=axes.get_xaxis_transform())
+            celsius = [temperature_of(rest, sensor_kind(members[0])) for rest in rests]
+            marks: dict[str, Any] = {"color": GREY, "markersize": 4, "transform": axes.get_xaxis_transform()}
+            axes.plot(celsius, np.zeros(len(celsius)), "|", **marks)
             axes.set_title(group_of(members[0]).words)
         for axes in panels[len(by_group) :]:
             axes.set_visible(False)
@@ -90,20 +91,20 @@ def _panel(axes: Axes, calibration: Calibration, members: Sequence[str], measure
     beyond = [np.linspace(start, start + margin, 15) for start in (measured.low - margin, measured.high)]
     for member in members:
         at_reference = curve(calibration, member, np.array([reference])).value[0]
-        found = curve(calibration, member, inside)
-        outside = [curve(calibration, member, at).value - at_reference for at in beyond]
-        curves[member] = found.value - at_reference, found.expanded, outside
-    size, unit = engineering(found.unit, max(float(np.abs(change).max()) for change, _, _ in curves.values()))
+        within = curve(calibration, member, inside)
+        outside = [curve(calibration, member, T).value - at_reference for T in beyond]
+        curves[member] = within.value - at_reference, within.expanded, outside
+    size, unit = engineering(within.unit, max(float(np.abs(change).max()) for change, _, _ in curves.values()))
     for i, (member, (change, expanded, outside)) in enumerate(curves.items()):
         colour = COLOURS[i % len(COLOURS)]
         axes.plot(inside, change / size, color=colour, label=drawable(within_group(member)))
         if expanded is not None:
             low, high = (change - expanded) / size, (change + expanded) / size
             axes.fill_between(inside, low, high, color=colour, alpha=0.16, linewidth=0.0)
-        for at, extrapolated in zip(beyond, outside, strict=True):
-            axes.plot(at, extrapolated / size, color=colour, linestyle=(0, (3, 2)), linewidth=0.8)
-    for at in beyond:
-        axes.axvspan(float(at[0]), float(at[-1]), color=FAINT, alpha=0.45, linewidth=0.0, zorder=0)
+        for T, extrapolated in zip(beyond, outside, strict=True):
+            axes.plot(T, extrapolated / size, color=colour, linestyle=(0, (3, 2)), linewidth=0.8)
+    for T in beyond:
+        axes.axvspan(float(T[0]), float(T[-1]), color=FAINT, alpha=0.45, linewidth=0.0, zorder=0)
     axes.axvline(reference, color=GREY, linewidth=0.6)
     axes.set(xlim=(beyond[0][0], beyond[1][-1]), ylabel=drawable(unit))
     grid(axes)

@@ -18,6 +18,7 @@ from tumble.result.calibration import Calibration
 from tumble.result.further import checked, rests_said
 from tumble.result.parts import Launch, TurnResult
 from tumble.rotation import unit_vector
+from tumble.sensors.model import UNITS
 from tumble.units import DEGREE, G_STANDARD, Array
 from tumble.views.blocks import Block, Facts, Figure, Section, Table, Text, section, table
 from tumble.views.numbers import NONE, fixed, in_engineering, significant
@@ -45,13 +46,13 @@ class RecordedSession:
 
     def positions(self) -> list[Position | None]:
         """The position of the programme at every rest; None where its attitude is none."""
-        found: list[Position | None] = []
+        positions: list[Position | None] = []
         for rest in self.recorded.rests:
             try:
-                found.append(None if rest.attitude is None else from_attitudes([rest.attitude]).positions[0])
+                positions.append(None if rest.attitude is None else from_attitudes([rest.attitude]).positions[0])
             except ProgrammeError:
-                found.append(None)
-        return found
+                positions.append(None)
+        return positions
 
     def titled(self, title: str) -> str:
         """A title of a section about this session."""
@@ -112,8 +113,8 @@ def found(recording: RecordedSession, name: str) -> Section | None:
             f"sphere. The direction farthest from any rest is {gap:.0f}° away from the nearest.",
             width=figures.SPHERE,
         )
-    said, (rests, turns, *_) = _programme_said(recording), tables_of(recording)
-    return section(recording.titled("Programme and what was found"), said, rests, sphere, turns)
+    sentence, (rests, turns, *_) = _programme_said(recording), tables_of(recording)
+    return section(recording.titled("Programme and what was found"), sentence, rests, sphere, turns)
 
 
 def tables_of(recording: RecordedSession) -> tuple[Table | None, Table | None, Table | None]:
@@ -215,11 +216,11 @@ def _fit_table(fits: Mapping[str, Fit]) -> Table | None:
 def noise(recording: RecordedSession) -> Section | None:
     """Noise density and drift over the rests of every sensor, by its column in the log, else a number."""
     rows = []
-    for kind, si in (("accel", "m/s^2"), ("gyro", "rad/s")):
-        seen = [getattr(rest, kind) for rest in recording.recorded.rests]
-        if not seen or any(each is None for each in seen):
+    for kind, si in UNITS.items():
+        at_rest = [getattr(rest, kind) for rest in recording.recorded.rests]
+        if not at_rest or any(each is None for each in at_rest):
             continue
-        density, drift = np.array([s.noise for s in seen]), np.array([s.drift for s in seen])
+        density, drift = np.array([s.noise for s in at_rest]), np.array([s.drift for s in at_rest])
         readings = recording.calibration.provenance.readings.get(kind)
         sensors = [f"{kind} {i}" for i in range(density.shape[1])] if readings is None else readings.columns
         for i, sensor in enumerate(sensors):

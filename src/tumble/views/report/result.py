@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from tumble.errors import CalibrationError
-from tumble.result.accepted import WORDS, accepted_kinds
+from tumble.result.accepted import accepted_kinds
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import expanded
 from tumble.result.further import (
@@ -24,6 +24,7 @@ from tumble.result.further import (
 )
 from tumble.result.parts import Parameter
 from tumble.result.unaided import improvement
+from tumble.sensors.model import WORDS
 from tumble.sensors.parameters import sensor_kind
 from tumble.views.blocks import Block, Facts, Figure, Items, Section, Table, Text, Tone, section, table
 from tumble.views.calibration import group_table, launch_table, unknown_blocks
@@ -75,8 +76,8 @@ def verdict_blocks(calibration: Calibration) -> list[Block]:
     tone: Tone = "good"
     usable = [*(WORDS[kind] for kind in accepted_kinds(calibration)), *accepted_groups(calibration)]
     if not outcome.accepted and usable:
-        these = " and ".join(filter(None, (", ".join(usable[:-1]), usable[-1])))
-        tone, verdict = "doubt", f"The {these} alone: values of others must not be used."
+        names = " and ".join(filter(None, (", ".join(usable[:-1]), usable[-1])))
+        tone, verdict = "doubt", f"The {names} alone: values of others must not be used."
     elif not outcome.accepted:
         tone, verdict = "bad", "Not accepted: these values must not be used."
     elif outcome.remarks:
@@ -118,11 +119,11 @@ def value_blocks(calibration: Calibration, further: Cells | None = None, words: 
         )
         blocks += [_parameter_table(calibration, further, words), Text(text=meaning, tone="small")]
     if calibration.prediction is not None:
-        left = left_by_matrix(calibration)
-        alone = f", with the whole correction; {left}" if left else ""
+        left_over = left_by_matrix(calibration)
+        alone = f", with the whole correction; {left_over}" if left_over else ""
         blocks.append(f"Known to (standard uncertainty): {predicted(calibration.prediction)}{alone}.")
         correction = "Matrix and bias: true = matrix⁻¹ · (reading − bias)."
-        if left:
+        if left_over:
             correction += f" The whole correction takes from a reading besides: {added_terms(calibration)}."
         numbers = "Numbers, formulas and test vectors are in the section “How to apply it”."
         blocks.append(Text(text=f"{correction} {numbers}", tone="small"))
@@ -236,9 +237,9 @@ def compared(titles: Sequence[str], calibrations: Sequence[Calibration]) -> Sect
         return section(title, "The first calibration has no parameters to compare.")
 
     def row(p: Parameter, size: float, unit: str) -> dict[str, str]:
-        there = [each.get(p.name) for each in alike]
-        shown = ["" if q is None else " ± ".join(x or NONE for x in with_expanded(q, size)) for q in there]
-        values = [q.value for q in there if q is not None]
+        same = [each.get(p.name) for each in alike]
+        shown = ["" if q is None else " ± ".join(x or NONE for x in with_expanded(q, size)) for q in same]
+        values = [q.value for q in same if q is not None]
         spread = max(values) - min(values)
         if not one_log:
             spread = float(np.std(values, ddof=1)) if len(values) > 1 else np.nan

@@ -66,9 +66,9 @@ def sources_of(calibrations: Calibration | FilePath | Sequence[Calibration | Fil
     """Calibrations with the names of their files and the SHA-256 of what is in them."""
     from tumble.views.report.document import ReportedFile
 
-    given = [calibrations] if isinstance(calibrations, Calibration | str | os.PathLike) else calibrations
+    listed = [calibrations] if isinstance(calibrations, Calibration | str | os.PathLike) else calibrations
     sources = []
-    for each in given:
+    for each in listed:
         text, name = text_and_name(each)
         content = text.encode() if isinstance(each, Calibration) else Path(each).read_bytes()
         file, digest = name if isinstance(each, Calibration) else Path(each).name, hashlib.sha256(content).hexdigest()
