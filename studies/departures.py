@@ -23,6 +23,7 @@ import numpy as np
 from scipy.signal import lfilter
 from stored import shown, store
 
+from tumble.diagnosis.findings import causes_of
 from tumble.diagnosis.misfit import misfit
 from tumble.diagnosis.verdict import verdict
 from tumble.earth import earth_rate, normal_gravity
@@ -465,13 +466,13 @@ def said_of(seed: int, place: int, line: int) -> Said:
     observations, truth = session(setting, off, seed)
     estimate = joint(observations)
     outcome = verdict(estimate, observations)
-    found = misfit(estimate) if outcome.verdict == "accepted with scatter" else None
+    found = misfit(estimate) if outcome.verdict == "accepted with scatter" else ()
     count = len(ACCEL.names) + len(GYRO.names)
     true = np.array([truth[name] for name in estimate.names[:count]])
     return Said(
         error=(estimate.values[:count] - true) / estimate.u[:count],
         outcome=outcome,
-        causes=() if found is None else found.causes,
+        causes=causes_of(found),
     )
 
 

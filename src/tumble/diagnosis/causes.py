@@ -33,23 +33,20 @@ from tumble.inference.turns_about import TurnsAbout
 from tumble.rotation import skew
 from tumble.sensors.instrument import functions
 from tumble.sensors.model import Block
-from tumble.sensors.parameters import PAIRS, PRODUCTS, RATE, positions_by_group
+from tumble.sensors.parameters import PAIRS, PRODUCTS, RATE, group_name, positions_by_group
 from tumble.units import DEGREE, G_STANDARD, Array, IntArray, two_digits
 
 MEMORIES = (10.0, 60.0, 300.0)
 """Time constants of a memory that are tried, s."""
 PLAY = 0.05 * G_STANDARD
 """Half the width of the play of a hysteresis: a change of the own force by twice as much takes it across."""
-LATITUDE_KNOWN = 0.01
-"""rad: gyros that know the latitude to no better hardly see the Earth's rate, nor the headings, and these are not
-linear then."""
+EARTH_SEEN = 0.03
+"""Relative standard uncertainty of the Earth's rate, and rad of the latitude: gyros that know them no better hardly see
+the headings, and these are not linear then."""
 FEWEST_BESIDE = 2
 """Rests on either side of a jump: one alone with another bias is a rest that does not fit."""
 FREE = 0.01
 """Of the variance of a step of a process: the data say nothing of one of which they leave more than 1 − FREE."""
-ALIKE = 0.8
-"""Of the logarithm of the probability of the likeliest cause: one of as much may as well be it, for the noise by which
-they are compared is not known better."""
 SHIFTS = 7
 """Places of a session at which gyros are tried that turn against the accelerometers: one that shifts between two of
 them is seen by either."""
@@ -96,6 +93,9 @@ class Candidate:
     """A session that knows the size to no better, SI, says nothing of it."""
     tried: int = 1
     """Of how many places it is the most likely."""
+    direct: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """By how much one of its size changes parameters of groups beside what the rows show, and their standard
+    uncertainty for it."""
 
     def tested(
         self, s: int, some: slice, alone: Projection, whole: Projection, groups: Mapping[str, list[int]]
@@ -103,12 +103,15 @@ class Candidate:
         """The candidate in session s, its columns being `some` of those in the projections with the noise alone and
         with the components of variance of the estimate: it is no more likely than by either. None where the session
         does not see it."""
-        explained = whole.explained(some, self.known)
-        if explained is None:
+        by_noise, explained = alone.explained(some, self.known), whole.explained(some)
+        if by_noise is None or explained is None:
             return None
-        by_noise = alone.explained(some)
-        probability = 1.0 if by_noise is None else alone.chance(by_noise.fall, by_noise.q)
-        damage = np.abs(explained.moved) / whole.u
+        probability = alone.chance(by_noise.fall, by_noise.q)
+        moved, variance = explained.moved.copy(), whole.u**2
+        for group, (by_one, u) in self.direct.items():
+            moved[groups[group]] -= by_one * explained.values[0]
+            variance[groups[group]] += u**2
+        damage = np.abs(moved) / np.sqrt(variance)
         return Cause(
             name=self.name,
             concerns=self.concerns,
@@ -147,8 +150,8 @@ def tested(linearised: Linearisation, candidates: Sequence[Candidate]) -> list[l
 
 
 def _told_apart(causes: list[Cause], columns: list[IntArray], whole: Projection) -> list[Cause]:
-    """The causes beside the likeliest one, if that stands out: each is as likely as it is beside it, and those that
-    were nearly as likely and are nothing beside it are its rivals, which are said with it."""
+    """The causes beside the likeliest one, if that stands out, which comes first then. The others are as likely as they
+    are beside it; those beside which it explains nothing more are its rivals, and are said with it."""
     if not causes or min(cause.probability for cause in causes) > FALSE_ALARMS:
         return causes
     first = min(range(len(causes)), key=lambda i: causes[i].probability)
@@ -158,9 +161,15 @@ def _told_apart(causes: list[Cause], columns: list[IntArray], whole: Projection)
         both = whole.explained(np.concatenate([columns[first], own]))
         if cause is causes[first] or both is None:
             continue
-        more = both.q - alone.q
-        chance = whole.chance(both.fall - alone.fall, more, (alone.fall, alone.q)) if more > 0 else 1.0
-        if cause.probability <= best.probability**ALIKE and chance > FALSE_ALARMS:
+        other = whole.explained(own)
+        assert other is not None
+        chance, instead = (
+            whole.chance(both.fall - first_in.fall, both.q - first_in.q, (first_in.fall, first_in.q))
+            if both.q > first_in.q
+            else 1.0
+            for first_in in (alone, other)
+        )
+        if min(chance, instead) > FALSE_ALARMS:
             damages = {name: max(size, cause.by_group[name]) for name, size in best.by_group.items()}
             sentence = f"{best.sentence}; or, which the session does not tell apart: {cause.sentence}"
             best = replace(best, sentence=sentence, by_group=damages, rivals=(*best.rivals, cause.name))
@@ -204,7 +213,7 @@ def candidates_of(session: LinearisedSession) -> Iterator[Candidate]:
     if any(session.turned) and about is not None and gyro is not None and not modelled:
         yield gyro_nonlinearity(session, about, gyro)
     if gyro is not None and session.observations.site.latitude is not None:
-        yield latitude_error(session, session.observations.site.latitude)
+        yield from earth_rate_errors(session)
 
 
 def jumps(session: LinearisedSession) -> Iterator[Candidate]:
@@ -399,19 +408,42 @@ def gyro_nonlinearity(session: LinearisedSession, about: TurnsAbout, gyro: Block
     )
 
 
-def latitude_error(session: LinearisedSession, latitude: float) -> Candidate:
-    """An error of the latitude of the site, rad, by a difference."""
-    step = 1e-4
-    moved = replace(session.problem, earth=np.array(earth_rate(latitude + step)))
-    rows, there = session.linearised, linearise(moved, session.linearised.point, session.linearised.about)
-    rest, turn = ((a - b)[..., None] / step for a, b in zip(rows.residuals, there.residuals, strict=True))
-    return Candidate(
+def earth_rate_errors(session: LinearisedSession) -> Iterator[Candidate]:
+    """An error of the latitude of the site, rad, and a relative one of the clock of the log, each by a difference.
+
+    Of a log of which a second lasts 1 + ε seconds, turns are larger by ε than the gyros say, as by their scale factors;
+    levers and delays in its seconds explain the velocities as well. What is left is the Earth's rate, which is
+    (1 + ε) Ω in its seconds."""
+    step, latitude, rows = 1e-4, session.observations.site.latitude, session.linearised
+    assert latitude is not None
+
+    def columns(earth: Array) -> tuple[Array, Array]:
+        moved = replace(session.problem, earth=earth)
+        there = linearise(moved, session.linearised.point, session.linearised.about)
+        rest, turn = ((a - b)[..., None] / step for a, b in zip(rows.residuals, there.residuals, strict=True))
+        return rest, turn
+
+    yield Candidate(
         name="latitude",
         concerns="both",
-        columns=(rest, turn),
+        columns=columns(np.array(earth_rate(latitude + step))),
         unit=(DEGREE, "°"),
         sentences=("a latitude that the gyros contradict by {size}: look at latitude_deg in [site], and its sign",),
-        known=LATITUDE_KNOWN,
+        known=EARTH_SEEN,
+    )
+    by_clock = {name: size for name, size in session.observations.by_clock.items() if name == group_name(name)}
+    u = max(map(abs, by_clock.values()), default=1.0)
+    yield Candidate(
+        name="clock",
+        concerns="both",
+        columns=columns((1.0 + step) * session.problem.earth),
+        unit=(1e-2, "%"),
+        sentences=(
+            "a clock of the log that the Earth's rate contradicts by {size}: look at rate_hz, or the time column and "
+            "its unit, in [log]",
+        ),
+        known=EARTH_SEEN,
+        direct={group: (size / u, size) for group, size in by_clock.items()},
     )
 
 

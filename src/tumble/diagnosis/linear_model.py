@@ -45,7 +45,7 @@ from tumble.reduction.observations import Observations
 from tumble.rotation import unit_vector
 from tumble.sensors.instrument import Instrument, functions
 from tumble.sensors.model import beyond_body, beyond_turning
-from tumble.sensors.parameters import FORCE, ParameterGroup
+from tumble.sensors.parameters import FORCE, ParameterGroup, group_of
 from tumble.units import Array
 
 _NOTHING = 1e-9
@@ -76,9 +76,12 @@ class LeftOut:
         """What a problem has beyond the linear model, its sizes widened as those of the estimate `beside`."""
         instrument, first = problem.instrument, problem.instrument.linear_count
         too_small = np.ones(len(instrument.names))
+        posterior = {} if beside is None else {h.name: h for h in beside.hyperparameters}
         for group in () if beside is None else beside.groups:
             if group.name in instrument.members:
-                too_small[instrument.members[group.name]] = group.prior_widened
+                size = posterior.get(group_of(group.name).sized_with or group.name)
+                widened = group.prior_widened if size is None else size.root_mean_square
+                too_small[instrument.members[group.name]] = max(group.prior_widened, widened)
         usual = problem.prior_u[1 + first :]
         return LeftOut(instrument=instrument, usual=usual, too_small=too_small[first:], moves=moves)
 

@@ -15,7 +15,8 @@ from operator import attrgetter
 
 import numpy as np
 
-from tumble.diagnosis.causes import Cause, candidates_of, quantisation, tested
+from tumble.diagnosis.causes import Cause, candidates_of, earth_rate_errors, quantisation, tested
+from tumble.diagnosis.findings import Finding
 from tumble.diagnosis.linearised_session import UNITS, WORDS, Kind, LinearisedSession, sized
 from tumble.diagnosis.lost_samples import (
     OF_TURNS,
@@ -26,7 +27,7 @@ from tumble.diagnosis.lost_samples import (
     stamps_remedy,
     turns_to_blame,
 )
-from tumble.diagnosis.projection import SumOfSquares, judged_solution, standing_out
+from tumble.diagnosis.projection import FALSE_ALARMS, SumOfSquares, judged_solution, projections, standing_out
 from tumble.inference.estimate import Estimate, HyperparameterEstimate
 from tumble.inference.linearisation import Linearisation
 from tumble.inference.noise import REST_SCATTER, SCATTER, VarianceComponents, typical_noise
@@ -58,11 +59,10 @@ TURNS_MORE = 10.0
 DAMAGE, SPARED = 3.0, 0.5
 """Times u: a parameter that errs by more because a cause was left out; and by what those of a group err at most that is
 accepted beside it, whose errors are of √(1 + SPARED²) u then, 1.12 u."""
+LARGEST_CLOCK_ERROR = 0.1
+"""Relative: a clock that is off by more is read in a wrong unit, or the gyros do not show the Earth's rate."""
 CONTAINED = "; u contains it"
 AT_RANDOM = f"{CONTAINED} as far as it is random"
-
-Said = tuple[tuple[str, ...], str]
-"""A sentence with the kinds of sensors or groups of parameters that it concerns, all where none is named."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -114,62 +114,91 @@ GROUPS = (
 )
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Misfit:
-    """Reasons and remarks, and the names of the causes that stand out, the most likely first."""
-
-    reasons: tuple[Said, ...] = ()
-    remarks: tuple[Said, ...] = ()
-    causes: tuple[str, ...] = ()
-
-    def each(self, before: str, without: tuple[str, ...] = ()) -> Misfit:
-        """The same with something said before each sentence, and nothing of `without` in it."""
-
-        def said(sentences: tuple[Said, ...]) -> Iterator[Said]:
-            for concerns, sentence in sentences:
-                for part in without:
-                    sentence = sentence.replace(part, "")
-                yield concerns, f"{before}{sentence}"
-
-        return replace(self, reasons=tuple(said(self.reasons)), remarks=tuple(said(self.remarks)))
-
-
-def misfit(estimate: Estimate, search: bool = True) -> Misfit | None:
-    """What the residuals of an estimate say, of several sessions each for itself, and where there is a `search` the
-    causes behind them; None where nothing keeps a likelihood of the estimate. Of a method whose u has a scatter of its
+def misfit(estimate: Estimate, search: bool = True) -> tuple[Finding, ...]:
+    """What the residuals of an estimate show, of several sessions each for itself, and where there is a `search` the
+    causes behind them; nothing where no likelihood of the estimate is kept. Of a method whose u has a scatter of its
     own the residuals are those about the joint estimate."""
     linearised = estimate.linearised
     if linearised is None:
-        return None
+        return ()
     alone = judged_solution(linearised, VarianceComponents())
     session, together = LinearisedSession(linearised), linearised.problem.observations.together
     chances = [{group: group.chance(linearised, alone, part) for group in GROUPS} for part in linearised.problem.parts]
     causes = _causes(session, judged_solution(linearised, linearised.components)) if search else [[] for _ in chances]
     limit = standing_out([p for by in chances for p in by.values()] + [c.probability for by in causes for c in by])
     wandering = list(_wandering(estimate, linearised))
-    unusual = list(_groups_beyond_usual(estimate))
     usual = {h.name.removesuffix("_in_run"): h.usual for h in estimate.hyperparameters}
-    known = {group.partition(".")[0] for (group,), cause, _ in wandering if cause != "scale-factor drift"}
+    known = {kind for found in wandering for kind in found.kinds if found.causes != ("scale-factor drift",)}
     every = [
-        _of_session(linearised, *of_session, limit, usual, known)
+        list(_of_session(linearised, *of_session, limit, usual, known))
         for of_session in zip(session.observed, chances, causes, strict=True)
     ]
     if together is not None:
         named = zip(together.names, every, strict=True)
-        every = [found.each(f"{name}: ") for name, found in named if found.reasons or found.remarks]
-    remarks: list[Said] = [(concerns, remark) for concerns, _, remark in (*unusual, *wandering)]
-    remarks += (said for found in every[:MOST_SESSIONS] for said in found.remarks)
+        every = [[replace(each, sentence=f"{name}: {each.sentence}") for each in found] for name, found in named]
+        every = [found for found in every if found]
+    findings = [each for found in every[:MOST_SESSIONS] for each in found]
+    for found in every[MOST_SESSIONS:]:  # remarks on so many sessions would be more than anyone reads
+        findings += (each for each in found if each.refuses)
     if len(every) > MOST_SESSIONS:
-        more = len(every) - MOST_SESSIONS
-        remarks.append(((), f"{more} more sessions scatter: calibrate them one by one to see by what"))
-    behind = [cause for found in every for cause in found.causes]
-    behind += [*(name for _, names, _ in unusual for name in names), *(cause for _, cause, _ in wandering)]
-    joined = Misfit(
-        reasons=tuple(said for found in every for said in found.reasons),
-        remarks=tuple(remarks),
-        causes=tuple(dict.fromkeys(behind)),
+        more = f"{len(every) - MOST_SESSIONS} more sessions scatter: calibrate them one by one to see by what"
+        findings.append(Finding(sentence=more))
+    findings += [*_groups_beyond_usual(estimate), *wandering]
+    if estimate.method == "joint":
+        return tuple(findings)
+    return tuple(
+        replace(each, sentence=f"by the method joint, {each.sentence}".replace(AT_RANDOM, "").replace(CONTAINED, ""))
+        for each in findings
     )
-    return joined if estimate.method == "joint" else joined.each("by the method joint, ", (AT_RANDOM, CONTAINED))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ClockByEarth:
+    """The clock of a log by the Earth's rate: seconds in one of its seconds, the relative standard uncertainty of that,
+    and what the parameters of the gyros, by name, change with one of it."""
+
+    rate: float
+    u: float
+    changes: Mapping[str, float]
+
+    def sentence(self, corrected: str) -> str:
+        """What it says, and which parameters are corrected for it."""
+        return (
+            f"by the Earth's rate a second of the log's clock is {100.0 * (self.rate - 1.0):+.3g} % longer than one, "
+            f"to {100.0 * self.u:.2g} %: {corrected} corrected for it; look at rate_hz, or the time column, in [log]"
+        )
+
+
+def clock_by_earth(estimate: Estimate) -> ClockByEarth | None:
+    """The clock of a log where the Earth's rate contradicts the stated one and no other cause explains as much.
+
+    By least squares with the noise within rests, for what an estimate takes for wandering biases is the error of the
+    clock, and with the scatter that is left beside it."""
+    linearised = estimate.linearised
+    if linearised is None or linearised.problem.observations.together is not None:
+        return None
+    session, problem = LinearisedSession(linearised), linearised.problem
+    if problem.observations.gyro_block is None or problem.observations.site.latitude is None:
+        return None
+    errors = list(earth_rate_errors(session))
+    likely = tested(linearised, errors)[0]
+    if not likely or likely[0].name != "clock" or likely[0].probability > FALSE_ALARMS:
+        return None
+    first = _causes(session, judged_solution(linearised, linearised.components))[0][0]
+    if first.name != "clock" or first.rivals:
+        return None
+    clock = next(error for error in errors if error.name == "clock")
+    (alone,) = projections(linearised, VarianceComponents(), *clock.columns)
+    explained = alone.explained(slice(0, 1))
+    assert explained is not None
+    scatter = max(1.0, (alone.chi_square - explained.fall) / alone.degrees)
+    value, u = float(explained.values[0]), float(np.sqrt(scatter / explained.fall) * abs(explained.values[0]))
+    if abs(value) > LARGEST_CLOCK_ERROR:
+        return None
+    changes = zip(problem.instrument.names, (-u / value * explained.moved).tolist(), strict=True)
+    return ClockByEarth(
+        rate=1.0 + value, u=u, changes={name: change for name, change in changes if name.startswith("gyro")}
+    )
 
 
 def _causes(session: LinearisedSession, whole: Solution) -> list[list[Cause]]:
@@ -198,10 +227,10 @@ def _of_session(
     limit: float,
     usual: Mapping[str, float],
     known: set[str],
-) -> Misfit:
-    """What the residuals of a session say, by the probabilities of its groups and of its causes, of which those up to a
-    limit stand out. A scatter within what is `usual` of in-run biases is nothing to speak of, and that of the readings
-    of some sensors is `known` by their in-run biases already."""
+) -> Iterator[Finding]:
+    """What the residuals of a session show, by the probabilities of its groups and of its causes, of which those up to
+    a limit stand out. A scatter within the `usual` size of in-run biases is not mentioned, and that of the readings of
+    a kind of sensors whose in-run biases are mentioned is `known` already."""
     components = linearised.components
     larger = {
         group: group.scatter(components) / group.noise(observations)
@@ -226,29 +255,27 @@ def _of_session(
         named += (cause for cause in likely if cause.probability < NAMED_PROBABILITY)
     named = named[:MOST_NAMED]
     harmful = [c for c in named if c.damage > DAMAGE and (c.probability <= limit or c in first)]
-    reasons, remarks = [damaging(cause) for cause in harmful], list[Said]()
+    yield from map(damaging, harmful)
     for group, ratio in larger.items():
-        said = _larger(group, ratio, linearised)
+        sentence = _larger(group, ratio, linearised)
         if group.name not in REST_SCATTER and group.beyond_model(ratio, components) and not jittering(observations):
-            reasons.append((OF_TURNS, said.removesuffix(AT_RANDOM)))
+            yield Finding(sentence=sentence.removesuffix(AT_RANDOM), concerns=OF_TURNS, refuses=True)
         elif group.name not in known:
-            remarks.append(((group.concerns,), said))
-    remarks += [(cause.concerned, f"probable cause: {cause.sentence}") for cause in named if cause not in harmful]
-    reasons += _restless(linearised)
-    return Misfit(
-        reasons=tuple(reasons),
-        remarks=tuple(remarks),
-        causes=tuple(name for cause in named for name in (cause.name, *cause.rivals)),
-    )
+            yield Finding(sentence=sentence, concerns=(group.concerns,))
+    for cause in named:
+        if cause not in harmful:
+            sentence = f"probable cause: {cause.sentence}"
+            yield Finding(sentence=sentence, concerns=cause.concerned, causes=(cause.name, *cause.rivals))
+    yield from _restless(linearised)
 
 
-def _restless(linearised: Linearisation) -> list[Said]:
+def _restless(linearised: Linearisation) -> Iterator[Finding]:
     """Kinds of sensors whose biases change from one rest to the next by more than MANY times the noise of a rest.
 
     The in-run bias changes by σ_b √(2 − 2 e^{−Δt/τ}) from rest to rest. A device that wanders or warms up changes by a
     few times its noise; where it is more, the process has taken an error that is no bias. The turns are compared with
     the verticals that the accelerometers see, so that theirs spoils the scale factors and axes of the gyros too."""
-    rests, components, out = linearised.problem.observations.rests, linearised.components, list[Said]()
+    rests, components = linearised.problem.observations.rests, linearised.components
     interval = float(np.median(np.diff(0.5 * (rests.start + rests.stop)))) if len(rests) > 1 else 0.0
     for block in linearised.problem.instrument.blocks:
         kind, noise = block.kind, typical_noise(getattr(rests, f"{block.kind}_covariance"))
@@ -260,17 +287,18 @@ def _restless(linearised: Linearisation) -> list[Said]:
                 f"{change / noise:.2g} times the noise of a rest: something is there that the model does not have; "
                 "look at the rests with `tumble inspect`"
             )
-            out.append(((kind, *(OF_TURNS if kind == "accel" else ())), sentence))
-    return out
+            concerns = (kind, *(OF_TURNS if kind == "accel" else ()))
+            yield Finding(sentence=sentence, concerns=concerns, refuses=True)
 
 
-def damaging(cause: Cause) -> Said:
+def damaging(cause: Cause) -> Finding:
     """A cause that does harm, as a reason, with the groups of parameters that it does not spare, those of the sensors
     at fault first."""
     err = [group for group, damage in cause.by_group.items() if damage > SPARED]
     err.sort(key=lambda group: not group.startswith(cause.concerned))
     by = f"up to {cause.damage:.2g} times their u" if np.isfinite(cause.damage) else "more than their u, all alike"
-    return tuple(err), f"{cause.sentence}; without it parameters of {', '.join(err)} err by {by}"
+    sentence = f"{cause.sentence}; without it parameters of {', '.join(err)} err by {by}"
+    return Finding(sentence=sentence, concerns=tuple(err), refuses=True, causes=(cause.name, *cause.rivals))
 
 
 def _larger(group: Group, ratio: float, linearised: Linearisation) -> str:
@@ -297,9 +325,8 @@ def _larger(group: Group, ratio: float, linearised: Linearisation) -> str:
     return f"{said}{AT_RANDOM}"
 
 
-def _groups_beyond_usual(estimate: Estimate) -> Iterator[tuple[tuple[str], tuple[str, ...], str]]:
-    """Groups of parameters beyond the linear model that are far larger than usual, but for drifts: the kind of sensors
-    that has them, their names, and a remark."""
+def _groups_beyond_usual(estimate: Estimate) -> Iterator[Finding]:
+    """Groups beyond the linear model, but for drifts, that are far larger than usual, by kind of sensor."""
     sizes = {h.name: h for h in estimate.hyperparameters}
     by_kind = dict[str, dict[str, str]]()
     for finding in estimate.groups:
@@ -312,17 +339,16 @@ def _groups_beyond_usual(estimate: Estimate) -> Iterator[tuple[tuple[str], tuple
             said = f"{group.words} (about {times:.2g} times the usual {usual} {name})".replace(" °", "°")
             by_kind.setdefault(group.kind, {})[group.name] = said
     for kind, groups in by_kind.items():
-        remark = (
+        sentence = (
             f"larger than usual: {', '.join(groups.values())}{CONTAINED}; state sizes in [device.prior], or "
             "another grade, where the device is so, and look for disturbances of the log where it is not"
         )
-        yield (kind,), tuple(groups), remark
+        yield Finding(sentence=sentence, concerns=(kind,), causes=tuple(groups))
 
 
-def _wandering(estimate: Estimate, linearised: Linearisation) -> Iterator[tuple[tuple[str], str, str]]:
+def _wandering(estimate: Estimate, linearised: Linearisation) -> Iterator[Finding]:
     """What changes within the session far beyond what is usual, by the sizes that were estimated: drifts of biases and
-    of scale factors, in-run biases of kinds of sensors, and of single ones. The group that each concerns, the name of
-    the cause, and a remark."""
+    of scale factors, in-run biases of kinds of sensors, and of single ones."""
     by_name, rests = {h.name: h for h in estimate.hyperparameters}, linearised.problem.observations.rests
     longest = max(float(rests.stop[p.rests].max() - rests.start[p.rests].min()) for p in linearised.problem.parts)
     for block in linearised.problem.instrument.blocks:
@@ -335,12 +361,11 @@ def _wandering(estimate: Estimate, linearised: Linearisation) -> Iterator[tuple[
             drifts[what] = name in by_name and _beyond(by_name[name])
             if drifts[what]:
                 changed = sized(longest * _slope(name, estimate, linearised), unit)
-                yield (
-                    (f"{kind}.{what}",),
-                    cause,
+                sentence = (
                     f"{drifting} drift by {changed} over the session, those given are the means of its "
-                    f"rests{CONTAINED}; let the device warm up, or make the session shorter",
+                    f"rests{CONTAINED}; let the device warm up, or make the session shorter"
                 )
+                yield Finding(sentence=sentence, concerns=(f"{kind}.{what}",), causes=(cause,))
         size, lasting, bias = by_name.get(f"{kind}_in_run"), by_name.get(f"{kind}_time"), (f"{kind}.bias",)
         if size is None or lasting is None:
             continue
@@ -353,13 +378,14 @@ def _wandering(estimate: Estimate, linearised: Linearisation) -> Iterator[tuple[
             )
             if lasts:
                 remark += ", and last longer than it: a drift, or warm-up after power-on; switch on earlier"
-            yield bias, "drift" if lasts else "in-run bias", f"{remark}{CONTAINED}"
+            cause = "drift" if lasts else "in-run bias"
+            yield Finding(sentence=f"{remark}{CONTAINED}", concerns=bias, causes=(cause,))
         for sensor in block.sensors:
             unlike = by_name.get(f"{kind}.in_run.{sensor}")
             if unlike is not None and _beyond(unlike):
                 alone = sized(unlike.value * size.value, UNITS[kind])
                 remark = f"{kind}.bias.{sensor} wanders by {alone}, those of the other {words} by {of_kind}{CONTAINED}"
-                yield bias, "wandering sensor", remark
+                yield Finding(sentence=remark, concerns=bias, causes=("wandering sensor",))
 
 
 def _beyond(size: HyperparameterEstimate) -> bool:

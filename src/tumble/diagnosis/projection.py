@@ -32,7 +32,14 @@ import scipy
 from tumble.inference.elimination import fold
 from tumble.inference.linearisation import Linearisation
 from tumble.inference.noise import VarianceComponents
-from tumble.inference.normal_equations import Solution, eliminate_rests, inverse_of, solve, with_local_prior
+from tumble.inference.normal_equations import (
+    Solution,
+    eliminate_rests,
+    inverse_of,
+    session_mean_bias,
+    solve,
+    with_local_prior,
+)
 from tumble.inference.problem import Problem
 from tumble.units import Array, IntArray
 
@@ -128,6 +135,14 @@ def projections(
         triangle[:, p : p + c] /= np.where(length > 0.0, length, 1.0)
         first = int(triangle[0, 0] == 0.0)  # gravity is taken as exact
         inverse = inverse_of(triangle[first:p, first:p])
+        moving, variance = inverse @ triangle[first:p, p : p + c], (inverse**2).sum(axis=1)
+        if equations.wanders and len(problem.parts) == 1:
+            biases = 1 - first + problem.biases
+            by, by_rests = session_mean_bias(equations)
+            by = by[:, q + first : -1] / np.append(np.ones(p - first), np.where(length > 0.0, length, 1.0))
+            variance[biases] = ((inverse[biases] + by[:, : p - first] @ inverse) ** 2).sum(axis=1)
+            variance[biases] += (by_rests**2).sum(axis=(0, 2))
+            moving[biases] += by @ np.vstack([moving, -np.eye(c)])
         hidden = np.count_nonzero(equations.rest_factors[part.rests].diagonal(0, 1, 2)[:, :3] == 0.0)
         kept = (noise.rest_weights[part.rests] ** 2).sum() + (
             noise.turn_weights[part.turns] ** 2
@@ -135,9 +150,9 @@ def projections(
         yield Projection(
             triangle=triangle[p : p + c, p : p + c],
             along=triangle[p : p + c, -1],
-            moving=(inverse @ triangle[first:p, p : p + c])[1 - first : 1 - first + m],
+            moving=moving[1 - first : 1 - first + m],
             length=length,
-            u=np.sqrt((inverse**2).sum(axis=1))[1 - first : 1 - first + m],
+            u=np.sqrt(variance[1 - first : 1 - first + m]),
             chi_square=float((triangle[p:, -1] ** 2).sum()),
             degrees=float(kept) - 3 * len(part.link) + hidden + others,
             scatters=components.wanders or bool(np.any(components.variances > 0.0)),

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from tumble.diagnosis.misfit import Said
+from tumble.diagnosis.findings import Finding
 from tumble.diagnosis.observability import faces_and_edges, most_telling, rows_of_rests, standing
 from tumble.inference.estimate import DETERMINED, Estimate
 from tumble.inference.sources import common_covariances
@@ -41,18 +41,15 @@ def linear_names(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(name for name in names if group_name(name) in linear)
 
 
-def undetermined(
-    estimate: Estimate, observations: Observations, missing: tuple[str, ...]
-) -> tuple[list[Said], list[Said]]:
-    """What the data do not determine, the parameters that are `missing`, and what they determine poorly of kinds of
-    sensors of which none is, and what would: reasons, and remarks on what is known by less than others are and yet as
-    well as u says."""
-    reasons, remarks = list[Said](), list[Said]()
+def undetermined(estimate: Estimate, observations: Observations, missing: tuple[str, ...]) -> list[Finding]:
+    """What the data do not determine, the parameters that are `missing`; and of kinds of sensors of which none is, the
+    combinations that they determine poorly: a remark where these are as well known as u says. With what would help."""
+    findings = list[Finding]()
     if missing:
         alone = one_attitude(observations)
         helpful = "" if alone else _most_helpful(estimate, observations, estimate.null)
         unseen = f"not observable in this session: {listed(missing)}"
-        reasons.append((groups_of(missing), _and(alone, unseen, helpful)))
+        findings.append(Finding(sentence=_and(alone, unseen, helpful), concerns=groups_of(missing), refuses=True))
     combinations, known, refused = _weak(estimate, observations, {sensor_kind(name) for name in missing})
     if len(known):
         largest, weak = [_largest_of(combination) for combination in combinations], list[str]()
@@ -62,9 +59,9 @@ def undetermined(
             weak.append(f"{terms.removeprefix('+ ')} (known to {100.0 * u:.2g} % of its usual size)")
         remedy = _most_helpful(estimate, observations, combinations)
         concerned = groups_of([estimate.names[i] for parts in largest for i in parts])
-        poorly = concerned, _and(f"poorly observable in this session: {'; '.join(weak)}", remedy)
-        (reasons if refused else remarks).append(poorly)
-    return reasons, remarks
+        sentence = _and(f"poorly observable in this session: {'; '.join(weak)}", remedy)
+        findings.append(Finding(sentence=sentence, concerns=concerned, refuses=refused))
+    return findings
 
 
 def faces_alone(estimate: Estimate, missing: Sequence[str]) -> bool:
@@ -74,13 +71,14 @@ def faces_alone(estimate: Estimate, missing: Sequence[str]) -> bool:
     return bool(missing) and angles and estimate.gyro is None and len(estimate.accel.bias) == len("xyz")
 
 
-def as_six_faces_give(estimate: Estimate, observations: Observations, missing: Sequence[str]) -> str:
+def as_six_faces_give(estimate: Estimate, observations: Observations, missing: Sequence[str]) -> Finding:
     """What a session without oblique rests gives, and which rests would show the rest."""
-    return _and(
+    sentence = _and(
         f"bias and scale factor of each axis alone, as six faces give them: not observable in this session and taken "
         f"as 0 is {listed(missing)}, of which u contains any usual size",
         _most_helpful(estimate, observations, estimate.null),
     )
+    return Finding(sentence=sentence, concerns=("accel",))
 
 
 def one_attitude(observations: Observations) -> str:
@@ -157,16 +155,17 @@ def _resolution(estimate: Estimate, observations: Observations) -> float:
     return max(tilt, typical(observations.turns.covariance, "gyro turns"))
 
 
-def gravity_wanted(site: Site) -> tuple[str, ...]:
+def gravity_wanted(site: Site) -> Iterator[Finding]:
     """That gravity is not known well enough for the scale factors of accelerometers, which are all as uncertain."""
     relative = site.gravity_u / site.gravity
     if np.sqrt(3.0) * relative < POORLY_KNOWN * group_of("accel.scale").limit:
-        return ()
-    return (
+        return
+    sentence = (
         f"gravity is {site.gravity:.5f} m/s^2 with a standard uncertainty of {site.gravity_u:.2g} m/s^2: all scale "
         f"factors of the accelerometers together are known to {100.0 * relative:.2g} % only, which u contains; state "
-        "latitude_deg and height_m in [site] (--latitude, --height), or gravity",
+        "latitude_deg and height_m in [site] (--latitude, --height), or gravity"
     )
+    yield Finding(sentence=sentence, concerns=("accel.scale",))
 
 
 def _largest_of(combination: Array) -> list[int]:

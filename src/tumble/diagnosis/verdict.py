@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import scipy
 
-from tumble.diagnosis.misfit import Misfit, Said, misfit
+from tumble.diagnosis.findings import Finding, outcome_of
+from tumble.diagnosis.in_motion import in_motion
+from tumble.diagnosis.misfit import misfit
 from tumble.diagnosis.projection import FALSE_ALARMS
 from tumble.diagnosis.undetermined import (
     as_six_faces_give,
@@ -39,90 +43,111 @@ that imu_tk takes for its recording, 1,091 mGal more than normal gravity, which 
 def verdict(
     estimate: Estimate, observations: Observations, *, gravity_confirmed: bool = False, search: bool = True
 ) -> Outcome:
-    """Whether an estimate may be used, its accelerometers and gyros each for itself, and which groups of parameters
-    where these are not judged alike. Without a `search` for causes residuals are judged by their size alone."""
+    """Judge an estimate.
+
+    Parameters
+    ----------
+    estimate
+        Of any method.
+    observations
+        What it was made from.
+    gravity_confirmed
+        Whether gravity is what is stated, however far from normal gravity.
+    search
+        Whether to search for causes; without, residuals are judged by their size alone.
+
+    Returns
+    -------
+    Outcome
+        Whether it may be used, its accelerometers and gyros each for itself, and which groups of parameters where these
+        are not judged alike. Reasons are in the order: what is not determined, what concerns both kinds of sensors,
+        what concerns the accelerometers, the gyros.
+    """
     missing = linear_names(estimate.unobservable)
+    if observations.links is not None:
+        of_gravity = () if gravity_confirmed else _impossible_gravity(observations.site)
+        every = *in_motion(estimate, observations, missing), *of_gravity, *gravity_wanted(observations.site)
+        return outcome_of(every, missing)
     faces = faces_alone(estimate, missing)
-    first, poor = ([], []) if estimate.reasons or faces else undetermined(estimate, observations, missing)
-    reasons: list[Said] = [((), reason) for reason in estimate.reasons]
+    weak = [] if estimate.reasons or faces else undetermined(estimate, observations, missing)
+    findings = [Finding(sentence=reason, refuses=True) for reason in estimate.reasons]
     if (faces or not missing) and not estimate.converged:
-        said = "the estimate did not converge: the data contradict the model; look at the rests with `tumble inspect`"
-        reasons.append(((), said))
-    difference = gravity_difference(observations.site)
-    if not gravity_confirmed and difference is not None and abs(difference) > GRAVITY_REFUSED:
-        said = (
-            f"{gravity_said(observations.site)}, more than {GRAVITY_REFUSED / MILLIGAL:.0f}: every scale factor of the "
+        sentence = (
+            "the estimate did not converge: the data contradict the model; look at the rests with `tumble inspect`"
+        )
+        findings.append(Finding(sentence=sentence, refuses=True))
+    if not gravity_confirmed:
+        findings += _impossible_gravity(observations.site)
+    findings += _beyond_scatter(estimate, observations)
+    findings += gravity_wanted(observations.site)
+    if faces:
+        findings.append(as_six_faces_give(estimate, observations, missing))
+    findings += (each for each in weak if not each.refuses)
+    findings += _not_fitting(estimate, observations)
+    findings += (Finding(sentence=remark) for remark in estimate.remarks)
+    findings += _judged(estimate, missing, search)
+    integral = estimate.integral
+    if integral is not None and rough(integral.pareto, integral.effective):
+        sentence = (
+            "u rests on a few points of the integral over what the model does not know of itself: it is a rough one"
+        )
+        findings.append(Finding(sentence=sentence))
+    of_kinds = ((), ("accel",), ("gyro",))
+    refusals = sorted((each for each in findings if each.refuses), key=lambda each: of_kinds.index(each.kinds))
+    remarks = (each for each in findings if not each.refuses)
+    return outcome_of([*(each for each in weak if each.refuses), *refusals, *remarks], missing)
+
+
+def _impossible_gravity(site: Site) -> Iterator[Finding]:
+    """Gravity that no place on Earth has."""
+    difference = gravity_difference(site)
+    if difference is not None and abs(difference) > GRAVITY_REFUSED:
+        sentence = (
+            f"{gravity_said(site)}, more than {GRAVITY_REFUSED / MILLIGAL:.0f}: every scale factor of the "
             "accelerometers would be wrong with it; correct gravity, latitude_deg or height_m in [site], or write "
             "gravity_confirmed = true"
         )
-        reasons.append((("accel.scale",), said))
+        yield Finding(sentence=sentence, concerns=("accel.scale",), refuses=True)
+
+
+def _beyond_scatter(estimate: Estimate, observations: Observations) -> Iterator[Finding]:
+    """Rests and turns that scatter by more than any model bears."""
     rests, turns = estimate.fits.get("accelerometers"), estimate.fits.get("gyro turns")
     if rests is not None and rests.scatter > SCATTER_LIMIT and estimate.left_out is None:
-        said = (
+        sentence = (
             f"the rests scatter by {rests.scatter / G_STANDARD * 1e3:.2g} mg, more than 1 mg: the device moved at "
             "rest, or the accelerometers do not follow the model"
         )
-        reasons.append((("accel",), said))
+        yield Finding(sentence=sentence, concerns=("accel",), refuses=True)
     if turns is not None and turns.scatter > TURN_SCATTER_LIMIT:
         worst = observations.turn_named(int(np.argmax(estimate.turn_sigmas)))
-        said = (
+        sentence = (
             f"the turns scatter by {turns.scatter / DEGREE:.2g}°, more than {TURN_SCATTER_LIMIT / DEGREE:.0f}°: look "
             f"for damaged or lost samples of the gyros, first in {worst}"
         )
-        reasons.append((("gyro",), said))
-    spoilt, apart = _not_fitting(estimate, observations)
-    judged = _judged(estimate, missing, search)
-    of_kinds = ((), ("accel",), ("gyro",))
-    in_order = sorted([*reasons, *spoilt, *judged.reasons], key=lambda reason: of_kinds.index(kinds_of(reason[0])))
-    reasons = [*first, *in_order]
-    remarks: list[Said] = [(("accel.scale",), said) for said in gravity_wanted(observations.site)]
-    if faces:
-        remarks.append((("accel",), as_six_faces_give(estimate, observations, missing)))
-    remarks += [*poor, *apart, *(((), remark) for remark in estimate.remarks), *judged.remarks]
-    integral = estimate.integral
-    if integral is not None and rough(integral.pareto, integral.effective):
-        said = "u rests on a few points of the integral over what the model does not know of itself: it is a rough one"
-        remarks.append(((), said))
-    return Outcome(
-        reasons=tuple(said for _, said in reasons),
-        remarks=tuple(said for _, said in remarks),
-        unobservable=missing,
-        concerns={said: concerns for concerns, said in (*reasons, *remarks) if concerns},
-    )
+        yield Finding(sentence=sentence, concerns=("gyro",), refuses=True)
 
 
-def kinds_of(concerns: tuple[str, ...]) -> tuple[str, ...]:
-    """The kind of sensors that a sentence concerns, none where it concerns both."""
-    kinds = {sensor_kind(part) for part in concerns}
-    return tuple(kinds) if len(kinds) == 1 else ()
-
-
-def _judged(estimate: Estimate, missing: tuple[str, ...], search: bool) -> Misfit:
-    """What the residuals say; where parameters of one kind of sensor are missing, of the other kind."""
+def _judged(estimate: Estimate, missing: tuple[str, ...], search: bool) -> Iterator[Finding]:
+    """What the residuals show; where parameters of one kind of sensor are missing, of the other kind."""
     without = {sensor_kind(name) for name in missing}
     if not estimate.converged or (without and (estimate.gyro is None or len(without) > 1)):
-        return Misfit()
-    found = misfit(estimate, search) or Misfit()
-    if not without:
-        return found
-    reasons, remarks = (
-        tuple(said for said in sentences if kinds_of(said[0]) and not without & {*kinds_of(said[0])})
-        for sentences in (found.reasons, found.remarks)
-    )
-    return Misfit(reasons=reasons, remarks=remarks, causes=found.causes)
+        return
+    for found in misfit(estimate, search):
+        if not without or (found.kinds and not without & {*found.kinds}):
+            yield found
 
 
-def _not_fitting(estimate: Estimate, observations: Observations) -> tuple[list[Said], list[Said]]:
-    """What is said of rests and turns that do not fit, or that were left out because they do not: reasons, and
-    remarks. A method that leaves out has them in no parameter, or fits them within its scatter; for one that does not
-    they are reasons, and so they are where they are many."""
+def _not_fitting(estimate: Estimate, observations: Observations) -> Iterator[Finding]:
+    """Rests and turns that do not fit, or that were left out because they do not. A method that leaves out has them in
+    no parameter, or fits them within its scatter; for one that does not they are reasons, and so they are where they
+    are many."""
     rests, turns, out = observations.rests, observations.turns, estimate.left_out
     N, K = len(rests), 0 if turns is None else len(turns)
     none, by_gyros = np.zeros(N, dtype=bool), np.zeros(N, dtype=bool)
     if len(estimate.gyro_rest_sigmas):
         by_gyros = estimate.gyro_rest_sigmas == estimate.rest_sigmas
     accel, gyro, turn = (none, none, np.zeros(K, dtype=bool)) if out is None else (out.accel, out.gyro, out.turn)
-    many, said = list[Said](), list[Said]()
     for kind, what, omitted in (
         ("accel", "rests", accel),
         ("gyro", "rests by their gyros", gyro),
@@ -130,21 +155,21 @@ def _not_fitting(estimate: Estimate, observations: Observations) -> tuple[list[S
     ):
         if omitted.sum() > MOST_LEFT_OUT * len(omitted):
             part = f"{omitted.sum()} of {len(omitted)} {what} do not fit, more than a third"
-            many.append(((kind,), f"{part}: the data contradict the model; look at the rests with `tumble inspect`"))
+            sentence = f"{part}: the data contradict the model; look at the rests with `tumble inspect`"
+            yield Finding(sentence=sentence, concerns=(kind,), refuses=True)
     for i in np.flatnonzero((estimate.rest_sigmas > FIT_SIGMAS) | accel | gyro):
         left = accel[i] or gyro[i]
         gyros = bool(gyro[i] and not accel[i]) if left else bool(by_gyros[i])
         rest = f"{observations.rest_named(int(i))} ({rests.start[i]:z.1f}–{rests.stop[i]:z.1f} s)"
-        how = _misfit_said(estimate.rest_sigmas[i], bool(left), " by its gyros" if gyros else "")
+        how = _how_far(estimate.rest_sigmas[i], bool(left), " by its gyros" if gyros else "")
         how += "" if gyros else f", residual {estimate.rest_residual[i]:.2g} m/s^2"
-        said.append((("gyro",) if gyros else (), rest + how))
+        yield Finding(sentence=rest + how, concerns=("gyro",) if gyros else (), refuses=out is None)
     for k in np.flatnonzero((estimate.turn_sigmas > FIT_SIGMAS) | turn) if len(estimate.turn_sigmas) else ():
-        how = _misfit_said(estimate.turn_sigmas[k], bool(turn[k]))
-        said.append(((("gyro",) if out is not None else ()), observations.turn_named(int(k)) + how))
-    return (many + said, []) if out is None else (many, said)
+        sentence = observations.turn_named(int(k)) + _how_far(estimate.turn_sigmas[k], bool(turn[k]))
+        yield Finding(sentence=sentence, concerns=() if out is None else ("gyro",), refuses=out is None)
 
 
-def _misfit_said(sigmas: float, left_out: bool, by: str = "") -> str:
+def _how_far(sigmas: float, left_out: bool, by: str = "") -> str:
     """That a rest or turn does not fit, or was left out, and how far it is from the fit."""
     if left_out:
         return f" was left out{by}: {sigmas:.1f} sigma from what the others say"

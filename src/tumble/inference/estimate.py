@@ -202,6 +202,11 @@ class HyperparameterEstimate:
     high: float
     usual: float
 
+    @property
+    def root_mean_square(self) -> float:
+        """About the root of the mean of its square over the posterior, by the three values."""
+        return float(np.sqrt((self.low**2 + self.value**2 + self.high**2) / 3.0))
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Integral:

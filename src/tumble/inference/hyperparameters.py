@@ -42,10 +42,10 @@ from tumble.inference.elimination import along_chains, eliminate, fold
 from tumble.inference.linearisation import Linearisation
 from tumble.inference.noise import (
     CORRELATION_TIME,
-    SCATTER,
     DISPLACEMENT,
     DISPLACEMENT_TIME,
     LINK_SCATTER,
+    SCATTER,
     SCATTER_WORDS,
     TURN_SCATTER,
     NoiseModel,
@@ -63,8 +63,8 @@ from tumble.inference.normal_equations import (
 )
 from tumble.inference.problem import Problem
 from tumble.inference.variables import at_two_temperatures, both_ways
-from tumble.sensors.parameters import poorer, prior_sizes, variable_of
-from tumble.units import Array, BoolArray
+from tumble.sensors.parameters import group_of, poorer, prior_sizes, variable_of
+from tumble.units import Array, BoolArray, IntArray
 
 IN_RUN_WITHIN = float(np.log(30.0) / 1.645)
 """Standard deviation of the logarithms of its size and of its correlation time about the usual ones: nine of ten are
@@ -98,7 +98,7 @@ class QuadraticForms:
             square=self.square + other.square, trace=self.trace + other.trace, double=self.double + other.double
         )
 
-    def sum(self, some: slice) -> QuadraticForms:
+    def sum(self, some: slice | IntArray) -> QuadraticForms:
         """Of some of the variances together, as if each were seen by itself."""
         return QuadraticForms(
             square=self.square[..., some].sum(), trace=self.trace[..., some].sum(), double=self.double[..., some].sum()
@@ -277,14 +277,14 @@ class WorkingVariates:
                 along = (r[:, None, :] @ WZ)[:, 0] * solution.components.variances[place[some]]
                 out[..., column] += 2.0 * (WZ @ along[:, :, None])[:, :, 0]
 
-    def add_sizes(self, column: int, sensors: slice) -> None:
+    def add_sizes(self, column: int, sensors: slice | IntArray) -> None:
         """Those of the size of states: the residuals of the steps."""
         if self.solution.equations.noise.states:
             steps, begins = self._residual_steps
             self.steps[:, sensors, column] += 2.0 * steps[:, sensors]
             self.begins[:, sensors, column] += 2.0 * begins[:, sensors]
 
-    def add_times(self, column: int, sensors: slice) -> None:
+    def add_times(self, column: int, sensors: slice | IntArray) -> None:
         """Those of the correlation time. With S β the steps, of variances V, and w = V⁻¹ S β, it changes the covariance
         S⁻¹ V S⁻ᵀ of the states so that the variate is −V^{−½} (−∂S β − V S⁻ᵀ ∂Sᵀ w + ∂V w)."""
         noise, first = self.solution.equations.noise, [part.stations.start for part in self.solution.problem.parts]
@@ -324,7 +324,7 @@ class Hyperparameter:
     words: str
     usual: float
     within: float = 0.0
-    members: slice = field(default_factory=lambda: slice(None))
+    members: slice | IntArray = field(default_factory=lambda: slice(None))
 
     @property
     def centre(self) -> float:
@@ -554,7 +554,11 @@ def hyperparameters_of(problem: Problem, noise: NoiseModel, seen: BoolArray) -> 
     held = {"lag", "temperature²" if two else "lag", "lag" if both_sides else "hysteresis"}
     common = {name: members for name, members in problem.instrument.members.items() if variable_of(name) not in held}
     for kind_of_size, groups in ((GroupSize, common), (LocalGroupSize, problem.local_members)):
-        for name, members in groups.items():
+        for name in groups:
+            if group_of(name).sized_with in groups:
+                continue
+            with_it = [groups[other] for other in groups if other == name or group_of(other).sized_with == name]
+            members = np.concatenate([np.arange(each.start, each.stop) for each in with_it])
             too_small = observations.too_small.get(name, STATED)
             out.append(kind_of_size(**_factor(name, f"size of {name} over the usual one", too_small, members)))
     return tuple(out)
@@ -576,7 +580,7 @@ def _displacement(first: int) -> tuple[Hyperparameter, Hyperparameter]:
     )
 
 
-def _factor(name: str, words: str, too_small: float, members: slice) -> dict[str, Any]:
+def _factor(name: str, words: str, too_small: float, members: slice | IntArray) -> dict[str, Any]:
     """The fields of p of a size λ = exp(max(p, 0)) that may be too small by a factor."""
     within = float(np.log(too_small))
     return {"name": name, "unit": "1", "words": words, "usual": 1.0, "within": within, "members": members}

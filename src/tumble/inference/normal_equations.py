@@ -268,7 +268,10 @@ def eliminate_rests(linearisation: Linearisation) -> NormalEquations:
     begins[d - states :, d - states : d] = np.eye(states)
     for at in np.ndindex(*stack):
         for part, triangle in zip(problem.parts, triangles[at], strict=True):
-            between, links = joints[at][part.stations if states else part.turns], session_links(part, chained=states > 0)
+            between, links = (
+                joints[at][part.stations if states else part.turns],
+                session_links(part, chained=states > 0),
+            )
             eliminate(at_stations[at][part.stations], between, links, factors[at][part.stations], triangle, begins)
     return NormalEquations(
         noise=noise,

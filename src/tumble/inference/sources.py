@@ -155,5 +155,5 @@ def clocked(clock_u: float, increments: Mapping[str, bool]) -> dict[str, float]:
 
 
 def by_time_base(names: Sequence[str], by_clock: Mapping[str, float]) -> Array:
-    """The same in parameters of these names (m,)."""
-    return np.array([by_clock.get(group_name(name), 0.0) for name in names])
+    """The same in parameters of these names (m,), by group and by name."""
+    return np.array([by_clock.get(group_name(name), 0.0) + by_clock.get(name, 0.0) for name in names])

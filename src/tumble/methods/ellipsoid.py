@@ -47,8 +47,11 @@ def ellipsoid(observations: Observations) -> Estimate:
         block=block,
     )
     if not isinstance(found, Refusal):
-        beside = by_joint(observations.of_accelerometers()) if observations.usual and found.converged else None
-        return estimate_of(found, observations, beside)
+        beside, sizes = None, None
+        if observations.usual and found.converged:
+            beside = by_joint(observations.of_accelerometers())
+            sizes = beside if observations.turns is None else by_joint(observations)
+        return estimate_of(found, observations, beside, sizes or beside)
     if not len(found.null):
         raise np.linalg.LinAlgError(found.reason)
     model = block.nominal()
@@ -72,9 +75,15 @@ def ellipsoid(observations: Observations) -> Estimate:
     )
 
 
-def estimate_of(found: EllipsoidFit, observations: Observations, beside: Estimate | None = None) -> Estimate:
-    """The estimate of a fit to the rests of observations, its covariance zero where the fit has none. `beside` is that
-    of the method joint of the same rests, which tells how large groups of parameters are, and how rests are judged."""
+def estimate_of(
+    found: EllipsoidFit,
+    observations: Observations,
+    beside: Estimate | None = None,
+    sizes: Estimate | None = None,
+) -> Estimate:
+    """The estimate of a fit to the rests of observations, its covariance zero where the fit has none. Rests are judged
+    by the estimate of the method joint `beside` it, of the same rests; how large groups of parameters are is told by
+    that of everything the session has, its turns included (`sizes`)."""
     block, gravity = observations.accel_block, observations.site.gravity
     covariance = np.zeros((9, 9)) if found.covariance is None else found.covariance
     variance = np.diag(covariance)
@@ -102,7 +111,7 @@ def estimate_of(found: EllipsoidFit, observations: Observations, beside: Estimat
     if not observations.usual:
         return estimate
     estimate = replace(estimate, linearised=None if beside is None else beside.linearised)
-    found_groups = left_out_by_rests(observations, found.values, deviations(found, observations), beside)[0]
+    found_groups = left_out_by_rests(observations, found.values, deviations(found, observations), sizes)[0]
     return with_left_out(estimate, found_groups, gravity)
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from tumble import __version__
 from tumble.arguments import checked
 from tumble.diagnosis.level_faces import with_common_tilt
+from tumble.diagnosis.misfit import ClockByEarth, clock_by_earth
 from tumble.diagnosis.undetermined import one_attitude
 from tumble.diagnosis.verdict import little_used, time_base_doubted
 from tumble.errors import CalibrationError, InputError
@@ -45,6 +46,8 @@ DEFAULT_METHOD: Method = "joint"
 Estimator = Callable[[Observations], Estimate]
 NOISIER = 10.0
 """Times the white noise usual of a grade: no unit of it is as noisy. Of the units of a class it differs by 3."""
+CLOCK_CONTRADICTED = 3.0
+"""Times the standard uncertainty of the time base: a clock that is off by more is a remark, and else a note."""
 
 
 def _imported(module: str, name: str) -> Callable[..., Estimate]:
@@ -177,14 +180,23 @@ def _calibrated(
     terms: Terms,
     progress: Progress,
     prior: Prior | None,
+    clock: ClockByEarth | None = None,
 ) -> Calibration:
-    """The calibration from what a session does not leave out."""
+    """The calibration from what a session does not leave out; made anew with the `clock` by the Earth's rate where this
+    contradicts that of the log."""
     systematic = systematic_of(session)
     with ThreadPoolExecutor(max_workers=1) as beside:
         observed = inspected(session, progress, beside)
         observations = observations_for_calibration(observed, biases_jump=method == "joint")
-        options = (estimator, systematic, terms, prior)
+        options = (estimator, systematic, terms, prior, clock)
         estimate = observations if isinstance(observations, Outcome) else estimated(session, observations, *options)
+    if clock is None and not isinstance(estimate, Outcome) and (clock := clock_by_earth(estimate[0])) is not None:
+        log = replace(session.log, clock_rate=session.log.clock_rate * clock.rate, clock_u=clock.u)
+        made = _calibrated(replace(session, log=log), method, estimator, frame, terms, progress, prior, clock)
+        said = clock.sentence(" and ".join(clocked(clock.u, log.increments)) or "no parameter")
+        if abs(clock.rate - 1.0) > CLOCK_CONTRADICTED * session.log.time_base_u:
+            return _with_remarks(made, (said,), ())
+        return _with_provenance(made, notes=(*made.provenance.notes, said))
     provenance, bridged = provenance_of(observed.sha256), (*bridged_in(observed.gaps), *observed.segmentation.unused())
     if isinstance(estimate, Outcome):
         calibration = without_result(session, method, estimate, provenance, bridged)
@@ -321,9 +333,10 @@ def estimated(
     start: Mapping[str, float],
     terms: Terms,
     prior: Prior | None = None,
+    clock: ClockByEarth | None = None,
 ) -> tuple[Estimate, Observations] | Outcome:
     """The estimate and what it was made from, or why there is none."""
-    by_clock = clocked(session.log.time_base_u, session.log.increments)
+    by_clock = clocked(session.log.time_base_u, session.log.increments) | dict(clock.changes if clock else {})
     linear_joint = method is joint and terms == "linear"
     observations = with_grade(session, observations)
     if prior is not None:

@@ -78,8 +78,9 @@ class ParameterGroup:
     instruments of a grade, the prior where a parameter has one; a grade that is not there has the group only where a
     data sheet says so. `regressors` is None for bias, scale and axis angles, whose derivative `Block.jacobian` has, and
     where `motion` says how a turn sees the group, or where the group is the change of another, its `base`, with a
-    `variable`, or a lag, which has no base. `source` says where the usual size in MEMS instruments is from (those of
-    tactical and navigation instruments are from data sheets, and never wider than that of a poorer grade)."""
+    `variable`, or a lag, which has no base. `sized_with` names a group from which rests hardly tell it apart: by one
+    factor both are larger than usual. `source` says where the usual size in MEMS instruments is from (those
+    of tactical and navigation instruments are from data sheets, and never wider than that of a poorer grade)."""
 
     name: str
     kind: SensorKind
@@ -94,6 +95,7 @@ class ParameterGroup:
     stem: str | None = None
     base: str | None = None
     variable: Variable | None = None
+    sized_with: str | None = None
     source: str = DATA_SHEETS
 
     @property
@@ -214,12 +216,13 @@ def _group(
     regressors: Regressors | None = None,
     motion: Motion | None = None,
     stem: str | None = None,
+    sized_with: str | None = None,
     source: str = DATA_SHEETS,
 ) -> ParameterGroup:
     kind: SensorKind = "accel" if name.startswith("accel") else "gyro"
     return ParameterGroup(
         name=name, kind=kind, unit=unit, words=words, suffixes=suffixes, limit=limit, shown=shown, usual=usual or {},
-        regressors=regressors, motion=motion, stem=stem, source=source,
+        regressors=regressors, motion=motion, stem=stem, sized_with=sized_with, source=source,
     )  # fmt: skip
 
 
@@ -297,7 +300,7 @@ FURTHER: list[ParameterGroup] = [
     ),
     _group(
         "accel.asymmetry", "1", "difference of the + and − scale factors of the accelerometers, half", _every_sensor,
-        1e-2, _PARTS, _grades(20e-6, 50e-6, 50e-6, 50e-6), _own(OWN_SIZE),
+        1e-2, _PARTS, _grades(20e-6, 50e-6, 50e-6, 50e-6), _own(OWN_SIZE), sized_with="accel.quadratic",
         source="as the quadratic terms, from which rests hardly tell it apart",
     ),
     _group(

@@ -1,0 +1,88 @@
+"""What gyros that see the Earth's rate say of the latitude of the site and of the clock of the log."""
+
+from __future__ import annotations
+
+import json
+import re
+from functools import cache
+
+import numpy as np
+import polars as pl
+import pytest
+
+from tests.support.shared import session
+from tumble.planning.setup import Setup
+from tumble.result.calibration import Calibration
+from tumble.run.calibrate import calibrate
+from tumble.sensors.parameters import group_name
+from tumble.units import DEGREE
+
+RATE = 50.0
+SETUP = Setup.of(grade="navigation", positions=14, rest=30.0, sample_rate=RATE)
+
+
+@cache
+def calibrated(*, rate: float | None = None, stamps: float = 1.0, latitude: float = 0.0) -> Calibration:
+    """A session of a navigation unit of which the rate is stated, or the stamps are so many times too long, and the
+    latitude is stated with an error, rad."""
+    log = pl.read_parquet(session(SETUP, seed=3) / "log.parquet")
+    time = stamps * np.arange(1, len(log) + 1) / RATE
+    return calibrate(
+        accel=log.select("ax", "ay", "az").to_numpy(),
+        gyro=log.select("gx", "gy", "gz").to_numpy(),
+        latitude=SETUP.latitude + latitude,
+        gravity=SETUP.gravity,
+        gravity_u=1e-5,
+        serial="A",
+        **({"time": time} if rate is None else {"rate": rate}),
+    )
+
+
+def errors(found: Calibration, group: str) -> list[float]:
+    """Errors of the parameters of a group, in their u."""
+    truth = json.loads((session(SETUP, seed=3) / "truth.json").read_text())
+    members = [p for p in found.parameters if group_name(p.name) == group]
+    return [(p.value - truth[p.name]) / p.u for p in members]
+
+
+@pytest.mark.parametrize("clock", [1.01, 1.03, 0.95])
+def test_the_earths_rate_corrects_a_stated_sample_rate_that_is_wrong(clock: float) -> None:
+    found = calibrated(rate=RATE * clock)
+    assert found.outcome.accepted
+    said = "\n".join((*found.outcome.remarks, *found.provenance.notes))
+    (longer,) = re.findall(r"a second of the log's clock is ([+-][\d.]+) % longer", said)
+    assert float(longer) == pytest.approx(100.0 * (clock - 1.0), abs=0.3)
+    assert not any("latitude" in each for each in found.outcome.remarks)
+    assert found.provenance.clock_u < 2e-3  # one per cent without the Earth's rate
+    for group in ("gyro.bias", "gyro.scale", "gyro.axis"):
+        assert max(map(abs, errors(found, group))) < 4.0
+
+
+def test_time_stamps_that_the_earths_rate_contradicts_are_corrected_and_remarked() -> None:
+    found = calibrated(stamps=1.0 / 1.03)
+    assert found.outcome.verdict == "accepted with scatter"
+    assert "a second of the log's clock is +3" in found.outcome.remarks[0]
+    assert max(map(abs, errors(found, "gyro.scale"))) < 4.0
+
+
+def test_a_clock_that_nothing_contradicts_is_believed() -> None:
+    found = calibrated(rate=RATE)
+    assert found.outcome.verdict == "accepted"
+    assert found.provenance.clock_u == 1e-2
+    assert found.parameters == calibrated(rate=RATE).parameters
+
+
+@pytest.mark.parametrize("error", [2.0, -10.0])
+def test_a_wrong_latitude_is_no_wrong_clock(error: float) -> None:
+    found = calibrated(rate=RATE, latitude=error * DEGREE)
+    assert found.outcome.gyro.verdict == "not accepted"
+    assert any("a latitude that the gyros contradict" in each for each in found.outcome.reasons)
+    assert not any("clock" in each for each in (*found.outcome.reasons, *found.outcome.remarks))
+
+
+def test_what_a_wrong_latitude_does_to_the_mean_bias_of_the_session_is_predicted() -> None:
+    """The bias that is given is the mean over the session, which is better known than that of its process."""
+    found = calibrated(latitude=4.0 * DEGREE)
+    (times,) = re.findall(r"gyro.bias.* err by up to ([\d.]+) times", found.outcome.reasons[0])
+    assert float(times) == pytest.approx(max(map(abs, errors(found, "gyro.bias"))), rel=0.25)
+    assert found.outcome.of("gyro.bias").verdict == "not accepted"
