@@ -1,5 +1,5 @@
-"""What a recording from node to node shows (`tumble.inference.problem`): what its motion determines, what held the device,
-and whether that gives way.
+"""What a recording from node to node shows (`tumble.inference.problem`): what its motion determines, what held the
+device, and whether that gives way.
 
 How what holds a device gives way with its attitude is among the unknowns, b ~ N(0, s²) for each of its numbers. The
 posterior mean of one of them has, over instruments, the variance s² − u²; where the squares of all of them are beyond
@@ -46,17 +46,24 @@ def in_motion(estimate: Estimate, observations: Observations, missing: tuple[str
     if scipy.special.chdtrc(SUPPORT, square) < FALSE_ALARMS:
         size = 100.0 * float(np.abs(given_way).max())
         yield Finding(
-            sentence=f"the device moved by {size:.1f} cm and more as it was turned, with its attitude: what held it gave "
-            "way; hold it by something stiffer, or move it in the hand without a rhythm",
+            sentence=f"the device moved by {size:.1f} cm and more with its attitude: what held it gave way; hold it by "
+            "something stiffer, or turn it in the hand without a rhythm",
             refuses=True,
         )
     elif displacement > LOOSE and not missing:
         yield Finding(
             sentence=f"the device moved by {displacement:.1f} m in motion: keep it in one place", refuses=True
         )
-    elif not missing:
-        place = ", ".join(f"{1e3 * x:.0f}" for x in lever)
-        yield Finding(
-            sentence=f"calibrated in motion, from {sentence}: within {1e3 * displacement:.2g} mm the device turned about "
-            f"a point at ({place}) mm from its accelerometers"
-        )
+
+
+def motion_note(estimate: Estimate, observations: Observations) -> tuple[str, ...]:
+    """That a result is from motion, and about which point, as a note; nothing of rests and turns."""
+    links, linearised = observations.links, estimate.linearised
+    if links is None or linearised is None:
+        return ()
+    lever = linearised.point.local[0, -LEVER - SUPPORT : -SUPPORT]
+    place, size = ", ".join(f"{1e3 * x:.0f}" for x in lever), 1e3 * float(linearised.components.displacement)
+    return (
+        f"calibrated in motion, from {len(observations.rests)} rests and {float(links.duration.sum()):.0f} s of it: the "
+        f"device turned, to within {size:.2g} mm, about a point from which its accelerometers are at ({place}) mm",
+    )

@@ -113,8 +113,8 @@ class Score:
 
     @cached_property
     def _by_direction(self) -> tuple[list[Array], list[Array], list[Array], list[Array]]:
-        """Of rests, turns and links squares and traces (q,) by direction of scatter, sums of the squares of all products
-        (q, q), and where directions stand in SCATTER."""
+        """Of rests, turns and links squares and traces (q,) by direction of scatter, sums of the squares of all
+        products (q, q), and where directions stand in SCATTER."""
         solution, noise = self.solution, self.solution.equations.noise
         out = list[Array](), list[Array](), list[Array](), list[Array]()
         for W, (r, C), (Z, place) in (
@@ -165,7 +165,8 @@ class Score:
 
     @cached_property
     def _steps(self) -> tuple[Array, Array, Array]:
-        """Squares of the steps of the states and of those that begin a chain, expected from their values (M, s), the variances of both, and of each step that follows a rest the slope by ln τ."""
+        """Squares of the steps of the states and of those that begin a chain, expected from their values (M, s), the
+        variances of both, and of each step that follows a station the slope by ln τ."""
         solution, noise = self.solution, self.solution.equations.noise
         states, follows = slice(noise.unknowns - noise.states, None), noise.follows
         first, here = np.append(True, ~follows[:-1]), np.flatnonzero(follows)

@@ -274,11 +274,11 @@ def _link_rows(
         V − C v_j + v_i − L_iᵀ ∫ e^{[Ω×]s} g e_U ds
         P − (C − 1) r − L_iᵀ (s_j − s_i) + v_i T − L_iᵀ ∬ e^{[Ω×]s} g e_U ds²
 
-    are zero but for noise. Coriolis forces of velocities in the hand are below 5 µg. Where an end is a rest its velocity
-    is zero and the places are not compared: where a device is put down nothing is known of."""
-    links, instrument, g = problem.observations.links, problem.instrument, point.gravity
+    are zero but for noise. Coriolis forces of velocities in the hand are below 5 µg. Where an end is a rest its
+    velocity is zero, and places are not compared, for nothing is known of where a device is put down."""
+    links, instrument = problem.observations.links, problem.instrument
     assert links is not None
-    i, T, J, n = links.before, links.duration, len(links), problem.sensors
+    i, T, J = links.before, links.duration, len(links)
     by = parts.rows(instrument, point.values, model, problem.width)
     by = np.concatenate([by[:, :, :-1], parts.paths[..., CONSTANT], by[:, :, -1:]], axis=2)
     moments = parts.moments

@@ -49,8 +49,8 @@ Roots = dict[str, Array]
 
 
 def noise_roots(linearisation: Linearisation) -> tuple[Roots, Roots, Roots]:
-    """The sources of the noise of the rows of rests, of turns and of links; where the Earth's rate is not known, it turns what
-    the velocities go with, too."""
+    """The sources of the noise of the rows of rests, of turns and of links; where the Earth's rate is not known, it
+    turns what the velocities go with, too."""
     problem, noise = linearisation.problem, linearisation.noise
     turns, instrument = problem.observations.turns, problem.instrument
     n, sensors, earth = instrument.accel.size, problem.sensors, unseen_rate(problem)

@@ -15,6 +15,7 @@ import numpy as np
 
 from tumble import __version__
 from tumble.arguments import checked
+from tumble.diagnosis.in_motion import motion_note
 from tumble.diagnosis.level_faces import with_common_tilt
 from tumble.diagnosis.misfit import ClockByEarth, clock_by_earth
 from tumble.diagnosis.undetermined import one_attitude
@@ -215,7 +216,10 @@ def _calibrated(
                     of_gyros = calibration.outcome.gyro.reasons
                     because = (f"{why}; the accelerometers are estimated alone" for why in of_gyros)
                     estimate, calibration, faults = alone, made_alone, (*because, *faults)
-        calibration = _with_remarks(calibration, little_used(observed.segmentation), ())
+        if estimate[1].links is None:
+            calibration = _with_remarks(calibration, little_used(observed.segmentation), ())
+        notes = (*calibration.provenance.notes, *motion_note(estimate[0], estimate[1]))
+        calibration = _with_provenance(calibration, notes=notes)
         if estimate[0].gyro is not None and not session.log.increments["gyro"]:
             grade, _ = _ruled_out(session, estimate[1]) or grade_of(session, estimate[1])
             doubts = time_base_doubted(estimate[0], grade_named(grade).gyro.scale)
