@@ -2,6 +2,7 @@
 
     TumbleError
     ├── InputError            what was given cannot be used; the command line exits with 2
+    │   ├── GyrosAloneError   a log without accelerometers
     │   ├── SessionError      session.toml: a key, a value, a missing file
     │   ├── LogError          a log: a column, a row, a number, the time
     │   ├── ProgrammeError    an attitude code or a programme that does not exist
@@ -37,6 +38,10 @@ class TumbleError(Exception):
 
 class InputError(TumbleError):
     """What was given cannot be used."""
+
+
+class GyrosAloneError(InputError):
+    """A log has gyros and no accelerometers."""
 
 
 class SessionError(InputError):

@@ -127,6 +127,7 @@ def test_a_session_in_another_format_is_replayed_to_the_last_digit(tmp_path: Pat
     station.start()
     try:
         eventually(lambda: station.state["received"]["ended"], 60.0)
+        eventually(lambda: station.state["headline"] == "The recording has ended", 10.0)
     finally:
         station.stop()
     received, original = (

@@ -228,7 +228,7 @@ def test_no_argument_at_all_shows_the_commands() -> None:
         (["programme", "nine", "--rest", "-1"], "rest: expected a positive number"),
         (["plan", "--table-error", "-1"], "expected 0 or more"),
         (["plan", "--rest", "nan"], "expected more than 0"),
-        (["plan", "cube-14", "--method", "sequential"], "take the programme rough-table or the"),
+        (["plan", "cube-14", "--method", "sequential"], "expected rests with X 45° above and Y 45° below the horizon"),
         (["plan", "--want", "accel.scale=3furlong"], "expected a number and one of ppm, %"),
         (["programme", "nine", "-o", "x.xyz"], "expected a file that ends in .html, .pdf or .svg"),
     ],

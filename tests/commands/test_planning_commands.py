@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import sys
+import time
 from pathlib import Path
 
 import click
@@ -102,4 +103,8 @@ def test_a_plan_shows_from_the_start_that_it_is_being_made(
     context.params["quiet"] = quiet
     with context, working("planning") as told:
         told(1, 6)
-    assert ("planning" in terminal.getvalue()) is shown
+        deadline = time.monotonic() + 5.0
+        while shown and "1 of 6" not in terminal.getvalue() and time.monotonic() < deadline:
+            time.sleep(0.05)
+    assert ("planning  1 of 6  " in terminal.getvalue()) is shown
+    assert terminal.getvalue().endswith("\r\x1b[K") is shown  # the line is gone

@@ -39,6 +39,7 @@ RUN = (
     "docs/howto/cube.md",
     "docs/howto/ellipsoid.md",
     "docs/howto/plan.md",
+    "docs/howto/thermal.md",
     "docs/howto/check.md",
     "docs/howto/reports.md",
     "docs/howto/registry.md",

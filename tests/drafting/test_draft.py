@@ -249,7 +249,14 @@ def test_what_cannot_be_drafted_is_refused_in_one_line(handheld: pl.DataFrame, t
         ((tmp_path / "n", tmp_path / "cr.csv"), "expected"),
         ((tmp_path / "n", tmp_path / "none*.csv"), "expected files that fit this pattern, found none"),
         ((tmp_path / "n", log, "--latitude", "95"), "--latitude: expected a number from -90 to 90, found 95"),
-        ((tmp_path / "n", log, "--sample-rate", "-1"), "--sample-rate: expected a positive number, found -1"),
+        (
+            (tmp_path / "n", log, "--sample-rate", "-1"),
+            "--sample-rate: expected a number from 1e-6 to 1e9 (Hz), found -1",
+        ),
+        (
+            (tmp_path / "n", log, "--sample-rate", "1e-320"),
+            "--sample-rate: expected a number from 1e-6 to 1e9 (Hz), fo",
+        ),
         ((tmp_path / "n", "--log", tmp_path / "rowless.csv"), "expected rows of readings below the names"),
         ((tmp_path / "n", "--log", tmp_path / "damaged.ulg"), "damaged or incomplete"),
     ]:

@@ -211,7 +211,7 @@ def test_noise_of_gyros_alone_with_and_without_their_unit(still: Array, tmp_path
     assert "doubt" not in stated
     refused = CliRunner().invoke(main, ["new", str(tmp_path / "s"), str(log)])
     assert refused.exit_code == 2
-    assert "the noise of gyros alone is told by tumble noise gyro.csv" in refused.stderr
+    assert "of gyros alone tumble calibrate gyro.csv tells the biases, tumble noise the noise" in refused.stderr
 
 
 def test_noise_of_a_folder_with_a_file_a_sensor_and_of_text_that_is_copied(still: Array, tmp_path: Path) -> None:

@@ -26,7 +26,8 @@ TIMES = ("accel_time", "gyro_time")
 class Dense:
     """−2 ℓ, x (gravity and the parameters, after what each session has of its own) and its covariance, those with the
     biases of the session in place of the means of their processes, and the score: by ln σ of every component, by ln of
-    the factor of every sensor, and by ln of the standard deviation of every prior."""
+    the factor of every sensor, and by ln of the standard deviation of every prior. Of each of these ∂V P r, priors
+    being rows as others are, and P, of which the average information ½ rᵀP∂V P ∂V P r is made."""
 
     deviance: float
     x: Array
@@ -36,6 +37,10 @@ class Dense:
     by_component: dict[str, float]
     by_sensor: Array
     by_prior: Array
+    variates: dict[str, Array]
+    variates_of_sensors: Array
+    variates_of_priors: Array
+    projector: Array
 
 
 def dense(problem: Any, rows: Any, noise: Any, components: Any, priors: tuple[Array, Array]) -> Dense:
@@ -128,6 +133,27 @@ def dense(problem: Any, rows: Any, noise: Any, components: Any, priors: tuple[Ar
     by_sensor = of_states + np.array([sum(score(D[key]) for key in D if key[1] == s) for s in range(n)])
     by_prior = np.where(known, ((x - expected) ** 2 + np.diag(covariance)) * precision - 1.0, 0.0)
 
+    # average information, with the priors as rows
+    c, places = len(y), np.flatnonzero(known)
+    every = np.zeros((c + len(places), c + len(places)))
+    every[:c, :c], every[range(c, len(every)), range(c, len(every))] = V, 1.0 / precision[known]
+    solved = np.linalg.inv(np.linalg.cholesky(every))
+    of_x = solved @ np.vstack([X[:, known], np.eye(len(places))]) @ root
+    projector = solved.T @ (np.eye(len(every)) - of_x @ of_x.T) @ solved
+
+    def variate(by: Array) -> Array:
+        return np.append(2.0 * by @ Py, np.zeros(len(places)))
+
+    variates = {n: sum((variate(each) for (of, _), each in D.items() if of == n), variate(0.0 * V)) for n in names}
+    by_states = np.array([variate(B[:, s] @ C @ B[:, s].T) for s, C in enumerate(states)])
+    for kind in ("accel", "gyro"):
+        variates[f"{kind}_in_run"] = by_states[kinds == kind].sum(axis=0)
+        slopes = [variate(0.5 * B[:, s] @ C @ B[:, s].T) for s, C in enumerate(by_time) if kinds[s] == kind]
+        variates[f"{kind}_time"] = sum(slopes, variate(0.0 * V))
+    at_rest = [sum((variate(D[key]) for key in D if key[1] == s), variate(0.0 * V)) for s in range(n)]
+    variates_of_priors = np.zeros((len(u), len(every)))
+    variates_of_priors[places, c + np.arange(len(places))] = 2.0 * (expected - x)[places]
+
     # biases of the session: beside those of the processes the mean of what they wander by
     session_x, session_covariance = x.copy(), covariance.copy()
     if S == 1:
@@ -146,4 +172,8 @@ def dense(problem: Any, rows: Any, noise: Any, components: Any, priors: tuple[Ar
         by_component=by_component,
         by_sensor=by_sensor,
         by_prior=by_prior,
+        variates=variates,
+        variates_of_sensors=by_states + np.array(at_rest),
+        variates_of_priors=variates_of_priors,
+        projector=projector,
     )

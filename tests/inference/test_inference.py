@@ -26,7 +26,7 @@ from tumble.inference.hyperparameters import (
     restricted_likelihood,
     score,
 )
-from tumble.inference.integral import posterior, smoothed
+from tumble.inference.integral import conditional, members_of, posterior, smoothed, triangles, with_sizes
 from tumble.inference.joint import joint
 from tumble.inference.linearisation import Linearisation, linearise
 from tumble.inference.maximum import Maximum, Status, maximum
@@ -419,9 +419,31 @@ def test_the_integral_is_that_of_a_sampler() -> None:
     assert found.u < 0.1
 
 
+@pytest.mark.parametrize("name", SESSIONS)
+def test_sizes_folded_into_a_triangle_are_those_of_the_whole_elimination(name: str) -> None:
+    """ℓ, step and covariance, biases being those of the session, at two sizes of groups that share a triangle."""
+    fitted = fitted_of(SESSIONS[name]())
+    hyperparameters = fitted.hyperparameters
+    groups = np.array([i for i, h in enumerate(hyperparameters) if isinstance(h, GroupSize)])
+    phi = np.tile(away_from_bounds(hyperparameters), (2, 1))
+    phi[1, groups] += 0.7
+    members, element = members_of(fitted, groups)
+    (triangle,) = triangles(fitted.linearisation, hyperparameters, phi[:1], members)
+    sizes = fitted.usual_problem.usual_u[1 + members] * np.exp(phi[:, element])
+    likelihood, c, covariance = with_sizes(triangle, sizes)
+    for k in range(2):
+        solution = restricted_likelihood(fitted.linearisation, hyperparameters, phi[k])
+        expected = conditional(solution)
+        u = np.sqrt(np.maximum(np.diag(expected.covariance), 1e-300))
+        assert likelihood[k] == pytest.approx(-0.5 * float(solution.deviance), abs=1e-6)
+        np.testing.assert_allclose((triangle.alpha + triangle.gamma @ c[k] - expected.step)[1:] / u[1:], 0.0, atol=1e-6)
+        whole = triangle.omega + triangle.gamma @ covariance[k] @ triangle.gamma.T
+        np.testing.assert_allclose((whole - expected.covariance) / np.outer(u, u), 0.0, atol=1e-6)
+
+
 def test_the_integral_is_wider_than_the_maximum() -> None:
     fitted = fitted_of(accelerometers_alone())
-    whole, alone = posterior(fitted), posterior(fitted, 1)
+    whole, alone = posterior(fitted), posterior(fitted, integrate=False)
     linear = slice(1, 10)
     ratio = np.sqrt(np.diag(whole.covariance)[linear] / np.diag(alone.covariance)[linear])
     assert np.all(ratio > 0.98)

@@ -25,6 +25,7 @@ from tumble.inference.hyperparameters import (
     InRunSize,
     Scatter,
     SensorFactor,
+    average_information,
     log_prior,
     restricted_likelihood,
     score,
@@ -35,6 +36,7 @@ from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
 from tumble.sensors.parameters import usual_sizes
 from tumble.simulation.scenario import scenario_of
+from tumble.units import Array
 
 
 def on_a_table(seed: int, programme: str = "rough-table", *, full: bool = False) -> Observations:
@@ -76,16 +78,26 @@ def test_likelihood_score_and_estimate_are_those_of_dense_matrices(name: str, se
     # the likelihood and its score
     assert here.deviance == pytest.approx(found.deviance, abs=1e-9)
     gradient, of_prior = score(hyperparameters, here)[0], log_prior(hyperparameters, phi)[1]
+    variates = list[Array]()
     for h, slope in zip(hyperparameters, gradient - of_prior, strict=True):
         if isinstance(h, (Scatter, InRunSize, CorrelationTime)):
-            by = found.by_component[h.name]
+            by, variate = found.by_component[h.name], found.variates[h.name]
         elif isinstance(h, SensorFactor):
-            by = float(found.by_sensor[h.members].sum())
-        elif isinstance(h, GroupSize):
-            by = float(found.by_prior[S * q + 1 :][h.members].sum())
+            by, variate = float(found.by_sensor[h.members].sum()), found.variates_of_sensors[h.members].sum(axis=0)
         else:
-            by = float(found.by_prior[: S * q].reshape(S, q)[:, h.members].sum())
+            common = isinstance(h, GroupSize)
+            places = np.arange(S * q + 1, len(u)) if common else np.arange(S * q).reshape(S, q)
+            members = places[..., h.members].ravel()
+            by, variate = float(found.by_prior[members].sum()), found.variates_of_priors[members].sum(axis=0)
         assert slope == pytest.approx(by, abs=1e-7, rel=1e-9), h.name
+        variates.append(variate)
+
+    # average information, in units of its diagonal or of the 1 that a prior has
+    Q = np.array(variates)
+    expected_information = 0.5 * Q @ found.projector @ Q.T
+    information = average_information(hyperparameters, here) - np.diag(log_prior(hyperparameters, phi)[2])
+    size = np.sqrt(np.maximum(expected_information.diagonal(), 1.0))
+    np.testing.assert_allclose((information - expected_information) / np.outer(size, size), 0.0, atol=1e-7)
 
     # the estimate, and that with the biases of the session
     x, session, shared = np.append(here.local, here.parameters), conditional(here), slice(S * q, None)

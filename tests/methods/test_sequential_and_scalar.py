@@ -338,7 +338,8 @@ def test_the_turntable_recording_is_recovered(data: Path, pipeline: Pipeline) ->
     log = open_log(session)
     reduction = reduce_log(log, session.accel_block, session.gyro_block, log.chunks())
     match = match_rests(session, reduction, find_rests(reduction, session.accel_block, session.gyro_block))
-    found = pipeline(observe(reduction, match, session.accel_block, session.gyro_block, session.site))
+    seen = observe(reduction, match.rests, session.accel_block, session.gyro_block, session.site)
+    found = pipeline(replace(seen, programme=match.programme, position=match.position))
     truth = json.loads((folder / "truth.json").read_text())
     z = (found.values - [truth[name] for name in found.names]) / found.u
     assert np.abs(z).max() < 4.0

@@ -245,6 +245,29 @@ def test_the_command_shows_groups_sources_and_next_positions() -> None:
     assert "one more position" in result.stdout
 
 
+def test_what_a_session_must_state_is_said_and_counts_as_calibrate_counts_it() -> None:
+    """A sample rate without time stamps has 1 %, an unstated height 4 mm/s² of gravity."""
+    bare = run("--clock-ppm-u", "10000", "--gravity-u", "4e-3", "--json")
+    found = json.loads(bare.stdout)
+    u = {row["group"]: row["u"] for row in found["groups"]}
+    assert u["gyro.scale"] == pytest.approx(1e-2, rel=1e-3)
+    assert u["accel.scale"] == pytest.approx(4e-3 / 9.816, rel=1e-3)
+    height, clock = found["assumptions"]
+    assert "where it states neither, 408 ppm are in u" in height
+    assert "1e+04 ppm of gyro.scale" in clock
+    assert height in " ".join(run("--gravity-u", "4e-3").stdout.split())
+
+
+def test_linear_terms_have_what_they_leave_out_in_u() -> None:
+    """As `calibrate --terms linear` has it: the squares of what each group moves. Drifts are in the process too."""
+    setup = Setup.of(clock_ppm_u=0.0)
+    linear, bare = plan(setup, terms="linear"), plan(replace(setup, instrument="one without groups"), terms="linear")
+    for row in linear.groups:
+        left = [u for name, u in row.sources.items() if name in with_all_groups(setup).further]
+        assert row.u == pytest.approx(math.hypot(bare.group(row.group).u, *left), rel=5e-3)
+    assert linear.group("accel.bias").u > 10.0 * bare.group("accel.bias").u
+
+
 def test_what_six_faces_do_not_determine_is_said_with_status_1() -> None:
     faces = [word for position in FACES.positions for word in ("--attitude", position.attitude)]
     result = run("--accel-only", *faces)

@@ -28,6 +28,8 @@ from tumble.recording.rows.gaps import Gap
 from tumble.recording.session import Session
 from tumble.recording.session_file import description_of, read_session, write_session
 from tumble.recording.text import pieces as text_pieces
+from tumble.recording.text.dialect import Dialect
+from tumble.recording.text.text_log import TextLog
 from tumble.reduction.blocks.reducer import reduce_log
 from tumble.units import Array
 
@@ -354,6 +356,13 @@ def test_first_line_that_is_none_is_refused_in_one_line(names: str, tmp_path: Pa
 
 
 # -------------------- times and rates --------------------
+
+
+def test_a_column_that_a_damaged_text_no_longer_has_is_named(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("a,b\n1,2\n", encoding="utf-8")
+    text = TextLog(path=tmp_path / "log.csv", names=("a", "b"), dialect=Dialect(), top=1)
+    with pytest.raises(LogError, match=r"log.csv: expected a column c, found a, b"):
+        next(text.tables(["a", "c"]))
 
 
 def test_interval_is_the_difference_of_time_stamps(tmp_path: Path) -> None:

@@ -144,6 +144,13 @@ def test_an_empty_serial_number_is_refused(tmp_path: Path) -> None:
 # -------------------- scale, polarity, units --------------------
 
 
+def test_a_unit_that_fits_readings_without_a_scale_is_named(tmp_path: Path) -> None:
+    """Readings in m/s², which are taken for volts where nothing is stated."""
+    found = run(written(tmp_path, volts() * 9.81 / 2.41))
+    assert found.exit_code == 0
+    assert "V/g was taken from the readings; --unit m/s^2 would fit" in found.stdout
+
+
 def test_the_sizes_of_the_scale_come_from_the_readings_where_none_is_stated(tmp_path: Path) -> None:
     ratio = np.array([1.0, 5.0, 0.2])
     path = written(tmp_path, volts() * ratio)

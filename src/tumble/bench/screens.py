@@ -97,7 +97,7 @@ def _where(task: Task, progress: Progress, place: int | None = None) -> Screen:
         "number": index + 1,
         "label": position.label,
         "points": {"X": x, "Y": y, "Z": z},
-        "move": move_text(move),
+        "move": "" if not at else "any way you like" if move is ANY_MOVE else move_text(move),
         "angle": None if move.angle is None else signed_angle(move.angle),
         "picture": f"picture/{index}.svg?{hashlib.sha256(position.attitude.encode()).hexdigest()[:8]}",
         "ghost": None if attitude is None else ghost(attitude),

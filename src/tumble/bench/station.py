@@ -166,6 +166,8 @@ class Station:
         received: Received = NOTHING_RECEIVED if intake is None else intake.received
         if received["silent"]:
             shown = {**shown, "headline": "Nothing comes from the sensor: is it plugged in?"}
+        if received["ended"] and shown["fault"] is None and shown["screen"] != "done":
+            shown = {**shown, "headline": "The recording has ended"}
         following = [live.trouble] if live.trouble else []
         state: State = {
             **shown,

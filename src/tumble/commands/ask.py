@@ -216,6 +216,7 @@ SETUP = together(
     SITE_LATITUDE,
     GRAVITY,
     option("--gravity-u", "Its uncertainty, m/s².", usual_setup.GRAVITY_U, type=float),
+    option("--clock-ppm-u", "Uncertainty of the time base, ppm.", 30.0, type=float),
     NOISELESS,
 )
 """What describes a set-up on a table before anything is measured."""

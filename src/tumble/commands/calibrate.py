@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tumble.commands import ask, tell
-from tumble.commands.recordings import session_folders
-from tumble.errors import InputError
+from tumble.commands.recordings import gyros_of, session_folders
+from tumble.errors import GyrosAloneError, InputError
 
 if TYPE_CHECKING:
     from tumble.recording.session import Session
@@ -29,6 +30,7 @@ _RESTS = ask.Numbers("numbers of rests such as 3,7", int)
         "tumble calibrate LOG0007.TXT --latitude 56.84 --serial A-7",
         "tumble calibrate monday tuesday --out A-7.json",
         "tumble calibrate cold room hot --together --out A-7.json",
+        "tumble calibrate warm.csv --base A-7.json --out A-7-warm.json",
         "tumble calibrate imu-7 --budget",
         "tumble calibrate imu-7 --json",
     )
@@ -40,6 +42,9 @@ _RESTS = ask.Numbers("numbers of rests such as 3,7", int)
 @ask.terms("full")
 @ask.option("--without", "Rests to leave out, by their numbers in the result, such as 3,7.", metavar="N,N", type=_RESTS)
 @click.option("--together", is_flag=True, help="Several sessions, at other temperatures, as one estimate.")
+@ask.option(
+    "--base", "Calibration whose biases get coefficients by a recording at rest over temperature.", type=ask.FILE
+)
 @ask.out("Calibration file to write; default: calibration.json in the session folder.")
 @ask.force("Replace a calibration file that came from another log or method.")
 @ask.option("--truth", "truth.json of a simulated session: show true values beside the result.", type=ask.FILE)
@@ -58,6 +63,7 @@ def calibrate(
     together: bool,
     registry: str | None,
     truth: Path | None,
+    base: Path | None,
     out: Path | None,
     force: bool,
     **options: Any,
@@ -66,7 +72,8 @@ def calibrate(
 
     Several sessions of one device are launches: every launch is shown with the mean and the standard deviation from
     launch to launch, and --out is required. With --together they are one estimate by the method joint, with
-    coefficients over temperature. Several methods are compared: the first one's result is the one written.
+    coefficients over temperature. Several methods are compared: the first one's result is the one written. A device
+    that lies still while it warms or cools gets coefficients over temperature, with --base beside its calibration.
 
     A file that is no session.toml, or anything with --latitude, --height, --serial, --sample-rate, --accel, --gyro,
     --time or units, is a LOG in any dialect: a session is made of it first, as `tumble new` does, in the folder
@@ -98,7 +105,11 @@ def calibrate(
         from tumble.simulation.session import read_truth
 
         true = read_truth(truth)
-    with session_folders(sessions, options, every=shown["every"]) as folders, tell.estimating() as progress:
+    if base is not None and (len(sessions) > 1 or together or methods != ("joint",)):
+        raise InputError("--base: expected one recording and the method joint, found others")
+    estimation |= {} if base is None else {"base": base}
+    made = session_folders(sessions, dict(options), every=shown["every"])
+    with _of_gyros(sessions, options, out, force=force), made as folders, tell.estimating() as progress:
         described = [read_session(folder).without(without or ()) for folder in folders]
         if together:
             from tumble.run.together import calibrate_together
@@ -146,6 +157,23 @@ def _known_in(registry: str, session: Session, frame: Frame, *, several: bool) -
         if several:
             return {"alike": opened.launches(model=session.device.model, frame=frame)}
         return {"prior": opened.prior(session.device.model, without=session.device.serial)}
+
+
+@contextmanager
+def _of_gyros(logs: Sequence[Path], stated: dict[str, Any], out: Path | None, *, force: bool) -> Iterator[None]:
+    """Where a log turns out to be one of gyros alone, their biases, written beside it, and the end of the program."""
+    try:
+        yield
+    except GyrosAloneError:
+        from tumble.run.gyros_alone import calibrate_gyros
+        from tumble.views.calibration import WIDTH, calibration_blocks
+
+        result = calibrate_gyros(gyros_of(logs[0], ask.given_of(stated)))
+        target = out or logs[0].with_name(f"{logs[0].stem}.calibration.json")
+        result.write(target, force=force)
+        tell.show(result.content(), lambda: calibration_blocks(result, file=target, session=logs[0]), width=WIDTH)
+        tell.say(f"written to {target}")
+        tell.end(result.outcome.reasons, "not accepted: ")
 
 
 @click.command(

@@ -63,10 +63,6 @@ def programme(
 @click.option("--accel-only", is_flag=True, help="Accelerometers alone, without gyros and turns.")
 @ask.option("--axes", "Turns about these alone, the device staying as it is mounted.", metavar="N,U,E")
 @ask.option("--step", "Where the table stops: multiples, °.", 45.0, type=float)
-@ask.option(
-    "--registry/type_registry", "With --model: its other units here are a prior, not the grade.", metavar="FILE|URL"
-)
-@ask.option("--model", "Type of the device in the registry.", metavar="MODEL")
 @ask.JSON
 def plan(
     programme: str,
@@ -79,8 +75,6 @@ def plan(
     accel_only: bool,
     axes: str | None,
     step: float,
-    type_registry: str | None,
-    model: str | None,
     **options: Any,
 ) -> None:
     """The u that a calibration by PROGRAMME will state, the best next positions, and what a wanted accuracy needs."""
@@ -90,13 +84,7 @@ def plan(
     from tumble.programme.positions import from_attitudes
     from tumble.views.planning import plan_blocks
 
-    if (type_registry is None) != (model is None):
-        raise click.UsageError("--registry: expected with --model and --model with it, found one of them")
     setup = ask.setup_of(options | {"programme": programme})
-    prior = None
-    if type_registry is not None and model is not None:
-        with ask.opened(type_registry) as opened:
-            prior = opened.prior(model)
     if attitudes:
         setup = replace(setup, programme=from_attitudes(attitudes))
     accuracies, table = wanted_accuracies(wanted), TurnTable.of(axes, step)
@@ -109,12 +97,9 @@ def plan(
             wanted=accuracies,
             gyros=not accel_only,
             table=table,
-            prior=prior,
             progress=progress,
         )
     tell.show(found, lambda: plan_blocks(found, sources=sources))
-    if prior is not None:
-        tell.say(f"note: by {prior.words} as a prior")
     for remark in found.remarks:
         tell.say(f"note: {remark}")
     tell.end(found.reasons)

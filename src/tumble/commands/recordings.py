@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tumble.commands import ask, tell
-from tumble.errors import InputError
+from tumble.errors import GyrosAloneError, InputError
 
 if TYPE_CHECKING:
     from tumble.drafting.draft import Draft
     from tumble.drafting.new_session import Given
+    from tumble.run.gyros_alone import GyroRests
 
 
 @click.command(epilog=ask.examples("tumble new imu-7 LOG0007.TXT --latitude 56.84 --serial A-7"))
@@ -52,12 +53,13 @@ def new(folder: Path, more: tuple[Path, ...], log: tuple[Path, ...], **options: 
 def session_folders(
     recordings: Sequence[Path], options: dict[str, Any], *, every: bool = False
 ) -> Iterator[Sequence[Path]]:
-    """The folders of sessions. A log, which is a file that is no session.toml, or what `options` of `ask.LOG` are given
-    with, has that of the session that is made of it beside it; where the block fails it is there no more.
+    """The folders of sessions. A log, which is a file that is no session.toml or a folder of files without one, or what
+    `options` of `ask.LOG` are given with, has that of the session that is made of it beside it; where the block fails
+    it is there no more.
 
     `every`: say how each part of the session came about."""
     first, stated = recordings[0], any(value is not None for value in options.values())
-    if not stated and (len(recordings) > 1 or not first.is_file() or first.suffix == ".toml"):
+    if not stated and (len(recordings) > 1 or not _is_log(first)):
         yield recordings
         return
     if len(recordings) > 1 or (first.is_dir() and (first / "session.toml").exists()) or first.suffix == ".toml":
@@ -76,21 +78,50 @@ def session_folders(
         yield [folder]
 
 
+def _is_log(path: Path) -> bool:
+    """Whether a path is that of a log, or of a folder of files without a session.toml, such as a file a sensor."""
+    if path.is_dir():
+        return not (path / "session.toml").exists() and any(each.is_file() for each in path.iterdir())
+    return path.is_file() and path.suffix != ".toml"
+
+
+def gyros_of(log: Path, given: Given) -> GyroRests:
+    """The rests of a log of gyros alone."""
+    from tempfile import TemporaryDirectory
+
+    from tumble.run.gyros_alone import gyro_rests
+
+    with TemporaryDirectory() as folder:
+        (draft,) = _drafts([log], Path(folder), given)
+        content: dict[str, Any] = dict(draft.content)
+        content["device"] = {"serial": given.serial or log.stem}
+        content["log"] = dict(content["log"]) | ({"doubt": "; ".join(draft.doubts)} if draft.doubts else {})
+        return gyro_rests(content, tell.with_progress)
+
+
 @click.command(epilog=ask.examples("tumble inspect imu-7", "tumble inspect LOG0007.TXT --latitude 56.84"))
 @click.argument("recording", metavar="SESSION|LOG", type=ask.PATH)
 @ask.LOG
 @ask.option("--plot/picture", "Draw the recording with its rests into .svg, .png or .pdf.", type=ask.FILE)
 @ask.JSON
 def inspect(recording: Path, picture: Path | None, **options: Any) -> None:
-    """Show the rests and turns found in SESSION or in LOG, and what was rejected and why.
+    """Show the rests and turns found in SESSION or in LOG, of gyros alone too, and what was rejected and why.
 
     Of a LOG a session is made beside it, as `tumble calibrate` does.
     """
     from tumble.run.observed import inspect_session
     from tumble.views.inspection import inspection_blocks, plot
 
-    with session_folders([recording], options) as (folder,):
-        observed = inspect_session(folder, progress=tell.with_progress)
+    stated = dict(options)
+    try:
+        with session_folders([recording], options) as (folder,):
+            observed = inspect_session(folder, progress=tell.with_progress)
+    except GyrosAloneError:
+        from tumble.views.gyros_alone import gyro_blocks
+
+        found = gyros_of(recording, ask.given_of(stated))
+        tell.show(found.segmentation, lambda: gyro_blocks(found))
+        sys.exit(0)
     if picture is not None:
         plot(observed, picture)
         tell.say(f"written to {picture}")

@@ -114,7 +114,7 @@ Tell = Callable[[int, int], None]
 
 _CLEARED = "\r\x1b[K"
 """The beginning of a line of the terminal, which is empty then."""
-_REDRAWN = 0.1  # s
+_REDRAWN = 0.2  # s
 
 
 @contextmanager
@@ -124,66 +124,52 @@ def working(what: str) -> Iterator[Tell]:
     if _quiet() or sys.stderr is None or not sys.stderr.isatty():
         yield lambda _done, _all: None
         return
-    started, drawn = time.monotonic(), 0.0
+    started, counts, ended = time.monotonic(), (0, 0), threading.Event()
 
     def tell(done: int, every: int) -> None:
-        nonlocal drawn
-        now = time.monotonic()
-        if now - drawn < _REDRAWN and done < every:
-            return
-        drawn, passed = now, now - started
-        parts = [what, f"{done} of {every}" if every else f"{done}" if done else "", f"{passed:.0f} s"]
-        parts.append(f"{passed * (every - done) / done:.0f} s left" if 0 < done < every and passed > 1.0 else "")
-        click.echo(_CLEARED + "  ".join(filter(None, parts)), err=True, nl=False)
+        nonlocal counts
+        counts = done, every
 
-    tell(0, 0)
+    def draw() -> None:
+        while True:
+            (done, every), passed = counts, time.monotonic() - started
+            parts = [what, f"{done} of {every}" if every else f"{done}" if done else "", f"{passed:.0f} s"]
+            parts.append(f"{passed * (every - done) / done:.0f} s left" if 0 < done < every and passed > 1.0 else "")
+            click.echo(_CLEARED + "  ".join(filter(None, parts)), err=True, nl=False)
+            if ended.wait(_REDRAWN):
+                return
+
+    drawing = threading.Thread(target=draw, name="progress", daemon=True)
+    drawing.start()
     try:
         yield tell
     finally:
+        ended.set()
+        drawing.join()
         click.echo(_CLEARED, err=True, nl=False)
 
 
 def with_progress(log: Log) -> Iterator[Chunk]:
-    """The chunks of a log; on a terminal, with a progress bar once reading has taken a second."""
-    started, read = time.monotonic(), 0
-    chunks = iter(log.chunks())
-    for chunk in chunks:
-        yield chunk
-        read += len(chunk.time)
-        if time.monotonic() - started > 1.0:
-            break
+    """The chunks of a log; on a terminal with the samples that are read."""
     with working("reading") as tell:
-        for chunk in chunks:
-            read += len(chunk.time)
-            tell(read, 0)
-            yield chunk
+        yield from _counted(log, tell)
 
 
 @contextmanager
 def estimating() -> Iterator[Callable[[Log], Iterator[Chunk]]]:
-    """What reads a log for an estimate, as `with_progress`; while it is not read, a terminal shows for how long the
-    estimate has gone on."""
-    ended, reading = threading.Event(), threading.Event()
-
-    def chunks(log: Log) -> Iterator[Chunk]:
-        reading.set()
-        yield from with_progress(log)
-        reading.clear()
-
+    """What reads a log for an estimate; a terminal shows the samples that are read, and for how long the estimate has
+    gone on."""
     with working("estimating") as tell:
+        yield lambda log: _counted(log, tell)
 
-        def show_time() -> None:
-            while not ended.wait(5.0 * _REDRAWN):
-                if not reading.is_set():
-                    tell(0, 0)
 
-        clock = threading.Thread(target=show_time, daemon=True)
-        clock.start()
-        try:
-            yield chunks
-        finally:
-            ended.set()
-            clock.join()
+def _counted(log: Log, tell: Tell) -> Iterator[Chunk]:
+    read = 0
+    for chunk in log.chunks():
+        read += len(chunk.time)
+        tell(read, 0)
+        yield chunk
+    tell(0, 0)
 
 
 @contextmanager

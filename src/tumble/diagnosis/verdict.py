@@ -87,7 +87,7 @@ def verdict(
     findings += (Finding(sentence=remark) for remark in estimate.remarks)
     findings += _judged(estimate, missing, search)
     integral = estimate.integral
-    if integral is not None and rough(integral.pareto, integral.effective):
+    if integral is not None and rough(integral):
         sentence = (
             "u rests on a few points of the integral over what the model does not know of itself: it is a rough one"
         )

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from tumble.drafting.times import Stamps, Times, times_of_column, times_without_column
-from tumble.errors import InputError, LogError, did_you_mean
+from tumble.errors import GyrosAloneError, InputError, LogError, did_you_mean
 from tumble.recording.columns.names import (
     ACCEL,
     GYRO,
@@ -226,7 +226,7 @@ class ForeignLog:
         remedy = "log the readings of the accelerometers too"
         if GYRO in self.columns.triads:
             found = f"gyros alone ({', '.join(self.columns.triads[GYRO].columns)[:120]})"
-            remedy += f"; the noise of gyros alone is told by tumble noise {self.files[0].name}"
+            remedy += f"; of gyros alone tumble calibrate {self.files[0].name} tells the biases, tumble noise the noise"
         elif len(names) == len("xyz") and all(map(str.isdecimal, names)):
             expected, found = "a recording", "three columns without names that are no sensor by their numbers"
             remedy = "of a table with a row a position write `x,y,z` above the rows and give it to `tumble ellipsoid`"
@@ -236,7 +236,8 @@ class ForeignLog:
             remedy = "log the raw accelerometers"
         elif sum(not is_no_sensor(name) for name in names) >= len("xyz"):
             remedy = "state which they are (--accel N,N,N, names or numbers from 1)"
-        raise InputError(f"{self.files[0]}: expected {expected}; found {found}; {remedy}")
+        kind = GyrosAloneError if GYRO in self.columns.triads else InputError
+        raise kind(f"{self.files[0]}: expected {expected}; found {found}; {remedy}")
 
 
 def samples_in(read: Array) -> int:

@@ -170,8 +170,8 @@ def drafted_log(
         raise InputError(f"--latitude: expected a number from -90 to 90, found {given.latitude:g}")
     if given.height is not None and not -1000.0 <= given.height <= 10000.0:
         raise InputError(f"--height: expected a number from -1000 to 10000, m, found {given.height:g}")
-    if given.sample_rate is not None and not 0.0 < given.sample_rate < 1e9:
-        raise InputError(f"--sample-rate: expected a positive number, found {given.sample_rate:g}")
+    if given.sample_rate is not None and not 1e-6 < given.sample_rate < 1e9:
+        raise InputError(f"--sample-rate: expected a number from 1e-6 to 1e9 (Hz), found {given.sample_rate:g}")
     files = [inner for file in files for inner in unzipped(file, folder)]
     imu: Mapping[str, AutopilotSensor] = {}
     recordings = [file for file in files if is_recording(file) or file.is_dir()]

@@ -104,7 +104,10 @@ def _thermometers(accel: Message, gyro: Message | None, apart: Sequence[Message]
 def are_sensors_apart(logs: Sequence[ForeignLog]) -> bool:
     """Whether logs have one kind of sensors each, by the names of their columns, or else of their files. Files that all
     have room for two kinds are recordings of one device."""
-    if len(logs) < 2 or any({ACCEL, GYRO} <= set(log.columns.triads) for log in logs):
+    if len(logs) == 1:  # of gyros, by the name of its file
+        (log,) = logs
+        return not log.columns.triads and len(log.cells) <= 1 + len("xyz") and set(_by_kind(logs)) == {GYRO}
+    if any({ACCEL, GYRO} <= set(log.columns.triads) for log in logs):
         return False
     if all(_has_room_for_two(log) for log in logs):
         return False

@@ -34,7 +34,7 @@ channels, is turned by R. What an autopilot's own procedure refuses (PX4: offset
 to 3; ArduPilot: offsets beyond COMPASS_OFFS_MAX, 1800, DIA beyond 0.2 to 5, ODI beyond 1) is not written, and that is
 said.
 
-The biases of a calibration are polynomials of the second degree at most, so a cubic holds them whole; TMIN and TMAX are
+The biases of a calibration are polynomials of the third degree at most, so a cubic holds them whole; TMIN and TMAX are
 the ends of what was measured. Scale factors have one value each, that at the reference temperature.
 
 Source: PX4, parameter reference, libraries sensor_calibration and temperature_compensation, commander's
@@ -70,6 +70,7 @@ from tumble.result.applied_correction import linear_example
 from tumble.result.calibration import Calibration
 from tumble.result.temperature_curves import Range, changing, measured_range, warm_rests
 from tumble.sensors.model import SensorKind, SensorModel
+from tumble.sensors.parameters import OVER_TEMPERATURE, group_name
 from tumble.units import DEGREE, TESLA, Array
 
 LAST_COMPENSATED = 3
@@ -77,7 +78,7 @@ LAST_COMPENSATED = 3
 LEAST = 0.01
 """Length of the shortest offset (m/s², rad/s) and of the smallest change of scale that every release of PX4 takes
 over."""
-_OVER_TEMPERATURE = frozenset(f"{kind}.bias.{t}" for kind in ("accel", "gyro") for t in ("t1", "t2"))
+_OVER_TEMPERATURE = frozenset(f"{kind}.bias.{t}" for kind in ("accel", "gyro") for t in OVER_TEMPERATURE)
 """Groups that the targets over temperature hold."""
 
 
@@ -150,9 +151,11 @@ class Triad:
         Of the IMU in the autopilot, from 1, and of the device, None where it is not known.
     offset, factor
         (3,): the biases, SI, and 1/Mᵢᵢ, so that what comes out is (1 + E) true; factors of gyros are 1.
+    known
+        Whether these were calibrated; where only changes over temperature were, the file leaves them as they are.
     measured, reference, slopes, coefficients
-        Over temperature: between which temperatures it was measured, °C; the reference, °C; (3, 2), how the biases
-        change per K and per K² about it; and (3, 3), those of the autopilot's cubic by axis.
+        Over temperature: between which temperatures it was measured, °C; the reference, °C; (3, 3), how the biases
+        change per K, K² and K³ about it; and (3, 3), those of the autopilot's cubic by axis.
     """
 
     kind: SensorKind
@@ -161,17 +164,18 @@ class Triad:
     id: int | None
     offset: Array
     factor: Array
+    known: bool
     measured: Range | None = None
     reference: float = math.nan
-    slopes: Array = field(default_factory=lambda: np.zeros((3, 2)))
+    slopes: Array = field(default_factory=lambda: np.zeros((3, 3)))
     coefficients: Array = field(default_factory=lambda: np.zeros((3, 3)))
 
     def steepest(self) -> float:
         """The largest change of a bias per K within what was measured, SI."""
-        linear, square = self.slopes.T
+        linear, square, cube = self.slopes.T
         assert self.measured is not None
-        ends = np.array([[self.measured.low], [self.measured.high]]) - self.reference
-        return float(np.abs(linear + 2.0 * square * ends).max())
+        d = self.measured.temperatures()[:, None] - self.reference
+        return float(np.abs(linear + (2.0 * square + 3.0 * cube * d) * d).max())
 
     def correct(self, readings: Array) -> Array:
         """What the autopilot makes of readings (..., 3) at the reference temperature, SI."""
@@ -184,7 +188,7 @@ class Triad:
             celsius = warm_end(self.measured)
             model, where = calibration.compensator.model(self.kind, celsius), f" at {celsius:g} degC"
             warmer = celsius - self.reference
-            offset = offset + self.slopes @ [warmer, warmer**2]
+            offset = offset + self.slopes @ [warmer, warmer**2, warmer**3]
         worked = linear_example(self.kind, model)
         becomes = (worked.reading - offset) * self.factor
         return example_line(self.kind, worked.reading, worked.true, becomes, where)
@@ -234,6 +238,7 @@ def _triads(pilot: Autopilot, target: str, calibration: Calibration, imu: int | 
                 id=None if recorded_as is None else recorded_as.id,
                 offset=model.bias,
                 factor=1.0 / np.diag(model.matrix) if kind == "accel" else np.ones(3),
+                known=any(group_name(name) == f"{kind}.bias" for name in calibration),
                 **over_temperature,
             )
         )
@@ -241,11 +246,12 @@ def _triads(pilot: Autopilot, target: str, calibration: Calibration, imu: int | 
 
 
 def _cubic(pilot: Autopilot, slopes: Array, reference: float) -> Array:
-    """Coefficients (3, 3) of the first to the third power of the temperature, by axis: θ₁ (t − d) + θ₂ (t − d)² with
-    d = T₀ − `about`, without what does not depend on t."""
-    linear, square = slopes.T
+    """Coefficients (3, 3) of the first to the third power of the temperature, by axis: θ₁ (t − d) + θ₂ (t − d)² +
+    θ₃ (t − d)³ with d = T₀ − `about`, without what does not depend on t."""
+    linear, square, cube = slopes.T
     d = 0.0 if pilot.about is None else reference - pilot.about
-    return np.stack([linear - 2.0 * square * d, square, np.zeros(3)], axis=1) / pilot.worth
+    first = linear - (2.0 * square - 3.0 * cube * d) * d
+    return np.stack([first, square - 3.0 * cube * d, cube], axis=1) / pilot.worth
 
 
 def _written(
@@ -353,8 +359,8 @@ def _px4(
             "TC_*_ID are not in this file: set them to CAL_ACC*_ID and CAL_GYRO*_ID, or give --sensor-ids; without "
             "them PX4 compensates nothing"
         )
-    changes = {f"{each.kind} offsets": each.offset for each in applied}
-    changes |= {f"{each.kind} scales": each.factor - 1.0 for each in applied[:1] if each.kind == "accel"}
+    changes = {f"{each.kind} offsets": each.offset for each in applied if each.known}
+    changes |= {f"{each.kind} scales": each.factor - 1.0 for each in applied[:1] if each.kind == "accel" and each.known}
     if small := [name for name, three in changes.items() if np.linalg.norm(three) <= LEAST]:
         see_to.append(
             "some releases of PX4 ignore corrections shorter than 0.01 (m/s^2, 1, rad/s), as here: "

@@ -9,7 +9,7 @@ g-sensitivity of the gyros, the functions take them off in the fixed-point steps
 
 Where parameters change with temperature, there are functions with a temperature too: with d = T − T₀ in °C
 
-    out = inverse · ((reading − bias − d (b₁ + d b₂)) / (1 + d (s₁ + d s₂)))
+    out = inverse · ((reading − bias − d (b₁ + d (b₂ + d b₃))) / (1 + d (s₁ + d s₂)))
 
 sensor by sensor. Where sensors lag behind the thermometer by λ, a function for each kind follows it from reading to
 reading, exact where the temperature is straight between two (`tumble.reduction.rests.thermometer`): over h seconds,
@@ -36,6 +36,7 @@ from tumble.result.calibration import Calibration
 from tumble.result.temperature_curves import changing, measured_range, own_thermometers
 from tumble.sensors.compensation import FIXED_POINT_STEPS, Compensator
 from tumble.sensors.model import UNITS, SensorKind, SensorModel
+from tumble.sensors.parameters import OVER_TEMPERATURE
 from tumble.units import Array
 
 LAG_EXAMPLE = ((20.0, 0.0), (21.0, 10.0), (23.0, 10.0), (23.0, 60.0))
@@ -46,7 +47,7 @@ HELD = frozenset(
 )
 """Groups of parameters beyond the linear model that the functions apply."""
 
-HELD_AT = frozenset(f"{kind}.{what}.{t}" for kind in UNITS for what in ("bias", "scale") for t in ("t1", "t2"))
+HELD_AT = frozenset(f"{kind}.{what}.{t}" for kind in UNITS for what in ("bias", "scale") for t in OVER_TEMPERATURE)
 """Those that the functions with a temperature apply."""
 
 WHAT: Mapping[SensorKind, str] = {"accel": "true specific force", "gyro": "true angular rate"}
@@ -140,6 +141,7 @@ def _function(
         "argument": argument,
         "constants": "".join(_constant(number, name, values) for name, values in tables.items()),
         "warm": at is not None,
+        "cube": "bias_cube" in tables,
         "apart": apart,
         "reference": reference,
         "linear": not beyond,

@@ -20,6 +20,7 @@ from tumble.result.linear_fit import errors_left, linear_model, session_rate
 from tumble.sensors.model import UNITS, WORDS, SensorKind, SensorModel
 from tumble.sensors.parameters import (
     FORCE,
+    THERMAL,
     ParameterGroup,
     group_name,
     groups,
@@ -250,7 +251,8 @@ def _largest(calibration: Calibration, group: ParameterGroup) -> tuple[float, st
     span, over = (HOUR, "after an hour") if group.variable == "time" else (WARMER, f"in {WARMER:.0f} K")
     if group.variable == "hysteresis":
         span, over = 1.0, "on the way up or down"
-    change = float(np.abs(members).max()) * (WARMER**2 if group.variable == "temperature²" else span)
+    power = 1 + THERMAL.index(group.variable) if group.variable in THERMAL else 1
+    change = float(np.abs(members).max()) * span**power
     return (change, over) if within_kind(group.base) == "bias" else (change * felt, f"{over} {where}")
 
 

@@ -295,7 +295,7 @@ class WorkingVariates:
         slope, residual = rho * lapse, np.zeros_like(b)
         residual[:-1] = (b[1:] - rho[:-1] * b[:-1]) / step[:-1] ** 2  # w of the step that follows a rest
         back = np.ascontiguousarray(-slope * residual)
-        along_chains(rho[:, :, None] * np.eye(b.shape[1]), back)
+        along_chains(rho[:, :, None] * np.eye(b.shape[1]), back[:, :, None])
         after = np.append(back[1:], np.zeros((1, b.shape[1])), axis=0)
         changed = slope * b - step**2 * after - 2.0 * rho * slope * residual
         self.steps[:, sensors, column] -= np.where(follows, changed / step, 0.0)[:, sensors]
@@ -677,9 +677,10 @@ def average_information(hyperparameters: Sequence[Hyperparameter], solution: Sol
             (equations.link_rows, variates.link),
         )
     )
-    joints, states = joint_rows(linearisation, turn, link), equations.noise.states
-    rest = station_rows(problem, rest)
+    states = equations.noise.states
+    rest, joints = station_rows(problem, rest), turn
     if states:
+        joints = joint_rows(linearisation, turn, link)
         joints[:, -states:, sides] = variates.steps
     width, p = rest.shape[2] - d, len(problem.prior_u)
     common = np.zeros((p + D + 1, p + D + 1), order="F")

@@ -1,51 +1,79 @@
 """The posterior with the hyperparameters integrated out, by importance sampling: docs/explanation/mathematics.md,
 section 11.
 
-Integrated is over every element of φ but the sizes of groups of which the session shows nothing. The points z_i are of
-a fixed low-discrepancy sequence, so that a result is the same to the last digit, moved so that their mean and their
-covariance are exactly those of the normal distribution: of anything quadratic in z they give the mean without an error,
-however many elements there are. The proposal q is a Gaussian copula: ℓ along every element through the maximum, by
-cubics between KNOTS where it and its score are taken, is that element's own density, of which
+φ is in two parts. ψ, what concerns rows (scatter, in-run biases, sensors unlike others, what single sessions have
+beside), costs an
+elimination of all rests at every point. Sizes of groups, p, never touch the rows: each ψ_k is eliminated once to its
+triangle over gravity and the parameters, which leaves information Λ and h about the groups c alone, and any number of
+sizes S = λ s is folded into it by small matrices,
 
-    φ = F⁻¹(N(z)),   z normal with the correlations of the curvature of −ℓ
+    B = 1 + S Λ S,   c = S B⁻¹ S h,   Cov c = S B⁻¹ S,   ln L = const + ½ hᵀ S B⁻¹ S h − ½ ln |B|
 
-Of a size λ = exp(max(p, 0)) whose maximum is 1 half of the density is that of p < 0, by its prior. With the weights
-w_i ∝ e^{ℓ(φ_i)}/q(φ_i), smoothed by the Pareto
-distribution that fits the largest (Vehtari et al. 2024, Pareto smoothed importance sampling), and the step m_i and
-covariance V_i at each
+Sizes of groups of which the session shows nothing stay as usual.
+
+The proposal is a Gaussian copula, φ_i = F_i⁻¹(N(z_i)). Of a variance v the score has tr PD and rᵀPDPr at the maximum,
+and the average information rᵀPDPDPr. F_i is of the density that has the same three,
+
+    ln f = ln p(φ) − ½ ν ln(u + w) − ½ s/(u + w),   w = v/v̂
+    1/(u + 1) = v̂ rᵀPDPDPr/rᵀPDPr,   ν = v̂ tr PD (u + 1),   s = v̂ rᵀPDPr (u + 1)²
+
+Of a correlation time it is half that by the curvature and half the prior, of a size of a group the density along it
+through the maximum; of a size λ = exp(max(p, 0)) half of it is that of p < 0, by the prior. z has the correlations of
+the average information.
+The points z are of two fixed low-discrepancy sequences, each moved so that its mean and covariance are exactly those of
+the normal distribution, so that a result is the same to the last digit. With the weights w ∝ e^ℓ/q, smoothed by the
+Pareto distribution that fits the largest (Vehtari et al. 2024, Pareto smoothed importance sampling), and the step m and
+covariance V at each
 
     x̄ = Σ w m,    C = Σ w (V + m mᵀ) − x̄ x̄ᵀ
 
 and the coverage factor k of a parameter is the half width at 95.45 % of its mixture of Gaussians over its u, of which u
-is half where a few points far out would make it more. Rows do
-not change, so that each point costs one elimination. The effective number of points 1/Σ w² and the shape of the Pareto
-distribution say how good the proposal was.
+is half where a few points far out would make it more. The two sequences are independent: half the difference of what
+each finds for u is the error of u by the points. As long as it exceeds ROUGH of u there are twice as many points, up
+to MOST_POINTS.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
 
-from tumble.inference.hyperparameters import log_prior, restricted_likelihood, score
+from tumble.inference.estimate import Integral
+from tumble.inference.hyperparameters import (
+    CorrelationTime,
+    GroupSize,
+    Hyperparameter,
+    QuadraticForms,
+    Score,
+    log_prior,
+    restricted_likelihood,
+    scaled,
+)
+from tumble.inference.linearisation import Linearisation
 from tumble.inference.maximum import Maximum
-from tumble.inference.normal_equations import NormalEquations, Solution, session_mean_bias
+from tumble.inference.normal_equations import (
+    NormalEquations,
+    Solution,
+    eliminate_rests,
+    fold_sessions,
+    inverse_of,
+    rests_deviance,
+    session_mean_bias,
+)
 from tumble.inference.uncertainty_budget import contributions, scaled_to
-from tumble.units import Array
+from tumble.units import Array, IntArray
 
-POINTS = 64
+POINTS, MOST_POINTS = 32, 128
+"""Points of ψ, at first and at most."""
+SIZES = 8
+"""Sizes of groups that are folded into the triangle of each."""
+SPARE = 3
+"""Points of each sequence more than ψ has elements, at least: fewer have no covariance that could be made right."""
 MOST_PARAMETERS = 200
-"""Of an array of more parameters the maximum alone is taken: priors and scatter matter least to it, and a point costs a
-hundred times as much."""
-POINTS_EACH = 2
-"""Times the elements of φ: so many points at least."""
-KNOTS, FURTHER = (-1.0, 1.0), (-5.0, -2.5, 2.0)
-"""Where ℓ is looked at along an element of φ, in standard deviations by its curvature, and where else"""
-BENT = 0.05
-"""where it is so far or more from the parabola of its curvature at the first."""
+"""Of an array of more parameters the maximum alone is taken: a point costs a hundred times as much."""
 RESTS_AT_ONCE = 512
 """ℓ is taken at so many points at once that they have together so many rests: what it takes fits into a processor's
 cache."""
@@ -54,28 +82,48 @@ KEPT_MEMORY = 30_000_000
 twice as much; by default every array of a stack is of new pages, which cost more to clear than to compute with."""
 FINE = 241
 """Points of the densities along the elements."""
-TAIL = 4.0
-"""Standard deviations beyond the last knots that they reach."""
+KNOTS = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0])
+"""Standard deviations beyond the usual size at which the density along a size of a group is taken."""
+REACH = 8.0
+"""Standard deviations that densities along standard deviations reach."""
+ROUGH = 0.1
+"""Of u, for the parameter of which it is largest: an error by the points with which there are twice as many, and which
+is said where it remains."""
 POOR, ENOUGH = 0.7, 10.0
 """Shape of the Pareto distribution of the weights from which on the integral is not to be relied on where fewer points
-than this are effective: it is taken again with four times as many, but no more than"""
-MOST_POINTS = 256
+than this are effective."""
 SHOWN = 0.2
 """Twice the members of a group of which the session learns something where it is as large as its prior allows for: of
 less, its size is not shown at all, and stays that of the sheet."""
+MIXED = 128
+"""Draws of the mixture of Gaussians of which coverage factors are taken."""
+SHIFT = 0.6180339887498949
+"""Of a sequence of points to the next, in the unit cube."""
 COVERAGE = 0.9545
 MOST_DEGREES = 1e6
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Posterior:
-    """What is known of gravity and the parameters with the hyperparameters integrated out: the mean step from the last
-    linearisation (1 + m,) and the covariance (1 + m, 1 + m), biases being the means over the session, also by its
-    `sources` (`tumble.inference.uncertainty_budget`); degrees of
-    freedom (m,) of Student's t with the same coverage factor; `process_step` and `process_covariance` (n, n) of the
-    biases as the means of their processes, what the next minute's or another day's are about; how many points there
-    were, their effective number, and the Pareto shape of the weights; and median, lower and upper limit of the middle
-    68 % of every hyperparameter (D, 3), SI."""
+    """What is known of gravity and the parameters with the hyperparameters integrated out.
+
+    Parameters
+    ----------
+    step, covariance : (1 + m,) and (1 + m, 1 + m)
+        The mean step from the last linearisation, and the covariance, biases being the means over the session.
+    sources
+        The covariance by its sources (`tumble.inference.uncertainty_budget`).
+    degrees : (m,)
+        Degrees of freedom of Student's t with the same coverage factor.
+    process_step, process_covariance : (n,) and (n, n)
+        Of the biases as the means of their processes, what the next minute's or another day's are about.
+    points, effective, pareto
+        How many points there were, their effective number, and the Pareto shape of the weights.
+    u_error
+        The largest error of a u by the points, relative; 0 of the maximum alone.
+    hyperparameters : (D, 3)
+        Median, lower and upper limit of the middle 68 % of every hyperparameter, SI.
+    """
 
     step: Array
     covariance: Array
@@ -86,141 +134,447 @@ class Posterior:
     points: int
     effective: float
     pareto: float
+    u_error: float
     hyperparameters: Array
 
 
-def posterior(fitted: Maximum, points: int = POINTS) -> Posterior:
-    """The posterior about a maximum; with a single point that at the maximum itself."""
-    best = fitted.solution
+def posterior(fitted: Maximum, *, integrate: bool = True) -> Posterior:
+    """The posterior about a maximum, integrated over the hyperparameters or at the maximum itself."""
+    proposal = Proposal.about(fitted) if integrate and len(fitted.solution.parameters) <= MOST_PARAMETERS else None
+    if proposal is None or not (len(proposal.outer) or len(proposal.inner)):
+        return _at_maximum(fitted)
     np.empty(KEPT_MEMORY, dtype=np.uint8)
-    points = 1 if len(best.parameters) > MOST_PARAMETERS else points
-    axes, correlation = _axes(fitted) if points > 1 else ([], np.zeros((0, 0)))
-    points = max(points, POINTS_EACH * len(axes)) if axes else 1
-    phi, log_q = best.phi[None].repeat(points, axis=0), np.zeros(points)
-    if axes:
-        value, vectors = np.linalg.eigh(correlation)
-        normal = normal_points(points, len(axes))
-        z = normal @ (vectors * np.sqrt(value.clip(0.0))) @ vectors.T
-        log_q -= 0.5 * (normal**2).sum(axis=1)
-        for own, axis in zip(z.T, axes, strict=True):
-            x = np.interp(scipy.special.ndtr(own), axis.cumulative, axis.phi)
-            phi[:, axis.element] = x
-            log_q += np.interp(x, axis.phi, axis.log_density) + 0.5 * own**2
-    every = [conditional(here) for _, here in _at_once(fitted, phi)]
-
-    def of_points(name: str) -> Array:
-        return np.concatenate([getattr(each, name) for each in every])
-
-    weight, pareto = smoothed(of_points("value") - log_q)
-    effective = float(1.0 / (weight**2).sum())
-    if rough(pareto, effective) and 1 < points < MOST_POINTS:
-        return posterior(fitted, 4 * points)
-    steps, process = of_points("step"), of_points("process_step")
-    deviations = np.sqrt(np.diagonal(of_points("covariance"), axis1=1, axis2=2))
-    mean, process_mean = weight @ steps, weight @ process
-    sources = contributions(best)
-    if points > 1:
-        sources = scaled_to(sources, np.tensordot(weight, of_points("covariance"), axes=1))
-        sources["hyperparameters"] = ((steps - mean).T * weight) @ (steps - mean)
+    count = max(POINTS, 2 * (len(proposal.outer) + SPARE))
+    drawn = [_drawn(fitted, proposal, count // 2, sequence) for sequence in (0, 1)]
+    while count < MOST_POINTS and _is_rough(drawn):
+        count *= 2
+        drawn = [_drawn(fitted, proposal, count // 2, sequence) for sequence in (0, 1)]
+    both = Draws.joined(drawn)
+    weight, pareto = smoothed(both.log_weight)
+    mean, within, between = both.moments(weight)
+    sources = contributions(_typical(fitted, both.phi, weight)) if integrate else {}
+    sources = scaled_to(sources, within) | {"hyperparameters": between}
     covariance = np.sum(list(sources.values()), axis=0)
-    factor = coverage_factors(steps - mean, deviations, weight, np.sqrt(np.diag(covariance)))
+    u = np.sqrt(np.diag(covariance))
+    some = np.searchsorted(np.cumsum(weight), (np.arange(MIXED) + 0.5) / MIXED)
+    some = np.minimum(some, len(weight) - 1)
+    factor = coverage_factors(both.steps[some] - mean, both.deviations(some), np.full(MIXED, 1.0 / MIXED), u)
     shorter = np.where(factor > 0.0, np.minimum(0.5 * factor, 1.0), 1.0)
+    biases = 1 + fitted.problem.biases
+    process_mean, process_within, process_between = both.moments(weight, process=True)
     return Posterior(
         step=mean,
         covariance=covariance * np.outer(shorter, shorter),
         sources={name: each * np.outer(shorter, shorter) for name, each in sources.items()},
         degrees=degrees_of(factor[1:]),
-        process_step=process_mean,
-        process_covariance=np.tensordot(weight, of_points("process_covariance"), axes=1)
-        + ((process - process_mean).T * weight) @ (process - process_mean),
-        points=points,
-        effective=effective,
+        process_step=process_mean[biases],
+        process_covariance=(process_within + process_between)[np.ix_(biases, biases)],
+        points=count,
+        effective=float(1.0 / (both.by_point(weight) ** 2).sum()),
         pareto=pareto,
-        hyperparameters=_summary(fitted, phi, weight),
+        u_error=_u_error(drawn),
+        hyperparameters=_summary(fitted, both.phi, weight),
     )
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _Axis:
-    """The posterior density of an element of φ along it through the maximum: at points `phi`, its logarithm and the
-    distribution function."""
+def _at_maximum(fitted: Maximum) -> Posterior:
+    """The posterior at the hyperparameters of the maximum."""
+    here = conditional(fitted.solution)
+    return Posterior(
+        step=here.step,
+        covariance=here.covariance,
+        sources=contributions(fitted.solution),
+        degrees=np.full(len(here.step) - 1, MOST_DEGREES),
+        process_step=here.process_step,
+        process_covariance=here.process_covariance,
+        points=1,
+        effective=1.0,
+        pareto=0.0,
+        u_error=0.0,
+        hyperparameters=_summary(fitted, fitted.phi[None], np.ones(1)),
+    )
 
-    element: int
+
+# -------------------- points --------------------
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Density:
+    """A density along an element of φ: at points `phi` its logarithm, and the distribution function."""
+
     phi: Array
     log_density: Array
     cumulative: Array
 
+    @staticmethod
+    def of(phi: Array, log_density: Array) -> Density:
+        """A density from its logarithm less any constant at evenly spaced points."""
+        density = np.exp(log_density - log_density.max())
+        cumulative = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]))])
+        log_density = np.log(np.maximum(density, 1e-300)) - np.log(cumulative[-1] * (phi[1] - phi[0]))
+        return Density(phi=phi, log_density=log_density, cumulative=cumulative / cumulative[-1])
 
-def _at_once(fitted: Maximum, phi: Array, equations: NormalEquations | None = None) -> Iterator[tuple[slice, Solution]]:
-    """ℓ at points (P, D), by stacks, and which these are."""
-    many = max(1, RESTS_AT_ONCE // len(fitted.usual_problem.link))
-    for some in (slice(first, first + many) for first in range(0, len(phi), many)):
-        yield some, restricted_likelihood(fitted.linearisation, fitted.hyperparameters, phi[some], equations)
-
-
-def _axes(fitted: Maximum) -> tuple[list[_Axis], Array]:
-    """ℓ along the elements of φ of which the session shows something, and their correlations (k, k) by its
-    curvature."""
-    best, entries = fitted.solution, fitted.hyperparameters
-    gradient, information = score(entries, best)
-    prior_curvature = log_prior(entries, best.phi)[2]
-    at_bound = np.array([h.bounded for h in entries], dtype=bool) & (best.phi <= 0.0)
-    within = np.array([h.within for h in entries])
-    bend = np.where(at_bound, information.diagonal(), fitted.curvature.diagonal())
-    size = 1.0 / np.sqrt(np.maximum(bend, prior_curvature))
-    there = [{0.0: (0.0, gradient, 0.0)} for _ in entries]
-
-    def look(elements: Iterable[int], knots: tuple[float, ...]) -> None:
-        for i in elements:
-            for away in knots:
-                if away > 0.0 or not at_bound[i]:
-                    phi = best.phi.copy()
-                    phi[i] += away * size[i]
-                    here = restricted_likelihood(fitted.linearisation, entries, phi)
-                    slopes, learned = score(entries, here)
-                    there[i][away] = float(here.log_posterior - best.log_posterior), slopes, learned[i, i]
-
-    every = range(len(entries))
-    look(every, KNOTS)
-    shown = [i for i in every if not at_bound[i] or there[i][1.0][2] - within[i] ** -2 > SHOWN]
-    bent = [i for i in shown if at_bound[i] or any(abs(there[i][a][0] + 0.5 * a**2) >= BENT for a in KNOTS)]
-    look(bent, FURTHER)
-    axes, bends = list[_Axis](), list[Array]()
-    for i in shown:
-        along = [(away * size[i], value, slopes[i]) for away, (value, slopes, _) in sorted(there[i].items())]
-        axes.append(_axis(i, best.phi[i], along, size[i], within[i] if at_bound[i] else 0.0))
-        bends.append(0.0 * best.phi if at_bound[i] else (there[i][-1.0][1] - there[i][1.0][1]) / (2.0 * size[i]))
-    elements = [axis.element for axis in axes]
-    curvature = np.array(bends).reshape(len(axes), len(best.phi))[:, elements]
-    curvature = 0.5 * (curvature + curvature.T)
-    alone = at_bound[elements]
-    curvature[alone], curvature[:, alone] = 0.0, 0.0
-    diagonal = np.sqrt(np.maximum(curvature.diagonal(), 1e-12))
-    scaled = curvature / np.outer(diagonal, diagonal)
-    np.fill_diagonal(scaled, 1.0)
-    value, vectors = np.linalg.eigh(scaled)
-    return axes, np.asarray((vectors / np.maximum(value, 0.1)) @ vectors.T)
+    def drawn(self, z: Array) -> tuple[Array, Array]:
+        """The values at normal z, and the logarithms of the densities of their elements over that of z."""
+        phi = np.interp(scipy.special.ndtr(z), self.cumulative, self.phi)
+        return phi, np.interp(phi, self.phi, self.log_density) + 0.5 * z**2
 
 
-def _axis(element: int, centre: float, knots: list[tuple[float, float, float]], size: float, within: float) -> _Axis:
-    """The density by values and slopes of its logarithm at knots, cubics between them and straight beyond; on the left
-    of a bound that of the prior, normal with a standard deviation `within`."""
-    x, y, slope = (np.array(each) for each in zip(*knots, strict=True))
-    grid = np.linspace((-3.0 * within if within else x[0] - TAIL * size), x[-1] + TAIL * size, FINE)
-    step, right = np.diff(x), np.clip(np.searchsorted(x, grid), 1, len(x) - 1)
-    h, left = step[right - 1], right - 1
-    t = np.clip((grid - x[left]) / h, 0.0, 1.0)
-    log_density = (1 + 2 * t) * (1 - t) ** 2 * y[left] + t * (1 - t) ** 2 * h * slope[left]
-    log_density += t * t * (3 - 2 * t) * y[right] - t * t * (1 - t) * h * slope[right]
-    log_density += np.minimum(grid - x[0], 0.0) * max(slope[0], 0.3 / size)
-    log_density += np.maximum(grid - x[-1], 0.0) * min(slope[-1], -0.3 / size)
-    if within:
-        log_density = np.where(grid < 0.0, -0.5 * (grid / within) ** 2, log_density)
-    density = np.exp(log_density - log_density.max())
-    cumulative = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]))])
-    area = cumulative[-1] * (grid[1] - grid[0])
-    log_density = np.log(np.maximum(density, 1e-300)) - np.log(area)
-    return _Axis(element=element, phi=centre + grid, log_density=log_density, cumulative=cumulative / cumulative[-1])
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Proposal:
+    """The Gaussian copula: which elements are of ψ (`outer`) and which are sizes of groups that are shown (`inner`),
+    the densities along them, and a root of the correlations of ψ."""
+
+    outer: IntArray
+    inner: IntArray
+    densities: dict[int, Density]
+    root: Array
+
+    @staticmethod
+    def about(fitted: Maximum) -> Proposal:
+        """The proposal by the score and the average information at the maximum."""
+        hyperparameters, solution, phi, B = fitted.hyperparameters, fitted.solution, fitted.phi, fitted.curvature
+        score, densities = Score(solution), dict[int, Density]()
+        sizes = [i for i, h in enumerate(hyperparameters) if isinstance(h, GroupSize)]
+        if sizes:
+            densities |= _densities_of_sizes(fitted, sizes)
+        inner = list(densities)
+        outer = list[int]()
+        for i, h in enumerate(hyperparameters):
+            if isinstance(h, GroupSize):
+                continue
+            outer.append(i)
+            if isinstance(h, CorrelationTime):
+                densities[i] = _time_density(h, phi[i], B[i, i])
+            else:
+                densities[i] = _size_density(h, phi[i], h.forms(score), B[i, i])
+        free = [i for i in (*outer, *inner) if not (hyperparameters[i].bounded and phi[i] <= 0.0)]
+        size = np.sqrt(np.maximum(B[free, free], 1e-12))
+        value, vectors = np.linalg.eigh(B[np.ix_(free, free)] / np.outer(size, size))
+        whole = np.eye(len(hyperparameters))
+        whole[np.ix_(free, free)] = (vectors / np.maximum(value, 0.1)) @ vectors.T
+        root = np.linalg.cholesky(whole[np.ix_(outer, outer)])
+        return Proposal(
+            outer=np.array(outer, dtype=int),
+            inner=np.array(inner, dtype=int),
+            densities=densities,
+            root=np.asarray(root),
+        )
+
+    def points(self, best: Array, count: int, sequence: int) -> tuple[Array, Array]:
+        """φ (points, sizes, D) and ln q (points, sizes), less a constant."""
+        sizes = SIZES if len(self.inner) else 1
+        phi, log_q = np.tile(best, (count, sizes, 1)), np.zeros((count, sizes))
+        normal = normal_points(count, len(self.outer), sequence)
+        log_q -= 0.5 * (normal**2).sum(axis=1)[:, None]
+        for i, z in zip(self.outer.tolist(), (normal @ self.root.T).T, strict=True):
+            values, log_density = self.densities[i].drawn(z)
+            phi[:, :, i] = values[:, None]
+            log_q += log_density[:, None]
+        for i, z in zip(self.inner.tolist(), normal_points(count * sizes, len(self.inner), sequence).T, strict=True):
+            values, log_density = self.densities[i].drawn(z)
+            phi[:, :, i] = values.reshape(count, sizes)
+            log_q += (log_density - 0.5 * z**2).reshape(count, sizes)
+        return phi, log_q
+
+
+def _size_density(h: Hyperparameter, phi: float, forms: QuadraticForms, curvature: float) -> Density:
+    """The density along a standard deviation by the quadratic forms of its variance and the curvature of −ℓ at the
+    maximum."""
+    square, trace = max(float(forms.square), 1e-6), max(float(forms.trace), 1e-6)
+    informed = curvature - float(h.log_prior(np.array(phi))[2])
+    share = float(np.clip(informed / (2.0 * square), 1e-3, 1.0 - 1e-6))  # 1/(u + 1)
+    half = REACH * float(np.clip(curvature**-0.5, 0.5, 1.5))
+    grid = np.linspace(min(-3.0 * h.within, phi - half) if h.bounded else phi - half, phi + half, FINE)
+    above = np.maximum(grid, 0.0) - max(phi, 0.0) if h.bounded else grid - phi
+    w = 1.0 / share - 1.0 + np.exp(2.0 * above)
+    likelihood = -0.5 * trace / share * np.log(w) - 0.5 * square / share**2 / w
+    return Density.of(grid, h.log_prior(grid)[0] + likelihood)
+
+
+def _time_density(h: Hyperparameter, phi: float, curvature: float) -> Density:
+    """The density along a correlation time, whose likelihood levels off on both sides: in equal parts normal by the
+    curvature of −ℓ at the maximum, and the prior."""
+    reach = 4.0 * h.within
+    grid = np.linspace(min(phi, h.centre) - reach, max(phi, h.centre) + reach, FINE)
+    near = np.sqrt(curvature) * np.exp(-0.5 * curvature * (grid - phi) ** 2)
+    return Density.of(grid, np.log(near + np.exp(h.log_prior(grid)[0]) / h.within + 1e-300))
+
+
+# -------------------- sizes folded into triangles --------------------
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Triangle:
+    """What is known at a ψ, with the sizes of some groups yet to be folded in.
+
+    Parameters
+    ----------
+    information, right : (g, g) and (g,)
+        Λ and h of the parameters c of these groups, about their expected values.
+    deviance
+        −2 ln L where all of them are zero.
+    alpha, gamma, omega : (1 + m,), (1 + m, g) and (1 + m, 1 + m)
+        The step of gravity and the parameters, biases being the means over the session, is α + Γ c, of covariance Ω at
+        given c.
+    process_alpha, process_gamma, process_omega
+        The same with the biases as the means of their processes.
+    """
+
+    information: Array
+    right: Array
+    deviance: float
+    alpha: Array
+    gamma: Array
+    omega: Array
+    process_alpha: Array
+    process_gamma: Array
+    process_omega: Array
+
+
+def triangles(
+    linearisation: Linearisation, hyperparameters: Sequence[Hyperparameter], phi: Array, members: IntArray
+) -> Iterator[Triangle]:
+    """The triangles at φ (K, D), whatever this has for the groups whose parameters are `members` (g,) of those of the
+    instrument."""
+    many, places = max(1, RESTS_AT_ONCE // len(linearisation.problem.link)), 1 + members
+    for first in range(0, len(phi), many):
+        problem, components = scaled(linearisation.problem, hyperparameters, phi[first : first + many])
+        open_u = problem.prior_u.copy()
+        open_u[:, places] = np.inf
+        here = linearisation.with_priors(replace(problem, prior_u=open_u)).with_components(components)
+        equations = eliminate_rests(here)
+        deviances, mean = rests_deviance(equations), None
+        if equations.wanders and len(problem.parts) == 1:
+            mean = session_mean_bias(equations)
+        for k in range(len(open_u)):
+            yield _triangle(here, equations, places, k, float(deviances[k]), mean)
+
+
+def _triangle(
+    here: Linearisation,
+    equations: NormalEquations,
+    places: IntArray,
+    k: int,
+    deviance: float,
+    mean: tuple[Array, Array] | None,
+) -> Triangle:
+    """The triangle at one point of a stack, by the deviance of the rests and the mean of the biases over them."""
+    problem, point, p = here.problem, here.point, here.prior.shape[-1] - 1
+    factors, local_u = equations.session_factors[k], problem.local_u[k]
+    triangle, heads = fold_sessions(here.prior[k], factors, local_u, here.local_prior[k])
+    exact = int(triangle[0, 0] == 0.0)  # gravity
+    others = np.setdiff1d(np.arange(exact, p), places)
+    R = np.asarray(np.linalg.qr(triangle[exact:, np.concatenate([others, places, [p]])], mode="r"))
+    o, g = slice(len(others)), slice(len(others), -1)
+    off = (problem.prior_mean - np.append(point.gravity, point.values))[places]
+    r, inverse = R[g, -1] - R[g, g] @ off, inverse_of(R[o, o])
+    alpha, gamma, omega = np.zeros(p), np.zeros((p, len(places))), np.zeros((p, p))
+    alpha[places], gamma[places, np.arange(len(places))] = off, 1.0
+    alpha[others], gamma[others] = inverse @ (R[o, -1] - R[o, g] @ off), -inverse @ R[o, g]
+    omega[np.ix_(others, others)] = inverse @ inverse.T
+    kept = np.setdiff1d(np.arange(1 + problem.instrument.linear_count, p), places)
+    pivots = np.concatenate([R[o, o].diagonal(), *(head.diagonal() for head in heads)])
+    sizes = np.log(problem.prior_u[k][kept]).sum() + len(heads) * np.log(local_u).sum()
+    process, b = (alpha, gamma, omega), 1 + problem.biases
+    if mean is not None:
+        Y, by_noise = np.eye(p), mean[1][k]
+        Y[b] += mean[0][k][:, :-1]
+        alpha, gamma, omega = Y @ alpha, Y @ gamma, Y @ omega @ Y.T
+        alpha[b] -= mean[0][k][:, -1]
+        omega[np.ix_(b, b)] += np.einsum("ibd,icd->bc", by_noise, by_noise)
+    return Triangle(
+        information=R[g, g].T @ R[g, g],
+        right=R[g, g].T @ r,
+        deviance=deviance + 2.0 * float(np.log(np.abs(pivots)).sum() + sizes) + float(r @ r + R[-1, -1] ** 2),
+        alpha=alpha,
+        gamma=gamma,
+        omega=omega,
+        process_alpha=process[0],
+        process_gamma=process[1],
+        process_omega=process[2],
+    )
+
+
+def with_sizes(triangle: Triangle, sizes: Array) -> tuple[Array, Array, Array]:
+    """ln L (L,), less a constant, of priors of standard deviations `sizes` (L, g) of the parameters of the groups, and
+    their values (L, g) and covariances (L, g, g)."""
+    B = sizes[:, :, None] * triangle.information * sizes[:, None, :] + np.eye(sizes.shape[1])
+    scaled_right, inverse = sizes * triangle.right, np.linalg.inv(B)
+    along = (inverse @ scaled_right[:, :, None])[:, :, 0]
+    determinants = np.log(np.diagonal(np.linalg.cholesky(B), axis1=1, axis2=2)).sum(axis=1)
+    likelihood = -0.5 * triangle.deviance - determinants + 0.5 * (scaled_right * along).sum(axis=1)
+    return likelihood, sizes * along, sizes[:, :, None] * inverse * sizes[:, None, :]
+
+
+def members_of(fitted: Maximum, elements: IntArray) -> tuple[IntArray, IntArray]:
+    """The parameters (g,) of the groups of some elements of φ, and the element (g,) of each."""
+    hyperparameters, places = fitted.hyperparameters, np.arange(len(fitted.problem.instrument.names))
+    every = [places[hyperparameters[i].members] for i in elements]
+    number = [np.full(len(each), i) for i, each in zip(elements.tolist(), every, strict=True)]
+    none = [np.zeros(0, dtype=int)]
+    return np.concatenate(none + every), np.concatenate(none + number)
+
+
+def _densities_of_sizes(fitted: Maximum, sizes: list[int]) -> dict[int, Density]:
+    """The densities along those sizes of groups of which the session shows something, through the maximum."""
+    hyperparameters, phi = fitted.hyperparameters, fitted.phi
+    members, element = members_of(fitted, np.array(sizes))
+    (triangle,) = triangles(fitted.linearisation, hyperparameters, phi[None], members)
+    usual, out = fitted.usual_problem.usual_u[1 + members], dict[int, Density]()
+    score = Score(fitted.solution)
+    for i in sizes:
+        h, at_bound = hyperparameters[i], phi[i] <= 0.0
+        curvature = 2.0 * float(h.forms(score).double) + h.within**-2 if at_bound else fitted.curvature[i, i]
+        size = max(curvature, h.within**-2) ** -0.5
+        p = max(phi[i], 0.0) + KNOTS * size if at_bound else np.linspace(0.0, phi[i] + KNOTS[-1] * size, 2 * len(KNOTS))
+        every = np.tile(phi, (len(p), 1))
+        every[:, i] = p
+        likelihood, _, covariance = with_sizes(triangle, usual * np.exp(np.maximum(every[:, element], 0.0)))
+        if at_bound:
+            one, place = int(np.argmin(np.abs(KNOTS - 1.0))), np.flatnonzero(element == i)
+            variance = np.diagonal(covariance[one])[place] / (usual[place] * np.exp(p[one])) ** 2
+            if 2.0 * np.clip(1.0 - variance, 0.0, 1.0).sum() <= SHOWN:
+                continue
+        grid = np.linspace(-3.0 * h.within, p[-1], FINE)
+        out[i] = Density.of(grid, np.interp(grid, p, likelihood - likelihood[0]) + h.log_prior(grid)[0])
+    return out
+
+
+# -------------------- draws --------------------
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Draws:
+    """Points of ψ, sizes of groups at each, and the posterior there.
+
+    Parameters
+    ----------
+    phi, log_weight : (P, D) and (P,)
+        φ, and the logarithms of the weights.
+    point : (P,)
+        Which of the triangles each belongs to.
+    values, covariances : (P, g) and (P, g, g)
+        Of the parameters of the groups.
+    triangles
+        The triangles.
+    """
+
+    phi: Array
+    log_weight: Array
+    point: IntArray
+    values: Array
+    covariances: Array
+    triangles: tuple[Triangle, ...]
+
+    @staticmethod
+    def joined(parts: Sequence[Draws]) -> Draws:
+        """Several sets of draws as one."""
+        first = np.cumsum([0, *(len(part.triangles) for part in parts)])
+        return Draws(
+            phi=np.concatenate([part.phi for part in parts]),
+            log_weight=np.concatenate([part.log_weight for part in parts]),
+            point=np.concatenate([part.point + offset for part, offset in zip(parts, first, strict=False)]),
+            values=np.concatenate([part.values for part in parts]),
+            covariances=np.concatenate([part.covariances for part in parts]),
+            triangles=tuple(triangle for part in parts for triangle in part.triangles),
+        )
+
+    @property
+    def steps(self) -> Array:
+        """The steps (P, 1 + m) of gravity and the parameters."""
+        return self._steps(process=False)
+
+    def _steps(self, *, process: bool) -> Array:
+        out = list[Array]()
+        for k, triangle in enumerate(self.triangles):
+            c = self.values[self.point == k]
+            alpha = triangle.process_alpha if process else triangle.alpha
+            out.append(alpha + c @ (triangle.process_gamma if process else triangle.gamma).T)
+        return np.concatenate(out)
+
+    def by_point(self, weight: Array) -> Array:
+        """The weights (K,) of the points of ψ, of those of the draws."""
+        return np.asarray(np.bincount(self.point, weight, len(self.triangles)), dtype=np.float64)
+
+    def moments(self, weight: Array, *, process: bool = False) -> tuple[Array, Array, Array]:
+        """The mean step (1 + m,), the mean of the covariances at the draws (1 + m, 1 + m), and the covariance of the
+        steps; of the means of the processes of biases where `process`."""
+        steps, within = self._steps(process=process), 0.0
+        for k, (triangle, share) in enumerate(zip(self.triangles, self.by_point(weight), strict=True)):
+            some = self.point == k
+            of_groups = np.tensordot(weight[some], self.covariances[some], axes=1)
+            gamma = triangle.process_gamma if process else triangle.gamma
+            omega = triangle.process_omega if process else triangle.omega
+            within = within + share * omega + gamma @ of_groups @ gamma.T
+        mean = weight @ steps
+        off = steps - mean
+        return mean, np.asarray(within), (off.T * weight) @ off
+
+    def deviations(self, some: IntArray) -> Array:
+        """The standard deviations (·, 1 + m) of gravity and the parameters at some of the draws."""
+        out = np.empty((len(some), len(self.triangles[0].alpha)))
+        for row, i in enumerate(some.tolist()):
+            triangle = self.triangles[self.point[i]]
+            by_groups = ((triangle.gamma @ self.covariances[i]) * triangle.gamma).sum(axis=1)
+            out[row] = np.sqrt(triangle.omega.diagonal() + by_groups)
+        return out
+
+
+def _drawn(fitted: Maximum, proposal: Proposal, count: int, sequence: int) -> Draws:
+    """So many points of ψ of a sequence, with sizes at each."""
+    hyperparameters, linearisation = fitted.hyperparameters, fitted.linearisation
+    members, element = members_of(fitted, proposal.inner)
+    phi, log_q = proposal.points(fitted.phi, count, sequence)
+    sizes = fitted.usual_problem.usual_u[1 + members] * np.exp(np.maximum(phi[:, :, element], 0.0))
+    every = tuple(triangles(linearisation, hyperparameters, phi[:, 0], members))
+    likelihood, values, covariances = (
+        np.concatenate(each)
+        for each in zip(*(with_sizes(triangle, S) for triangle, S in zip(every, sizes, strict=True)), strict=True)
+    )
+    flat = phi.reshape(-1, phi.shape[-1])
+    return Draws(
+        phi=flat,
+        log_weight=likelihood + log_prior(hyperparameters, flat)[0].sum(axis=-1) - log_q.ravel(),
+        point=np.repeat(np.arange(count), phi.shape[1]),
+        values=values,
+        covariances=covariances,
+        triangles=every,
+    )
+
+
+def _is_rough(drawn: Sequence[Draws]) -> bool:
+    """Whether two sets of draws are too few: by the error of u, or by the shape of the weights of all and their
+    effective number."""
+    both = Draws.joined(drawn)
+    weight, pareto = smoothed(both.log_weight)
+    effective = float(1.0 / (both.by_point(weight) ** 2).sum())
+    return _u_error(drawn) > ROUGH or (pareto > POOR and effective < ENOUGH)
+
+
+def _u_error(drawn: Sequence[Draws]) -> float:
+    """Half the difference of u by two sets of draws, relative, of the parameter of which it is largest."""
+    first, second = (np.sqrt(np.diag(within + between)) for _, within, between in map(_moments, drawn))
+    return float(np.max(np.abs(first - second) / np.maximum(first + second, 1e-300)))
+
+
+def _moments(draws: Draws) -> tuple[Array, Array, Array]:
+    return draws.moments(smoothed(draws.log_weight)[0])
+
+
+def _typical(fitted: Maximum, phi: Array, weight: Array) -> Solution:
+    """The solution with every standard deviation as its root mean square over the draws, and every time as the mean of
+    its logarithm."""
+    typical = fitted.phi.copy()
+    for i, h in enumerate(fitted.hyperparameters):
+        if isinstance(h, CorrelationTime):
+            typical[i] = weight @ phi[:, i]
+        else:
+            typical[i] = 0.5 * np.log(weight @ h.value(phi[:, i]) ** 2)
+    return restricted_likelihood(fitted.linearisation, fitted.hyperparameters, typical)
+
+
+# -------------------- at a maximum --------------------
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -258,19 +612,20 @@ def conditional(solution: Solution) -> Conditional:
     )
 
 
-def rough(pareto: float, effective: float) -> bool:
-    """Whether an integral rests on a few points, by the shape of their weights and their effective number."""
-    return pareto > POOR and effective < ENOUGH
+def rough(integral: Integral) -> bool:
+    """Whether an integral rests on a few points: by the error of u, or by the shape of the weights and their effective
+    number."""
+    return integral.u_error > ROUGH or (integral.pareto > POOR and integral.effective < ENOUGH)
 
 
-def normal_points(points: int, dimensions: int) -> Array:
+def normal_points(points: int, dimensions: int, sequence: int = 0) -> Array:
     """Points (points, D) of the normal distribution, of its mean and covariance: an additive recurrence of low
-    discrepancy in the unit cube, by the root of x^{D+1} = x + 1, made so."""
+    discrepancy in the unit cube, by the root of x^{D+1} = x + 1, made so. Sequences of other numbers are shifted."""
     root = 2.0
     for _ in range(60):
         root = (1.0 + root) ** (1.0 / (dimensions + 1.0))
     steps = root ** -np.arange(1.0, dimensions + 1.0)
-    normal = scipy.special.ndtri((0.5 + np.outer(np.arange(1, points + 1), steps)) % 1.0)
+    normal = scipy.special.ndtri((0.5 + SHIFT * sequence + np.outer(np.arange(1, points + 1), steps)) % 1.0)
     normal -= normal.mean(axis=0)
     return np.linalg.solve(np.linalg.cholesky(normal.T @ normal / points), normal.T).T
 

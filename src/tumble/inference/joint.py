@@ -28,7 +28,7 @@ from tumble.inference.estimate import (
     ProcessBias,
 )
 from tumble.inference.fits import TOTAL, chi_squares, left_out, sigmas
-from tumble.inference.integral import POINTS, Posterior, posterior
+from tumble.inference.integral import Posterior, posterior
 from tumble.inference.lag import maximum_with_lags
 from tumble.inference.linearisation import at_reference
 from tumble.inference.maximum import MAX_ITERATIONS, Maximum, without_outliers
@@ -67,7 +67,7 @@ def joint(
     fitted, by_lag = maximum_with_lags(start, QUICK_STEPS if quick else MAX_ITERATIONS)
     if fitted.converged and not quick:
         fitted = without_outliers(fitted)
-    shown = posterior(fitted, POINTS if intervals and not quick else 1)
+    shown = posterior(fitted, integrate=intervals and not quick)
     return _estimate(fitted, shown, (*first, *fitted.increments[:-1], shown.step[1:]), by_lag)
 
 
@@ -123,7 +123,7 @@ def _estimate(fitted: Maximum, shown: Posterior, increments: tuple[Array, ...], 
         linearised=linearisation.with_priors(problem).with_components(fitted.components),
         own=_local(fitted),
         hyperparameters=tuple(_hyperparameters(fitted, shown)),
-        integral=Integral(points=shown.points, effective=shown.effective, pareto=shown.pareto),
+        integral=Integral(points=shown.points, effective=shown.effective, pareto=shown.pareto, u_error=shown.u_error),
         process_bias=tuple(_process_bias(fitted, shown, in_common)),
         budget=budget,
         left_out=Omitted(**dict(zip(("accel", "gyro", "turn"), left_out(problem, linearisation.noise), strict=True))),

@@ -11,7 +11,8 @@ the logarithm of the posterior of φ with x integrated out, r being the residual
     x   Gauss–Newton: x ← x + argmin over the rows linearised at x. Turns are integrated again about the current
         parameters wherever the second-order effect of the change since counts.
     φ   at fixed rows a trust region: s = B⁻¹γ, |s|∞ ≤ Δ, with the analytic score γ, and B, at first the information of
-        the score, then by the updates of Broyden, Fletcher, Goldfarb and Shanno. Sizes λ = exp(max(p, 0)) have p ≥ 0:
+        the score, then by the updates of Broyden, Fletcher, Goldfarb and Shanno, and where these have settled
+        the average information, with which it goes on where φ has not. Sizes λ = exp(max(p, 0)) have p ≥ 0:
         below, p has nothing to do with the data.
 
 It ends where a step of x is negligible beside u (CONVERGED) and ½ γᵀB⁻¹γ, what ℓ would still gain, below GAIN
@@ -44,6 +45,7 @@ from tumble.inference.hyperparameters import (
     Hyperparameter,
     InRunSize,
     Scatter,
+    average_information,
     hyperparameters_of,
     restricted_likelihood,
     score,
@@ -179,7 +181,7 @@ def maximum(
         solution = restricted_likelihood(linearisation, hyperparameters, phi)
         gradient, information = score(hyperparameters, solution)
         near = near or len(increments) >= FAR_STEPS or negligible(solution, NEAR)
-        B = information if gain == np.inf else B
+        B, exact = information if gain == np.inf else B, False
 
         # φ by a trust region, at these rows
         for _ in range(STEPS if near else 0):
@@ -189,8 +191,11 @@ def maximum(
             gain = 0.5 * float(gradient @ step)
             if not np.isfinite(gain):
                 raise np.linalg.LinAlgError("a step over what the model does not know of itself is not finite")
-            if gain < enough:
+            if gain < enough and (exact or not negligible(solution)):
                 break
+            if gain < enough:  # settled as far as B tells: once more by the average information
+                B, exact = average_information(hyperparameters, solution), True
+                continue
             step *= min(1.0, radius / float(np.abs(step).max()))
             step = np.where(bounded, np.maximum(solution.phi + step, 0.0), solution.phi + step) - solution.phi
             tried = restricted_likelihood(linearisation, hyperparameters, solution.phi + step)
@@ -201,7 +206,7 @@ def maximum(
             small = gained < 0.1 * expected or expected <= 0.0
             radius = 0.3 * float(np.abs(step).max()) if small else min(2.0 * radius, FURTHEST)
             if gained > 0.0:
-                solution, gradient = tried, tried_gradient
+                solution, gradient, exact = tried, tried_gradient, False
         phi = solution.phi
 
         # x by a step of Gauss–Newton, to where rows are linearised next

@@ -263,7 +263,8 @@ def eliminate_rests(linearisation: Linearisation) -> NormalEquations:
     *stack, _, _, width = rest.shape
     factors, size = np.empty((*stack, len(problem.link), d, d + width)), width - d
     triangles = np.swapaxes(np.zeros((*stack, len(problem.parts), size, size)), -1, -2)
-    at_stations, joints = station_rows(problem, rest), joint_rows(linearisation, turn, link)
+    at_stations = station_rows(problem, rest)
+    joints = joint_rows(linearisation, turn, link) if states else turn
     begins = np.zeros((d, d + width))  # a chain of states begins as its process is
     begins[d - states :, d - states : d] = np.eye(states)
     for at in np.ndindex(*stack):
@@ -339,18 +340,17 @@ def station_rows(problem: Problem, rest: Array) -> Array:
 
 def joint_rows(linearisation: Linearisation, turn: Array, link: Array) -> Array:
     """The rows (M, t + 9 + s, 2 d + w) that join each station to the next: those of its `turn` (K, t, 2 d + w) or of
-    its `link` (J, 9, 2 d + w), zero where it has none, and the steps of the s states (19); the turns alone where there
-    are no states."""
+    its `link` (J, 9, 2 d + w), zero where it has none, and the steps of the s states (19)."""
     problem, noise = linearisation.problem, linearisation.noise
     s, d = noise.states, noise.unknowns
-    if s == 0:
-        return turn
     *stack, _, t, width = turn.shape
     k = link.shape[-2] if problem.moves else 0
     joints = np.zeros((*stack, len(problem.link), t + k + s, width))
     joints[..., problem.before_turn, :t, :] = turn
     if problem.moves:
         joints[..., problem.before_link, t : t + k, :] = link
+    if s == 0:
+        return joints
     state, here, step = np.arange(s), np.flatnonzero(noise.follows)[:, None], noise.state_step[..., noise.follows, :]
     joints[..., here, t + k + state, d - s + state] = -noise.state_rho[..., noise.follows, :] / step
     joints[..., here, t + k + state, 2 * d - s + state] = 1.0 / step

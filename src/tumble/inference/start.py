@@ -18,6 +18,7 @@ from tumble.rotation import UP, rotation_matrix, skew, tangent_basis, unit_vecto
 from tumble.units import Array
 
 ROUGH_TURN = 1e-2  # rad: what the start takes the turns to err by
+ROUGH_DRIFT = 0.1  # of what gyros read at rest beyond the median: with it they drift, which no scale factor explains
 ROUGH_EFFECT = 1e-3  # rad: second-order effect that the start puts up with
 WINDOW = 4
 """Links on each side of a station over which its mean acceleration counts as none."""
@@ -59,16 +60,17 @@ def _started_gyros(problem: Problem, values: Array, vertical: Array) -> tuple[Tu
     by_turn = about.rows(instrument, started, instrument.linearised(started), len(started))[:, :3, own]
     back = np.einsum("kij,kj->ki", about.C, vertical[turns.last])
     rate = (observations.rests.gyro - median) @ about.to_rate.T
+    rough = max(EARTH_RATE, ROUGH_DRIFT * float(np.abs(rate).max()))
     by_rest = np.einsum("aqm,iq->iam", derivative[:, :3], up * vertical) + derivative[:, 3]
     count = by_turn.shape[2]
     jacobian = np.concatenate([
         (skew(back) @ by_turn).reshape(-1, count) / ROUGH_TURN,
-        by_rest.reshape(-1, count) / EARTH_RATE,
+        by_rest.reshape(-1, count) / rough,
         np.diag(1.0 / problem.spread[own]),
     ])  # fmt: skip
     residual = np.concatenate([
         (vertical[turns.first] - back).ravel() / ROUGH_TURN,
-        (rate - up * vertical).ravel() / EARTH_RATE,
+        (rate - up * vertical).ravel() / rough,
         np.zeros(count),
     ])  # fmt: skip
     started[own] += np.linalg.solve(jacobian.T @ jacobian, jacobian.T @ residual)

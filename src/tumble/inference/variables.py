@@ -1,4 +1,4 @@
-"""What parameters change with: time, temperature and its square, the direction in which the temperature came, and, of
+"""What parameters change with: time, powers of temperature, the direction in which the temperature came, and, of
 several sessions, that they are several.
 
 Temperatures are those of the accelerometers and of the gyros, each of which follow their thermometer with a lag of
@@ -85,7 +85,8 @@ def _of_temperature(
 def _of_warmth(warmth: Warmth, reference: Array) -> dict[Variable, Array]:
     """What goes with the temperatures, about the references (T,), K."""
     warmer = warmth.kelvin - reference
-    return {"temperature": warmer, "temperature²": warmer**2 + warmth.variance, "hysteresis": warmth.hysteresis}
+    square, cube = warmer**2 + warmth.variance, warmer**3 + 3.0 * warmer * warmth.variance
+    return {"temperature": warmer, "temperature²": square, "temperature³": cube, "hysteresis": warmth.hysteresis}
 
 
 def sensors_at(observations: Observations, kelvin: Array, lag: float) -> Array:

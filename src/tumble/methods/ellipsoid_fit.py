@@ -1,6 +1,6 @@
 """The ellipsoid method: a triad whose readings all measure one vector of known length, in unknown orientations.
 
-    y = M t + b,  |t| = m        so that  (y − b)ᵀ H (y − b) = 1,  H = (M Mᵀ)⁻¹/m²
+    y = M t + b,  |t| = m        so that  (y − b)ᵀ H (y − b) = 1,  H = (M Mᵀ)⁻¹/m²        Eqs. (1), (6), (7)
 
 N readings y (N, 3), in units of the true quantity after nominal scale and polarity, lie on an ellipsoid. Its centre is
 the bias; its shape gives M Mᵀ, the lengths of the rows of M (scale factors) and the angles between them
@@ -25,9 +25,9 @@ with B − 1 degrees of freedom. Errors across the vector make it longer by σ²
 The polarity of a channel is not in the data, since t and −t have the same length: it comes from the nominal scale or
 from roughly known positions (`readings`).
 
-Source: the ellipsoid method (calibration of a triaxial block of navigation accelerometers by ellipsoid fitting), whose
-sign of Eq. (13), b = A u0, is lost in print. Jackknife: Efron (1982), The Jackknife, the Bootstrap and Other Resampling
-Plans, ch. 3; by blocks Künsch (1989), The Annals of Statistics 17, 1217-1241.
+Source, with its numbers: the ellipsoid paper (calibration of a triaxial block of navigation accelerometers by ellipsoid
+fitting), whose sign of Eq. (13), b = A u0, is lost in print. Jackknife: Efron (1982), The Jackknife, the Bootstrap and
+Other Resampling Plans, ch. 3; by blocks Künsch (1989), The Annals of Statistics 17, 1217-1241.
 """
 
 from __future__ import annotations

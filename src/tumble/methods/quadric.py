@@ -1,16 +1,18 @@
 """The ellipsoid through N points, for many units at once: Li & Griffiths' algebraic fit.
 
-    a x² + b y² + c z² + d xy + e yz + f xz + h x + i y + j z + l = 0                                   (9)
+    a x² + b y² + c z² + d xy + e yz + f xz + h x + i y + j z + l = 0                                   (9), (11)
     |D ξ|² → min subject to 4J − I² = ξ1ᵀ C* ξ1 = 1,  I = a + b + c,  J = ab + bc + ac − (d² + e² + f²)/4   (16), (17)
     C*⁻¹ (S11 − S12 S22⁻¹ S21) ξ1 = λ ξ1, the only positive λ;  ξ2 = −S22⁻¹ S21 ξ1;  S = DᵀD              (20)
 
 on centred and scaled readings; a row of D has the ten monomials of a reading, ξ1 are the first six coefficients.
-4J − I² > 0 is sufficient for an ellipsoid, not necessary: it holds if the shortest semi-axis is at least half the
-longest, which is why each channel is scaled. With the Cholesky factor L of the matrix in brackets, (20) becomes the
-symmetric problem L⁻¹ C* L⁻ᵀ z = z/λ, ξ1 = L⁻ᵀ z. C* as printed, with −4, belongs to the unknowns d/2, e/2, f/2, with
-the products taken twice.
+The centre of the ellipsoid is the bias, Eq. (13); its shape has the scale factors and angles, Eq. (12): with H⁻¹ = M
+Mᵀ, M is the Cholesky factor, in the frame of the accelerometers. 4J − I² > 0 is sufficient for an ellipsoid, not
+necessary: it holds if the shortest semi-axis is at least half the longest, which is why each channel is scaled. With
+the Cholesky factor L of the matrix in brackets, (20) becomes the symmetric problem L⁻¹ C* L⁻ᵀ z = z/λ, ξ1 = L⁻ᵀ z. C*
+as printed, with −4, belongs to the unknowns d/2, e/2, f/2, with the products taken twice.
 
-Source: Li & Griffiths, Least squares ellipsoid specific fitting (GMP 2004), as the ellipsoid method uses it.
+Source: Li & Griffiths, Least squares ellipsoid specific fitting (GMP 2004); numbers are those of the ellipsoid paper
+(calibration of a triaxial block of navigation accelerometers by ellipsoid fitting), which uses it.
 """
 
 from __future__ import annotations

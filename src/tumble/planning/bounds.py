@@ -12,8 +12,6 @@ sizes of the groups beyond the linear model as priors, the covariance is the Cra
 
 All moves between rests are in the log, about one axis each at a constant rate (`tumble.planning.steady_turns`). Errors
 of table and mounting are not in the answer, as the attitudes are unknowns: a degree changes it by parts of a thousand.
-Other units of the device's type may say what is usual of a parameter instead (`Prior`): then `calibrate` has them
-beside the recording, and how large the groups are need not be found out.
 
 Sources. With C the covariance and Σ_i W_iᵀW_i its inverse, the information of each source i, the part of source i is
 C W_iᵀW_i C, and the parts add up to C. A prior of size s of parameter j is W = e_jᵀ/s.
@@ -37,7 +35,6 @@ from tumble.inference.hyperparameters import size_factors
 from tumble.inference.linearisation import Linearisation, linearise
 from tumble.inference.noise import VarianceComponents
 from tumble.inference.normal_equations import eliminate_rests, joint_rows, session_mean_bias, whiten
-from tumble.inference.prior import Prior
 from tumble.inference.problem import Point, Problem
 from tumble.inference.sources import by_time_base, clocked
 from tumble.inference.turns_about import TurnsAbout
@@ -56,7 +53,7 @@ from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import Terms, positions_by_group, prior_sizes
 from tumble.units import Array, BoolArray
 
-NOISE, GRAVITY, CLOCK, TYPE = "noise and in-run biases", "gravity of the site", "time base of the log", "device type"
+NOISE, GRAVITY, CLOCK = "noise and in-run biases", "gravity of the site", "time base of the log"
 """Names of sources; those of groups of parameters are the names of the groups."""
 
 
@@ -96,7 +93,7 @@ class Bound(Brief):
         return float(np.sqrt(np.mean(self.u[positions_by_group(self.names)[group]] ** 2)))
 
 
-def stated(setup: Setup, *, gyros: bool = True, prior: Prior | None = None, terms: Terms = "full") -> Bound:
+def stated(setup: Setup, *, gyros: bool = True, terms: Terms = "full") -> Bound:
     """What `calibrate` will state of a recording by a set-up's programme, on the average over instruments.
 
     Parameters
@@ -105,8 +102,6 @@ def stated(setup: Setup, *, gyros: bool = True, prior: Prior | None = None, term
         The instrument, whose groups beyond the linear model are those of `setup.further`, programme and site.
     gyros
         Whether gyros are calibrated, or accelerometers alone.
-    prior
-        What is known of other units of the type, in place of the usual sizes.
     terms
         With "linear" the estimate has bias, scale factor and axis angles alone, and the groups in their u.
 
@@ -116,22 +111,13 @@ def stated(setup: Setup, *, gyros: bool = True, prior: Prior | None = None, term
         For values that make no sense, and where there is no noise.
     """
     if not setup.programme.ordered:  # the mean over orders
-        return _mean([stated(each, gyros=gyros, prior=prior, terms=terms) for each in _in_some_orders(setup)])
+        return _mean([stated(each, gyros=gyros, terms=terms) for each in _in_some_orders(setup)])
     course = itinerary_of(setup).as_logged(setup.ramp, USUAL.margin_of(setup.rest))
     if terms == "linear":
         return _stated_linear(course, setup, gyros)
-    seen, by_type = view(course, setup, gyros=gyros), None
+    seen = view(course, setup, gyros=gyros)
     seen = expected(seen.with_components(_with_drifts(seen, setup.further)))
-    if prior is not None:
-        problem = seen.problem
-        known = prior.places(problem.instrument.names)
-        if not known:
-            raise InputError(f"prior: expected one of the instrument's parameters, found none by {prior.words}")
-        places, of = list(known), list(known.values())
-        covariance = prior.covariance[np.ix_(of, of)]
-        by_type = np.zeros((len(places), len(problem.instrument.names)))
-        by_type[:, places] = np.linalg.inv(np.linalg.cholesky(covariance))
-    return bound_by(seen, setup.turn_rate, setup.clock_u, by_type)
+    return bound_by(seen, setup.turn_rate, setup.clock_u)
 
 
 def _stated_linear(course: Itinerary, setup: Setup, gyros: bool) -> Bound:
@@ -142,7 +128,7 @@ def _stated_linear(course: Itinerary, setup: Setup, gyros: bool) -> Bound:
     groups = {group.name: setup.further[group.name] for group in instrument_of(setup, gyros).further if left_out(group)}
     if not groups:
         return found
-    whole = expected(view(course, replace(setup, further=groups), gyros=gyros))
+    whole = view(course, replace(setup, further=groups), gyros=gyros)
     moves = moves_by_likelihood(whole.with_components(seen.components))
     moved, instrument = LeftOut.of(whole.problem, moves, None).moved, whole.problem.instrument
     by_group = {
@@ -180,7 +166,7 @@ def instrument_of(setup: Setup, gyros: bool) -> Instrument:
     return Instrument.of(ACCEL, GYRO if gyros else None, tuple(prior_sizes(setup.instrument, usual=setup.further)))
 
 
-def bound_by(seen: Linearisation, rate: float, clock_u: float = 0.0, by_type: Array | None = None) -> Bound:
+def bound_by(seen: Linearisation, rate: float, clock_u: float = 0.0) -> Bound:
     """The covariance of the parameters that a linearised likelihood of one session gives.
 
     Parameters
@@ -191,8 +177,6 @@ def bound_by(seen: Linearisation, rate: float, clock_u: float = 0.0, by_type: Ar
         Rate of the turns, rad/s: the natural unit of gyro biases.
     clock_u
         Relative standard uncertainty of the time base.
-    by_type : (k, m)
-        Whitened rows about the parameters from other units, in place of the usual sizes of these parameters.
 
     Notes
     -----
@@ -205,14 +189,9 @@ def bound_by(seen: Linearisation, rate: float, clock_u: float = 0.0, by_type: Ar
     equations = eliminate_rests(seen)
     size = problem.prior_u.copy()
     size[own] = 0.0
-    if by_type is not None:
-        size[1:][by_type.any(axis=0)] = 0.0
     prior = np.diag(np.divide(1.0, size, out=np.zeros(1 + m), where=size > 0.0))
-    rows = np.zeros((0, 1 + m)) if by_type is None else np.pad(by_type, ((0, 0), (1, 0)))
     triangle = np.diag(np.append(np.diag(prior), 0.0))
     fold(equations.session_factors[0], triangle, triangular=True)
-    if len(rows):
-        fold(np.pad(rows, ((0, 0), (0, 1))), triangle)
     triangle = triangle[:-1, :-1]
     others = np.setdiff1d(np.flatnonzero(triangle.any(axis=0)), np.arange(1, 1 + linear))
     R, k = np.asarray(np.linalg.qr(np.hstack([triangle[:, others], triangle[:, own]]), mode="r")), len(others)
@@ -239,7 +218,7 @@ def bound_by(seen: Linearisation, rate: float, clock_u: float = 0.0, by_type: Ar
     clock = by_time_base(instrument.names, clocked(clock_u, {"accel": False, "gyro": False}))
     gain = mean @ root @ root.T
     covariance = (gain @ mean.T + wander)[1:, 1:] + np.outer(clock, clock)
-    parts = {GRAVITY: prior[:1], TYPE: rows, **{name: prior[1:][own] for name, own in instrument.members.items()}}
+    parts = {GRAVITY: prior[:1], **{name: prior[1:][own] for name, own in instrument.members.items()}}
     sources = {name: ((gain @ W.T)[1:] ** 2).sum(axis=1) for name, W in parts.items()} | {CLOCK: clock**2}
     return Bound(
         names=instrument.names,

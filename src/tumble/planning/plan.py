@@ -22,12 +22,13 @@ from tumble.arguments import checked
 from tumble.brief import Brief
 from tumble.diagnosis.observability import in_words
 from tumble.errors import InputError
-from tumble.inference.prior import Prior
 from tumble.planning.bounds import CLOCK, GRAVITY, Bound, stated
 from tumble.planning.error_propagation import MethodOfPaper
 from tumble.planning.next_positions import ANY, NextPosition, TurnTable, next_positions
 from tumble.planning.pass_errors import ESTIMATORS, REST_NOISE, PassErrors, remarks
 from tumble.planning.setup import MEMBERS, NAMES, UNITS, Setup, check_setup, expect, with_all_groups
+from tumble.recording.session import USUAL_RATE_U
+from tumble.recording.session.document import UNKNOWN_HEIGHT_GRAVITY_U
 from tumble.reduction.rests.matching import POSITION_LIMIT
 from tumble.sensors.grades import spread_of
 from tumble.sensors.parameters import Terms, positions_by_group
@@ -94,10 +95,22 @@ class Plan(Brief):
     """What a set-up gives: u by group, of the paper's methods after each pass; the best next positions, and what each
     wanted accuracy needs. `reasons` are what the programme does not determine and what no set-up gives, `remarks` where
     the set-up is outside the range of the formulas, in sentences. Of joint, `rank` is how many combinations of the
-    linear parameters are determined, and `condition` that of the whitened Jacobian."""
+    linear parameters are determined, and `condition` that of the whitened Jacobian. `assumptions` are what `calibrate`
+    has otherwise where a session does not state it."""
 
     json_fields: ClassVar[tuple[str, ...]] = (
-        *("verdict", "reasons", "remarks", "setup", "method", "rank", "condition", "groups", "following"),
+        *(
+            "verdict",
+            "reasons",
+            "remarks",
+            "assumptions",
+            "setup",
+            "method",
+            "rank",
+            "condition",
+            "groups",
+            "following",
+        ),
         "requirements",
     )
     setup: Setup
@@ -109,6 +122,17 @@ class Plan(Brief):
     requirements: tuple[Requirement, ...] = ()
     reasons: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
+
+    @property
+    def assumptions(self) -> tuple[str, ...]:
+        """What the plan takes the session to state, in sentences."""
+        g, usual = self.setup.gravity, UNKNOWN_HEIGHT_GRAVITY_U
+        return (
+            f"the session states gravity, or height, to {1e6 * self.setup.gravity_u / g:.2g} ppm of accel.scale "
+            f"(--gravity-u); where it states neither, {1e6 * usual / g:.0f} ppm are in u",
+            f"its time base is known to {1e6 * self.setup.clock_u:.3g} ppm of gyro.scale (--clock-ppm-u); a sample "
+            f"rate without time stamps to {100.0 * USUAL_RATE_U:.0f} % unless that is stated",
+        )
 
     @property
     def verdict(self) -> str:
@@ -133,7 +157,6 @@ def plan(
     wanted: Mapping[str, float] | None = None,
     gyros: bool = True,
     table: TurnTable = ANY,
-    prior: Prior | None = None,
     progress: Progress = lambda _added, _most: None,
 ) -> Plan:
     """What a calibration by a set-up's programme will state, before it is made.
@@ -157,8 +180,6 @@ def plan(
         Of joint: with False, accelerometers alone.
     table
         How the device can be turned to a next position.
-    prior
-        Other units of the type, as a prior in place of the usual sizes.
     progress
         Receives how far the search for more positions is.
 
@@ -188,7 +209,7 @@ def plan(
         return _plan_of_paper(setup, method, iterations, wanted)
 
     def state(setup: Setup) -> Bound:
-        return stated(setup, gyros=gyros, prior=prior, terms=terms)
+        return stated(setup, gyros=gyros, terms=terms)
 
     def following(setup: Setup, wanted: Mapping[str, float]) -> tuple[NextPosition, ...]:
         return next_positions(setup, wanted=wanted, gyros=gyros, table=table)

@@ -93,6 +93,7 @@ class Setup(Brief):
         latitude_deg: float = usual_setup.LATITUDE_DEG,
         gravity: float | None = None,
         gravity_u: float = usual_setup.GRAVITY_U,
+        clock_ppm_u: float = 1e6 * USUAL_CLOCK_U,
         noise_factor: float = 1.0,
         instability_time: float = usual_setup.INSTABILITY_TIME,
         terms: Terms = "linear",
@@ -135,6 +136,7 @@ class Setup(Brief):
             latitude=latitude,
             gravity=normal_gravity(latitude, usual_setup.HEIGHT) if gravity is None else gravity,
             gravity_u=gravity_u,
+            clock_u=1e-6 * clock_ppm_u,
         )
 
 

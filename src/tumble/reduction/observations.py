@@ -64,15 +64,8 @@ from tumble.units import Array, IntArray
 class Together:
     """Which session every rest belongs to, where several sessions are one.
 
-    Attributes
-    ----------
-    names
-        The names of the sessions.
-    session
-        The index (N,) of the session of each rest, ascending.
-    number
-        The number (N,) of each rest in its session, from 0; parts of a rest have the same.
-    """
+    `names`: the names of the sessions. `session`: the index (N,) of the session of each rest, ascending. `number`:
+    the number (N,) of each rest in its session, from 0; parts of a rest have the same."""
 
     names: tuple[str, ...]
     session: IntArray

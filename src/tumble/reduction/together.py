@@ -34,16 +34,9 @@ HELD = 1e-6
 """rad an axis: what a support moves by from one part of a rest to the next."""
 
 
-def in_parts(reduction: Reduction, whole: Segmentation) -> tuple[Segmentation, IntArray]:
-    """Divide the rests that warm, a part for each WARMED.
-
-    Returns
-    -------
-    Segmentation
-        With the parts in place of the rests.
-    number
-        The number of the rest that each part (N,) belongs to.
-    """
+def in_parts(reduction: Reduction, whole: Segmentation, least: int = 1) -> tuple[Segmentation, IntArray]:
+    """Divide the rests that warm, a part for each WARMED, in so many at `least` where they are long enough: the parts
+    in place of the rests, and the number (N,) of the rest that each of them belongs to."""
     by_file, spans, number = reduction.by_file, list[Stretch](), list[int]()
     for i, span in enumerate(whole.rests):
         file = by_file[span.file]
@@ -53,7 +46,7 @@ def in_parts(reduction: Reduction, whole: Segmentation) -> tuple[Segmentation, I
             tenths = [part.mean(axis=0) for part in np.array_split(warmth, min(10, len(warmth)))]
             change = max(warming_of(warmth), float(np.ptp(tenths, axis=0).max()))
             most = min(MOST_PARTS, int((span.stop - span.start) / SHORTEST_PART))
-            parts = max(1, min(int(np.ceil(change / WARMED)), most))
+            parts = max(1, min(max(int(np.ceil(change / WARMED)), least), most))
         for first, last in pairwise(np.linspace(span.first, span.last, parts + 1).round().astype(int).tolist()):
             edges = span.start if first == span.first else file.edges[first], file.edges[last]
             stop = span.stop if last == span.last else float(edges[1])
@@ -64,17 +57,8 @@ def in_parts(reduction: Reduction, whole: Segmentation) -> tuple[Segmentation, I
 
 
 def joined(sessions: Sequence[Observations], names: Sequence[str], numbers: Sequence[IntArray]) -> Observations:
-    """Join the observations of several sessions of one device at one place.
-
-    Parameters
-    ----------
-    sessions
-        The observations of each session.
-    names
-        The name of each session.
-    numbers
-        For each session the numbers (N,) of its rests; parts of a rest have the same.
-    """
+    """Join the observations of several sessions of one device at one place. `numbers`: for each session the numbers
+    (N,) of its rests; parts of a rest have the same."""
     counts = [len(each.rests) for each in sessions]
     rests, turns, readings = list[Rests](), list[Turns](), list[TurnReadings]()
     samples, records = list[tuple[int, TurnSamples]](), dict[int, tuple[float, Array]]()

@@ -6,9 +6,9 @@ a_j the nominal axis of a sensor and s_j = a_j · x,
     x = inverse · (y − bias − terms(x))                                                                          (1)
     terms_j = quadratic_j · (x₁², x₁x₂, x₁x₃, x₂², x₂x₃, x₃²) + cubic_j s_j³ + asymmetry_j |s_j| + by_force_j · f
 
-from x = inverse · (y − bias), repeated. At d = T − reference, °C, the bias is greater by d (bias_slope + d bias_curve),
-and what stands in the brackets is divided by 1 + d (scale_slope + d scale_curve), sensor by sensor. Lever arms and
-delays need the motion and are not in it.
+from x = inverse · (y − bias), repeated. At d = T − reference, °C, the bias is greater by
+d (bias_slope + d (bias_curve + d bias_cube)), the cube where it is not zero, and what stands in the brackets is divided
+by 1 + d (scale_slope + d scale_curve), sensor by sensor. Lever arms and delays need the motion and are not in it.
 """
 
 from __future__ import annotations
@@ -96,13 +96,14 @@ def over_temperature(compensator: Compensator, kind: SensorKind) -> dict[str, Ar
     """What changes with temperature of the sensors of a kind, by name, a number a sensor."""
     bias, scale = (compensator.changes(kind, what) for what in ("bias", "scale"))
     scale = scale / np.linalg.norm(compensator.model(kind).matrix, axis=1)[:, None]
-    return {
+    tables = {
         "reference": compensator.reference(kind),
         "bias_slope": bias[:, 0],
         "bias_curve": bias[:, 1],
         "scale_slope": scale[:, 0],
         "scale_curve": scale[:, 1],
     }
+    return tables | ({"bias_cube": bias[:, 2]} if np.any(bias[:, 2]) else {})
 
 
 def correction_content(calibration: CalibrationData) -> dict[str, Any]:
@@ -124,8 +125,9 @@ def correction_content(calibration: CalibrationData) -> dict[str, Any]:
             formula += ", s = axis · " + symbol if {"cubic", "asymmetry"} & tables.keys() else ""
         if changing(calibration) and compensator.warm:
             tables |= over_temperature(compensator, kind)
+            curve = "(bias_curve + d bias_cube)" if "bias_cube" in tables else "bias_curve"
             formula += (
-                "; at d = T − reference, °C: bias + d (bias_slope + d bias_curve), and what stands in the brackets is "
+                f"; at d = T − reference, °C: bias + d (bias_slope + d {curve}), and what stands in the brackets is "
                 "divided by 1 + d (scale_slope + d scale_curve)"
             )
         content = {"formula": formula, "unit": UNITS[kind]} | {name: table.tolist() for name, table in tables.items()}

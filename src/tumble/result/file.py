@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, field, fields, make_dataclass
 from functools import cache
 from pathlib import Path
@@ -38,7 +38,7 @@ KEYS = (
     *("programme", "readings", "notes", "assumptions", "absent", "launches", "together", "provenance"),
 )
 """Keys of the file in their order; `circumstances` is written as "session"."""
-_SENTENCES = (("notes",), ("assumptions",), ("absent",))
+_SENTENCES = ("notes", "assumptions", "absent")
 """Keys of sentences, which may have any characters; all other texts have those that do nothing."""
 ORIGIN = ("log_sha256", "software", "created", "prior")
 """Fields of `Provenance` that the file has in its table "provenance"."""
@@ -210,16 +210,13 @@ def parsed(record: type, text: str, name: str, build: Callable[[Any], AnyCalibra
     if content["format"] != FORMAT:
         raise CalibrationError(f"{name}: expected format {FORMAT}, found {shown(content['format'])}")
     try:
-        for key, value in _values(content):
-            if isinstance(value, float) and abs(value) > LARGEST:
-                size = f"expected a number of at most {LARGEST:g} in size, found {value:g}"
-                raise ValueError(f"{dotted(key)[:80]}: {size}")
+        for key, value in _first(content, lambda value, _: isinstance(value, float) and abs(value) > LARGEST):
+            size = f"expected a number of at most {LARGEST:g} in size, found {value:g}"
+            raise ValueError(f"{dotted(key)[:80]}: {size}")
         result = build(adapter_of(record).validate_json(text))
-        for key, value in _values(content):
-            plain_wanted = key[:1] not in _SENTENCES
-            if isinstance(value, str) and (len(value) > LONGEST_TEXT or (plain_wanted and not is_plain(value))):
-                limits = f"at most {LONGEST_TEXT} characters and no control characters"
-                raise ValueError(f"{dotted(key)[:80]}: expected {limits}, found {shown(value)}")
+        for key, value in _first(content, _is_no_text):
+            limits = f"at most {LONGEST_TEXT} characters and no control characters"
+            raise ValueError(f"{dotted(key)[:80]}: expected {limits}, found {shown(value)}")
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         if first["type"] == "json_invalid":
@@ -230,17 +227,25 @@ def parsed(record: type, text: str, name: str, build: Callable[[Any], AnyCalibra
     return result
 
 
-def _values(content: Any, key: tuple[int | str, ...] = ()) -> Iterator[tuple[tuple[int | str, ...], Any]]:
-    """Every number and text of a document, the names of keys too, with its key."""
-    if isinstance(content, dict):
-        for name, each in content.items():
-            yield key, name
-            yield from _values(each, (*key, name))
-    elif isinstance(content, list):
-        for index, each in enumerate(content):
-            yield from _values(each, (*key, index))
-    else:
-        yield key, content
+def _first(
+    content: Any, wrong: Callable[[Any, int | str], bool], key: tuple[int | str, ...] = ()
+) -> list[tuple[tuple[int | str, ...], Any]]:
+    """The first number or text of a document, the names of keys too, that is wrong below a key of its top level, with
+    its own key; nothing where none is."""
+    for name, each in content.items() if isinstance(content, dict) else enumerate(content):
+        top = key[0] if key else name
+        if isinstance(name, str) and wrong(name, key[0] if key else ""):
+            return [(key, name)]
+        if isinstance(each, dict | list):
+            if found := _first(each, wrong, (*key, name)):
+                return found
+        elif wrong(each, top):
+            return [((*key, name), each)]
+    return []
+
+
+def _is_no_text(value: Any, top: int | str) -> bool:
+    return isinstance(value, str) and (len(value) > LONGEST_TEXT or (top not in _SENTENCES and not is_plain(value)))
 
 
 def _no_calibration(name: str, found: object) -> CalibrationError:

@@ -14,10 +14,10 @@ from tumble.result.record import AnyCalibration, CalibrationData
 from tumble.sensors.frames import Frame, Framed, carried_further, convert, frame_of, triad_axes
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block
-from tumble.sensors.parameters import LINEAR, group_name, sensor_kind
+from tumble.sensors.parameters import LINEAR, THERMAL, group_name, sensor_kind
 from tumble.units import Array
 
-_VARIABLES = ("time", "temperature", "temperature²")
+_VARIABLES = ("time", *THERMAL)
 _LINEAR = frozenset(group.name for group in LINEAR)
 
 

@@ -1,7 +1,8 @@
-"""Parameters over temperature: θ(T) = θ + θ₁ (T − T₀) + θ₂ (T − T₀)² with its uncertainty, and the temperatures at
-which it was measured.
+"""Parameters over temperature: θ(T) = θ + θ₁ (T − T₀) + θ₂ (T − T₀)² + θ₃ (T − T₀)³ with its uncertainty, and the
+temperatures at which it was measured.
 
-θ₁ is the parameter `<name>.t1`, θ₂ `<name>.t2` where a calibration has it; T₀ its reference temperature. Temperatures
+θ₁ is the parameter `<name>.t1`, θ₂ `<name>.t2` and θ₃ `<name>.t3` where a calibration has them; T₀ its reference
+temperature. Where it does not know θ, as of a device that lay in one attitude, it is the change from T₀. Temperatures
 are in °C. Beyond the measured range the polynomial is an extrapolation.
 """
 
@@ -15,9 +16,9 @@ import numpy as np
 
 from tumble.result.parts import RestResult, stated_factor
 from tumble.result.record import CalibrationData, reference_of_parameter
+from tumble.sensors.parameters import OVER_TEMPERATURE, units_of
 from tumble.units import Array
 
-_ENDINGS = ("t1", "t2")
 _LEAST_SPAN = 0.05
 """K: rests whose temperatures are closer show nothing over temperature."""
 
@@ -74,8 +75,9 @@ def measured_range(calibration: CalibrationData) -> Range | None:
 
 def changing(calibration: CalibrationData) -> tuple[str, ...]:
     """Names of the parameters that change with temperature, in the order of the file."""
-    names = {p.name for p in calibration.parameters}
-    return tuple(p.name for p in calibration.parameters if any(f"{p.name}.{ending}" in names for ending in _ENDINGS))
+    bases = (name.rpartition(".") for name in calibration)
+    changed = dict.fromkeys(base for base, _, ending in bases if ending in OVER_TEMPERATURE)
+    return (*(name for name in calibration if name in changed), *(name for name in changed if name not in calibration))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -92,10 +94,10 @@ class Curve:
 
 
 def curve(calibration: CalibrationData, name: str, temperature: Array) -> Curve:
-    """A parameter over temperatures (N,), °C: value and U = k u with u² = pᵀ Σ p, p = (1, T − T₀, (T − T₀)²), and k by
-    the effective degrees of freedom of the sum."""
+    """A parameter over temperatures (N,), °C: value and U = k u with u² = pᵀ Σ p, p = (1, T − T₀, …), and k by the
+    effective degrees of freedom of the sum."""
     places = {p.name: i for i, p in enumerate(calibration.parameters)}
-    powers = [(0, name), *((d, f"{name}.{ending}") for d, ending in enumerate(_ENDINGS, 1))]
+    powers = [(0, name), *((d, f"{name}.{ending}") for d, ending in enumerate(OVER_TEMPERATURE, 1))]
     terms = [(d, places[each]) for d, each in powers if each in places]
     warmer = temperature - reference_of_parameter(calibration, name)
     P = np.stack([warmer**d for d, _ in terms], axis=1)
@@ -116,7 +118,7 @@ def curve(calibration: CalibrationData, name: str, temperature: Array) -> Curve:
         expanded = np.array(factors) * np.sqrt(u2) if len(factors) == len(u2) else None
     return Curve(
         name=name,
-        unit=calibration[name].unit,
+        unit=units_of([name])[0],
         temperature=temperature,
         value=P @ np.array([p.value for p in parameters]),
         expanded=expanded,

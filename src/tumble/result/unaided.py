@@ -71,7 +71,8 @@ def unaided(calibration: Calibration, seconds: float = SECONDS) -> tuple[Unaided
     Returns
     -------
     tuple of Unaided, or None
-        None if the calibration has no gyros, no uncertainties, or more than three sensors of a kind.
+        None if the calibration has no gyros, no uncertainties, more than three sensors of a kind, or if biases or axes
+        are not known.
     """
     accel, gyro, site = calibration.accel, calibration.gyro, calibration.provenance.site
     if accel is None or gyro is None or len(accel.bias) != 3 or len(gyro.bias) != 3:
@@ -88,6 +89,8 @@ def unaided(calibration: Calibration, seconds: float = SECONDS) -> tuple[Unaided
         variance = max(p.u, next_u.get(p.name, 0.0)) ** 2 + (p.run_to_run or 0.0) ** 2
         before[group] = before.get(group, 0.0) + p.value**2
         after[group] = after.get(group, 0.0) + variance
+    if not {"accel.bias", "accel.axis", "gyro.bias"} <= before.keys():
+        return None
     results = []
     for squares in (before, after):  # Eq. (4)
         force = sqrt(2.0 / 3.0 * squares["accel.bias"] + gravity**2 / 3.0 * squares["accel.axis"])

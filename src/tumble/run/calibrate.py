@@ -32,10 +32,11 @@ from tumble.recording.log import Log
 from tumble.recording.session import LogSpec, Session
 from tumble.recording.session_file import session_from
 from tumble.reduction.observations import Observations
-from tumble.result.calibration import Calibration, read_calibration
+from tumble.result.calibration import Calibration, calibration_from, read_calibration
 from tumble.result.evidence import Provenance
 from tumble.run.from_estimate import bridged_in, reference_of, result_of, without_result
 from tumble.run.observed import Progress, inspected, observations_for_calibration
+from tumble.run.warming import calibrate_warming, lies_still
 from tumble.sensors.frames import Convention, Frame
 from tumble.sensors.grades import GRADES, guessed_grade
 from tumble.sensors.grades import grade as grade_named
@@ -80,6 +81,7 @@ def calibrate(
     terms: Terms = "full",
     without: Iterable[int] = (),
     prior: Prior | None = None,
+    base: Calibration | FilePath | None = None,
     progress: Progress = Log.chunks,
     **arrays: Unpack[SensorArrays],
 ) -> Calibration:
@@ -103,6 +105,9 @@ def calibrate(
     prior
         What calibrations of other devices of the type say, such as `Registry.prior` gives, in place of sizes that are
         usual for the grade; for the method `joint` with all terms.
+    base
+        Calibration of the device, or its file, whose biases get coefficients over temperature by a recording at rest
+        while it warms or cools; for the method `joint` with all terms.
     progress
         Function that gives the chunks of a log as they are read, such as one that draws a bar.
     **arrays
@@ -147,9 +152,12 @@ def calibrate(
     estimator: Estimator = methods[method] if iterations is None else partial(methods[method], iterations=iterations)
     if prior is not None and (method != "joint" or terms != "full"):
         raise InputError("prior: expected the method joint with all terms, which takes one, found another")
+    if base is not None and (method != "joint" or terms != "full" or prior is not None or frame != "accelerometer"):
+        raise InputError("base: expected the method joint with all terms, no prior and no frame, found others")
     if frame != "accelerometer":
         Convention(frame=frame, block=recording.accel_block)
-    calibration = _calibrated(recording, method, estimator, frame, terms, progress, prior)
+    at_one = None if base is None else calibration_from(base)
+    calibration = _calibrated(recording, method, estimator, frame, terms, progress, prior, at_one)
     if recording.log.gyro is not stated.log.gyro:
         calibration = _with_provenance(calibration, notes=(*calibration.provenance.notes, UNSCALED))
     if not recording.excluded:
@@ -160,7 +168,7 @@ def calibrate(
     # what is accepted without some rests only is a choice, and no u contains it: the outcome of all counts too
     try:
         every = replace(recording, excluded=())
-        of_all = _calibrated(every, method, estimator, frame, terms, progress, prior).outcome
+        of_all = _calibrated(every, method, estimator, frame, terms, progress, prior, at_one).outcome
     except InputError as error:  # a rest too many for the programme, such as a knocked one
         of_all = Outcome(reasons=(str(error),))
     of_whole = f"with what was left out: {': '.join(filter(None, [of_all.verdict, '; '.join(of_all.reasons)]))}"
@@ -181,6 +189,7 @@ def _calibrated(
     terms: Terms,
     progress: Progress,
     prior: Prior | None,
+    base: Calibration | None = None,
     clock: ClockByEarth | None = None,
 ) -> Calibration:
     """The calibration from what a session does not leave out; made anew with the `clock` by the Earth's rate where this
@@ -189,11 +198,13 @@ def _calibrated(
     with ThreadPoolExecutor(max_workers=1) as beside:
         observed = inspected(session, progress, beside)
         observations = observations_for_calibration(observed, biases_jump=method == "joint")
+        if base is not None or (method == "joint" and lies_still(observed)):
+            return calibrate_warming(observed, base, provenance_of(observed.sha256))
         options = (estimator, systematic, terms, prior, clock)
         estimate = observations if isinstance(observations, Outcome) else estimated(session, observations, *options)
     if clock is None and not isinstance(estimate, Outcome) and (clock := clock_by_earth(estimate[0])) is not None:
         log = replace(session.log, clock_rate=session.log.clock_rate * clock.rate, clock_u=clock.u)
-        made = _calibrated(replace(session, log=log), method, estimator, frame, terms, progress, prior, clock)
+        made = _calibrated(replace(session, log=log), method, estimator, frame, terms, progress, prior, clock=clock)
         said = clock.sentence(" and ".join(clocked(clock.u, log.increments)) or "no parameter")
         if abs(clock.rate - 1.0) > CLOCK_CONTRADICTED * session.log.time_base_u:
             return _with_remarks(made, (said,), ())

@@ -456,7 +456,9 @@ def _notes(table: ReadingsTable, nominal: Nominal, fit: EllipsoidFit | None) -> 
             "part of it"
         )
     if nominal.estimated:
-        yield f"no nominal scale was stated: {per} {nominal.unit}/{nominal.per} was taken from the readings"
+        fitting = [f"--unit {unit}" for unit in fitting_units(np.abs(nominal.scale), UNITS[nominal.sensor])]
+        also = f"; {' or '.join(fitting)} would fit" if fitting else ""
+        yield f"no nominal scale was stated: {per} {nominal.unit}/{nominal.per} was taken from the readings{also}"
     if nominal.assumed:
         yield (
             f"polarity of {', '.join(nominal.assumed)}: taken as positive, since the readings do not tell it; state it "

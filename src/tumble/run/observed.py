@@ -247,13 +247,14 @@ def _in_motion(observed: Observed) -> Observations | None:
     return replace(every, notes=(*observed.notes, *every.notes))
 
 
-def observations_in_parts(observed: Observed) -> tuple[Observations, IntArray] | Outcome:
-    """The same with rests that warm in parts, and the number of the rest that each part is of."""
+def observations_in_parts(observed: Observed, least: int = 1) -> tuple[Observations, IntArray] | Outcome:
+    """The same with rests that warm in parts, each in so many at `least`, and the number of the rest that each part is
+    of."""
     matched = _matched(observed)
     if isinstance(matched, Outcome):
         return matched
     reduction, match_of_rests, torn = matched
-    match, numbers = in_parts(reduction, match_of_rests)
+    match, numbers = in_parts(reduction, match_of_rests, least)
     parts = _observed_again(observed, reduction, match)
     parts = with_mended_samples(replace(parts, notes=(*observed.notes, *parts.notes, *torn))).with_blows()
     return held(parts), numbers

@@ -27,10 +27,12 @@ from tumble.sensors.parameters import (
     CONSTANT,
     FORCE,
     FUNCTIONS,
+    OVER_TEMPERATURE,
     OWN_CUBE,
     OWN_SIZE,
     PRODUCTS,
     RATE,
+    THERMAL,
     group_name,
 )
 from tumble.units import Array
@@ -63,8 +65,8 @@ class Solver:
 
     @staticmethod
     def of(block: Block, K: Array, thermal: Array | None = None, levers: Array | None = None) -> Solver:
-        """The solver of a block with coefficients K (n, 15). `thermal` (n, 5) are reference temperatures, °C, and the
-        changes of biases and of scale factors per K and per K², `levers` (n, 3) lever arms, m."""
+        """The solver of a block with coefficients K (n, 15). `thermal` (n, 7) are reference temperatures, °C, and the
+        changes of biases and of scale factors per K, K² and K³, `levers` (n, 3) lever arms, m."""
         of_force, measured = block.kind == "accel", measured_by(block)
         sheet = np.zeros((block.size, WIDTH))
         sheet[:, :FUNCTIONS] = K
@@ -72,7 +74,7 @@ class Solver:
         sheet[:, INVERSE:AXIS], sheet[:, AXIS:REFERENCE] = left_inverse(K[:, measured]).T, block.axes
         if thermal is not None:
             sheet[:, REFERENCE:LEVER] = thermal
-            sheet[:, CHANGES + 2 : LEVER] /= np.linalg.norm(K[:, measured], axis=1)[:, None]
+            sheet[:, CHANGES + len(THERMAL) : LEVER] /= np.linalg.norm(K[:, measured], axis=1)[:, None]
         if levers is not None:
             sheet[:, LEVER:SENSITIVITY], sheet[:, SENSITIVITY:ACROSS] = levers, K[:, measured]
             sheet[:, ACROSS:ALONG] = np.cross(levers, K[:, measured])
@@ -99,7 +101,7 @@ class Solver:
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Compensator:
     """An instrument as what corrects its readings: blocks of sensors and the coefficients K (n, 15) of each, and what
-    biases and scale factors change by per K of temperature (n,), `slopes`, and per K², `curvatures`, about the
+    biases and scale factors change by per K, K² and K³ of temperature, `polynomials` (n, 3), about the
     `references` (n,), °C, by kind, where there are such; the sensors of a kind follow their thermometers with a time
     constant, s, that stands in `lags`. Lever arms (n, 3), m, need the motion: `tumble.use.corrector`. The `delays` (n,)
     of the accelerometers, s, are not undone."""
@@ -108,8 +110,7 @@ class Compensator:
     gyro: Block | None
     accel_coefficients: Array
     gyro_coefficients: Array
-    slopes: Mapping[str, Array]
-    curvatures: Mapping[str, Array]
+    polynomials: Mapping[str, Array]
     levers: Array
     delays: Array
     references: Mapping[str, Array] = field(default_factory=dict)
@@ -139,8 +140,7 @@ class Compensator:
             gyro=gyro if models[1] is not None else None,
             accel_coefficients=coefficients[0],
             gyro_coefficients=coefficients[1],
-            slopes=_changes(blocks, values, "t1"),
-            curvatures=_changes(blocks, values, "t2"),
+            polynomials=_changes(blocks, values),
             levers=instrument.levers(further),
             delays=instrument.delays(further),
             references=references,
@@ -157,7 +157,7 @@ class Compensator:
     @property
     def warm(self) -> bool:
         """Whether anything changes with temperature."""
-        return bool(self.slopes or self.curvatures)
+        return bool(self.polynomials)
 
     @property
     def several_thermometers(self) -> bool:
@@ -178,7 +178,7 @@ class Compensator:
         if celsius is None:
             return SensorModel(matrix=matrix, bias=bias)
         warmer = celsius - self.reference(kind)
-        powers = np.column_stack([warmer, warmer**2])
+        powers = np.column_stack([warmer, warmer**2, warmer**3])
         bias_change, scale_change = ((self.changes(kind, what) * powers).sum(axis=1) for what in ("bias", "scale"))
         longer = 1.0 + scale_change / np.linalg.norm(matrix, axis=1)
         return SensorModel(matrix=longer[:, None] * matrix, bias=bias + bias_change)
@@ -189,9 +189,9 @@ class Compensator:
         return np.asarray(self.references.get(kind, np.zeros(len(self.sensors(kind)[1]))))
 
     def changes(self, kind: str, what: str) -> Array:
-        """Changes (n, 2) of "bias" or "scale" of the channels of a kind of sensors, per K and per K²."""
-        nothing = np.zeros(len(self.sensors(kind)[1]))
-        return np.column_stack([by.get(f"{kind}.{what}", nothing) for by in (self.slopes, self.curvatures)])
+        """Changes (n, 3) of "bias" or "scale" of the channels of a kind of sensors, per K, K² and K³."""
+        nothing = np.zeros((len(self.sensors(kind)[1]), len(OVER_TEMPERATURE)))
+        return np.asarray(self.polynomials.get(f"{kind}.{what}", nothing))
 
     @cached_property
     def accelerometers(self) -> Solver:
@@ -218,19 +218,21 @@ class Compensator:
         return temperature if self.warm and block.kind in self.references else None
 
     def _thermal(self, block: Block) -> Array | None:
-        """Reference temperature, °C, and changes of biases and sensitivities per K and K² (n, 5)."""
+        """Reference temperature, °C, and changes of biases and sensitivities per K, K² and K³ (n, 7)."""
         if not self.warm or block.kind not in self.references:
             return None
         changes = (self.changes(block.kind, what) for what in ("bias", "scale"))
         return np.column_stack([self.reference(block.kind), *changes])
 
 
-def _changes(blocks: tuple[Block, Block | None], values: Mapping[str, float], ending: str) -> dict[str, Array]:
-    """Changes (n,) by channel of biases and scale factors, per K for `t1` and per K² for `t2`, where the values have
-    some."""
+def _changes(blocks: tuple[Block, Block | None], values: Mapping[str, float]) -> dict[str, Array]:
+    """Changes (n, 3) by channel of biases and scale factors, per K, K² and K³, where the values have some."""
     out = {}
     for block in filter(None, blocks):
         for what in ("bias", "scale"):
-            out[f"{block.kind}.{what}"] = change = np.zeros(block.size)
-            change[block.channels] = [values.get(f"{block.kind}.{what}.{s}.{ending}", 0.0) for s in block.sensors]
+            out[f"{block.kind}.{what}"] = change = np.zeros((block.size, len(OVER_TEMPERATURE)))
+            change[block.channels] = [
+                [values.get(f"{block.kind}.{what}.{s}.{ending}", 0.0) for ending in OVER_TEMPERATURE]
+                for s in block.sensors
+            ]
     return out if any(np.any(change) for change in out.values()) else {}

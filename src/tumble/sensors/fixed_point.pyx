@@ -23,18 +23,18 @@ cpdef enum:
     AXIS = 18
     REFERENCE = 21
     CHANGES = 22
-    LEVER = 26
-    SENSITIVITY = 29
-    ACROSS = 32
-    ALONG = 35
-    WIDTH = 36
+    LEVER = 28
+    SENSITIVITY = 31
+    ACROSS = 34
+    ALONG = 37
+    WIDTH = 38
     TOO_WARM = 1
     TOO_FAST = 2
     TOO_MUCH = 4
 
 # A sheet (n, WIDTH) has a row for each sensor of a block: of K what is not linear in the measured vector, with the bias
-# b at _BIAS; its column of S⁻¹; its axis; its reference temperature T₀, °C; what b changes by per K and K², and s
-# likewise; and of an accelerometer r, k, r × k and r · k, with lever arm r and sensitivity k.
+# b at _BIAS; its column of S⁻¹; its axis; its reference temperature T₀, °C; what b changes by per K, K² and K³,
+# and s likewise; and of an accelerometer r, k, r × k and r · k, with lever arm r and sensitivity k.
 
 
 def fixed_point(
@@ -58,7 +58,7 @@ cdef for_each_processor _solve(
     """The same into `out`; `known` has of each sensor the reading less all that is known before the first step, and the
     inverse of its gain."""
     cdef Py_ssize_t p
-    cdef double x, y, z, u, v, w, own, value, warmer, gain, b1, b2, s1, s2
+    cdef double x, y, z, u, v, w, own, value, warmer, gain, b1, b2, b3, s1, s2, s3
     linear = _RATE if of_force else _FORCE
     for i in range(readings.shape[0]):
         x, y, z = 0.0, 0.0, 0.0
@@ -67,11 +67,12 @@ cdef for_each_processor _solve(
         u, v, w = 0.0, 0.0, 0.0
         for p in range(sheet.shape[0]):
             value, gain = readings[i, p] - sheet[p, _BIAS], 1.0
-            b1, b2, s1, s2 = sheet[p, CHANGES], sheet[p, CHANGES + 1], sheet[p, CHANGES + 2], sheet[p, CHANGES + 3]
-            if b1 != 0.0 or b2 != 0.0 or s1 != 0.0 or s2 != 0.0:
+            b1, b2, b3 = sheet[p, CHANGES], sheet[p, CHANGES + 1], sheet[p, CHANGES + 2]
+            s1, s2, s3 = sheet[p, CHANGES + 3], sheet[p, CHANGES + 4], sheet[p, CHANGES + 5]
+            if b1 != 0.0 or b2 != 0.0 or b3 != 0.0 or s1 != 0.0 or s2 != 0.0 or s3 != 0.0:
                 warmer = celsius[i, thermometers[p]] - sheet[p, REFERENCE]
-                value -= warmer * (b1 + b2 * warmer)
-                gain = 1.0 / (1.0 + warmer * (s1 + s2 * warmer))
+                value -= warmer * (b1 + warmer * (b2 + b3 * warmer))
+                gain = 1.0 / (1.0 + warmer * (s1 + warmer * (s2 + s3 * warmer)))
             if feels:
                 value = value - sheet[p, linear] * x - sheet[p, linear + 1] * y - sheet[p, linear + 2] * z
                 if not of_force:

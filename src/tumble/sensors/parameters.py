@@ -18,6 +18,7 @@ class.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -53,11 +54,12 @@ PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 Terms = Literal["full", "linear"]
 """The parameters of an instrument: bias, scale factor and axis angles alone, or all groups of the table."""
 Motion = Literal["lever", "delay", "single delay"]
-Variable = Literal["time", "temperature", "temperature²", "hysteresis", "launch", "lag"]
+Variable = Literal["time", "temperature", "temperature²", "temperature³", "hysteresis", "launch", "lag"]
 """What the change of a parameter goes with: time from the mean of a session's rests, s, temperature from the reference,
-K, its square, the direction it came from, −1 … 1, or that a session is another one; a lag moves the temperatures."""
-THERMAL: tuple[Variable, ...] = ("temperature", "temperature²")
-"""Those of slopes and curvatures."""
+K, its square and cube, the direction it came from, −1 … 1, or that a session is another one; a lag moves the
+temperatures."""
+THERMAL: tuple[Variable, ...] = ("temperature", "temperature²", "temperature³")
+"""Those of polynomials of temperature, in the order of their powers."""
 Regressors = Callable[[Block], Array]
 """∂K/∂θ (n, 15, m) of a block for a group's parameters."""
 
@@ -118,11 +120,14 @@ _CHANGES: dict[Variable | None, tuple[str, str, str]] = {
     "time": ("drift", "s", "drift of the "),
     "temperature": ("t1", "K", "slope over temperature of the "),
     "temperature²": ("t2", "K^2", "curvature over temperature of the "),
+    "temperature³": ("t3", "K^3", "cubic term over temperature of the "),
     "hysteresis": ("hysteresis", "", "hysteresis over temperature of the "),
     "launch": ("launch", "", "change from session to session of the "),
 }
 """How the name of a parameter ends that is the change of another, what its unit is divided by, and its words."""
 _ENDINGS = {variable: ending for variable, (ending, _, _) in _CHANGES.items()}
+OVER_TEMPERATURE = tuple(_ENDINGS[variable] for variable in THERMAL)
+"""How the names of the coefficients of such polynomials end."""
 
 
 # What parameters are called within their group
@@ -182,6 +187,7 @@ def g_sensitivity(block: Block) -> Array:
 # The table
 
 Units = tuple[tuple[float, str], ...]
+_NANO_G: Units = ((1e-3 * MICRO_G, "ng"),)
 _MASS: Units = ((MICRO_G, "µg"), (1e3 * MICRO_G, "mg"))
 _PARTS: Units = ((1e-6, "ppm"),)
 _TURN_RATE: Units = ((DEGREE_PER_HOUR, "°/h"), (DEGREE, "°/s"))
@@ -189,7 +195,7 @@ _TIME: Units = ((1e-6, "µs"), (1e-3, "ms"))
 _HOUR = 3600.0
 _AT_TEN = 1e-6 / (10.0 * DEGREE) ** 2
 """s²/rad²: what changes the scale factor by 1 ppm at 10 °/s."""
-_CURVED = 1.0 / 60.0
+CURVED = 1.0 / 60.0
 """Usual curvature over temperature, K⁻¹, in parts of the usual slope: at 60 K from the reference they do as much."""
 
 
@@ -280,7 +286,7 @@ def _steady_changes(
     return [
         _change(base, "time", _per(units, "h", _HOUR), per_hour, 1.0 / _HOUR),
         _change(base, "temperature", _per(units, "°C"), per_kelvin),
-        _change(base, "temperature²", _per((*finer, *units), "°C²"), per_kelvin, _CURVED),
+        _change(base, "temperature²", _per((*finer, *units), "°C²"), per_kelvin, CURVED),
     ]
 
 
@@ -333,7 +339,7 @@ FURTHER: list[ParameterGroup] = [
     ),
     *_steady_changes(
         "accel.bias", _MASS, _grades(20.0, 200.0, 2e3, 5e3, MICRO_G), _grades(20.0, 50.0, 300.0, 1e3, MICRO_G),
-        ((1e-3 * MICRO_G, "ng"),),
+        _NANO_G,
     ),
     *_steady_changes(
         "accel.scale", _PARTS, _grades(10e-6, 50e-6, 200e-6, 500e-6), _grades(20e-6, 30e-6, 150e-6, 300e-6),
@@ -347,6 +353,8 @@ FURTHER: list[ParameterGroup] = [
         "gyro.scale", _PARTS, _grades(5e-6, 50e-6, 200e-6, 500e-6), _grades(10e-6, 30e-6, 200e-6, 400e-6),
         ((1e-9, "ppb"),),
     ),
+    _change("accel.bias", "temperature³", _per((*_NANO_G, *_MASS), "°C³"), {}),
+    _change("gyro.bias", "temperature³", _per(_TURN_RATE, "°C³"), {}),
     _change("accel.bias", "hysteresis", _MASS, _grades(20.0, 50.0, 500.0, 1e3, MICRO_G)),
     _change("gyro.bias", "hysteresis", _TURN_RATE, _grades(0.01, 0.5, 20.0, 50.0, DEGREE_PER_HOUR)),
     _change("accel.bias", "launch", _MASS, _grades(20.0, 100.0, 500.0, 2e3, MICRO_G)),
@@ -466,20 +474,17 @@ def meant_by(name: str, parameter: str) -> bool:
 
 def to_temperature(names: Sequence[str], warmer: float | Array) -> Array:
     """The matrix (m, m) that takes parameters of these names to a reference temperature higher by so many K, each (m,)
-    or all, by the slopes and curvatures among them."""
+    or all, by the polynomials of temperature among them: (d + w)^k = Σ_j C(k, j) w^(k−j) d^j."""
     out, place = np.eye(len(names)), {name: i for i, name in enumerate(names)}
     by = np.broadcast_to(warmer, len(names)).tolist()
-    slope, curvature = _ENDINGS["temperature"], _ENDINGS["temperature²"]
     for i, name in enumerate(names):
         base, _, ending = name.rpartition(".")
-        if base not in place:
+        if base not in place or ending not in OVER_TEMPERATURE:
             continue
-        if ending == slope:
-            out[place[base], i] = by[i]
-        elif ending == curvature:
-            out[place[base], i] = by[i] ** 2
-            if f"{base}.{slope}" in place:
-                out[place[f"{base}.{slope}"], i] = 2.0 * by[i]
+        power = 1 + OVER_TEMPERATURE.index(ending)
+        for j, lower in enumerate([base, *(f"{base}.{each}" for each in OVER_TEMPERATURE[: power - 1])]):
+            if lower in place:
+                out[place[lower], i] = math.comb(power, j) * by[i] ** (power - j)
     return out
 
 

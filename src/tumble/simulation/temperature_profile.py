@@ -63,7 +63,8 @@ class Climate:
         warmer = sensors - self.reference
         came = self.record.direction(np.zeros(len(time), dtype=np.int64), time)
         hysteresis = came * np.maximum(1.0 - x**2, 0.0)
-        every: dict[Variable, Array] = {"temperature": warmer, "temperature²": warmer**2, "hysteresis": hysteresis}
+        every: dict[Variable, Array] = {v: warmer**power for power, v in enumerate(THERMAL, 1)}
+        every["hysteresis"] = hysteresis
         return {variable: values[:, block.thermometer] for variable, values in every.items()}
 
     def means(self, start: Array, stop: Array, block: Block) -> dict[Variable, Array]:
@@ -183,7 +184,8 @@ def draw_thermal(
     where it has none, of its grade; and where the set-up has them, of hysteresis."""
     truth: dict[str, float] = {}
     for group in FURTHER:
-        if group.variable not in THERMAL and not (group.variable == "hysteresis" and group.name in spreads):
+        usual = group.variable in THERMAL and group.usual
+        if not usual and not (group.variable in (*THERMAL, "hysteresis") and group.name in spreads):
             continue
         spread = spreads.get(group.name, group.usual[grade] if grade in GRADES else 0.0)
         names = group.names(blocks[group.kind])

@@ -28,7 +28,7 @@ from tumble.sensors.compensation import Compensator
 from tumble.sensors.fixed_point import ACROSS, ALONG, TOO_FAST, TOO_MUCH, TOO_WARM, WIDTH, advance
 from tumble.sensors.instrument import Instrument, functions, measured_by
 from tumble.sensors.model import Block
-from tumble.sensors.parameters import FORCE, group_name
+from tumble.sensors.parameters import FORCE, THERMAL, group_name
 from tumble.units import G_STANDARD, ZERO_CELSIUS, Array, BoolArray
 
 LONGEST_STEP = 3.5
@@ -393,7 +393,7 @@ class Corrector:
         framed = loaded.compensator
         turned = left_inverse(compensator.accel_coefficients[:, FORCE]) @ framed.accel_coefficients[:, FORCE]
         felt, spun = turned.T @ np.asarray(force), turned.T @ (np.zeros(3) if rate is None else np.asarray(rate))
-        variables = "temperature", "temperature²", "hysteresis"
+        variables = *THERMAL, "hysteresis"
         instrument = Instrument.of(framed.accel, framed.gyro, set(map(group_name, loaded)), variables=variables)
         values = np.array([loaded[name].value if name in loaded else 0.0 for name in instrument.names])
         places = [i for i, name in enumerate(instrument.names) if name in loaded]
@@ -457,7 +457,7 @@ def derivative(instrument: Instrument, values: Array, warmer: float) -> Array:
     """Derivative ∂K/∂θ (n, 15, m) of the coefficients of accelerometers and gyros at a temperature `warmer` K above the
     reference, on which those by slopes, curvatures and hysteresis depend."""
     D = instrument.linearised(values)[1].copy()
-    by = {"temperature": warmer, "temperature²": warmer**2, "hysteresis": float(warmer != 0.0)}
+    by = {variable: warmer**power for power, variable in enumerate(THERMAL, 1)} | {"hysteresis": float(warmer != 0.0)}
     for changing, base, variable in instrument.changes:
         D[:, :, changing] = by[variable] * D[:, :, base]
     return D

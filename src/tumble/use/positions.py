@@ -45,7 +45,7 @@ from tumble.run.readings_table import ReadingsTable, read_table
 from tumble.sensors.frames import Convention, frame_of, triad_axes
 from tumble.sensors.instrument import Instrument, functions
 from tumble.sensors.model import Block
-from tumble.sensors.parameters import Variable, beyond_linear, group_name, sensor_kind
+from tumble.sensors.parameters import THERMAL, Variable, beyond_linear, group_name, sensor_kind
 from tumble.units import ZERO_CELSIUS, Array
 
 CHANCE = 0.01
@@ -55,7 +55,7 @@ NOTHING_LEFT = 0.05
 """1 − h below which hardly anything but the position itself determines what it is compared with: h is the ratio of two
 variances that integrate over the scatter, and known to some hundredths."""
 
-_OVER_TEMPERATURE: dict[Variable, int] = {"temperature": 1, "temperature²": 2}
+_OVER_TEMPERATURE: dict[Variable, int] = {variable: power for power, variable in enumerate(THERMAL, 1)}
 """Variables that a reading at some temperature depends on, and their powers."""
 
 

@@ -10,7 +10,7 @@ from tumble.planning.setup import GROUPS, Setup, time_of
 from tumble.programme.sheet_words import clock, move_text, short_code
 from tumble.sensors.parameters import group_of, shown_in
 from tumble.units import DEGREE
-from tumble.views.blocks import Block, Table, table
+from tumble.views.blocks import Block, Items, Table, table
 from tumble.views.numbers import minus
 
 SHOWN = 1e-4
@@ -39,7 +39,7 @@ def plan_blocks(plan: Plan, *, sources: bool = False) -> list[Block]:
     if plan.requirements:
         needs = (_needs(row, plan.setup) for row in plan.requirements)
         blocks.append(table(needs, words=("parameters", "because")))
-    return blocks
+    return [*blocks, Items(items=plan.assumptions)]
 
 
 def _head(setup: Setup) -> str:

@@ -62,6 +62,8 @@ class TextLog:
         return date_of(self._cell(next(self.pieces(), b""), column))
 
     def tables(self, columns: Sequence[str], clock: str | None = None) -> Iterator[tuple[pl.DataFrame, list[Unread]]]:
+        if missing := [column for column in columns if column not in self.names]:  # its first rows are of no one width
+            raise LogError(f"{self.path}: expected a column {missing[0]}, found {', '.join(self.names)}")
         first, day, pieces = 1, None, self.pieces()
         for piece in chain(islice(pieces, 1), one_ahead(pieces)):  # of the first one the head of a log is read alone
             if clock is not None and day is None:  # the day from which a clock counts

@@ -53,15 +53,9 @@ class ChannelState:
 class ChannelSeries:
     """The n channels of one kind over the K blocks of a file; n is 0 where there are none.
 
-    Attributes
-    ----------
-    means, ends
-        Means of the blocks (K, n), and their last samples (K, n), which show the resolution.
-    weights
-        Weights (K,) of the blocks in a mean.
-    tail_total, tail_weight
-        Weighted sum (n,) and weight of the samples after the last whole block.
-    """
+    `means`, `ends`: means of the blocks (K, n), and their last samples (K, n), which show the resolution.
+    `weights`: weights (K,) of the blocks in a mean. `tail_total`, `tail_weight`: weighted sum (n,) and weight of
+    the samples after the last whole block."""
 
     means: Array
     ends: Array
@@ -86,19 +80,10 @@ def extremes(channels: tuple[ChannelState, ...]) -> Array:
 class FileBlocks:
     """The K blocks of one file.
 
-    Attributes
-    ----------
-    file, first_sample
-        Its number, and the index of its first sample among the stored ones.
-    size
-        Samples of a block.
-    edges
-        Edges (K + 1,) of the blocks, s.
-    accel, gyro, magnetometer
-        The channels, SI, those of the magnetometer in its unit.
-    temperature
-        Temperatures (K, T) at the ends of the blocks, K. None without thermometers.
-    """
+    `file`, `first_sample`: its number, and the index of its first sample among the stored ones. `size`: samples of
+    a block. `edges`: edges (K + 1,) of the blocks, s. `accel`, `gyro`, `magnetometer`: the channels, SI, those of
+    the magnetometer in its unit. `temperature`: temperatures (K, T) at the ends of the blocks, K. None without
+    thermometers."""
 
     file: int
     first_sample: int

@@ -51,19 +51,9 @@ NEGLIGIBLE = 1e-9  # of the variance: autocovariances below are zero
 class ColouredNoise:
     """Noise of the block means of c channels in r rests.
 
-    Attributes
-    ----------
-    batch
-        Blocks of a batch.
-    autocovariance
-        Autocovariances (c, L) of batches from lag 0.
-    correlation
-        Correlation (c, c) between channels.
-    level
-        Factor (r, c) on the variance of each rest.
-    apart
-        For rests that are much longer than most, by their number, their noise and their index in it.
-    """
+    `batch`: blocks of a batch. `autocovariance`: autocovariances (c, L) of batches from lag 0. `correlation`:
+    correlation (c, c) between channels. `level`: factor (r, c) on the variance of each rest. `apart`: for rests
+    that are much longer than most, by their number, their noise and their index in it."""
 
     batch: int
     autocovariance: Array

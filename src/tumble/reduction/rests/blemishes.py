@@ -126,23 +126,8 @@ def bad_samples_of_turns(
     least: Array,
     tuning: Tuning = USUAL,
 ) -> BadSamples:
-    """Find the bad samples of turns.
-
-    Parameters
-    ----------
-    samples
-        The stored samples.
-    start, stop
-        First samples of the K turns, and those after their last ones (K,).
-    within
-        The same for the file of each turn.
-    rate
-        Sample rate, Hz.
-    least
-        The smallest distance (6,) of a bad sample, rates in rad/s and forces in m/s².
-    tuning
-        Thresholds.
-    """
+    """Find the bad samples of the turns from sample `start` to `stop` (K,), in files which are `within` these samples
+    (K,), at a sample rate, Hz. `least`: the smallest distance (6,) of a bad sample, rates in rad/s, forces in m/s²."""
     beside, bad = max(tuning.band_samples, round(tuning.band * rate)), list[tuple[int, int, Array]]()
     for turn, (begin, end, low, high) in enumerate(zip(start, stop, *within, strict=True)):
         for first in range(int(begin), int(end), AT_A_TIME):

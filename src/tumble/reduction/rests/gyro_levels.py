@@ -42,15 +42,8 @@ class OffLevel:
 class LevelFunction:
     """The level of the gyros as a function of force and time.
 
-    Attributes
-    ----------
-    g_sensitivity
-        G (3, 3), rad/s per m/s².
-    drift, step, step_at
-        d and s (3,), rad/s, and the time t₀ of the step, −1 … 1.
-    accepted
-        By file the stretches whose level follows the function.
-    """
+    `g_sensitivity`: G (3, 3), rad/s per m/s². `drift`, `step`, `step_at`: d and s (3,), rad/s, and the time t₀ of
+    the step, −1 … 1. `accepted`: by file the stretches whose level follows the function."""
 
     g_sensitivity: Array
     drift: Array
@@ -79,24 +72,11 @@ def level_function(
     least: int,
     tuning: Tuning,
 ) -> LevelFunction | None:
-    """Fit G, d and s to the levels of rests and of stretches off the level.
+    """Fit G, d and s to the levels of rests of at least `least` blocks and of stretches off the level.
 
-    Parameters
-    ----------
-    rates, goes_with
-        By file the block means (K, 3) of the rate, rad/s, of the specific force, m/s², and their times (K,), −1 … 1.
-    rests, off
-        By file the rests, of which those of at least `least` blocks count, and the stretches off the level.
-    limit
-        Largest distance from a level that follows the function, rad/s.
-    tuning
-        Thresholds.
-
-    Returns
-    -------
-    LevelFunction or None
-        None where no function explains the levels of most stretches, or where one level does as well.
-    """
+    `rates`, `goes_with`: by file the block means (K, 3) of the rate, rad/s, and those of the specific force, m/s², with
+    their times (K,), −1 … 1. `limit`: largest distance, rad/s, from a level that follows the function. None where no
+    function explains the levels of most stretches, or where one level does as well."""
     of_rests = [(k, i, j) for k, spans in enumerate(rests) for i, j in spans if j - i >= least]
     stretches = of_rests + [(s.place, s.first, s.last) for s in off]
     if len(stretches) < tuning.level_attitudes:

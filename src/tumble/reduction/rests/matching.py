@@ -281,20 +281,8 @@ def _longest(reduction: Reduction, span: Stretch, file: int, start: float, stop:
 def without_numbered(
     reduction: Reduction, found: Segmentation, excluded: tuple[Exclusion, ...]
 ) -> tuple[Reduction, Segmentation]:
-    """Exclude turns and rests by their numbers.
-
-    Returns
-    -------
-    Reduction
-        With the excluded turns as gaps.
-    Segmentation
-        Without the excluded rests.
-
-    Raises
-    ------
-    SessionError
-        If there are fewer turns or rests.
-    """
+    """Exclude turns and rests by their numbers: the reduction has the excluded turns as gaps, the segmentation has no
+    excluded rests. Raises SessionError for a number beyond the last."""
     counts, numbers = {"turn": len(found.rests) - 1, "rest": len(found.rests)}, dict[str, list[int]]()
     for what, count in counts.items():
         stated = [(one.by, getattr(one, what)) for one in excluded if getattr(one, what) is not None]

@@ -32,21 +32,11 @@ ACCEL_FLOOR, GYRO_FLOOR = 1e-9, 1e-11
 class Rests:
     """Mean readings of N rests, with n sensors of a kind; 0 gyros where there are none.
 
-    Attributes
-    ----------
-    file, start, stop
-        File and times (N,), s.
-    accel, gyro
-        Mean readings (N, n), m/s² and rad/s, and their covariances (N, n, n).
-    accel_drift, gyro_drift
-        Changes of the readings (N, n) over each rest: slope times duration.
-    accel_noise, gyro_noise
-        Densities of the noise (N, n), unit/√Hz.
-    temperatures
-        Means (N, T) of the thermometers, K. None without any.
-    magnetometer, magnetometer_covariance
-        Mean readings (N, 3) in the unit of the magnetometer and their covariances (N, 3, 3). None without one.
-    """
+    `file`, `start`, `stop`: file and times (N,), s. `accel`, `gyro`: mean readings (N, n), m/s² and rad/s, with
+    their covariances (N, n, n). `accel_drift`, `gyro_drift`: changes of the readings (N, n) over each rest, slope
+    times duration. `accel_noise`, `gyro_noise`: densities of the noise (N, n), unit/√Hz. `temperatures`: means
+    (N, T) of the thermometers, K, None without any. `magnetometer`, `magnetometer_covariance`: mean readings (N, 3)
+    in the unit of the magnetometer and their covariances (N, 3, 3), None without one."""
 
     file: IntArray
     start: Array
@@ -116,25 +106,14 @@ def rows_of(whole: _Arrays, rows: slice | IntArray) -> _Arrays:
 def reduced_rests(
     reduction: Reduction, spans: tuple[Stretch, ...], accel: Block, gyro: Block | None, sway: Sway | None = None
 ) -> tuple[Rests, list[Array], ColouredNoise | None, dict[str, Rounding]]:
-    """Reduce the blocks of rests to means with covariance.
-
-    Parameters
-    ----------
-    reduction
-        The blocks of the log.
-    spans
-        The rests, at least one.
-    accel, gyro
-        The accelerometers and the gyros; None without gyros.
-    sway
-        Sway of the device, if it sways.
+    """Reduce the blocks of rests, at least one, to means with covariance.
 
     Returns
     -------
     rests
         The rests.
     accel_quiet
-        Block means (K, n) of the accelerometers in each rest, m/s², which their noise is fitted to.
+        Block means (K, n) of the accelerometers in each rest, m/s², to which their noise is fitted.
     gyro_noise
         The noise of the gyros. None without gyros.
     rounded

@@ -61,20 +61,10 @@ Fails = Literal["duration", "scatter", "vertical", "level"]
 class Stretch:
     """A quiet stretch of a log: a rest, or what fails to be one.
 
-    Attributes
-    ----------
-    file, first, last
-        Blocks first … last − 1 of a file.
-    start, stop
-        Its times, s.
-    lasts
-        Whether it reaches the end of the log. A single block there may be off by chance.
-    fails
-        What keeps it from being a rest: its duration, the scatter of the accelerometers, the constancy of the vertical
-        or the level of the gyros. None of a rest.
-    reason
-        The same in words, with the number that decided.
-    """
+    `file`, `first`, `last`: blocks first … last − 1 of a file. `start`, `stop`: its times, s. `lasts`: whether it
+    reaches the end of the log, but for a single block, which may be off by chance. `fails`: what keeps it from being a
+    rest, None of a rest: its duration, the scatter of the accelerometers, the constancy of the vertical or the level of
+    the gyros. `reason`: the same in words, with the number that decided."""
 
     json_fields: ClassVar = ("file", "start", "stop", "fails", "reason")
 
@@ -132,24 +122,13 @@ class LevelJump:
 class Segmentation:
     """The rests of a log.
 
-    Attributes
-    ----------
-    rests, rejected
-        The rests, and the quiet stretches that are none, in the order of time.
-    rate_limit, scatter_limit
-        Distance of the rate from its level at rest, rad/s, and scatter of the specific force, m/s², up to which nothing
-        moves. The first is None without gyros.
-    jump
-        Where the level of the gyros at rest jumps.
-    stated_rate
-        Samples per second, Hz, where no time in the log shows them: what is a second, and so a rest, hangs on it.
-    tuning
-        Thresholds of the search.
-    still
-        Whether nothing moves at the end of the log.
-    programme, position
-        The programme that the rests were matched to, and the index (N,) of the position of each in it.
-    """
+    `rests`, `rejected`: the rests, and the quiet stretches that are none, in the order of time. `rate_limit`,
+    `scatter_limit`: distance of the rate from its level at rest, rad/s, and scatter of the specific force, m/s², up
+    to which nothing moves, the first None without gyros. `jump`: where the level of the gyros at rest jumps.
+    `stated_rate`: samples per second, Hz, where no time in the log shows them: what is a second, and so a rest,
+    hangs on it. `tuning`: thresholds of the search. `still`: whether nothing moves at the end of the log.
+    `programme`, `position`: the programme that the rests were matched to, and the index (N,) of the position of
+    each in it."""
 
     json_fields: ClassVar = ("scatter_limit", "rate_limit", "rejected")
 
@@ -252,16 +231,9 @@ def find_rests(reduction: Reduction, accel: Block, gyro: Block | None) -> Segmen
 class _RestSearch:
     """The search of a log with one set of thresholds.
 
-    Attributes
-    ----------
-    window
-        Blocks of a window.
-    forces, rates
-        By file the block means (K, 3) of the specific force, m/s², and of the rate, rad/s, in the body. No rates
-        without gyros.
-    force_step, rate_step
-        Changes of these by the resolution of the channels, without movement.
-    """
+    `window`: blocks of a window. `forces`, `rates`: by file the block means (K, 3) of the specific force, m/s², and
+    of the rate, rad/s, in the body. No rates without gyros. `force_step`, `rate_step`: changes of these by the
+    resolution of the channels, without movement."""
 
     def __init__(self, reduction: Reduction, accel: Block, gyro: Block | None, tuning: Tuning) -> None:
         self.files, self.tuning, self.usual = reduction.files, tuning, reduction.tuning

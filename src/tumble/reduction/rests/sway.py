@@ -46,17 +46,10 @@ LEAST = 1e-12
 class Sway:
     """Sway of a device in its rests.
 
-    Attributes
-    ----------
-    angle
-        Root mean square an axis about the mean attitude of a rest, of the median rest, rad.
-    shortened
-        Part (N,) by which the mean specific force of each rest is shortened.
-    force
-        What sway adds to the specific force of each rest, means of blocks (K, 3) in the body, m/s², of mean 0.
-    density
-        Density (3, 3) of the noise of the gyros in the body without sway, rad²/s.
-    """
+    `angle`: root mean square an axis about the mean attitude of a rest, of the median rest, rad. `shortened`: part
+    (N,) by which the mean specific force of each rest is shortened. `force`: what sway adds to the specific force
+    of each rest, means of blocks (K, 3) in the body, m/s², of mean 0. `density`: density (3, 3) of the noise of the
+    gyros in the body without sway, rad²/s."""
 
     angle: float
     shortened: Array
@@ -68,18 +61,10 @@ class Sway:
 class _Motion:
     """How a body moves in a rest.
 
-    Attributes
-    ----------
-    up
-        Direction (3,) of the mean specific force in the body, and `size` (m/s²) of that.
-    path, turning, force
-        Means of the K blocks (K, 3): the angle about the mean attitude, rad, the angular acceleration, rad/s², and the
-        specific force, m/s².
-    angle, tilt
-        Variance of the angle an axis, and of the angle about horizontal axes, both axes together, rad².
-    density
-        Density (3,) of the noise of the gyros, rad²/s.
-    """
+    `up`: direction (3,) of the mean specific force in the body, and `size` (m/s²) of that. `path`, `turning`,
+    `force`: means of the K blocks (K, 3): the angle about the mean attitude, rad, the angular acceleration, rad/s²,
+    and the specific force, m/s². `angle`, `tilt`: variance of the angle an axis, and of the angle about horizontal
+    axes, both axes together, rad². `density`: density (3,) of the noise of the gyros, rad²/s."""
 
     up: Array
     size: float

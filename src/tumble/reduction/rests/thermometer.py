@@ -29,14 +29,8 @@ MOVED = 0.5
 class Warmth:
     """Temperatures of T thermometers over N stretches of time.
 
-    Attributes
-    ----------
-    kelvin, variance
-        Means (N, T), K, and variances (N, T), K².
-    hysteresis
-        Means (N, T) of sgn(Ṫ)(1 − x²), to which a hysteresis is proportional, with x = −1 … 1 over the range of the
-        thermometer in the file.
-    """
+    `kelvin`, `variance`: means (N, T), K, and variances (N, T), K². `hysteresis`: means (N, T) of sgn(Ṫ)(1 − x²),
+    to which a hysteresis is proportional, with x = −1 … 1 over the range of the thermometer in the file."""
 
     kelvin: Array
     variance: Array

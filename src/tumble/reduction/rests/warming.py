@@ -33,17 +33,8 @@ KelvinAtLag = Callable[[float], Array]
 
 
 def without_warming(series: Sequence[Array], kelvin: KelvinAtLag | None, thermometer: IntArray) -> list[Array]:
-    """Subtract the part of the readings that depends on the temperature within each rest.
-
-    Parameters
-    ----------
-    series
-        Block means (K, c) of every rest.
-    kelvin
-        Temperatures at the blocks. None without thermometers.
-    thermometer
-        The thermometer (c,) of each channel.
-    """
+    """Subtract from the block means (K, c) of every rest what depends on the temperature within it. `kelvin` is
+    None without thermometers; `thermometer` (c,) is that of each channel."""
     if kelvin is None or not len(thermometer):
         return list(series)
     read = np.split(kelvin(0.0), np.cumsum([len(each) for each in series])[:-1])
@@ -74,15 +65,9 @@ def without_warming(series: Sequence[Array], kelvin: KelvinAtLag | None, thermom
 class _Rests:
     """Block means of N rests, of the c channels of one thermometer.
 
-    Attributes
-    ----------
-    means, off
-        Means of the rests (c, N), and the differences (c, K) of the blocks from these.
-    first, count
-        First block and number of blocks (N,) of each rest.
-    noise
-        Standard deviation (c,) of the differences from block to block.
-    """
+    `means`, `off`: means of the rests (c, N), and the differences (c, K) of the blocks from these. `first`,
+    `count`: first block and number of blocks (N,) of each rest. `noise`: standard deviation (c,) of the differences
+    from block to block."""
 
     means: Array
     off: Array

@@ -68,26 +68,13 @@ _BODY = Block(kind="gyro", axes=np.eye(3))
 class Turns:
     """K turns, resolved in the non-rotating frame that is the body at the start of each.
 
-    Attributes
-    ----------
-    first, last
-        The rests (K,) before and after.
-    duration
-        Durations (K,), s.
-    C, M, B
-        Rotations (K, 3, 3) and their sensitivities (K, 3, 3, 3), rad, and (K, 3, 3), s.
-    covariance, arising
-        Covariances (K, 3, 3) of the rotations from gyro noise, rad², and the time in the turn at which the noise arose
-        (K,), see `ColouredNoise.arising`.
-    velocity_covariance
-        Covariances (K, 3, 3) of the velocity increments from accelerometer noise, m²/s².
-    jumps
-        Sums (K,) of the squares of the jumps of the force from sample to sample times the interval, m²/s²,
-        docs/explanation/mathematics.md (18).
-    aliased
-        Variances of the rotations (K,), rad², if changes of the rate from sample to sample were independent, as in
-        samples that are no means.
-    """
+    `first`, `last`: the rests (K,) before and after. `duration`: durations (K,), s. `C`, `M`, `B`: rotations
+    (K, 3, 3) and their sensitivities (K, 3, 3, 3), rad, and (K, 3, 3), s. `covariance`, `arising`: covariances
+    (K, 3, 3) of the rotations from gyro noise, rad², and the time in the turn at which the noise arose (K,), see
+    `ColouredNoise.arising`. `velocity_covariance`: covariances (K, 3, 3) of the velocity increments from
+    accelerometer noise, m²/s². `jumps`: sums (K,) of the squares of the jumps of the force from sample to sample
+    times the interval, m²/s², docs/explanation/mathematics.md (18). `aliased`: variances of the rotations (K,),
+    rad², if changes of the rate from sample to sample were independent, as in samples that are no means."""
 
     json_fields: ClassVar = ("first", "last", "duration", "C", "covariance")
 
@@ -120,17 +107,9 @@ class TurnReadings:
 class TurnSamples:
     """The samples of the turns.
 
-    Attributes
-    ----------
-    samples, start, stop
-        Turn k is samples start[k] … stop[k] − 1 of the stored `samples`.
-    bad
-        Bad samples among them, which are replaced.
-    others
-        Samples of further sessions, with the number of turns before each.
-    ramps
-        Of a device that sways, the numbers (K, 2) of samples over which their weight rises and falls.
-    """
+    `samples`, `start`, `stop`: turn k is samples start[k] … stop[k] − 1 of the stored `samples`. `bad`: bad samples
+    among them, which are replaced. `others`: samples of further sessions, with the number of turns before each.
+    `ramps`: of a device that sways, the numbers (K, 2) of samples over which their weight rises and falls."""
 
     samples: MotionSamples
     start: IntArray
@@ -209,21 +188,9 @@ def reduced_turns(
     rounded: Mapping[str, Rounding],
     sway: Sway | None = None,
 ) -> tuple[Turns, TurnSamples]:
-    """Integrate the turns between consecutive rests, those that were recorded as a whole, with nominal gyros.
-
-    Parameters
-    ----------
-    reduction, stored
-        The blocks of the log and its samples.
-    spans, rests
-        The rests.
-    accel_noise, gyro_noise
-        The sensors, with the noise of their block means.
-    rounded
-        For "accel" and "gyro", the resolution of the readings.
-    sway
-        Sway of the device. If it sways, turns are from mean attitude to mean attitude.
-    """
+    """Integrate the turns between consecutive rests, those that were recorded as a whole, with nominal gyros, from the
+    `stored` samples. Noise is that of block means, `rounded` the resolution of "accel" and "gyro"; if the device sways,
+    turns are from mean attitude to mean attitude."""
     whole = [
         i
         for i, (before, after) in enumerate(pairwise(spans))

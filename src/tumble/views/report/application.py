@@ -177,8 +177,9 @@ def _whole_correction(calibration: Calibration) -> Iterator[Block]:
         sentences.append(f"In motion accelerometers have besides: {moving}.")
     if compensator.warm:
         sentences.append(
-            "Bias and scale factor change with the temperature T of the sensor by (T − T₀) times .t1 and (T − T₀)² "
-            "times .t2 from their values at the reference temperature T₀: the bias by that, and the row of the matrix "
+            "Bias and scale factor change with the temperature T of the sensor by (T − T₀) times .t1, (T − T₀)² "
+            "times .t2 and (T − T₀)³ times .t3 from their values at the reference temperature T₀: the bias by that, "
+            "and the row of the matrix "
             "by that along its own direction."
         )
     yield Text(text="The whole correction", tone="label")

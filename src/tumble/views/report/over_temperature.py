@@ -3,7 +3,8 @@ beyond is drawn apart, as an extrapolation."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,8 +19,8 @@ from tumble.result.temperature_curves import (
     temperature_of,
     warm_rests,
 )
-from tumble.sensors.parameters import group_of, positions_by_group, sensor_kind, within_group
-from tumble.units import engineering
+from tumble.sensors.parameters import group_name, group_of, positions_by_group, sensor_kind, within_group
+from tumble.units import Array, engineering
 from tumble.views.blocks import Figure, Section, Table
 from tumble.views.blocks import section as section_of
 from tumble.views.numbers import cells, fixed, units_of_values
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Canvas
 
+FEWEST_PARTS = 5
+"""Of a rest that is drawn."""
 BEYOND = 0.12
 """How far beyond the measured range the picture goes, in parts of it."""
 
@@ -48,17 +51,20 @@ def section(calibration: Calibration, name: str) -> Section | None:
         shown = (cells(value, U, size) for value, U in zip(each.value.tolist(), bands, strict=True))
         rows.append((each.name, *(cell for pair in shown for cell in pair), unit))
     columns = ("parameter", *(cell for T in celsius.tolist() for cell in (f"at {fixed(T, 1)} °C", "U")), "unit")
+    cubic = ", and + θ₃ (T − T₀)³ where there are some in t3" if any(n.endswith(".t3") for n in calibration) else ""
     text = (
         f"Measured from {fixed(measured.low, 1)} to {fixed(measured.high, 1)} °C. All other values in this report are "
         f"those at the reference temperature, {fixed(reference, 1)} °C; at T they are θ + θ₁ (T − T₀) + θ₂ (T − T₀)², "
-        "θ₁ and θ₂ being the parameters that end in t1 and t2. U is that of the whole sum. Beyond the measured range "
-        "the curve is an extrapolation, for which U does not stand."
+        f"θ₁ and θ₂ being the parameters that end in t1 and t2{cubic}. U is that of the whole sum. Beyond the measured "
+        "range the curve is an extrapolation, for which U does not stand."
     )
     text += "".join(f" {sentence[0].upper()}{sentence[1:]}." for sentence in own_thermometers(calibration))
+    in_parts = any(True for each in names for _ in _readings(calibration, each, reference))
+    dots = "Dots: a rest in parts, moved onto the curve. " if in_parts else ""
     over = Figure(
         svg=_curves(name, calibration, names, measured, reference),
         caption=f"Change from the value at {fixed(reference, 1)} °C (upright line), with the band ±U of the value. "
-        "Marks at the foot: temperatures of the rests. Dashed, on grey: not measured.",
+        f"{dots}Marks at the foot: temperatures of the rests. Dashed, on grey: not measured.",
     )
     numbers = Table(columns=columns, rows=tuple(rows), text=(0, 7), dense=True)
     return section_of("Over temperature", text, numbers, over)
@@ -85,6 +91,24 @@ def _curves(name: str, calibration: Calibration, names: Sequence[str], measured:
     return drawn(name, PAGE, 2.0 * -(-len(by_group) // 2) + 0.2, draw)
 
 
+def _readings(calibration: Calibration, member: str, reference: float) -> Iterator[tuple[Array, Array]]:
+    """Of each rest that was taken in parts the temperatures of a sensor, °C, and what it read, moved as a whole onto
+    the curve of its bias; nothing of another parameter."""
+    kind = sensor_kind(member)
+    block, _ = calibration.compensator.sensors(kind)
+    if group_name(member) != f"{kind}.bias" or block is None:
+        return
+    channel = dict(zip(block.sensors, block.channels.tolist(), strict=True))[within_group(member)]
+    rests = [rest for rest in calibration.evidence.rests if getattr(rest, kind) is not None]
+    begins = [not (b.file == a.file and b.start <= a.stop) for a, b in pairwise(rests)]
+    for parts in np.split(np.arange(len(rests)), np.flatnonzero(begins) + 1):
+        if len(parts) >= FEWEST_PARTS:
+            celsius = np.array([temperature_of(rests[k], kind) for k in parts])
+            read = np.array([getattr(rests[k], kind).mean[channel] for k in parts])
+            at = curve(calibration, member, np.append(celsius, reference)).value
+            yield celsius, read - (read - at[:-1] + at[-1]).mean()
+
+
 def _panel(axes: Axes, calibration: Calibration, members: Sequence[str], measured: Range, reference: float) -> None:
     margin = BEYOND * (measured.high - measured.low)
     inside, curves = measured.temperatures(101), {}
@@ -97,6 +121,8 @@ def _panel(axes: Axes, calibration: Calibration, members: Sequence[str], measure
     size, unit = engineering(within.unit, max(float(np.abs(change).max()) for change, _, _ in curves.values()))
     for i, (member, (change, expanded, outside)) in enumerate(curves.items()):
         colour = COLOURS[i % len(COLOURS)]
+        for celsius, read in _readings(calibration, member, reference):
+            axes.plot(celsius, read / size, ".", color=colour, markersize=3.0, alpha=0.6)
         axes.plot(inside, change / size, color=colour, label=drawable(within_group(member)))
         if expanded is not None:
             low, high = (change - expanded) / size, (change + expanded) / size

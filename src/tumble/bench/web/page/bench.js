@@ -42,7 +42,7 @@ function now() {
   const ended = verdict();
   const stopped = hasStopped();
   say(of("headline"), ended || (state.calibrating ? "Calibrating …" : stopped ? "Recording has stopped" : state.headline));
-  of("headline").classList.toggle("long", of("headline").textContent.length > 60);
+  of("headline").classList.toggle("long", of("headline").textContent.length > 45);
   const wrong = fault && !ended && !stopped && !state.calibrating;
   say(of("fault"), wrong ? fault.said : "");
   show(of("fault"), Boolean(wrong));
@@ -52,7 +52,7 @@ function now() {
   ghost(of("target"), position && state.screen !== "rest" ? position.ghost : null);
   if (position && of("picture").getAttribute("src") !== position.picture) {
     of("picture").src = position.picture;
-    of("picture").alt = `Position ${position.number}: ${position.label}; ${position.move}`;
+    of("picture").alt = `Position ${position.number}: ${position.label}${position.move && `; ${position.move}`}`;
   }
   show(of("sphere"), Boolean(state.sphere) && !position && state.screen !== "done" && !result);
   if (state.sphere && !position) sphere(of("sphere"), state.sphere);
@@ -76,15 +76,16 @@ function verdict() {
 function figures() {
   const { rest, turn, scatter } = state;
   const degrees = state.temperature === null || state.temperature === undefined ? "" : `${state.temperature.toFixed(2)} °C`;
-  if (state.result || state.screen === "done" || hasStopped()) {
-    const left = state.result || !state.estimate || hasStopped() ? [] : state.estimate.groups.filter((group) => !group.enough);
+  const over = state.result || hasStopped() || state.received.ended;
+  if (over || state.screen === "done") {
+    const left = over || !state.estimate ? [] : state.estimate.groups.filter((group) => !group.enough);
     say(of("big"), "");
     details(of("details"), left.map((group) => [group.group, group.determined ? `${number(group.u)} of ${number(group.wanted)} ${group.unit}` : "not determined"]));
   } else if (state.screen === "rest") {
     say(of("big"), rest.nothing_more ? "enough" : rest.left === null ? "…" : clock(rest.left));
     details(of("details"), [
-      ["uncertainty of the mean", rest.u === null ? "…" : `${number(rest.u)} µg of ${number(rest.wanted)} µg`],
-      ["gyros", rest.gyro_u === null ? "" : `${number(rest.gyro_u)} °/h of ${number(rest.gyro_wanted)} °/h`],
+      ["accelerometers ±", rest.u === null ? "…" : `${number(rest.u)} of ${number(rest.wanted)} µg`],
+      ["gyros ±", rest.gyro_u === null ? "" : `${number(rest.gyro_u)} of ${number(rest.gyro_wanted)} °/h`],
       ["drift", `${number(rest.drift)} µg${rest.settling ? ": still settling" : ""}`],
       ["temperature", degrees],
       ["at rest", clock(rest.seconds)],
@@ -95,7 +96,7 @@ function figures() {
     say(of("big"), turn.done === null ? "" : `${turn.done.toFixed(0)}°`.replace("-", "−"));
     const scale = turn.full_scale === null ? "" : ` of ${number(turn.full_scale)} °/s`;
     details(of("details"), [
-      ["move", state.position ? state.position.move : "as you like"],
+      ["move", state.position ? state.position.move : "any way you like"],
       ["rate", turn.rate === null ? "" : `${turn.rate.toFixed(1)} °/s${scale}`],
       ["best", !state.position && state.estimate ? state.estimate.next : ""],
       ["note", state.early],
@@ -113,6 +114,7 @@ function estimate() {
   const { groups: bars, residuals: left, next, cause } = found || { groups: [], residuals: [], next: "", cause: "" };
   groups(of("groups"), bars);
   residuals(of("residuals"), left);
+  show(of("rests"), left.length > 0);
   say(of("next"), next ? `Best next: ${next}` : "");
   say(of("cause"), cause);
   show(of("cause"), Boolean(cause));
@@ -121,7 +123,7 @@ function estimate() {
 function finish() {
   const { result } = state;
   show(of("finish"), Boolean(result));
-  show(of("numbers"), Boolean(result));
+  show(of("numbers"), Boolean(result) && result.parameters.length > 0);
   if (!result) return;
   for (const element of document.querySelectorAll("#finish .accepted")) show(element, result.accepted);
   of("changes").replaceChildren(...result.before_and_after.map((line) => made("li", line)));

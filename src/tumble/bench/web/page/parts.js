@@ -42,9 +42,11 @@ export function details(list, pairs) {
   list.replaceChildren(...wanted.flatMap(([term, value]) => [made("dt", term), made("dd", value)]));
 }
 
+const TOWARDS = { N: "north", S: "south", E: "east", W: "west", U: "up", D: "down" };
+
 /** A position by its name and by where the body axes point. */
 export function points(box, position) {
-  const words = position ? [position.label, ...Object.entries(position.points).map(([axis, to]) => `${axis} → ${to}`)] : [];
+  const words = position ? [position.label, ...Object.entries(position.points).map(([axis, to]) => `${axis} ${TOWARDS[to] || to}`)] : [];
   if (words.join() === [...box.children].map((each) => each.textContent).join()) return;
   box.replaceChildren(...words.map((text, i) => made("span", text, i ? "" : "name")));
 }
@@ -125,13 +127,14 @@ export function ghost(box, lines) {
   if (drawn) drawn.replaceWith(picture); else box.append(picture);
 }
 
-/** The residual of every rest in sigmas. */
+/** How far every rest is from what the estimate expects of it, in sigmas. */
 export function residuals(box, list) {
-  box.replaceChildren(...list.map((each, i) => {
+  const items = list.map((each, i) => {
     const item = made("span", `${i + 1}: ${each.sigmas.toFixed(1)}`, each.sigmas > 5 ? "bad" : "");
     item.setAttribute("role", "listitem");
     return item;
-  }));
+  });
+  box.replaceChildren(...items);
 }
 
 /** The sphere of directions: what is taken, what each of the 26 directions would buy (the fuller, the more), and the

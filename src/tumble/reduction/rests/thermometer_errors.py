@@ -1,0 +1,106 @@
+"""Thermometers whose readings have steps or noise: their temperatures as they went, and how well these are known.
+
+A thermometer of whole degrees says when a level between two readings was passed, at n + ½. Through the levels and times
+(t_i, T_i) goes a smooth monotone curve, and on at both ends, as long as the next level is not reached. From a straight
+line through its neighbours a level differs by r_i; the error σ of a level is by what these change along the record,
+
+    d_i = r_i − (r_{i−1} + r_{i+1})/2,   σ = median |d_i| / (0.6745 √4.375)                                          (1)
+
+4.375 being the sum of the squared coefficients of d_i in T. A mean over a part of the record in which m levels are
+passed is known to u = σ/√m, and the error moves the readings of all sensors together by their slopes s over
+temperature, which the changes from part to part show. So the covariance of the means of a part is greater by u² s sᵀ.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from tumble.reduction.observations import Observations
+from tumble.reduction.rests.thermometer import STEP, Thermometers
+from tumble.units import Array
+
+CHANGED_BY = 4.375
+"""Variance of d_i of Eq. (1) in parts of that of a level."""
+MEDIAN = 0.6745
+"""Of the size of a standard normal number."""
+
+
+def with_thermometer_errors(observations: Observations) -> Observations:
+    """Observations with temperatures as they went, and with the errors of these in the covariances of their rests."""
+    thermometers, rests = observations.thermometers, observations.rests
+    assert thermometers is not None
+    middle, files = 0.5 * (rests.start + rests.stop), dict[int, tuple[float, Array]]()
+    variance, kelvin = np.zeros((len(rests), thermometers.count)), np.zeros((len(rests), thermometers.count))
+    for file, (start, record) in thermometers.files.items():
+        smooth, of = record.copy(), rests.file == file
+        for t, column in enumerate(record.T):
+            time, level = passed(column)
+            smooth[:, t] = curve_through(time, level, column)
+            seconds = start + STEP * time
+            count = np.searchsorted(seconds, rests.stop[of]) - np.searchsorted(seconds, rests.start[of])
+            variance[of, t] = error_of(time, level) ** 2 / np.maximum(count, 1)
+            kelvin[of, t] = np.interp(middle[of], start + STEP * np.arange(len(column)), smooth[:, t])
+        files[file] = start, smooth
+    same = np.diff(rests.file) == 0
+    both = (observations.accel_block, rests.accel, "accel"), (observations.gyro_block, rests.gyro, "gyro")
+    covariances = {}
+    for block, means, kind in both:
+        if block is None:
+            continue
+        warmed, moved = np.diff(kelvin, axis=0)[same][:, block.thermometer], np.diff(means, axis=0)[same]
+        slope = (warmed * moved).sum(axis=0) / np.maximum((warmed**2).sum(axis=0), 1e-300)
+        by = slope * np.sqrt(variance[:, block.thermometer])
+        alike = block.thermometer[:, None] == block.thermometer
+        covariances[f"{kind}_covariance"] = getattr(rests, f"{kind}_covariance") + alike * by[:, :, None] * by[:, None]
+    return replace(observations, rests=replace(rests, **covariances), thermometers=Thermometers(files=files))
+
+
+def passed(record: Array) -> tuple[Array, Array]:
+    """When, in steps of a record (K,), and at which level (k,) it went from one reading to the next. A reading that
+    goes to and fro passes a level once, at the mean of these times; one that comes back for good passes it twice."""
+    at = np.flatnonzero(np.diff(record))
+    level = 0.5 * (record[at] + record[at + 1])
+    ends = np.flatnonzero(np.diff(level)) + 1
+    time, out = list[float](), list[float]()
+    for group, of in zip(np.split(at + 0.5, ends), np.split(level, ends), strict=True) if len(at) else ():
+        parts = [group] if len(group) % 2 else np.split(group, [int(np.argmax(np.diff(group))) + 1])
+        time += [float(part.mean()) for part in parts]
+        out += [float(of[0])] * len(parts)
+    return np.array(time), np.array(out)
+
+
+def curve_through(time: Array, level: Array, record: Array) -> Array:
+    """Temperatures (K,) at every step of a record that passed levels (k,) at times (k,); the record where it passed
+    fewer than two."""
+    if len(time) < 2:
+        return record
+    every, step = np.arange(len(record), dtype=float), float(np.abs(np.diff(level)).max())
+    late, early = every > time[-1], every < time[0]
+    out = np.asarray(PchipInterpolator(time, level)(np.clip(every, time[0], time[-1])))
+    out[late] += np.clip(_settling(time[-3:], level[-3:], every[late]), -step, step)
+    out[early] += np.clip(_settling(-time[2::-1], level[2::-1], -every[early]), -step, step)
+    return out
+
+
+def _settling(t: Array, level: Array, later: Array) -> Array:
+    """By how much what passed two or three levels at times t goes on until `later` times: by the exponential through
+    three where it slows down, else straight."""
+    slope, x = np.diff(level) / np.diff(t), later - t[-1]
+    if len(slope) == 1 or slope[0] == 0.0 or not 0.0 < slope[1] / slope[0] < 1.0:
+        return np.asarray(slope[-1] * x)
+    constant = 0.5 * (t[2] - t[0]) / np.log(slope[0] / slope[1])
+    last = slope[1] * np.exp(-0.5 * (t[2] - t[1]) / constant)
+    return np.asarray(-last * constant * np.expm1(-x / constant))
+
+
+def error_of(time: Array, level: Array) -> float:
+    """Standard deviation of the levels (k,) that were passed at times (k,), Eq. (1); zero of fewer than five."""
+    if len(time) < 5:
+        return 0.0
+    share = (time[1:-1] - time[:-2]) / (time[2:] - time[:-2])
+    r = level[1:-1] - (1.0 - share) * level[:-2] - share * level[2:]
+    d = r[1:-1] - 0.5 * (r[:-2] + r[2:])
+    return float(np.median(np.abs(d)) / (MEDIAN * np.sqrt(CHANGED_BY)))

@@ -1,0 +1,166 @@
+"""Gyros alone: the rests of a log without accelerometers, and the biases of its gyros.
+
+Accelerometers that read a constant vertical stand for those that there are not: the search for rests goes by the level
+of the gyros. At rest a gyro reads its bias, the Earth's rate Ω along its axis and G·f of the specific force, of neither
+of which the direction is known. With the means of N rests, of noise σ_k and what they differ by beyond it, s,
+
+    u² = (s² + mean σ_k²)/N + Ω²/3 + (G g)²                                                                      (1)
+
+G being the g-sensitivity that is usual of the grade, which is that with the nearest noise. Scale factors and axes no
+rest shows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from tumble.earth import EARTH_RATE
+from tumble.errors import InputError
+from tumble.inference.estimate import Outcome
+from tumble.inference.sources import UncertaintyBudget, source
+from tumble.recording.log import Log, open_log
+from tumble.recording.session import Session
+from tumble.recording.session_file import session_of_gyros
+from tumble.reduction.blocks.reducer import Reduction, reduce_log
+from tumble.reduction.noise.coloured_noise import fit_coloured_noise
+from tumble.reduction.rests.segmentation import Segmentation, find_rests
+from tumble.result.calibration import Calibration
+from tumble.result.evidence import Evidence
+from tumble.result.parts import Parameter, Readings
+from tumble.result.uncertainty_budget import contributions_of
+from tumble.rotation import UP, rotation_matrix, rotation_vector
+from tumble.run.calibrate import provenance_of
+from tumble.run.from_estimate import device_of, readings_of_session
+from tumble.run.observed import Progress
+from tumble.sensors.grades import GRADES
+from tumble.sensors.model import Block, SensorModel
+from tumble.sensors.parameters import usual_sizes
+from tumble.units import G_STANDARD, Array
+
+MORE = (
+    "record the accelerometers beside them, put the device down in nine or more positions (`tumble programme` shows "
+    "them), and calibrate that log"
+)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class GyroRests:
+    """The rests of a log of gyros: its session, in which these stand for accelerometers, blocks and segmentation, the
+    SHA-256 of the log, and of N rests the mean readings (N, 3), rad/s, with standard deviation of their noise."""
+
+    session: Session
+    reduction: Reduction
+    segmentation: Segmentation
+    sha256: str
+    mean: Array
+    noise: Array
+
+    @property
+    def turned(self) -> list[float]:
+        """By how much the device was turned after each rest but the last, rad."""
+        rests, files = self.segmentation.rests, self.reduction.by_file
+        angles = list[float]()
+        for i, (before, after) in enumerate(pairwise(rests)):
+            blocks, R = files[before.file], np.eye(3)
+            level = 0.5 * (self.mean[i] + self.mean[i + 1])
+            between = slice(before.last, after.first)
+            for rate, seconds in zip(blocks.gyro.means[between] - level, np.diff(blocks.edges)[between], strict=True):
+                R = R @ rotation_matrix(rate * seconds)
+            angles.append(float(np.linalg.norm(rotation_vector(R))) if before.file == after.file else math.nan)
+        return angles
+
+
+def gyro_rests(content: Mapping[str, Any], progress: Progress = Log.chunks) -> GyroRests:
+    """The rests of a log, by the content of a session.toml without [log.accel]. Raises InputError where nothing
+    rests."""
+    session = session_of_gyros(content)
+    log, gyro = open_log(session), replace(session.accel_block, kind="gyro")
+    up = G_STANDARD * UP
+    chunks = (replace(each, gyro=each.accel, accel=np.tile(up, (len(each.time), 1))) for each in progress(log))
+    accel = Block(kind="accel", axes=np.eye(3))
+    reduction = reduce_log(log, accel, gyro, chunks)
+    segmentation = find_rests(reduction, accel, gyro)
+    files = reduction.by_file
+    # where nothing rests the limit is that of the movement, and no vertical says so
+    moved = session.log.accel.scale_stated and (segmentation.rate_limit or 0.0) > segmentation.tuning.level_drift
+    if not segmentation.rests or moved:
+        still = segmentation.tuning.still
+        raise InputError(f"{log.name}: expected gyros that lie still for {still} s or longer, found none that do")
+    series = [files[rest.file].gyro.means[rest.first : rest.last] for rest in segmentation.rests]
+    noise = fit_coloured_noise(series)
+    variance = np.array([np.diag(noise.covariance_of_mean(len(each), i)) for i, each in enumerate(series)])
+    return GyroRests(
+        session=session,
+        reduction=reduction,
+        segmentation=segmentation,
+        sha256=log.sha256(),
+        mean=np.array([each.mean(axis=0) for each in series]),
+        noise=np.sqrt(variance),
+    )
+
+
+def calibrate_gyros(found: GyroRests) -> Calibration:
+    """The biases of gyros alone, Eq. (1). Raises InputError for counts of unknown scale."""
+    session, N = found.session, len(found.mean)
+    if not session.log.accel.scale_stated:
+        raise InputError(
+            f"{session.device.serial}: expected gyros in a unit, found counts whose worth nothing tells; state "
+            "--gyro-unit, or log the accelerometers too; `tumble noise` tells the noise in counts"
+        )
+    block = replace(session.accel_block, kind="gyro")
+    seconds = np.array([rest.stop - rest.start for rest in found.segmentation.rests])
+    white = float(np.median(found.noise * np.sqrt(seconds)[:, None]))
+    grade = min(GRADES, key=lambda name: abs(math.log(max(white, 1e-15) / GRADES[name].noise.gyro_white)))
+    by_force = usual_sizes(grade)["gyro.g_sensitivity"] * G_STANDARD
+    of_noise = (found.noise**2).mean(axis=0)
+    scatter = np.maximum(found.mean.var(axis=0, ddof=1) - of_noise, 0.0) if N > 1 else np.zeros(3)
+    names = block.names[:3]
+    parts = (
+        (source("gyro.noise"), of_noise / N),
+        (source("gyro.scatter", dof=None if N < 2 else N - 1.0), scatter / N),
+        (source("earth", EARTH_RATE / math.sqrt(3.0), "rad/s"), np.full(3, EARTH_RATE**2 / 3.0)),
+        (source("prior.gyro.g_sensitivity", by_force / G_STANDARD, "rad*s/m"), np.full(3, by_force**2)),
+    )
+    budget = UncertaintyBudget(
+        sources=tuple(each for each, _ in parts), covariances=np.array([np.diag(variance) for _, variance in parts])
+    )
+    covariance, bias = budget.covariances.sum(axis=0), found.mean.mean(axis=0)
+    missing = block.names[3:]
+    said = "gyro.scale, gyro.axis: not shown by gyros alone, taken as 0"
+    provenance = provenance_of(found.sha256)
+    worth: Readings = readings_of_session(session)["accel"]
+    return Calibration(
+        device=device_of(session),
+        method="rest",
+        frame="accelerometer",
+        parameters=tuple(
+            Parameter(name=name, value=float(value), u=float(u), unit="rad/s")
+            for name, value, u in zip(names, bias, np.sqrt(np.diag(covariance)), strict=True)
+        ),
+        covariance=covariance,
+        accel=None,
+        gyro=SensorModel(matrix=block.nominal().matrix, bias=bias),
+        outcome=Outcome(unobservable=missing),
+        axes={"gyro": tuple(map(tuple, block.axes.tolist()))},
+        evidence=Evidence(
+            budget=contributions_of(budget, names, {"gyro.g_sensitivity": f"guessed grade {grade}"}),
+        ),
+        provenance=replace(
+            provenance,
+            sample_rate=found.reduction.rate,
+            readings={"gyro": worth},
+            absent=(said,),
+            assumptions=(
+                f"{said}; to have them {MORE}",
+                "the directions of the Earth's rate and of gravity are not known: either, gravity by the g-sensitivity "
+                f"that is usual for the grade {grade}, is in the u of gyro.bias",
+                *([f"doubt: {session.log.doubt}"] if session.log.doubt else []),
+            ),
+        ),
+    )

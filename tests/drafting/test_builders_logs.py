@@ -1,0 +1,238 @@
+"""Logs as builders have them, from the file to numbers beside the truth of a simulated device: no option beyond the
+place. What is rounded to counts is so, and what is lost is lost; no value is off by more than five times its stated
+uncertainty."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+from click.testing import CliRunner
+
+from tests.support.shared import session
+from tumble.cli import main
+from tumble.planning.setup import Setup
+from tumble.units import DEGREE, G_STANDARD, Array
+
+G, D = 1.0 / G_STANDARD, 1.0 / DEGREE
+NAMES = "ax,ay,az,gx,gy,gz"
+PLACE = ("--latitude", "56.84", "--height", "270")
+START = datetime(2026, 6, 15, 23, 59, 30)
+
+
+@pytest.fixture(scope="module")
+def device() -> tuple[Array, dict[str, float]]:
+    """Times, s, accelerometers, m/s², and gyros, rad/s, of twelve rests by hand, and the device's parameters."""
+    folder = session(Setup.of(grade="mems", positions=12), seed=4)
+    truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+    return pl.read_parquet(folder / "log.parquet").to_numpy()[::2, :7], truth
+
+
+def table(
+    path: Path, header: str, *columns: Array, digits: int = 8, delimiter: str = ",", times: list[str] | None = None
+) -> Path:
+    """A text file with a row a sample."""
+    numbers = np.column_stack(columns)
+    cells = [[f"{x:.{digits}g}" for x in row] for row in numbers.tolist()]
+    if times is not None:
+        cells = [[time, *row] for time, row in zip(times, cells, strict=True)]
+    lines = [header] * bool(header) + [delimiter.join(row) for row in cells]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def counts(rows: Array) -> Array:
+    """As an MPU-6050 has them at 4 g and 500 °/s."""
+    return np.rint(np.column_stack([rows[:, 1:4] * 8192.0 * G, rows[:, 4:7] * 65.5 * D]))
+
+
+def dates(rows: Array, written: str, cut: int | None = None) -> list[str]:
+    return [(START + timedelta(seconds=t)).strftime(written)[:cut] for t in rows[:, 0].tolist()]
+
+
+def plain(folder: Path, rows: Array) -> Path:
+    return table(folder / "log.csv", f"t,{NAMES}", rows)
+
+
+def in_g_and_ms(folder: Path, rows: Array) -> Path:
+    names = "timestamp_ms,AccX,AccY,AccZ,GyrX,GyrY,GyrZ"
+    time = np.rint(1e3 * rows[:, 0] + 73512.0)
+    return table(folder / "LOG001.TXT", names, time, rows[:, 1:4] * G, rows[:, 4:7] * D)
+
+
+def of_st(folder: Path, rows: Array) -> Path:
+    axes = ",".join(f"A_{a} [mg]" for a in "XYZ") + "," + ",".join(f"G_{a} [mdps]" for a in "XYZ")
+    read = np.rint(np.column_stack([rows[:, 1:4] * 1e3 * G, rows[:, 4:7] * 1e3 * D]))
+    return table(folder / "log.csv", f"T [ms],{axes}", np.rint(1e3 * rows[:, 0]), read)
+
+
+def printed_counts(folder: Path, rows: Array) -> Path:
+    return table(folder / "putty.log", "", counts(rows), delimiter=" ")
+
+
+def counts_at_micros(folder: Path, rows: Array) -> Path:
+    return table(folder / "log.csv", f"micros,{NAMES}", np.rint(1e6 * rows[:, 0]) % 2**32, counts(rows), digits=12)
+
+
+def counter_starts_anew(folder: Path, rows: Array) -> Path:
+    time = (np.rint(1e6 * rows[:, 0]) + 2**32 - 4e7) % 2**32
+    return table(folder / "log.csv", f"micros,{NAMES}", time, rows[:, 1:], digits=12)
+
+
+def of_a_german_office(folder: Path, rows: Array) -> Path:
+    names = ["Zeit [s]", *(f"Beschl_{a} [g]" for a in "XYZ"), *(f"Drehrate_{a} [°/s]" for a in "XYZ")]
+    read = np.column_stack([rows[:, 0], rows[:, 1:4] * G, rows[:, 4:7] * D])
+    lines = [";".join(names), *(";".join(f"{x:.6f}".replace(".", ",") for x in row) for row in read.tolist())]
+    (folder / "Messung.csv").write_text("\r\n".join(lines) + "\r\n", encoding="cp1252")
+    return folder / "Messung.csv"
+
+
+def units_below_names(folder: Path, rows: Array) -> Path:
+    header = "Time\tAx\tAy\tAz\tGx\tGy\tGz\ns\tm/s^2\tm/s^2\tm/s^2\tdeg/s\tdeg/s\tdeg/s"
+    return table(folder / "log.txt", header, rows[:, :4], rows[:, 4:7] * D, delimiter="\t")
+
+
+def iso_dates(folder: Path, rows: Array) -> Path:
+    return table(folder / "log.csv", f"datetime,{NAMES}", rows[:, 1:], times=dates(rows, "%Y-%m-%dT%H:%M:%S.%f"))
+
+
+def times_of_day(folder: Path, rows: Array) -> Path:
+    return table(folder / "log.csv", f"time,{NAMES}", rows[:, 1:], times=dates(rows, "%H:%M:%S.%f", 12))
+
+
+def without_times(folder: Path, rows: Array) -> Path:
+    return table(folder / "log.csv", NAMES, rows[:, 1:])
+
+
+def header_after_comments(folder: Path, rows: Array) -> Path:
+    header = f"# board: nano 33\n# sample rate: 50 Hz\n#\n# {NAMES.replace(',', ', ')}"
+    return table(folder / "log.txt", header, rows[:, 1:], delimiter=", ")
+
+
+def with_magnetometer_and_temperature(folder: Path, rows: Array) -> Path:
+    field = 40.0 * rows[:, 1:4] * G + np.array([3.0, -8.0, 12.0])
+    names = f"t,{NAMES},mx,my,mz,temp"
+    return table(folder / "log.csv", names, rows, field, 24.0 + 0.001 * rows[:, :1])
+
+
+def with_quaternions(folder: Path, rows: Array) -> Path:
+    around = np.column_stack([rows[:, 1:4], np.full(len(rows), 3.0)])
+    around /= np.linalg.norm(around, axis=1)[:, None]
+    return table(
+        folder / "log.csv",
+        f"t,qw,qx,qy,qz,roll,pitch,yaw,{NAMES}",
+        rows[:, :1],
+        around,
+        90 * around[:, :3],
+        rows[:, 1:],
+    )
+
+
+def two_imus(folder: Path, rows: Array) -> Path:
+    first = ",".join(f"{k}1_{a}" for k in ("acc", "gyr") for a in "xyz")
+    return table(folder / "log.csv", f"t,{first},{first.replace('1', '2')}", rows, 1.01 * rows[:, 1:] + 0.01)
+
+
+def axes_in_another_order(folder: Path, rows: Array) -> Path:
+    return table(folder / "log.csv", "gz,gy,gx,az,ay,ax,t", rows[:, ::-1])
+
+
+def behind_the_start_of_a_board(folder: Path, rows: Array) -> Path:
+    header = f"ets Jul 29 2019 12:21:46\nrst:0x1 (POWERON_RESET)\nMPU6050 found!\nt,{NAMES}"
+    return table(folder / "serial.log", header, rows)
+
+
+def named_values(folder: Path, rows: Array) -> Path:
+    lines = [
+        " ".join(f"{name}={x:.6g}" for name, x in zip(["t", *NAMES.split(",")], row, strict=True))
+        for row in rows.tolist()
+    ]
+    (folder / "serial.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return folder / "serial.txt"
+
+
+def objects_of_json(folder: Path, rows: Array) -> Path:
+    lines = [
+        json.dumps({"ts": round(t, 6), "acc": a, "gyro": g})
+        for t, a, g in ((r[0], r[1:4], r[4:]) for r in rows.tolist())
+    ]
+    (folder / "log.jsonl").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return folder / "log.jsonl"
+
+
+def rows_of_a_sensor_each(folder: Path, rows: Array) -> Path:
+    lines = []
+    for t, *r in rows.tolist():
+        lines.append(f"ACC,{1e3 * t:.0f},{r[0]:.6f},{r[1]:.6f},{r[2]:.6f}")
+        lines.append(f"GYR,{1e3 * t:.0f},{r[3]:.7f},{r[4]:.7f},{r[5]:.7f}")
+    (folder / "log.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return folder / "log.csv"
+
+
+def files_of_a_phone(folder: Path, rows: Array) -> Path:
+    for name, values in (("TotalAcceleration", rows[:, 1:4]), ("Gyroscope", rows[:, 4:7])):
+        times = 1e9 * (1.78e9 + rows[:, 0])
+        table(folder / f"{name}.csv", "time,seconds_elapsed,z,y,x", times, rows[:, 0], values[:, ::-1], digits=19)
+    return folder
+
+
+def with_lost_samples(folder: Path, rows: Array) -> Path:
+    kept = np.random.default_rng(5).random(len(rows)) > 0.01
+    kept[2000:2060] = False
+    return table(folder / "log.csv", f"t,{NAMES}", rows[kept])
+
+
+def of_a_buffer(folder: Path, rows: Array) -> Path:
+    """Eight samples are read at once, and have the time when they are."""
+    time = rows[np.minimum(np.arange(len(rows)) // 8 * 8 + 7, len(rows) - 1), 0]
+    return table(folder / "log.csv", f"t,{NAMES}", np.round(time, 3), rows[:, 1:])
+
+
+def whole_seconds(folder: Path, rows: Array) -> Path:
+    return table(folder / "log.csv", f"time,{NAMES}", rows[:, 1:], times=dates(rows, "%H:%M:%S"))
+
+
+def of_a_vehicle(folder: Path, rows: Array) -> Path:
+    names = "t,LongAcc_g,LatAcc_g,VertAcc_g,RollRate,PitchRate,YawRate"
+    return table(folder / "log.csv", names, rows[:, :1], rows[:, 1:4] * G, rows[:, 4:7] * D)
+
+
+def tuples_of_python(folder: Path, rows: Array) -> Path:
+    lines = [str((t, tuple(r[:3]), tuple(r[3:]))) for t, *r in rows.tolist()]
+    (folder / "log.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return folder / "log.txt"
+
+
+def array_of_numpy(folder: Path, rows: Array) -> Path:
+    """In a file whose name is that of accelerometers."""
+    np.save(folder / "a.npy", rows)
+    return folder / "a.npy"
+
+
+LOGS: list[Callable[[Path, Array], Path]] = [
+    plain, in_g_and_ms, of_st, printed_counts, counts_at_micros, counter_starts_anew, of_a_german_office,
+    units_below_names, iso_dates, times_of_day, without_times, header_after_comments, with_magnetometer_and_temperature,
+    with_quaternions, two_imus, axes_in_another_order, behind_the_start_of_a_board, named_values, objects_of_json,
+    rows_of_a_sensor_each, files_of_a_phone, with_lost_samples, of_a_buffer, whole_seconds, of_a_vehicle,
+    tuples_of_python, array_of_numpy,
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("written", LOGS, ids=lambda written: written.__name__)
+def test_from_the_file_to_the_truth(
+    written: Callable[[Path, Array], Path], device: tuple[Array, dict[str, float]], tmp_path: Path
+) -> None:
+    rows, truth = device
+    (tmp_path / "logs").mkdir()
+    log = written(tmp_path / "logs", rows)
+    done = CliRunner().invoke(main, ["calibrate", str(log), *PLACE, "-o", str(tmp_path / "c.json"), "--json"])
+    assert done.exit_code == 0, done.stderr
+    found = json.loads((tmp_path / "c.json").read_text(encoding="utf-8"))["parameters"]
+    off = {p["name"]: (p["value"] - truth[p["name"]]) / p["u"] for p in found if p["name"] in truth}
+    assert {"accel.scale.x", "gyro.scale.x"} <= off.keys()
+    assert max(map(abs, off.values())) < 5.0, off
