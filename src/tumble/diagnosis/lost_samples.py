@@ -191,7 +191,7 @@ def lost_in_all_turns(session: LinearisedSession, s: int, blamed: Solution) -> C
         (each[part] for each in blamed.turn_residuals),
     )
     along, across = (
-        SumOfSquares.along(W @ (size * of), residual[part], covariance[part])
+        SumOfSquares.along(W @ (size * of), residual, covariance)
         for of in (axis[..., None], np.swapaxes(tangent_basis(axis), 1, 2))
     )
     jitter = jittering(observed)

@@ -35,8 +35,8 @@ HELD = 1e-6
 
 
 def in_parts(reduction: Reduction, whole: Segmentation, least: int = 1) -> tuple[Segmentation, IntArray]:
-    """Divide the rests that warm, a part for each WARMED, in so many at `least` where they are long enough: the parts
-    in place of the rests, and the number (N,) of the rest that each of them belongs to."""
+    """Divide the rests that warm, a part for each WARMED, all into `least` where they are long enough: the parts in
+    place of the rests, and the number (N,) of the rest that each of them belongs to."""
     by_file, spans, number = reduction.by_file, list[Stretch](), list[int]()
     for i, span in enumerate(whole.rests):
         file = by_file[span.file]

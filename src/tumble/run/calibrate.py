@@ -189,7 +189,7 @@ def _calibrated(
     terms: Terms,
     progress: Progress,
     prior: Prior | None,
-    base: Calibration | None = None,
+    base: Calibration | None,
     clock: ClockByEarth | None = None,
 ) -> Calibration:
     """The calibration from what a session does not leave out; made anew with the `clock` by the Earth's rate where this
@@ -204,7 +204,7 @@ def _calibrated(
         estimate = observations if isinstance(observations, Outcome) else estimated(session, observations, *options)
     if clock is None and not isinstance(estimate, Outcome) and (clock := clock_by_earth(estimate[0])) is not None:
         log = replace(session.log, clock_rate=session.log.clock_rate * clock.rate, clock_u=clock.u)
-        made = _calibrated(replace(session, log=log), method, estimator, frame, terms, progress, prior, clock=clock)
+        made = _calibrated(replace(session, log=log), method, estimator, frame, terms, progress, prior, base, clock)
         said = clock.sentence(" and ".join(clocked(clock.u, log.increments)) or "no parameter")
         if abs(clock.rate - 1.0) > CLOCK_CONTRADICTED * session.log.time_base_u:
             return _with_remarks(made, (said,), ())
