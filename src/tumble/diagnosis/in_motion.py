@@ -40,8 +40,7 @@ def in_motion(estimate: Estimate, observations: Observations, missing: tuple[str
     if missing:
         named = ", ".join(missing[:MOST_NAMED]) + (" and others" if len(missing) > MOST_NAMED else "")
         yield Finding(sentence=f"{sentence} say too little of {named}; {advice}", concerns=missing, refuses=True)
-    values, displacement = linearised.point.local[0], float(linearised.components.displacement)
-    lever, given_way = values[-LEVER - SUPPORT : -SUPPORT], values[-SUPPORT:]
+    given_way, displacement = linearised.point.local[0, -SUPPORT:], float(linearised.components.displacement)
     square = float((given_way**2).sum()) / SUPPORT_U**2
     if scipy.special.chdtrc(SUPPORT, square) < FALSE_ALARMS:
         size = 100.0 * float(np.abs(given_way).max())
@@ -64,6 +63,6 @@ def motion_note(estimate: Estimate, observations: Observations) -> tuple[str, ..
     lever = linearised.point.local[0, -LEVER - SUPPORT : -SUPPORT]
     place, size = ", ".join(f"{1e3 * x:.0f}" for x in lever), 1e3 * float(linearised.components.displacement)
     return (
-        f"calibrated in motion, from {len(observations.rests)} rests and {float(links.duration.sum()):.0f} s of it: the "
-        f"device turned, to within {size:.2g} mm, about a point from which its accelerometers are at ({place}) mm",
+        f"calibrated in motion, from {len(observations.rests)} rests and {float(links.duration.sum()):.0f} s of it: "
+        f"the device turned, to within {size:.2g} mm, about a point from which its accelerometers are at ({place}) mm",
     )
