@@ -38,8 +38,8 @@ class Motion:
     """How a device is moved: for `seconds` at about a `rate`, rad/s, about axes that last for `axis_time` s; on a
     `lever`, m, from a pivot that sways, or in a hand that does, by `sway` m (root mean square of the distance) of
     harmonics about `frequency` Hz; `rests` of 3 s are spread over it. `follows` m is the vertical displacement
-    proportional to (up · x)², by which a stand sags; `drift` m/s a uniform motion; `regrip` m a step of the place in the
-    middle, over a second."""
+    proportional to (up · x)², by which a stand sags; `drift` m/s a uniform motion; `regrip` m a step of the place in
+    the middle, over a second."""
 
     seconds: float = 120.0
     rate: float = np.radians(60.0)

@@ -11,8 +11,8 @@ put together: with [φ | V | P] the first-order change of a link, and those of a
     φ ← φ + R φ_p,   δV ← δV + φ × R V_p + R δV_p,   δP ← δP + T_p δV + φ × R P_p + R δP_p,
 
 δV on the right being that before the part. Within a part what an accelerometer's error adds to the velocity grows with
-time, what a rotation adds, ½ φ_p × V_p in all, with its square, so that δP_p = T_p (½ δV_p − φ_p × V_p/12), to ω T_p/6 of
-itself. White noise of the samples, of density N_g and N_a, follows the same recursion.
+time, what a rotation adds, ½ φ_p × V_p in all, with its square, so that δP_p = T_p (½ δV_p − φ_p × V_p/12), to ω T_p/6
+of itself. White noise of the samples, of density N_g and N_a, follows the same recursion.
 """
 
 from __future__ import annotations
