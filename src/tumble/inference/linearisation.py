@@ -275,7 +275,8 @@ def _link_rows(
         P − (C − 1) r − L_iᵀ (s_j − s_i) + v_i T − L_iᵀ ∬ e^{[Ω×]s} g e_U ds²
 
     are zero but for noise. Coriolis forces of velocities in the hand are below 5 µg. Where an end is a rest its
-    velocity is zero, and places are not compared, for nothing is known of where a device is put down."""
+    velocity is zero, and places are not compared, for nothing is known of where a device is put down. What holds it
+    gives way by the columns of `support_columns`, whose own change with the attitude is left out."""
     links, instrument = problem.observations.links, problem.instrument
     assert links is not None
     i, T, J = links.before, links.duration, len(links)
