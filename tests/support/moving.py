@@ -75,14 +75,14 @@ def record(motion: Motion, seed: int, *, rate: float = 200.0, noise: Noise = Noi
     rng = np.random.default_rng(seed)
     n = int(motion.seconds * rate)
     h = 1.0 / (rate * STEPS)
-    t = (np.arange(n * STEPS) + 0.5) * h  # the middles of the steps
+    t: Array = (np.arange(n * STEPS) + 0.5) * h  # the middles of the steps
     knots = int(motion.seconds / motion.axis_time) + 4
     axis = CubicSpline(np.arange(knots) * motion.axis_time, rng.normal(size=(knots, 3)))(t + motion.axis_time)
     omega = motion.rate * axis / np.linalg.norm(axis, axis=1, keepdims=True)
     still = np.ones_like(t)
     for k in range(motion.rests):
         centre = (k + 0.5) * motion.seconds / motion.rests
-        still *= _smooth((np.abs(t - centre) - 1.5) / 0.5)
+        still *= _smooth(np.asarray((np.abs(t - centre) - 1.5) / 0.5))
     omega = omega * still[:, None]
     C = _attitudes(omega, h, Rotation.random(random_state=seed).as_matrix())
     position = C @ np.array(motion.lever) + _sway(motion, t, rng) * still[:, None] + np.outer(t, motion.drift)
@@ -119,12 +119,11 @@ def _smooth(x: Array) -> Array:
 def _attitudes(omega: Array, h: float, first: Array) -> Array:
     """Attitudes (S, 3, 3) in the middle of each step of constant rates."""
     steps = Rotation.from_rotvec(omega * h).as_quat()
-    out, q = np.empty((len(omega), 4)), Rotation.from_matrix(first).as_quat()
+    out, (a, b, c, d) = np.empty((len(omega), 4)), Rotation.from_matrix(first).as_quat().tolist()
     for k, (x, y, z, w) in enumerate(steps.tolist()):
-        a, b, c, d = q
-        q = (d * x + a * w + b * z - c * y, d * y - a * z + b * w + c * x, d * z + a * y - b * x + c * w,
+        a, b, c, d = (d * x + a * w + b * z - c * y, d * y - a * z + b * w + c * x, d * z + a * y - b * x + c * w,
              d * w - a * x - b * y - c * z)  # fmt: skip
-        out[k] = q
+        out[k] = a, b, c, d
     half = Rotation.from_rotvec(-0.5 * omega * h)
     return np.asarray((Rotation.from_quat(out) * half).as_matrix())
 
