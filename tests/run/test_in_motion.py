@@ -98,7 +98,7 @@ def test_rows_of_links_are_derivatives_of_their_residuals() -> None:
     M, m, q = len(problem.link), len(problem.instrument.names), len(problem.local_u)
     point = start.point.moved(
         np.append(1e-3, 1e-3 * problem.spread * rng.normal(size=m)), 1e-3 * rng.normal(size=(M, 3)),
-        np.append(0.03 * rng.normal(size=3), np.zeros(q - 3))[None], 0.1 * rng.normal(size=(M, 3)), 0.0 * np.zeros((M, 3)),
+        np.append(0.03 * rng.normal(size=3), np.zeros(q - 3))[None], 0.1 * rng.normal(size=(M, 3)), np.zeros((M, 3)),
     )  # fmt: skip
     about = TurnsAbout.of(observations, problem.instrument, point.values)
     rows, n = linearise(problem, point, about), 6

@@ -75,7 +75,7 @@ def record(motion: Motion, seed: int, *, rate: float = 200.0, noise: Noise = Noi
     rng = np.random.default_rng(seed)
     n = int(motion.seconds * rate)
     h = 1.0 / (rate * STEPS)
-    t: Array = (np.arange(n * STEPS) + 0.5) * h  # the middles of the steps
+    t = np.asarray((np.arange(n * STEPS) + 0.5) * h)  # the middles of the steps
     knots = int(motion.seconds / motion.axis_time) + 4
     axis = CubicSpline(np.arange(knots) * motion.axis_time, rng.normal(size=(knots, 3)))(t + motion.axis_time)
     omega = motion.rate * axis / np.linalg.norm(axis, axis=1, keepdims=True)

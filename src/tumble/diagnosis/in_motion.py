@@ -19,6 +19,8 @@ from tumble.inference.estimate import Estimate
 from tumble.inference.problem import LEVER, SUPPORT, SUPPORT_U
 from tumble.reduction.observations import Observations
 
+IN_MOTION = "calibrated in motion"
+"""How the note begins that a result is from motion."""
 MOST_NAMED = 4
 LOOSE = 0.3
 """m: of a device that moves by more there is nothing to learn of its accelerometers in this way."""
@@ -63,6 +65,6 @@ def motion_note(estimate: Estimate, observations: Observations) -> tuple[str, ..
     lever = linearised.point.local[0, -LEVER - SUPPORT : -SUPPORT]
     place, size = ", ".join(f"{1e3 * x:.0f}" for x in lever), 1e3 * float(linearised.components.displacement)
     return (
-        f"calibrated in motion, from {len(observations.rests)} rests and {float(links.duration.sum()):.0f} s of it: "
+        f"{IN_MOTION}, from {len(observations.rests)} rests and {float(links.duration.sum()):.0f} s of it: "
         f"the device turned, to within {size:.2g} mm, about a point from which its accelerometers are at ({place}) mm",
     )
