@@ -60,7 +60,7 @@ MATHEMATICS = (ROOT / "docs/explanation/mathematics.md").read_text(encoding="utf
 
 
 def test_every_equation_of_the_joint_method_is_in_its_index_and_names_what_exists() -> None:
-    index = MATHEMATICS.partition("## 15.")[2]
+    index = MATHEMATICS.partition("## 16.")[2]
     numbered = re.findall(r"\\tag\{(\d+)\}", MATHEMATICS)
     assert numbered == [str(i + 1) for i in range(len(numbered))]
     assert set(re.findall(r"\((\d+)\)", index)) == set(numbered)

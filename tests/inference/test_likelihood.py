@@ -165,7 +165,7 @@ def test_the_jacobian_of_rotation_vectors_is_that_of_differences(angle: float) -
 def dense(rows: Linearisation, scatter: VarianceComponents) -> tuple[Array, Array, list[tuple[str, int]]]:
     """All whitened rows over all unknowns at once: angles of rest 0, 1, …, then the parameters; and which they are, the
     rows of a rest or of a turn."""
-    (W_rest, W_turn), turns = rows.noise.at(scatter).whitening(), rows.problem.observations.turns
+    (W_rest, W_turn, _), turns = rows.noise.at(scatter).whitening(), rows.problem.observations.turns
     assert turns is not None
     rest, turn = W_rest @ rows.rest, W_turn @ rows.turn
     N, p = len(rest), len(rows.prior) - 1
@@ -273,7 +273,7 @@ def test_rests_and_turns_say_of_a_heading_by_how_much_their_rows_change_with_it(
     angles[:, 2] = turn
     here, there = (linearise(problem, p, about) for p in (point, point.moved(np.zeros(1 + len(point.values)), angles)))
     found = heading_information(solve(here))
-    W_rest, W_turn = here.noise.whitening()
+    W_rest, W_turn, _ = here.noise.whitening()
     first = problem.observations.turns.first  # type: ignore[union-attr]
     at_rest = W_rest @ (there.rest - here.rest)[..., -1:] / turn
     in_turns = W_turn @ (there.turn - here.turn)[..., -1:] / turn

@@ -184,13 +184,13 @@ class OneSource:
     def _biases(self, kind: str) -> Iterator[Array]:
         """The in-run biases (N, n) of a kind of sensor at the rests, those of the other zero, by each step of each."""
         noise, n = self.rows.noise, self.problem.instrument.accel.size
-        for sensor in range(n) if kind == "accel" else range(n, len(noise.bias_sigma)):
-            for k in range(len(noise.bias_rho)):
-                states = np.zeros(noise.bias_rho.shape)
-                states[k, sensor] = 1.0 if k == 0 else noise.bias_step[k - 1, sensor]
+        for sensor in range(n) if kind == "accel" else range(n, len(noise.state_sigma)):
+            for k in range(len(noise.state_rho)):
+                states = np.zeros(noise.state_rho.shape)
+                states[k, sensor] = 1.0 if k == 0 else noise.state_step[k - 1, sensor]
                 for i in range(k + 1, len(states)):
-                    states[i] = noise.bias_rho[i - 1] * states[i - 1]
-                yield states * noise.bias_sigma
+                    states[i] = noise.state_rho[i - 1] * states[i - 1]
+                yield states * noise.state_sigma
 
     def _beforehand(self, source: str) -> slice:
         if source == "gravity":

@@ -146,7 +146,7 @@ def test_rows_of_temperature_and_of_each_session_are_those_of_finite_differences
 def dense(problem: Problem, point: Point) -> Array:
     """The covariance of gravity and the parameters by ordinary least squares of everything at once."""
     rows = linearise(problem, point, TurnsAbout.of(problem.observations, problem.instrument, point.values))
-    W_rest, W_turn = rows.noise.whitening()
+    W_rest, W_turn, _ = rows.noise.whitening()
     turns = problem.observations.turns
     assert turns is not None
     N, m, q, S = len(problem.link), len(point.values), len(problem.local_u), len(problem.parts)

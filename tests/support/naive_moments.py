@@ -33,7 +33,7 @@ def _moments(
     pieces: Pieces, start: int, stop: int, compensation: Compensation, own: OwnAxes
 ) -> dict[str, Array | float]:
     n, m = len(own.gyro), len(own.accel)
-    C, V = Rotation.identity(), np.zeros(3)
+    C, V, P = Rotation.identity(), np.zeros(3), np.zeros(3)
     Phi, Psi, W, sweep = np.zeros((3, 3, 13)), np.zeros((3, 3, 7)), np.zeros((3, 3, 6)), np.zeros((3, 3, 3))
     Phi_gyro, Psi_gyro, Phi_accel = np.zeros((3, 3, 2, n)), np.zeros((3, 3, 2, n)), np.zeros((3, 3, 2, m))
     body, body_rates, body_gyro = np.zeros(13), np.zeros(6), np.zeros((2, n))
@@ -68,10 +68,11 @@ def _moments(
         body, body_rates = body + beta * dt, body_rates + rates * dt
         body_gyro = body_gyro + own_gyro * dt
         jumps += dt**2 * np.sum((f - f_before) ** 2)
-        C, V = C * Rotation.from_rotvec(phi), V + step
+        C, V, P = C * Rotation.from_rotvec(phi), V + step, P + dt * (V + step / 2)
     return {
         "C": C.as_matrix(),
         "V": V,
+        "P": P,
         "Phi": Phi,
         "Psi": Psi,
         "W": W,

@@ -76,11 +76,8 @@ def warming(
     rng = np.random.default_rng(seed)
     time = np.arange(1, int(seconds * rate) + 1) / rate
     constant = rng.uniform(0.2, 0.4) * seconds
-    passed = {
-        "warming": lambda: -np.expm1(-time / constant) / -np.expm1(-seconds / constant),
-        "cooling": lambda: 1.0 + np.expm1(-time / constant) / -np.expm1(-seconds / constant),
-        "ramp": lambda: 1.0 - np.abs(2.0 * time / seconds - 1.0),
-    }[course]()
+    risen = np.expm1(-time / constant) / np.expm1(-seconds / constant)
+    passed = {"warming": risen, "cooling": 1.0 - risen, "ramp": 1.0 - np.abs(2.0 * time / seconds - 1.0)}[course]
     celsius = rng.uniform(-10.0, 30.0) + span * passed
     middle = 0.5 * float(celsius.min() + celsius.max())
     read = celsius + 0.05 * rng.standard_normal(len(time))

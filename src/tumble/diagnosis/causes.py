@@ -301,9 +301,9 @@ def _falls(step: Solution, sensors: slice) -> Array:
     noise = step.equations.noise
     n = sum(noise.sensors)
     states = step.covariances(slice(-n, None))[:, :, sensors, sensors]
-    values, rho = step.unknowns[:, -n:][:, sensors], noise.bias_rho[:, sensors]
+    values, rho = step.unknowns[:, -n:][:, sensors], noise.state_rho[:, sensors]
     here, following, across = states[0, :-1], states[0, 1:], states[1, :-1] * rho[:-1, :, None]
-    deviation = noise.bias_step[:-1, sensors]
+    deviation = noise.state_step[:-1, sensors]
     steps = (values[1:] - rho[:-1] * values[:-1]) / deviation
     covariance = following - across - np.swapaxes(across, 1, 2) + rho[:-1, :, None] * here * rho[:-1, None]
     covariance /= deviation[:, :, None] * deviation[:, None]

@@ -178,7 +178,7 @@ def clock_by_earth(estimate: Estimate) -> ClockByEarth | None:
     if linearised is None or linearised.problem.observations.together is not None:
         return None
     session, problem = LinearisedSession(linearised), linearised.problem
-    if problem.observations.gyro_block is None or problem.observations.site.latitude is None:
+    if problem.observations.gyro_block is None or problem.observations.site.latitude is None or problem.moves:
         return None
     errors = list(earth_rate_errors(session))
     likely = tested(linearised, errors)[0]

@@ -8,6 +8,7 @@ import numpy as np
 import scipy
 
 from tumble.diagnosis.findings import Finding, outcome_of
+from tumble.diagnosis.in_motion import in_motion
 from tumble.diagnosis.misfit import misfit
 from tumble.diagnosis.projection import FALSE_ALARMS
 from tumble.diagnosis.undetermined import (
@@ -63,6 +64,10 @@ def verdict(
         what concerns the accelerometers, the gyros.
     """
     missing = linear_names(estimate.unobservable)
+    if observations.links is not None:
+        of_gravity = () if gravity_confirmed else _impossible_gravity(observations.site)
+        every = *in_motion(estimate, observations, missing), *of_gravity, *gravity_wanted(observations.site)
+        return outcome_of(every, missing)
     faces = faces_alone(estimate, missing)
     weak = [] if estimate.reasons or faces else undetermined(estimate, observations, missing)
     findings = [Finding(sentence=reason, refuses=True) for reason in estimate.reasons]

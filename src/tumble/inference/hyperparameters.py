@@ -42,6 +42,9 @@ from tumble.inference.elimination import along_chains, eliminate, fold
 from tumble.inference.linearisation import Linearisation
 from tumble.inference.noise import (
     CORRELATION_TIME,
+    DISPLACEMENT,
+    DISPLACEMENT_TIME,
+    LINK_SCATTER,
     SCATTER,
     SCATTER_WORDS,
     TURN_SCATTER,
@@ -56,6 +59,7 @@ from tumble.inference.normal_equations import (
     eliminate_rests,
     joint_rows,
     session_links,
+    station_rows,
 )
 from tumble.inference.problem import Problem
 from tumble.inference.variables import at_two_temperatures, both_ways
@@ -109,13 +113,14 @@ class Score:
 
     @cached_property
     def _by_direction(self) -> tuple[list[Array], list[Array], list[Array], list[Array]]:
-        """Of rests and of turns squares and traces (q,) by direction of scatter, sums of the squares of all products
-        (q, q), and where directions stand in SCATTER."""
+        """Of rests, turns and links squares and traces (q,) by direction of scatter, sums of the squares of all
+        products (q, q), and where directions stand in SCATTER."""
         solution, noise = self.solution, self.solution.equations.noise
         out = list[Array](), list[Array](), list[Array](), list[Array]()
         for W, (r, C), (Z, place) in (
             (solution.equations.rest_whitening, solution.rest_residuals, noise.scaled_rest_directions),
             (solution.equations.turn_whitening, solution.turn_residuals, noise.turn_directions),
+            (solution.equations.link_whitening, solution.link_residuals, noise.link_directions),
         ):
             WZ = W @ Z
             products = np.swapaxes(WZ, -1, -2) @ C @ WZ
@@ -153,32 +158,35 @@ class Score:
         scatter = QuadraticForms(
             square=of_kind * self._by_direction[0][0], trace=of_kind * self._by_direction[1][0], double=told
         )
-        return scatter + self.biases
+        n, of_states = len(of_kind), self.states
+        return scatter + QuadraticForms(
+            square=of_states.square[:n], trace=of_states.trace[:n], double=of_states.double[:n]
+        )
 
     @cached_property
     def _steps(self) -> tuple[Array, Array, Array]:
-        """Squares of the steps of the states of biases and of those that begin a chain, expected from their values
-        (N, n), the variances of both, and of each step that follows a rest the slope by ln τ."""
+        """Squares of the steps of the states and of those that begin a chain, expected from their values (M, s), the
+        variances of both, and of each step that follows a station the slope by ln τ."""
         solution, noise = self.solution, self.solution.equations.noise
-        states, follows = slice(3, None), noise.follows
+        states, follows = slice(noise.unknowns - noise.states, None), noise.follows
         first, here = np.append(True, ~follows[:-1]), np.flatnonzero(follows)
-        b, root = solution.unknowns[:, states], solution.along(states)
+        b, root = solution.states, solution.along(states)
         given, with_next = np.diagonal(solution.conditional_covariances, axis1=-2, axis2=-1)[..., states]
         variance = given + (root**2).sum(axis=-1)
         with_next = with_next[here] + (root[here] * root[here + 1]).sum(axis=-1)
-        rho, square = noise.bias_rho[here], noise.bias_step[here] ** 2
+        rho, square = noise.state_rho[here], noise.state_step[here] ** 2
         value = np.concatenate([(b[here + 1] - rho * b[here]) ** 2 / square, b[first] ** 2])
         unknown = (variance[here + 1] - 2.0 * rho * with_next + rho**2 * variance[here]) / square
         across = b[here] * b[here + 1] + with_next - rho * (b[here] ** 2 + variance[here])
-        lapse = noise.bias_lapse[here]
+        lapse = noise.state_lapse[here]
         growth = np.where(np.isfinite(lapse), lapse, 0.0) * rho
         by_time = growth * (across + rho * (1.0 - value[: len(here)] - unknown)) / square
         return value, np.concatenate([unknown, variance[first]]), by_time
 
     @cached_property
-    def biases(self) -> QuadraticForms:
-        """By in-run bias of each sensor (n,); `double` takes a step for known or unknown."""
-        if not self.solution.equations.wanders:
+    def states(self) -> QuadraticForms:
+        """By state (s,), in-run biases of the sensors first; `double` takes a step for known or unknown."""
+        if not self.solution.equations.noise.states:
             nothing = np.zeros(self.solution.problem.sensors)
             return QuadraticForms(square=nothing, trace=nothing, double=nothing)
         square, unknown, _ = self._steps
@@ -187,8 +195,9 @@ class Score:
 
     @cached_property
     def times(self) -> Array:
-        """∂ℓ/∂ln τ by sensor (n,)."""
-        return self._steps[2].sum(axis=0) if self.solution.equations.wanders else np.zeros(len(self.biases.square))
+        """∂ℓ/∂ln τ by state (s,)."""
+        moves = self.solution.equations.noise.states > 0
+        return self._steps[2].sum(axis=0) if moves else np.zeros(len(self.states.square))
 
     @cached_property
     def priors(self) -> QuadraticForms:
@@ -229,12 +238,13 @@ class Scales:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class WorkingVariates:
-    """Working variates D P r of D hyperparameters (…, D), whitened: of rows of rests (N, r) and turns (K, t), of steps
-    of the states of biases (N, n) and of the first ones of each session (S, n), of priors (m,) and (S, q)."""
+    """Working variates D P r of D hyperparameters (…, D), whitened: of rows of rests (N, r), turns (K, t) and links
+    (J, 9), of steps of the states (M, s) and of the first ones of each session (S, s), of priors (m,) and (S, q)."""
 
     solution: Solution
     rest: Array
     turn: Array
+    link: Array
     steps: Array
     begins: Array
     prior: Array
@@ -243,10 +253,11 @@ class WorkingVariates:
     @staticmethod
     def of(solution: Solution, count: int) -> WorkingVariates:
         """Zeros, of so many hyperparameters."""
-        equations, problem, n = solution.equations, solution.problem, solution.problem.sensors
+        equations, problem, n = solution.equations, solution.problem, solution.equations.noise.states
         shapes = {
             "rest": equations.rest_rows.shape[:2],
             "turn": equations.turn_rows.shape[:2],
+            "link": equations.link_rows.shape[:2],
             "steps": (len(problem.link), n),
             "begins": (len(problem.parts), n),
             "prior": problem.prior_u[1:].shape,
@@ -254,12 +265,13 @@ class WorkingVariates:
         }
         return WorkingVariates(solution=solution, **{name: np.zeros((*of, count)) for name, of in shapes.items()})
 
-    def add_scatter(self, column: int, rest: BoolArray, turn: BoolArray) -> None:
+    def add_scatter(self, column: int, rest: BoolArray, turn: BoolArray, link: BoolArray) -> None:
         """Those of some directions of scatter: v Z Zᵀ W r."""
         solution, noise = self.solution, self.solution.equations.noise
         for out, W, (r, _), (Z, place), some in (
             (self.rest, solution.equations.rest_whitening, solution.rest_residuals, noise.scaled_rest_directions, rest),
             (self.turn, solution.equations.turn_whitening, solution.turn_residuals, noise.turn_directions, turn),
+            (self.link, solution.equations.link_whitening, solution.link_residuals, noise.link_directions, link),
         ):
             if some.any():
                 WZ = W @ Z[:, :, some]
@@ -267,8 +279,8 @@ class WorkingVariates:
                 out[..., column] += 2.0 * (WZ @ along[:, :, None])[:, :, 0]
 
     def add_sizes(self, column: int, sensors: slice | IntArray) -> None:
-        """Those of the size of in-run biases: the residuals of the steps."""
-        if self.solution.equations.wanders:
+        """Those of the size of states: the residuals of the steps."""
+        if self.solution.equations.noise.states:
             steps, begins = self._residual_steps
             self.steps[:, sensors, column] += 2.0 * steps[:, sensors]
             self.begins[:, sensors, column] += 2.0 * begins[:, sensors]
@@ -276,10 +288,10 @@ class WorkingVariates:
     def add_times(self, column: int, sensors: slice | IntArray) -> None:
         """Those of the correlation time. With S β the steps, of variances V, and w = V⁻¹ S β, it changes the covariance
         S⁻¹ V S⁻ᵀ of the states so that the variate is −V^{−½} (−∂S β − V S⁻ᵀ ∂Sᵀ w + ∂V w)."""
-        noise, first = self.solution.equations.noise, [part.rests.start for part in self.solution.problem.parts]
-        b, follows = self.solution.unknowns[:, 3:], noise.follows[:, None]
-        lapse = np.where(follows & np.isfinite(noise.bias_lapse), noise.bias_lapse, 0.0)
-        rho, step = np.where(follows, noise.bias_rho, 0.0), np.where(follows, noise.bias_step, 1.0)
+        noise, first = self.solution.equations.noise, [part.stations.start for part in self.solution.problem.parts]
+        b, follows = self.solution.states, noise.follows[:, None]
+        lapse = np.where(follows & np.isfinite(noise.state_lapse), noise.state_lapse, 0.0)
+        rho, step = np.where(follows, noise.state_rho, 0.0), np.where(follows, noise.state_step, 1.0)
         slope, residual = rho * lapse, np.zeros_like(b)
         residual[:-1] = (b[1:] - rho[:-1] * b[:-1]) / step[:-1] ** 2  # w of the step that follows a rest
         back = np.ascontiguousarray(-slope * residual)
@@ -291,11 +303,11 @@ class WorkingVariates:
 
     @property
     def _residual_steps(self) -> tuple[Array, Array]:
-        """Whitened residuals of the steps that follow rests (N, n) and of the first states of sessions (S, n)."""
-        noise, b = self.solution.equations.noise, self.solution.unknowns[:, 3:]
+        """Whitened residuals of the steps that follow stations (M, s) and of the first states of sessions (S, s)."""
+        noise, b = self.solution.equations.noise, self.solution.states
         steps, here = np.zeros_like(b), np.flatnonzero(noise.follows)
-        steps[here] = -(b[here + 1] - noise.bias_rho[here] * b[here]) / noise.bias_step[here]
-        return steps, -b[[part.rests.start for part in self.solution.problem.parts]]
+        steps[here] = -(b[here + 1] - noise.state_rho[here] * b[here]) / noise.state_step[here]
+        return steps, -b[[part.stations.start for part in self.solution.problem.parts]]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -357,7 +369,7 @@ class Scatter(Hyperparameter):
         """That of σ exponential with the mean `usual`; of the scatter of turns of density m/(m + σ)²."""
         z = phi - self.centre
         x = np.exp(z)
-        if self.name in TURN_SCATTER:
+        if self.name in TURN_SCATTER or self.name in LINK_SCATTER:
             return z - 2.0 * np.log1p(x), (1.0 - x) / (1.0 + x), 2.0 * x / (1.0 + x) ** 2
         return z - x, 1.0 - x, x
 
@@ -373,7 +385,8 @@ class Scatter(Hyperparameter):
     def write_variate(self, column: int, variates: WorkingVariates) -> None:
         """Along its directions."""
         noise = variates.solution.equations.noise
-        places = (place == SCATTER.index(self.name) for _, place in (noise.rest_directions, noise.turn_directions))
+        every = noise.rest_directions, noise.turn_directions, noise.link_directions
+        places = (place == SCATTER.index(self.name) for _, place in every)
         variates.add_scatter(column, *places)
 
 
@@ -388,7 +401,7 @@ class InRunSize(Hyperparameter):
 
     def forms(self, score: Score) -> QuadraticForms:
         """Those of its steps."""
-        return score.biases.sum(self.members)
+        return score.states.sum(self.members)
 
     def write_variate(self, column: int, variates: WorkingVariates) -> None:
         """In the steps of the states."""
@@ -406,7 +419,7 @@ class CorrelationTime(Hyperparameter):
 
     def slope(self, score: Score) -> tuple[float, float]:
         """Eq. (25)."""
-        return float(score.times[self.members].sum()), 0.5 * float(score.biases.double[self.members].sum())
+        return float(score.times[self.members].sum()), 0.5 * float(score.states.double[self.members].sum())
 
     def write_variate(self, column: int, variates: WorkingVariates) -> None:
         """In the steps of the states."""
@@ -432,7 +445,8 @@ class SensorFactor(Hyperparameter):
         noise = variates.solution.equations.noise
         rest = np.zeros(len(noise.rest_directions[1]), dtype=bool)
         rest[self.members] = True
-        variates.add_scatter(column, rest, np.zeros(len(noise.turn_directions[1]), dtype=bool))
+        none = (np.zeros(len(place), dtype=bool) for _, place in (noise.turn_directions, noise.link_directions))
+        variates.add_scatter(column, rest, *none)
         variates.add_sizes(column, self.members)
 
 
@@ -497,7 +511,11 @@ def hyperparameters_of(problem: Problem, noise: NoiseModel, seen: BoolArray) -> 
     observations, blocks, out = problem.observations, problem.instrument.blocks, list[Hyperparameter]()
 
     # components of scatter: each stands beside the noise along its directions
-    both = (noise.rest, *noise.rest_directions), (noise.turn, *noise.turn_directions)
+    both = (
+        (noise.rest, *noise.rest_directions),
+        (noise.turn, *noise.turn_directions),
+        (noise.link, *noise.link_directions),
+    )
     for number, (name, (unit, words)) in enumerate(SCATTER_WORDS.items()):
         beside = [np.zeros(0)]
         for covariance, Z, place in both if seen[number] else ():
@@ -506,11 +524,12 @@ def hyperparameters_of(problem: Problem, noise: NoiseModel, seen: BoolArray) -> 
             size = np.einsum("kaq,kab,kbq->kq", along, covariance, along)
             beside.append(size[length > 0.0] / length[length > 0.0] ** 2)
         if len(every := np.concatenate(beside)):
-            out.append(Scatter(name=name, unit=unit, words=words, usual=float(np.sqrt(np.median(every)))))
+            usual = 1.0 if name in LINK_SCATTER else float(np.sqrt(np.median(every)))
+            out.append(Scatter(name=name, unit=unit, words=words, usual=usual))
 
     # in-run biases of both kinds, and sensors whose bias wanders more than that of the others
     rests, first = observations.rests, 0
-    covariances = (rests.accel_covariance, rests.gyro_covariance) if len(rests) > 1 else ()
+    covariances = (rests.accel_covariance, rests.gyro_covariance) if len(problem.link) > 1 else ()
     for block, covariance in zip(blocks, covariances, strict=False):
         kind, words = block.kind, "accelerometers" if block.kind == "accel" else "gyros"
         process: dict[str, Any] = {"within": IN_RUN_WITHIN, "members": slice(first, first + block.size)}
@@ -526,6 +545,8 @@ def hyperparameters_of(problem: Problem, noise: NoiseModel, seen: BoolArray) -> 
             size = _factor(f"{kind}.in_run.{sensor}", words_of_sensor, UNLIKE, slice(first + c, first + c + 1))
             out.append(SensorFactor(**size))
         first += block.size
+    if problem.moves:
+        out += _displacement(first)
 
     # groups of parameters beyond the linear model. A lag multiplies others: a wide prior would let both grow.
     # Curvatures are not wider than usual where there are but two temperatures, nor is a hysteresis where they came one
@@ -542,6 +563,22 @@ def hyperparameters_of(problem: Problem, noise: NoiseModel, seen: BoolArray) -> 
             too_small = observations.too_small.get(name, STATED)
             out.append(kind_of_size(**_factor(name, f"size of {name} over the usual one", too_small, members)))
     return tuple(out)
+
+
+def _displacement(first: int) -> tuple[Hyperparameter, Hyperparameter]:
+    """Size and correlation time of the displacement, whose three states stand behind so many others."""
+    words, members = "displacement of the device in motion", slice(first, first + 3)
+    return (
+        InRunSize(name="displacement", unit="m", words=words, usual=DISPLACEMENT, within=2.0, members=members),
+        CorrelationTime(
+            name="displacement_time",
+            unit="s",
+            words=f"correlation time of the {words}",
+            usual=DISPLACEMENT_TIME,
+            within=1.0,
+            members=members,
+        ),
+    )
 
 
 def _factor(name: str, words: str, too_small: float, members: slice | IntArray) -> dict[str, Any]:
@@ -632,13 +669,19 @@ def average_information(hyperparameters: Sequence[Hyperparameter], solution: Sol
         return np.concatenate([rows[..., :-1], columns, rows[..., -1:]], axis=-1)
 
     d, q, sides = equations.unknowns, solution.local.shape[-1], slice(-1 - D, -1)
-    rest, joints = (
+    rest, turn, link = (
         beside(rows, columns)
-        for rows, columns in ((equations.rest_rows, variates.rest), (equations.turn_rows, variates.turn))
+        for rows, columns in (
+            (equations.rest_rows, variates.rest),
+            (equations.turn_rows, variates.turn),
+            (equations.link_rows, variates.link),
+        )
     )
-    if equations.wanders:
-        joints = joint_rows(linearisation, joints)
-        joints[:, variates.turn.shape[1] :, sides] = variates.steps
+    states = equations.noise.states
+    rest, joints = station_rows(problem, rest), turn
+    if states:
+        joints = joint_rows(linearisation, turn, link)
+        joints[:, -states:, sides] = variates.steps
     width, p = rest.shape[2] - d, len(problem.prior_u)
     common = np.zeros((p + D + 1, p + D + 1), order="F")
     u, expected = problem.prior_u, problem.prior_mean - np.append(point.gravity, point.values)
@@ -652,10 +695,10 @@ def average_information(hyperparameters: Sequence[Hyperparameter], solution: Sol
         fold(np.hstack([np.zeros((len(in_motion), 1)), beside(in_motion, np.zeros((len(in_motion), D)))]), common)
     for s, part in enumerate(problem.parts):
         begins, triangle = np.zeros((d, d + rest.shape[2])), np.zeros((width, width), order="F")
-        begins[3:, 3:d] = np.eye(d - 3)
-        begins[3:, sides] = variates.begins[s, : d - 3]
-        between, links = joints[part.rests if equations.wanders else part.turns], session_links(part, wanders=d > 3)
-        eliminate(rest[part.rests], between, links, np.empty((len(part.link), *begins.shape)), triangle, begins)
+        begins[d - states :, d - states : d] = np.eye(states)
+        begins[d - states :, sides] = variates.begins[s]
+        between, links = joints[part.stations if states else part.turns], session_links(part, chained=states > 0)
+        eliminate(rest[part.stations], between, links, np.empty((len(part.link), *begins.shape)), triangle, begins)
         if q:
             local = np.zeros((q, width))
             local[:, :q], local[:, sides] = np.diag(1.0 / problem.local_u), variates.local[s]

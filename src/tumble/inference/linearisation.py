@@ -11,15 +11,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tumble.inference.elimination import fold
-from tumble.inference.noise import NO_COMPONENTS, NoiseModel, VarianceComponents
-from tumble.inference.problem import Point, Problem, bases, noise_model
+from tumble.inference.noise import LINK_SCATTER, NO_COMPONENTS, SCATTER, NoiseModel, VarianceComponents
+from tumble.inference.problem import LEVER, SUPPORT, Point, Problem, bases, noise_model, support_columns, unseen_rate
 from tumble.inference.turns_about import TurnsAbout
 from tumble.inference.variables import GROWING
+from tumble.reduction.turns.links import PARTS, joined_parts, noise_of_links
 from tumble.rotation import UP, rotation_matrix, rotation_vector, skew
 from tumble.sensors.instrument import functions
 from tumble.sensors.model import Block, beyond_body
 from tumble.sensors.parameters import CONSTANT, FORCE, OWN_CUBE, OWN_SIZE, PAIRS, PRODUCTS, RATE
 from tumble.units import Array
+
+ROUNDED = 1e-9
+"""Added to correlations of noise, so that they have a Cholesky factor."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -37,6 +41,11 @@ class Linearisation:
         Rows of the turns: angles of the rest before and of the rest after, and as above.
     bias : (K, t, n)
         Coefficients of the turns for a bias of the accelerometers, then of the gyros, in the turn.
+    link : (J, 9, 18 + p + q + 1)
+        Rows of the links: angles and velocities of the station before and of that after, displacements of both, and as
+        above.
+    link_bias : (J, 9, n)
+        As `bias`.
     gained : (K, 3)
         Velocity, m/s, that gravity gives the turns, in the body at their start.
     prior : (p + 1, p + 1)
@@ -53,6 +62,8 @@ class Linearisation:
     rest: Array
     turn: Array
     bias: Array
+    link: Array
+    link_bias: Array
     gained: Array
     prior: Array
     local_prior: Array
@@ -97,15 +108,16 @@ class Linearisation:
         """The same with further common parameters after those of the instrument, of which nothing is known beforehand,
         by their columns (N, r, c) and (K, t, c)."""
         before, c = -1 - self.local_prior.shape[1], rest.shape[2]
-        wide_rest, wide_turn = (
+        of_links = np.zeros((*self.link.shape[:2], c))
+        wide_rest, wide_turn, wide_link = (
             np.concatenate([rows[..., :before], columns, rows[..., before:]], axis=2)
-            for rows, columns in ((self.rest, rest), (self.turn, turn))
+            for rows, columns in ((self.rest, rest), (self.turn, turn), (self.link, of_links))
         )
         p = len(self.prior) - 1
         prior = np.zeros((p + c + 1, p + c + 1))
         keep = np.append(np.arange(p), p + c)
         prior[np.ix_(keep, keep)] = self.prior
-        return replace(self, rest=wide_rest, turn=wide_turn, prior=prior)
+        return replace(self, rest=wide_rest, turn=wide_turn, link=wide_link, prior=prior)
 
 
 def linearise(
@@ -127,10 +139,14 @@ def linearise(
     turn = np.zeros((0, problem.rows_of_turn, 8 + problem.width))
     bias = np.zeros((0, problem.rows_of_turn, problem.sensors))
     gained = np.zeros((0, 3))
+    link, link_bias = np.zeros((0, 9, 20 + problem.width)), np.zeros((0, 9, problem.sensors))
+    noise = problem.noise
     if about is not None:
         turn, bias = _turn_rows(warmed, point, about, model)
+        if about.links is not None:
+            link, link_bias, noise = _link_rows(warmed, point, about.links, model)
     if (turns := problem.observations.turns) is not None:
-        gained = point.gravity * turns.duration[:, None] * (UP @ point.attitudes[turns.first])
+        gained = point.gravity * turns.duration[:, None] * (UP @ point.attitudes[problem.before_turn])
     return Linearisation(
         problem=problem,
         point=point,
@@ -138,16 +154,19 @@ def linearise(
         rest=_rest_rows(warmed, point, model),
         turn=turn,
         bias=bias,
+        link=link,
+        link_bias=link_bias,
         gained=gained,
         prior=prior_rows(problem, point, about),
         local_prior=-point.local / problem.local_u[..., None, :],
-        noise=noise_model(problem, gained).at(components),
+        noise=noise_model(problem, noise, gained).at(components),
     )
 
 
 def _rest_rows(problem: Problem, point: Point, model: tuple[Array, Array]) -> Array:
     """ŷ − Σ K β of all sensors (4), and the prior of the attitudes."""
-    instrument, rests, L, n = problem.instrument, problem.observations.rests, point.attitudes, problem.sensors
+    instrument, rests, n = problem.instrument, problem.observations.rests, problem.sensors
+    L = point.attitudes[problem.station]
     f, w = point.gravity * L[:, 1], problem.earth @ L
     basis, m = bases(L), len(point.values)
     turned = skew(f) @ basis, skew(w) @ basis  # by which the three angles change f and ω
@@ -218,7 +237,8 @@ def _turn_rows(problem: Problem, point: Point, about: TurnsAbout, model: tuple[A
     rows = np.zeros((len(turns), problem.rows_of_turn, 8 + problem.width))
     bias, by_bias = np.zeros((len(turns), problem.rows_of_turn, problem.sensors)), about.paths[..., CONSTANT]
 
-    phi, start, end = by[:, :3, -1], point.attitudes[turns.first], point.attitudes[turns.last]
+    before = problem.before_turn
+    phi, start, end = by[:, :3, -1], point.attitudes[before], point.attitudes[before + 1]
     C, basis = rotation_matrix(phi) @ about.C, bases(start)
     r = rotation_vector(C @ np.swapaxes(end, 1, 2) @ problem.earth_turned @ start)
     left = inverse_left_jacobian(r)
@@ -242,6 +262,93 @@ def _turn_rows(problem: Problem, point: Point, about: TurnsAbout, model: tuple[A
     rows[:, t:, 7:] = spare
     bias[:, t:, instrument.accel.size :] = turns.duration[:, None, None] * free
     return rows, bias
+
+
+def _link_rows(
+    problem: Problem, point: Point, parts: TurnsAbout, model: tuple[Array, Array]
+) -> tuple[Array, Array, NoiseModel]:
+    """Rotation, velocity and place of the links, the coefficients of all for a bias of the accelerometers and gyros,
+    and the noise with theirs. With v the velocity in the body, s the displacement and r the lever
+
+        log(C L_jᵀ e^{−[Ω×]T} L_i)
+        V − C v_j + v_i − L_iᵀ ∫ e^{[Ω×]s} g e_U ds
+        P − (C − 1) r − L_iᵀ (s_j − s_i) + v_i T − L_iᵀ ∬ e^{[Ω×]s} g e_U ds²
+
+    are zero but for noise. Coriolis forces of velocities in the hand are below 5 µg. Where an end is a rest its
+    velocity is zero, and places are not compared, for nothing is known of where a device is put down. What holds it
+    gives way by the columns of `support_columns`, whose own change with the attitude is left out."""
+    links, instrument = problem.observations.links, problem.instrument
+    assert links is not None
+    i, T, J = links.before, links.duration, len(links)
+    by = parts.rows(instrument, point.values, model, problem.width)
+    by = np.concatenate([by[:, :, :-1], parts.paths[..., CONSTANT], by[:, :, -1:]], axis=2)
+    moments = parts.moments
+    by, C_p, V_p, P_p, T_p = (
+        x.reshape(J, PARTS, *x.shape[1:]) for x in (by, moments.C, moments.V, moments.P, moments.T)
+    )
+    total = joined_parts(by, C_p, V_p, P_p, T_p)
+    C, start, end, basis = total.C, point.attitudes[i], point.attitudes[i + 1], bases(point.attitudes[i])
+    moves = np.ones((len(point.attitudes), 1))
+    moves[problem.station] = 0.0
+    v_i, v_j = (moves * point.velocities)[i], (moves * point.velocities)[i + 1]
+    support = np.diff(support_columns(point.attitudes), axis=0)[i]
+    lever, given_way = point.local[0, -LEVER - SUPPORT : -SUPPORT], point.local[0, -SUPPORT:]
+    free = np.where(links.free, 1.0, 0.0)[:, None, None]
+    apart = (np.swapaxes(start, 1, 2) @ (point.displacements[i + 1] - point.displacements[i])[:, :, None])[:, :, 0]
+    turned = (C @ v_j[:, :, None])[:, :, 0]
+    columns, by_rotation = total.columns.copy(), total.columns[:, :3]
+    columns[:, 3:6] += skew(turned) @ by_rotation
+    columns[:, 6:] += skew(C @ lever) @ by_rotation
+
+    r = rotation_vector(C @ np.swapaxes(end, 1, 2) @ rotation_matrix(-T[:, None] * problem.earth) @ start)
+    left, rows = inverse_left_jacobian(r), np.zeros((J, 9, 20 + problem.width))
+    columns[:, :3] = left @ by_rotation
+    rows[:, :3, :3], rows[:, :3, 6:9], rows[:, :3, -1] = -np.swapaxes(left, 1, 2) @ basis, left @ C @ bases(end), r
+    x, up = skew(T[:, None] * problem.earth), point.gravity * T[:, None] * UP
+    for at, plain, sideways in (
+        (slice(3, 6), up, x / 2.0 + x @ x / 6.0),
+        (slice(6, 9), 0.5 * T[:, None] * up, x / 3.0 + x @ x / 12.0),
+    ):
+        vertical, level = ((each[:, None] @ start)[:, 0] for each in (plain, (sideways @ plain[:, :, None])[:, :, 0]))
+        rows[:, at, :2], rows[:, at, 2:3] = skew(vertical + level) @ basis[:, :, :2], skew(level) @ basis[:, :, 2:]
+        if problem.observations.site.gravity_u > 0.0:
+            rows[:, at, 18] = (vertical + level) / point.gravity
+        rows[:, at, -1] = -(vertical + level)
+    rows[:, 3:6, 3:6], rows[:, 3:6, 9:12] = -moves[i, :, None] * np.eye(3), moves[i + 1, :, None] * C
+    rows[:, 3:6, -1] += total.V - turned + v_i
+    rows[:, 6:, :2] += skew(apart) @ basis[:, :, :2]  # a heading turns the displacements with it
+    rows[:, 6:, 3:6] = -T[:, None, None] * np.eye(3)
+    rows[:, 6:, 12:15], rows[:, 6:, 15:18] = -np.swapaxes(start, 1, 2), np.swapaxes(start, 1, 2)
+    rows[:, 6:, -1] += total.P - (C @ lever) + lever + v_i * T[:, None]
+    rows[:, :, 19 : 19 + problem.width] += columns[:, :, : problem.width]
+    support = np.swapaxes(start, 1, 2) @ support
+    rows[:, 6:, -1] -= support @ given_way
+    rows[:, 6:, -1 - LEVER - SUPPORT : -1 - SUPPORT], rows[:, 6:, -1 - SUPPORT : -1] = C - np.eye(3), support
+    rows[:, 6:] *= free
+    bias = columns[:, :, problem.width :]
+    bias[:, 6:] *= free
+    N_g, N_a = (density * np.eye(3) for density in (links.gyro_density, links.accel_density))
+    return rows, bias, _with_link_noise(problem, noise_of_links(C_p, V_p, P_p, T_p, N_g, N_a))
+
+
+def _with_link_noise(problem: Problem, covariances: tuple[Array, Array]) -> NoiseModel:
+    """The noise of a problem with that of its links, by gyros and by accelerometers (J, 9, 9): as noise, and again as
+    two components of scatter."""
+    links = problem.observations.links
+    assert links is not None
+    held = ~links.free
+    for covariance in covariances:
+        covariance[held, 6:], covariance[held, :, 6:] = 0.0, 0.0
+    N, directions = covariances[0] + covariances[1], list[Array]()
+    N[held, 6:, 6:] = np.eye(3)
+    N[:, :3, :3] += (links.duration**2 * unseen_rate(problem))[:, None, None] * np.eye(3)
+    for covariance in covariances:
+        size = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+        scale = np.where(size > 0.0, size, 1.0)
+        scaled = covariance / scale[:, :, None] / scale[:, None, :] + ROUNDED * np.eye(9)
+        directions.append(size[:, :, None] * np.linalg.cholesky(scaled))
+    places = np.repeat([SCATTER.index(name) for name in LINK_SCATTER], 9)
+    return replace(problem.noise, link=N, link_directions=(np.concatenate(directions, axis=2), places))
 
 
 def left_jacobian(r: Array) -> Array:
@@ -286,14 +393,15 @@ def _attitude_rows(problem: Problem, point: Point) -> Array:
     assert programme is not None
     assert position is not None
     nominal = np.array([programme.positions[i].matrix for i in position])
-    basis = bases(point.attitudes)
+    attitudes = point.attitudes[problem.station]
+    basis = bases(attitudes)
     rows = np.zeros((len(nominal), 3, 5 + problem.width))
     if programme.ordered:
-        e = rotation_vector(np.swapaxes(point.attitudes, 1, 2) @ nominal)
+        e = rotation_vector(np.swapaxes(attitudes, 1, 2) @ nominal)
         rows[:, :, :3] = inverse_left_jacobian(e) @ basis
         rows[:, :, -1] = e
     else:
-        across = -point.attitudes[:, [2, 0]]
+        across = -attitudes[:, [2, 0]]
         rows[:, :2, :3] = -np.cross(nominal[:, None, 1], across) @ basis
         rows[:, :2, -1] = np.einsum("iab,ib->ia", across, nominal[:, 1])
     return rows

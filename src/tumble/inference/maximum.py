@@ -307,6 +307,7 @@ def _seen(solution: Solution) -> BoolArray:
     for W, (_, C), (Z, place) in (
         (equations.rest_whitening, solution.rest_residuals, noise.rest_directions),
         (equations.turn_whitening, solution.turn_residuals, noise.turn_directions),
+        (equations.link_whitening, solution.link_residuals, noise.link_directions),
     ):
         WZ = W @ Z
         whole, left = (WZ**2).sum(axis=1), (WZ * (C @ WZ)).sum(axis=1)
@@ -332,12 +333,18 @@ def moved(solution: Solution, keep: bool = False) -> tuple[Point, Array]:
     angles, chain = share * angles, problem.chain
     # chi-square after a step per row, 1 at least: so many times less is known than the noise has it. A heading by
     # residuals that are many times the Earth's rate would turn to and fro.
-    rows = sum(each.shape[0] * each.shape[1] for each in (equations.rest_rows, equations.turn_rows))
+    every = equations.rest_rows, equations.turn_rows, equations.link_rows
+    rows = sum(each.shape[0] * each.shape[1] for each in every)
     hidden = np.bincount(chain, heading_information(solution)) < UNSEEN**-2 * max(1.0, solution.square / rows)
     if keep or hidden.any():
         mean = np.bincount(chain, angles[:, 2]) / np.bincount(chain)
         angles[:, 2] -= np.where(hidden | keep, mean, 0.0)[chain]
-    return solution.linearisation.point.moved(share * parameters, angles, share * local), share * parameters[1:]
+    velocities = displacements = None
+    if problem.moves:
+        velocities = share * solution.unknowns[:, 3:6]
+        displacements = solution.components.displacement * solution.states[:, -3:]
+    point = solution.linearisation.point.moved(share * parameters, angles, share * local, velocities, displacements)
+    return point, share * parameters[1:]
 
 
 def _with_gravity_kept(solution: Solution) -> tuple[Array, Array, Array]:
@@ -352,20 +359,21 @@ def _with_gravity_kept(solution: Solution) -> tuple[Array, Array, Array]:
     by_gravity = solution.parameters[0] / solution.covariance[0, 0]
     with_gravity = zip(problem.parts, solution.session_covariances[:, :, q], strict=True)
     angles = [
-        solution.angles[part.rests] - by_gravity * follow[part.rests, :3, :-1] @ along for part, along in with_gravity
+        solution.angles[part.stations] - by_gravity * follow[part.stations, :3, :-1] @ along
+        for part, along in with_gravity
     ]
     local = solution.local - by_gravity * solution.session_covariances[:, :q, q]
     return solution.parameters - by_gravity * solution.covariance[:, 0], np.concatenate(angles), local
 
 
 def heading_information(solution: Solution) -> Array:
-    """What the gyros of each rest (N,) and of the turn after it say of the heading of both, rad⁻²."""
+    """What the gyros of each station (M,) and of the turn or link after it say of the heading of both, rad⁻²."""
     equations, problem = solution.equations, solution.problem
-    d, n = equations.unknowns, problem.observations.accel_block.size
-    information = (equations.rest_rows[:, n:, 2] ** 2).sum(axis=1)
-    both = equations.turn_rows[:, :, 2] + equations.turn_rows[:, :, d + 2]
-    information[problem.before_turn] += (both**2).sum(axis=1)
-    return np.asarray(information)
+    d, n, information = equations.unknowns, problem.observations.accel_block.size, np.zeros(len(problem.link))
+    information[problem.station] = (equations.rest_rows[:, n:, 2] ** 2).sum(axis=1)
+    for rows, before in ((equations.turn_rows, problem.before_turn), (equations.link_rows, problem.before_link)):
+        information[before] += ((rows[:, :, 2] + rows[:, :, d + 2]) ** 2).sum(axis=1)
+    return information
 
 
 def integrated(problem: Problem, point: Point, about: TurnsAbout | None) -> TurnsAbout | None:
@@ -377,6 +385,7 @@ def integrated(problem: Problem, point: Point, about: TurnsAbout | None) -> Turn
     if changes is not None and about.small(changes[:, gyros], problem.noise_of_turns):
         changes = None
     gyro_changes = 0.0 if changes is None else changes[:, gyros]
-    if about.good_for(problem.instrument, point.values, problem.noise_of_turns, gyro_changes):
+    links_good = about.links is None or about.links.good_for(problem.instrument, point.values, problem.noise_of_parts)
+    if links_good and about.good_for(problem.instrument, point.values, problem.noise_of_turns, gyro_changes):
         return about
     return TurnsAbout.of(problem.observations, problem.instrument, point.values, changes)

@@ -40,19 +40,27 @@ SCATTER_WORDS = {
     "jumps": ("1", "velocities over jumps between samples"),
     "aliased": ("1", "rotations over jumps between samples"),
     "aliased_apart": ("1", "what spare gyros say over jumps between samples"),
+    "link_gyro": ("1", "noise of the gyros in motion, over that of its quiet parts"),
+    "link_accel": ("1", "noise of the accelerometers in motion, over that of its quiet parts"),
 }
 SCATTER = tuple(SCATTER_WORDS)
 """The components of scatter, white from rest to rest and from turn to turn."""
-TURN_SCATTER = SCATTER[2:]
+TURN_SCATTER = SCATTER[2:8]
 """Those that concern turns alone."""
+LINK_SCATTER = SCATTER[8:]
+"""Those of links."""
 REST_SCATTER = SCATTER[:2]
 """Those of readings at rest."""
 CORRELATION_TIME = 300.0
 """s: the usual correlation time of an in-run bias."""
+DISPLACEMENT, DISPLACEMENT_TIME = 0.02, 0.5
+"""m and s: the usual displacement of a device in the hand or on a pivot, and its correlation time."""
 
 
 def typical_noise(covariance: Array) -> float:
-    """Standard deviation of a component of the median row, of covariances (N, n, n)."""
+    """Standard deviation of a component of the median row, of covariances (N, n, n); 0 of none."""
+    if not len(covariance):
+        return 0.0
     return float(np.sqrt(np.median(np.trace(covariance, axis1=1, axis2=2)) / covariance.shape[1]))
 
 
@@ -73,6 +81,10 @@ class VarianceComponents:
         The error of a rotation, and of what gyros say beyond it, in parts of what aliased samples would make it.
     accel_in_run, gyro_in_run, accel_time, gyro_time
         Size, SI, and correlation time, s, of the in-run bias of each kind of sensor.
+    link_gyro, link_accel
+        Noise of the samples in motion beside that of its quietest parts, over that.
+    displacement, displacement_time
+        Size, m, and correlation time, s, of the displacement of a device that is moved from where its pivot has it.
     unlike : (n,)
         How many times larger the scatter at rest and the in-run bias of a sensor are than those of its kind,
         accelerometers before gyros; 1 where empty.
@@ -90,10 +102,14 @@ class VarianceComponents:
     jumps: float = 0.0
     aliased: float = 0.0
     aliased_apart: float = 0.0
+    link_gyro: float = 0.0
+    link_accel: float = 0.0
     accel_in_run: float = 0.0
     gyro_in_run: float = 0.0
     accel_time: float = CORRELATION_TIME
     gyro_time: float = CORRELATION_TIME
+    displacement: float = DISPLACEMENT
+    displacement_time: float = DISPLACEMENT_TIME
     unlike: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
@@ -131,16 +147,19 @@ class NoiseModel:
 
     Parameters
     ----------
-    rest, turn : (N, r, r) and (K, t, t)
-        Covariances N of the rows without scatter.
-    rest_directions, turn_directions : ((N, r, q), (q,)) and ((K, t, q), (q,))
+    rest, turn, link : (N, r, r), (K, t, t) and (J, 9, 9)
+        Covariances N of the rows of rests, turns and links without scatter.
+    rest_directions, turn_directions, link_directions : ((N, r, q), (q,)), …
         Directions Z of the components of scatter, each with the place in SCATTER of the one it belongs to.
     rest_weights, turn_weights : (N, r) and (K, t)
         Square roots of the weights that single rows have beside that: 1 but for those that do not fit.
-    interval : (N,)
-        Time, s, from the middle of each rest to that of the next one, infinite where the chain of biases begins anew.
-    follows : (N,)
-        Whether a rest of the same session follows.
+    interval : (M,)
+        Time, s, from the middle of each station to that of the next one, infinite where the chain of biases begins
+        anew.
+    displaced : (M,)
+        The same of displacements, from node to node; None where no device is moved.
+    follows : (M,)
+        Whether a station of the same session follows.
     sensors : (2,)
         Numbers of accelerometers and of gyros.
     components
@@ -149,11 +168,14 @@ class NoiseModel:
 
     rest: Array
     turn: Array
+    link: Array
     rest_directions: tuple[Array, IntArray]
     turn_directions: tuple[Array, IntArray]
+    link_directions: tuple[Array, IntArray]
     rest_weights: Array
     turn_weights: Array
     interval: Array
+    displaced: Array | None
     follows: BoolArray
     sensors: tuple[int, int]
     components: VarianceComponents = NO_COMPONENTS
@@ -172,29 +194,58 @@ class NoiseModel:
         (Z, place), unlike = self.rest_directions, self.components.unlike
         return (Z * unlike[..., None, None, :] if unlike.size else Z), place
 
-    def whitening(self) -> tuple[Array, Array]:
-        """Inverses of the Cholesky factors of the covariances of the rows of rests (N, r, r) and turns (K, t, t)."""
+    @property
+    def biases(self) -> int:
+        """How many biases are states of the stations: n, or none where they do not wander."""
+        return sum(self.sensors) if self.components.wanders else 0
+
+    @property
+    def states(self) -> int:
+        """How many states a station has: biases, then three displacements of a device that is moved."""
+        return self.biases + (0 if self.displaced is None else 3)
+
+    @property
+    def unknowns(self) -> int:
+        """d, the unknowns of a station: three angles, three velocities of a device that is moved, and the states."""
+        return 3 + self.states + (0 if self.displaced is None else 3)
+
+    def whitening(self) -> tuple[Array, Array, Array]:
+        """Inverses of the Cholesky factors of the covariances of the rows of rests (N, r, r), turns (K, t, t) and links
+        (J, 9, 9)."""
         variances = self.components.variances
         rest = whitening(self.rest, *self.scaled_rest_directions, variances) * self.rest_weights[:, None]
         turn = whitening(self.turn, *self.turn_directions, variances) * self.turn_weights[:, None]
-        return rest, turn
+        return rest, turn, whitening(self.link, *self.link_directions, variances)
+
+    def _of_states(self, of_biases: Array, of_displacements: Array | float) -> Array:
+        """Values of all states, of those of the biases and of the displacements."""
+        parts = [of_biases] if self.biases else []
+        if self.displaced is not None:
+            stack = of_biases.shape[:-1]
+            parts.append(np.broadcast_to(np.asarray(of_displacements)[..., None], (*stack, 3)))
+        return np.concatenate(parts, axis=-1) if parts else of_biases[..., :0]
 
     @cached_property
-    def bias_sigma(self) -> Array:
-        """σ (n,) of the in-run bias of every sensor."""
-        return self.components.in_run(*self.sensors)[0]
+    def state_sigma(self) -> Array:
+        """σ (s,) of every state, SI."""
+        return self._of_states(self.components.in_run(*self.sensors)[0], self.components.displacement)
 
     @cached_property
-    def bias_lapse(self) -> Array:
-        """Δt/τ (N, n) from every rest to the next one."""
-        return np.asarray(self.interval[:, None] / self.components.in_run(*self.sensors)[1][..., None, :])
+    def state_lapse(self) -> Array:
+        """Δt/τ (M, s) of every state from every station to the next one."""
+        tau = self.components.in_run(*self.sensors)[1]
+        of_biases = np.asarray(self.interval[:, None] / tau[..., None, :])
+        if self.displaced is None:
+            return self._of_states(of_biases, 0.0)
+        time = np.asarray(self.components.displacement_time)[..., None]
+        return self._of_states(of_biases, self.displaced / time)
 
     @cached_property
-    def bias_rho(self) -> Array:
-        """ρ (N, n), the correlation of the in-run bias with that at the next rest."""
-        return np.exp(-self.bias_lapse)
+    def state_rho(self) -> Array:
+        """ρ (M, s), the correlation of every state with that at the next station."""
+        return np.exp(-self.state_lapse)
 
     @cached_property
-    def bias_step(self) -> Array:
-        """√(1 − ρ²) (N, n), the standard deviation of a step of the states."""
-        return np.sqrt(-np.expm1(-2.0 * self.bias_lapse))
+    def state_step(self) -> Array:
+        """√(1 − ρ²) (M, s), the standard deviation of a step of the states."""
+        return np.sqrt(-np.expm1(-2.0 * self.state_lapse))

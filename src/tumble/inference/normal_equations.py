@@ -39,13 +39,13 @@ class NormalEquations:
     ----------
     noise
         The noise by which rows are whitened.
-    rest_whitening, turn_whitening : (N, r, r) and (K, t, t)
-        Σ^{−½} of the rows of rests and turns.
-    rest_rows, turn_rows : (N, r, d + w) and (K, t, 2 d + w)
-        Whitened rows: the d unknowns of a rest, or of both rests of a turn, then the w − 1 that are left, what the
-        session has beside, gravity and the parameters, and the right-hand side.
-    rest_factors : (N, d, 2 d + w)
-        Triangular factors by which the unknowns of each rest are back-substituted.
+    rest_whitening, turn_whitening, link_whitening : (N, r, r), (K, t, t) and (J, 9, 9)
+        Σ^{−½} of the rows of rests, turns and links.
+    rest_rows, turn_rows, link_rows : (N, r, d + w), (K, t, 2 d + w) and (J, 9, 2 d + w)
+        Whitened rows: the d unknowns of a rest, or of both stations of a turn or a link, then the w − 1 that are left,
+        what the session has beside, gravity and the parameters, and the right-hand side.
+    rest_factors : (M, d, 2 d + w)
+        Triangular factors by which the unknowns of each station are back-substituted.
     session_factors : (S, w, w)
         Of each session a triangle of what is left when its rests are eliminated.
     """
@@ -53,14 +53,16 @@ class NormalEquations:
     noise: NoiseModel
     rest_whitening: Array
     turn_whitening: Array
+    link_whitening: Array
     rest_rows: Array
     turn_rows: Array
+    link_rows: Array
     rest_factors: Array
     session_factors: Array
 
     @property
     def unknowns(self) -> int:
-        """d, the unknowns of a rest: three angles, and the state of the bias of each sensor where biases wander."""
+        """d, the unknowns of a station (`tumble.inference.noise.NoiseModel.unknowns`)."""
         return int(self.rest_factors.shape[-2])
 
     @property
@@ -73,13 +75,14 @@ class NormalEquations:
         """The unknowns of the rests given others (`tumble.inference.elimination.put_back`)."""
         return put_back(self.rest_factors)
 
-    def reduced_rows(self, problem: Problem) -> tuple[Array, Array]:
-        """Whitened rows of rests (N, r, w) and of turns (K, t, w) with the unknowns of the rests as they follow from
-        all others."""
+    def reduced_rows(self, problem: Problem) -> tuple[Array, Array, Array]:
+        """Whitened rows of rests (N, r, w), of turns (K, t, w) and of links (J, 9, w) with the unknowns of the stations
+        as they follow from all others."""
         follow = self.back_substitution[2]
         return (
-            given_unknowns(self.rest_rows, follow, np.arange(len(problem.link))),
+            given_unknowns(self.rest_rows, follow, problem.station),
             given_unknowns(self.turn_rows, follow, problem.before_turn),
+            given_unknowns(self.link_rows, follow, problem.before_link),
         )
 
 
@@ -153,15 +156,20 @@ class Solution:
 
     @cached_property
     def unknowns(self) -> Array:
-        """The unknowns (N, d) of the rests, by back substitution: angles, then states of in-run biases."""
+        """The unknowns (M, d) of the stations, by back substitution: angles, velocities where they move, states."""
         follow, shared = self.equations.back_substitution[2], np.moveaxis(self.shared, -2, 0)[..., None, :, None]
         parts = zip(self.problem.parts, shared, strict=True)
-        return np.concatenate([(follow[..., part.rests, :, :] @ x)[..., 0] for part, x in parts], axis=-2)
+        return np.concatenate([(follow[..., part.stations, :, :] @ x)[..., 0] for part, x in parts], axis=-2)
 
     @property
     def angles(self) -> Array:
-        """The step of the angles (N, 3) of the attitudes."""
+        """The step of the angles (M, 3) of the attitudes."""
         return self.unknowns[..., :3]
+
+    @property
+    def states(self) -> Array:
+        """The states (M, s): of in-run biases, and of displacements, in units of their sizes."""
+        return self.unknowns[..., self.equations.unknowns - self.equations.noise.states :]
 
     @cached_property
     def conditional_covariances(self) -> Array:
@@ -175,7 +183,7 @@ class Solution:
         follow = self.equations.back_substitution[2][..., unknowns, :-1]
         parts = enumerate(self.problem.parts)
         return np.concatenate(
-            [times(follow[..., part.rests, :, :], self.roots[..., s, :, :]) for s, part in parts], axis=-3
+            [times(follow[..., part.stations, :, :], self.roots[..., s, :, :]) for s, part in parts], axis=-3
         )
 
     def covariances(self, unknowns: slice) -> Array:
@@ -197,20 +205,37 @@ class Solution:
         return self._residuals[1]
 
     @cached_property
+    def link_residuals(self) -> tuple[Array, Array]:
+        """The same (J, 9) and (J, 9, 9) of the links."""
+        return self._residuals[2]
+
+    @cached_property
     def _residuals(self) -> list[tuple[Array, Array]]:
-        """Of rests and turns. With A the columns of the unknowns of a rest, or of two, of covariance S for given
+        """Of rests, turns and links. With A the columns of the unknowns of a rest, or of two, of covariance S for given
         others, and E what the others, of covariance U Uᵀ, do to a row directly and by these, the covariance is
 
             1 − A S Aᵀ − (E U)(E U)ᵀ"""
-        problem, equations, i = self.problem, self.equations, self.problem.before_turn
+        problem, equations = self.problem, self.equations
         (own, with_next), out = self.conditional_covariances, list[tuple[Array, Array]]()
-        across = with_next[i]
-        upper, lower = (
-            np.concatenate(pair, axis=-1) for pair in ((own[i], across), (np.swapaxes(across, -1, -2), own[i + 1]))
+
+        def of_both(i: IntArray) -> Array:
+            """Covariances of the unknowns of stations and of those after them."""
+            across = with_next[i]
+            upper, lower = (
+                np.concatenate(pair, axis=-1) for pair in ((own[i], across), (np.swapaxes(across, -1, -2), own[i + 1]))
+            )
+            return np.concatenate([upper, lower], axis=-2)
+
+        kinds = (
+            (equations.rest_rows, own[problem.station]),
+            (equations.turn_rows, of_both(problem.before_turn)),
+            (equations.link_rows, of_both(problem.before_link)),
         )
-        both = np.concatenate([upper, lower], axis=-2)
-        kinds = (equations.rest_rows, own), (equations.turn_rows, both)
-        places = [part.rests for part in problem.parts], [part.turns for part in problem.parts]
+        places = (
+            [part.rests for part in problem.parts],
+            [part.turns for part in problem.parts],
+            [slice(None)] if problem.moves else [slice(0)] * len(problem.parts),
+        )
         for (rows, S), E, parts in zip(kinds, equations.reduced_rows(problem), places, strict=True):
             A = rows[..., : S.shape[-1]]
             residual, EU = np.empty(E.shape[:-1]), np.empty((*E.shape[:-1], E.shape[-1] - 1))
@@ -233,72 +258,108 @@ def eliminate_rests(linearisation: Linearisation) -> NormalEquations:
     """The normal equations of every session, the unknowns of its rests eliminated (22)."""
     problem, noise = linearisation.problem, linearisation.noise
     whitening = noise.whitening()
-    rest, turn = whiten(linearisation, *whitening)
-    d = 3 + problem.sensors if noise.components.wanders else 3
-    *stack, N, _, width = rest.shape
-    factors, size = np.empty((*stack, N, d, d + width)), width - d
+    rest, turn, link = whiten(linearisation, *whitening)
+    d, states = noise.unknowns, noise.states
+    *stack, _, _, width = rest.shape
+    factors, size = np.empty((*stack, len(problem.link), d, d + width)), width - d
     triangles = np.swapaxes(np.zeros((*stack, len(problem.parts), size, size)), -1, -2)
-    joints = joint_rows(linearisation, turn) if d > 3 else turn
+    at_stations = station_rows(problem, rest)
+    joints = joint_rows(linearisation, turn, link) if states else turn
     begins = np.zeros((d, d + width))  # a chain of states begins as its process is
-    begins[3:, 3:d] = np.eye(d - 3)
+    begins[d - states :, d - states : d] = np.eye(states)
     for at in np.ndindex(*stack):
         for part, triangle in zip(problem.parts, triangles[at], strict=True):
-            between, link = joints[at][part.rests if d > 3 else part.turns], session_links(part, wanders=d > 3)
-            eliminate(rest[at][part.rests], between, link, factors[at][part.rests], triangle, begins)
+            between, links = (
+                joints[at][part.stations if states else part.turns],
+                session_links(part, chained=states > 0),
+            )
+            eliminate(at_stations[at][part.stations], between, links, factors[at][part.stations], triangle, begins)
     return NormalEquations(
         noise=noise,
         rest_whitening=whitening[0],
         turn_whitening=whitening[1],
+        link_whitening=whitening[2],
         rest_rows=rest,
         turn_rows=turn,
+        link_rows=link,
         rest_factors=factors,
         session_factors=triangles,
     )
 
 
-def whiten(linearisation: Linearisation, rest_whitening: Array, turn_whitening: Array) -> tuple[Array, Array]:
-    """The whitened rows of rests and turns as the elimination has them: after the unknowns of the rests what a session
-    has beside, then gravity and the common parameters."""
-    problem, noise, bias = linearisation.problem, linearisation.noise, linearisation.bias
-    n, q = problem.sensors if noise.components.wanders else 0, len(problem.usual_local_u)
+def whiten(
+    linearisation: Linearisation, rest_whitening: Array, turn_whitening: Array, link_whitening: Array
+) -> tuple[Array, Array, Array]:
+    """The whitened rows of rests, turns and links as the elimination has them: after the unknowns of the stations what
+    a session has beside, then gravity and the common parameters."""
+    problem, noise, q = linearisation.problem, linearisation.noise, len(linearisation.problem.usual_local_u)
+    n, s, v = noise.biases, noise.states, 3 if problem.moves else 0
 
     def whitened(W: Array, *columns: Array) -> Array:
         last = columns[-1].shape[2] - 1 - q
         others = columns[-1][:, :, last:-1], columns[-1][:, :, :last], columns[-1][:, :, -1:]
         return np.asarray(W @ np.concatenate([*columns[:-1], *others], axis=2))
 
-    rest, turn = linearisation.rest, linearisation.turn
+    def of(rows: Array, count: int) -> Array:
+        """Columns of what has no part in these rows."""
+        return np.zeros((*rows.shape[:2], count))
+
+    rest, turn, link = linearisation.rest, linearisation.turn, linearisation.link
     states = np.broadcast_to(np.eye(rest.shape[1], n), (*rest.shape[:2], n))
-    here, after = (share * bias[:, :, :n] for share in (1.0 - problem.bias_after, problem.bias_after))
-    rest = whitened(rest_whitening, rest[:, :, :3], states, rest[:, :, 3:])
-    turn = whitened(turn_whitening, turn[:, :, :3], here, turn[:, :, 3:6], after, turn[:, :, 6:])
-    if n:
-        for by_states in (rest[..., 3 : 3 + n], turn[..., 3 : 3 + n], turn[..., 6 + n : 6 + 2 * n]):
-            by_states *= noise.bias_sigma[..., None, None, :]
-    return rest, turn
+    shares = 1.0 - problem.bias_after, problem.bias_after
+    here, after = (np.concatenate([x * linearisation.bias[:, :, :n], of(turn, s - n)], axis=2) for x in shares)
+    rest = whitened(rest_whitening, rest[:, :, :3], of(rest, v), states, of(rest, s - n), rest[:, :, 3:])
+    turn = whitened(
+        turn_whitening, turn[:, :, :3], of(turn, v), here, turn[:, :, 3:6], of(turn, v), after, turn[:, :, 6:]
+    )
+    if problem.moves:
+        bias = 0.5 * linearisation.link_bias[:, :, :n]
+        moved, displaced = link[:, :, :12], link[:, :, 12:18]
+        link = whitened(
+            link_whitening,
+            *(moved[:, :, :6], bias, displaced[:, :, :3]),
+            *(moved[:, :, 6:], bias, displaced[:, :, 3:], link[:, :, 18:]),
+        )
+    else:
+        link = np.zeros((*turn.shape[:-3], 0, 9, turn.shape[-1]))
+    if s:
+        d = 3 + v + s
+        for by_states in (rest[..., d - s : d], *(x[..., k * d - s : k * d] for x in (turn, link) for k in (1, 2))):
+            by_states *= noise.state_sigma[..., None, None, :]
+    return rest, turn, link
 
 
-def joint_rows(linearisation: Linearisation, turn: Array) -> Array:
-    """The rows (N, t + n, 2 d + w) that join each rest to the next: those of its `turn` (K, t, 2 d + w), zero where it
-    has none, and the steps of the n states of the biases (19)."""
+def station_rows(problem: Problem, rest: Array) -> Array:
+    """The rows of the rests (N, r, ·) at their stations (M, r, ·), zero at nodes."""
+    if not problem.moves:
+        return rest
+    out = np.zeros((*rest.shape[:-3], len(problem.link), *rest.shape[-2:]))
+    out[..., problem.station, :, :] = rest
+    return out
+
+
+def joint_rows(linearisation: Linearisation, turn: Array, link: Array) -> Array:
+    """The rows (M, t + 9 + s, 2 d + w) that join each station to the next: those of its `turn` (K, t, 2 d + w) or of
+    its `link` (J, 9, 2 d + w), zero where it has none, and the steps of the s states (19)."""
     problem, noise = linearisation.problem, linearisation.noise
+    s, d = noise.states, noise.unknowns
     *stack, _, t, width = turn.shape
-    n = problem.sensors if noise.components.wanders else 0
-    d = 3 + n
-    joints = np.zeros((*stack, len(problem.link), t + n, width))
+    k = link.shape[-2] if problem.moves else 0
+    joints = np.zeros((*stack, len(problem.link), t + k + s, width))
     joints[..., problem.before_turn, :t, :] = turn
-    if n == 0:
+    if problem.moves:
+        joints[..., problem.before_link, t : t + k, :] = link
+    if s == 0:
         return joints
-    sensor, here, step = np.arange(n), np.flatnonzero(noise.follows)[:, None], noise.bias_step[..., noise.follows, :]
-    joints[..., here, t + sensor, d - n + sensor] = -noise.bias_rho[..., noise.follows, :] / step
-    joints[..., here, t + sensor, 2 * d - n + sensor] = 1.0 / step
+    state, here, step = np.arange(s), np.flatnonzero(noise.follows)[:, None], noise.state_step[..., noise.follows, :]
+    joints[..., here, t + k + state, d - s + state] = -noise.state_rho[..., noise.follows, :] / step
+    joints[..., here, t + k + state, 2 * d - s + state] = 1.0 / step
     return joints
 
 
-def session_links(part: SessionSpan, *, wanders: bool) -> IntArray:
-    """What joins each rest of a session to the next, −1 where nothing does: its turn, or the steps of the biases with
-    it."""
-    return np.append(np.arange(len(part.link) - 1), -1) if wanders else part.link
+def session_links(part: SessionSpan, *, chained: bool) -> IntArray:
+    """What joins each station of a session to the next, −1 where nothing does: its turn, or what is `chained`."""
+    return np.append(np.arange(len(part.link) - 1), -1) if chained else part.link
 
 
 def add_priors(
@@ -380,9 +441,9 @@ def _local_solution(head: Array, parameters: Array, root: Array) -> tuple[Array,
 
 def rests_deviance(equations: NormalEquations) -> Array:
     """ln |V| + 2 Σ ln |diag R| of the rows and of the unknowns of the rests."""
-    noise, both = equations.noise, (equations.rest_whitening, equations.turn_whitening)
-    whitened = sum(np.log(W.diagonal(0, -2, -1)).sum(axis=(-2, -1)) for W in both)
-    steps = np.log(noise.bias_step[..., noise.follows, :]).sum(axis=(-2, -1)) if equations.wanders else 0.0
+    noise, every = equations.noise, (equations.rest_whitening, equations.turn_whitening, equations.link_whitening)
+    whitened = sum(np.log(W.diagonal(0, -2, -1)).sum(axis=(-2, -1)) for W in every)
+    steps = np.log(noise.state_step[..., noise.follows, :]).sum(axis=(-2, -1)) if noise.states else 0.0
     return np.asarray(2.0 * (_logarithms(equations.rest_factors.diagonal(0, -2, -1)).sum(axis=-1) + steps - whitened))
 
 
@@ -418,11 +479,13 @@ def session_mean_bias(equations: NormalEquations) -> tuple[Array, Array]:
         What it changes with the noise e of every rest, followed along the chain of unknowns
         u_i = A_i u_{i+1} + B_i x + a_i + R_i⁻¹ e_i from the first.
     """
-    (inverse, by_next, follow), sigma = equations.back_substitution, equations.noise.bias_sigma
-    (*stack, N, d, _), n = inverse.shape, sigma.shape[-1]
-    carried, back = np.zeros((*stack, N, d, n)), np.zeros((*stack, N, d, d))  # transposed, from the last rest on
-    carried[..., d - n :, :] = sigma[..., None, None, :] * np.eye(n) / N
+    inverse, by_next, follow = equations.back_substitution
+    n = equations.noise.biases
+    sigma, first = equations.noise.state_sigma[..., :n], equations.unknowns - equations.noise.states
+    biases, (*stack, N, d, _) = slice(first, first + n), inverse.shape
+    carried, back = np.zeros((*stack, N, d, n)), np.zeros((*stack, N, d, d))  # transposed, from the last station on
+    carried[..., biases, :] = sigma[..., None, None, :] * np.eye(n) / N
     back[..., :-1, :, :] = np.swapaxes(by_next[..., -2::-1, :, :], -1, -2)
     along_chains(back, carried)
     by_noise = np.swapaxes(carried[..., ::-1, :, :], -1, -2) @ inverse
-    return sigma[..., None] * follow[..., d - n :, :].mean(axis=-3), by_noise
+    return sigma[..., None] * follow[..., biases, :].mean(axis=-3), by_noise

@@ -44,12 +44,17 @@ from tumble.earth import EARTH_RATE, earth_rate
 from tumble.inference.noise import NoiseModel
 from tumble.inference.variables import GROWING, KINDS, Variables, variables_of
 from tumble.reduction.observations import Observations
+from tumble.reduction.turns.links import PARTS
 from tumble.rotation import UP, rotation_matrix, skew
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import SensorModel, beyond_body
 from tumble.sensors.parameters import Variable, limits_of, sensor_kind, variable_of
 from tumble.units import Array, IntArray
 
+LEVER, SUPPORT = 3, 24
+"""Numbers of a lever, and of how what holds a device gives way: columns of `support_columns`."""
+LEVER_U, SUPPORT_U = 0.5, 0.01
+"""m: standard deviations of the lever from what holds a device to the instrument, and of each of the others."""
 LAG_HELD = 1e-3
 """s: standard deviation of a lag that is held."""
 OWN: tuple[Variable, ...] = ("time", "launch")
@@ -73,38 +78,61 @@ NO_PRIOR = Prior()
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Point:
-    """Where the likelihood is taken: parameters (m,), gravity, attitudes (N, 3, 3), and what each session has of its
-    own (S, q)."""
+    """Where the likelihood is taken: parameters (m,), gravity, attitudes (M, 3, 3) of the stations, and what each
+    session has of its own (S, q); of a device that moves its velocities, m/s, in the body, and its displacements, m, in
+    the navigation frame (M, 3)."""
 
     values: Array
     gravity: float
     attitudes: Array
     local: Array = field(default_factory=lambda: np.zeros((1, 0)))
+    velocities: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    displacements: Array = field(default_factory=lambda: np.zeros((0, 3)))
 
-    def moved(self, parameters: Array, angles: Array, local: Array | None = None) -> Point:
-        """The point after steps of gravity and the parameters (1 + m,), of the angles (N, 3) of the attitudes, and of
-        what each session has of its own (S, q). The heading turns everything about the vertical, exactly: it may be off
-        by much."""
+    def moved(
+        self,
+        parameters: Array,
+        angles: Array,
+        local: Array | None = None,
+        velocities: Array | None = None,
+        displacements: Array | None = None,
+    ) -> Point:
+        """The point after steps of gravity and the parameters (1 + m,), of the angles (M, 3) of the attitudes, of what
+        each session has of its own (S, q), and of the velocities, with these displacements. The heading turns
+        everything about the vertical, exactly: it may be off by much."""
         tilt = (bases(self.attitudes)[:, :, :2] @ angles[:, :2, None])[:, :, 0]
         return Point(
             values=self.values + parameters[1:],
             gravity=self.gravity + parameters[0],
             attitudes=rotation_matrix(angles[:, 2:] * UP) @ self.attitudes @ rotation_matrix(tilt),
             local=self.local if local is None else self.local + local,
+            velocities=self.velocities if velocities is None else self.velocities + velocities,
+            displacements=self.displacements if displacements is None else displacements,
         )
 
 
 def bases(attitudes: Array) -> Array:
-    """Columns t₁, t₂, u (N, 3, 3) of every rest: north, west and up in the body."""
+    """Columns t₁, t₂, u (M, 3, 3) of every station: north, west and up in the body."""
     return np.stack([attitudes[:, 0], -attitudes[:, 2], attitudes[:, 1]], axis=2)
+
+
+def support_columns(attitudes: Array) -> Array:
+    """By how much what holds a device gives way with its attitude: columns (M, 3, SUPPORT) of displacements, in the
+    navigation frame, that are linear in the vertical u in the body, and its products u_k u_l less those of a sphere.
+    Arms bend and tripods sag; a motion that follows the attitude would be taken for scale factors and axes."""
+    u = attitudes[:, 1]
+    x, y, z = u.T
+    of_vertical = np.stack([x, y, z, x * y, x * z, y * z, x * x - y * y, z * z - 1.0 / 3.0], axis=1)
+    return np.asarray(np.einsum("kr,mc->mkrc", np.eye(3), of_vertical).reshape(len(u), 3, SUPPORT))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SessionSpan:
-    """Where one of several sessions stands among the rests and turns of all, the turn among its own after each of its
-    rests, or −1, and the rest (K,) among its own before each of its turns."""
+    """Where one of several sessions stands among the rests, stations and turns of all, the turn among its own after
+    each of its rests, or −1, and the rest (K,) among its own before each of its turns."""
 
     rests: slice
+    stations: slice
     turns: slice
     link: IntArray
     first: IntArray
@@ -118,10 +146,12 @@ class Problem:
     ----------
     observations, instrument, prior
         What was observed, the parameters that sessions have in common, and what is known beforehand.
-    link : (N,)
-        The turn after each rest, or −1.
-    chain : (N,)
-        The number of the chain of turns that each rest belongs to.
+    link : (M,)
+        The turn after each station, or −1. Stations are the rests and, of a device that moves, the nodes between them.
+    chain : (M,)
+        The number of the chain of turns and links that each station belongs to.
+    station : (N,)
+        The station of each rest.
     earth : (3,)
         The Earth's rate, rad/s; zero where the latitude is not known.
     prior_mean, prior_u : (1 + m,)
@@ -136,7 +166,7 @@ class Problem:
     of_session : ((N,), (K,))
         The session of every rest and turn.
     before_turn : (K,)
-        The rest before each turn.
+        The station before each turn.
     local
         What each of several sessions has beside the linear model that others do not share, None of a single session.
     local_u, usual_local_u : (q,)
@@ -152,6 +182,7 @@ class Problem:
     prior: Prior
     link: IntArray
     chain: IntArray
+    station: IntArray
     earth: Array
     prior_mean: Array
     prior_u: Array
@@ -195,12 +226,17 @@ class Problem:
         """
         accel, gyro, site = observations.accel_block, observations.gyro_block, observations.site
         instrument = instrument or Instrument(accel=accel, gyro=gyro)
-        link = np.full(len(observations.rests), -1, dtype=np.int64)
-        turns = observations.turns
+        turns, links, N = observations.turns, observations.links, len(observations.rests)
+        station = np.arange(N) if links is None else links.rest
+        link = np.full(N if links is None else len(links.time), -1, dtype=np.int64)
+        before = np.zeros(0, dtype=np.int64) if turns is None else station[turns.first]
         if turns is not None and len(turns):
             if np.any(turns.last != turns.first + 1) or np.bincount(turns.first).max() > 1:
                 raise ValueError("turns: expected at most one between neighbouring rests, found others")
-            link[turns.first] = np.arange(len(turns))
+            link[before] = np.arange(len(turns))
+        joined = link >= 0
+        if links is not None:
+            joined[links.before] = True
         u = limits_of(instrument.names)
         for name, members in instrument.members.items():
             u[members] = (usual or {}).get(name, u[members])
@@ -212,12 +248,14 @@ class Problem:
         for group in () if local is None else local.further:
             size = (usual or {}).get(group.name, group.limit)
             local_u = np.append(local_u, np.full(len(group.names(local.block(group))), size))  # type: ignore[union-attr]
-        before = np.zeros(0, dtype=np.int64) if turns is None else turns.first
+        if links is not None:
+            local_u = np.concatenate([local_u, np.full(LEVER, LEVER_U), np.full(SUPPORT, SUPPORT_U)])
         session = np.zeros(len(link), dtype=np.int64) if observations.session is None else observations.session
         edges, turn_edges = (np.searchsorted(of, np.arange(session[-1] + 2)) for of in (session, session[before]))
         parts = tuple(
             SessionSpan(
-                rests=slice(rest, rest_end),
+                rests=slice(*np.searchsorted(station, [rest, rest_end]).tolist()),
+                stations=slice(rest, rest_end),
                 turns=slice(turn, turn_end),
                 link=np.where(link[rest:rest_end] < 0, -1, link[rest:rest_end] - turn),
                 first=before[turn:turn_end] - rest,
@@ -230,14 +268,15 @@ class Problem:
             instrument=instrument,
             prior=prior,
             link=link,
-            chain=np.append(0, np.cumsum(link[:-1] < 0)),
+            chain=np.append(0, np.cumsum(~joined[:-1])),
+            station=station,
             earth=np.zeros(3) if site.latitude is None else np.array(earth_rate(site.latitude)),
             prior_mean=np.append(site.gravity, start),
             prior_u=prior_u,
             usual_u=prior_u,
             variables=variables_of(observations),
             parts=parts,
-            of_session=(session, session[before]),
+            of_session=(session[station], session[before]),
             before_turn=before,
             local=local,
             local_u=local_u,
@@ -270,6 +309,17 @@ class Problem:
         """Where the biases of all sensors stand among the parameters."""
         columns = [self.instrument.group_columns[f"{block.kind}.bias"] for block in self.instrument.blocks]
         return np.concatenate([np.arange(len(self.instrument.names))[each] for each in columns])
+
+    @property
+    def moves(self) -> bool:
+        """Whether there are links: then stations have velocities and displacements."""
+        return self.observations.links is not None
+
+    @property
+    def before_link(self) -> IntArray:
+        """The station before each link (J,)."""
+        links = self.observations.links
+        return np.zeros(0, dtype=np.int64) if links is None else links.before
 
     @property
     def sensors(self) -> int:
@@ -359,6 +409,14 @@ class Problem:
         return rotation, np.sqrt(np.trace(turns.velocity_covariance, axis1=1, axis2=2) / 3.0)
 
     @property
+    def noise_of_parts(self) -> tuple[Array, Array]:
+        """Standard deviations of the rotations, rad, and velocities, m/s, of the parts of the links."""
+        links = self.observations.links
+        assert links is not None
+        seconds = np.repeat(links.duration / PARTS, PARTS)
+        return np.sqrt(links.gyro_density * seconds), np.sqrt(links.accel_density * seconds)
+
+    @property
     def width(self) -> int:
         """How many parameters there are, with what a session has of its own."""
         return len(self.instrument.names) + len(self.local_u)
@@ -408,19 +466,18 @@ def instruments_of(observations: Observations) -> tuple[Instrument, Instrument |
 # -------------------- noise --------------------
 
 
-def noise_model(problem: Problem, gained: Array) -> NoiseModel:
+def noise_model(problem: Problem, noise: NoiseModel, gained: Array) -> NoiseModel:
     """The noise of the rows of a problem, docs/explanation/mathematics.md (16), (17), without scatter.
 
     Parameters
     ----------
-    problem
-        The session or sessions.
+    problem, noise
+        The session or sessions, and the part of the noise that does not change with the attitudes.
     gained : (K, 3)
         Velocity, m/s, that gravity gives each turn, in the body at its start. What errs in a rotation on the way turns
         it, and so errs in the velocity of the turn too.
     """
-    noise, turns = problem.noise, problem.observations.turns
-    Z, component = noise.turn_directions
+    turns, (Z, component) = problem.observations.turns, noise.turn_directions
     if turns is None or not len(Z) or not problem.instrument.in_velocities:
         return noise
     across, Z, turn = skew(-0.5 * gained), Z.copy(), noise.turn.copy()
@@ -469,17 +526,25 @@ def _noise_of_session(problem: Problem) -> NoiseModel:
         Z[:, 3 : 3 + v, t : t + v] = jumps[:, None, None] * np.eye(v)
         Z[:, 3 + v :, t + v : -3] = aliased[:, None, None] * np.eye(spare)
         Z[:, :3, -3:] = aliased[:, None, None] * np.eye(3)
-    middle, session = 0.5 * (rests.start + rests.stop), problem.of_session[0]
-    follows = np.append(session[1:] == session[:-1], np.zeros(1, dtype=bool))
-    interval = np.append(np.where(rests.file[1:] == rests.file[:-1], np.abs(np.diff(middle)), np.inf), np.inf)
+    links = observations.links
+    file, time = (rests.file, 0.5 * (rests.start + rests.stop)) if links is None else (links.file, links.time)
+    follows = np.ones(len(time), dtype=bool)
+    follows[[part.stations.stop - 1 for part in problem.parts]] = False
+    interval = np.append(np.where(file[1:] == file[:-1], np.abs(np.diff(time)), np.inf), np.inf)
+    displaced = np.full(len(interval), np.inf)
+    if links is not None:
+        displaced[links.before[links.free]] = links.duration[links.free]
     return NoiseModel(
         rest=rest,
         turn=turn,
+        link=np.zeros((0, 9, 9)),
         rest_directions=(at_rest, rest_places),
         turn_directions=(Z, turn_places),
+        link_directions=(np.zeros((0, 9, 0)), np.zeros(0, dtype=np.int64)),
         rest_weights=np.ones(rest.shape[:2]),
         turn_weights=np.ones(turn.shape[:2]),
         interval=interval,
+        displaced=None if links is None else displaced,
         follows=follows,
         sensors=(problem.instrument.accel.size, problem.sensors - problem.instrument.accel.size),
     )

@@ -29,6 +29,7 @@ from tumble.reduction.turns.moments import (
     Moments,
     OwnAxes,
     delay_column,
+    integrate,
     lever_columns,
     single_delay_columns,
 )
@@ -67,6 +68,8 @@ class TurnsAbout:
     """What the accelerometers of arrays say of each other in motion."""
     growing: Array | None = None
     """Paths of coefficients that grow by 1 a second about the middle of the turns."""
+    links: TurnsAbout | None = None
+    """The parts of the links of a device that moves."""
 
     @staticmethod
     def of(
@@ -85,6 +88,7 @@ class TurnsAbout:
             return Compensation(gyro=of_gyro, accel=of_accel, g_sensitivity=g_sensitivity, delay=late)
 
         about = compensation(K)
+        K_of_all = K
         if changes is None:
             moments = observations.moments_about(about, own)
         else:
@@ -100,6 +104,12 @@ class TurnsAbout:
             ends = (resting[turns.first], resting[turns.last]), (turning[turns.first], turning[turns.last])
         growing = observations.growing_moments_about(about) if warms(instrument) else None
         about_turns = TurnsAbout.from_moments(moments, accel, (K, late), lefts, ends, growing)
+        if observations.links is not None:
+            links = observations.links
+            of_parts = integrate(links.samples.pieces(), len(links.samples.lengths), about, own)
+            at_ends = (links.forces[:, 0], links.forces[:, 1]), (links.rates[:, 0], links.rates[:, 1])
+            of_links = TurnsAbout.from_moments(of_parts, accel, (K_of_all, late), lefts, at_ends)
+            about_turns = replace(about_turns, links=of_links)
         if ends is None:
             return about_turns
         arrays = tuple(array_levers(each, instrument, values) for each in observations.arrays)

@@ -48,9 +48,9 @@ Roots = dict[str, Array]
 """By source roots F (N, r, k) of its covariances of rows, S = F Fᵀ."""
 
 
-def noise_roots(linearisation: Linearisation) -> tuple[Roots, Roots]:
-    """The sources of the noise of the rows of rests and of turns; where the Earth's rate is not known, it turns what
-    the velocities go with, too."""
+def noise_roots(linearisation: Linearisation) -> tuple[Roots, Roots, Roots]:
+    """The sources of the noise of the rows of rests, of turns and of links; where the Earth's rate is not known, it
+    turns what the velocities go with, too."""
     problem, noise = linearisation.problem, linearisation.noise
     turns, instrument = problem.observations.turns, problem.instrument
     n, sensors, earth = instrument.accel.size, problem.sensors, unseen_rate(problem)
@@ -89,7 +89,12 @@ def noise_roots(linearisation: Linearisation) -> tuple[Roots, Roots]:
                 out[f"{SCATTER[number]}.scatter"] = sigma * Z[:, :, place == number]
         return out
 
-    return roots(rests, noise.scaled_rest_directions), roots(in_turns, noise.turn_directions)
+    of_links = {"link.noise": noise.link} if linearisation.problem.moves else {}
+    return (
+        roots(rests, noise.scaled_rest_directions),
+        roots(in_turns, noise.turn_directions),
+        roots(of_links, noise.link_directions),
+    )
 
 
 def contributions(solution: Solution) -> dict[str, Array]:
@@ -99,9 +104,13 @@ def contributions(solution: Solution) -> dict[str, Array]:
     noise, (inverse, by_next, follow) = equations.noise, equations.back_substitution
     d, q, size, biases = equations.unknowns, solution.local.shape[-1], len(solution.parameters), 1 + problem.biases
     accelerometers, rest_weights, turn_weights = problem.instrument.accel.size, noise.rest_weights, noise.turn_weights
-    whitening = equations.rest_whitening / rest_weights[:, None], equations.turn_whitening / turn_weights[:, None]
+    whitening = (
+        equations.rest_whitening / rest_weights[:, None],
+        equations.turn_whitening / turn_weights[:, None],
+        equations.link_whitening,
+    )
     roots, reduced = noise_roots(linearisation.with_components(noise.components)), equations.reduced_rows(problem)
-    both = equations.rest_rows, equations.turn_rows
+    every = equations.rest_rows, equations.turn_rows, equations.link_rows
     mean = session_mean_bias(equations) if equations.wanders and len(problem.parts) == 1 else None
     out = dict[str, Array]()
 
@@ -112,7 +121,7 @@ def contributions(solution: Solution) -> dict[str, Array]:
 
     for s, part in enumerate(problem.parts):
         # Z (39): of the unknowns of the rests what is beside that by the others, N, concerns the biases alone
-        Y, rests, first = np.eye(q + size)[q:], part.rests, part.rests.start + part.first
+        Y, stations, first = np.eye(q + size)[q:], part.stations, part.stations.start + part.first
         N = None
         if mean is not None:
             Y[biases] += mean[0][:, :-1]
@@ -121,22 +130,26 @@ def contributions(solution: Solution) -> dict[str, Array]:
         Z_x = solution.roots[s] @ (solution.roots[s].T @ Y.T)
 
         # covariances by source (38)
-        places = (rests, (rests,)), (part.turns, (first, first + 1))
-        for F_by_source, W, E, rows, (some, ends) in zip(roots, whitening, reduced, both, places, strict=True):
+        links, station, before = slice(None if problem.moves else 0), problem.station[part.rests], problem.before_link
+        places = (part.rests, (station,)), (part.turns, (first, first + 1)), (links, (before, before + 1))
+        for F_by_source, W, E, rows, (some, ends) in zip(roots, whitening, reduced, every, places, strict=True):
             K = times(E[some, :, :-1], Z_x)
             if N is not None:
                 for e, after in enumerate(ends):
                     K[..., biases] += rows[some, :, e * d : (e + 1) * d] @ N[after]
             for name, F in F_by_source.items():
                 add(name, np.swapaxes(W[some] @ F[some], -1, -2) @ K)
-        if equations.wanders:
-            states = times(follow[rests, 3:, :-1], Z_x)
+        if noise.states:
+            states = times(follow[stations, d - noise.states :, :-1], Z_x)
             if N is not None:
-                states[..., biases] += N[rests, 3:]
-            rho, step = noise.bias_rho[rests][:-1, :, None], noise.bias_step[rests][:-1, :, None]
+                states[..., biases] += N[stations, d - noise.states :]
+            rho, step = noise.state_rho[stations][:-1, :, None], noise.state_step[stations][:-1, :, None]
             for K in (states[:1], (states[1:] - rho * states[:-1]) / step):
-                add("accel.in_run", K[:, :accelerometers])
-                add("gyro.in_run", K[:, accelerometers:])
+                add("accel.in_run", K[:, : min(accelerometers, noise.biases)])
+                add("gyro.in_run", K[:, accelerometers : noise.biases])
+                add("displacement", K[:, noise.biases :])
+        if problem.moves:
+            add("support", Z_x[:q] / problem.local_u[:, None])
         for name, members in problem.local_members.items():
             add(f"prior.{name}", Z_x[members] / problem.local_u[members, None])
 

@@ -53,7 +53,7 @@ def variables_of(
     rests, turns, session = observations.rests, observations.turns, observations.session
     time = 0.5 * (rests.start + rests.stop)
     for of in (slice(None),) if session is None else (session == s for s in range(session[-1] + 1)):
-        time[of] -= time[of].mean()
+        time[of] -= time[of].mean() if len(time) else 0.0
     at_rest: dict[Variable, Array] = {"time": time[:, None]}
     if session is not None:
         at_rest["launch"] = np.ones((len(rests), 1))

@@ -237,15 +237,11 @@ def whitened(seen: Linearisation) -> tuple[Array, Array]:
     d = 3 + n unknowns each, and those that join each rest to the next (N − 1, t + n, 2d + p + 1). The last n rows of
     the first rest say that a chain begins with its n in-run biases as a stationary process has them; of others they
     are zero."""
-    rest, turn = whiten(seen, *seen.noise.whitening())
-    n = seen.problem.sensors if seen.components.wanders else 0
+    rest, turn, link = whiten(seen, *seen.noise.whitening())
+    n = seen.noise.biases
     rest = np.pad(rest, ((0, 0), (0, n), (0, 0)))
     rest[0, rest.shape[1] - n :, 3 : 3 + n] = np.eye(n)
-    if seen.components.wanders:
-        return rest, joint_rows(seen, turn)[:-1]
-    joint = np.zeros((len(rest), *turn.shape[1:]))
-    joint[seen.problem.before_turn] = turn
-    return rest, joint[:-1]
+    return rest, joint_rows(seen, turn, link)[:-1]
 
 
 SHORTEST_TIME = 1e-3

@@ -51,7 +51,7 @@ def expected(seen: Linearisation) -> Linearisation:
             if degrees > LEAST_DEGREES:
                 found[h.name] = h.usual * _expected_scatter(degrees, of_turns=h.name in TURN_SCATTER)
         elif isinstance(h, InRunSize) and solution.equations.wanders:
-            states = score.biases.double[h.members]
+            states = score.states.double[h.members]
             share = float(np.clip(states.mean() / len(problem.link), 1e-6, 1.0 - 1e-6))
             every = np.ones(len(states) * len(problem.link))
             factor = _expected_size(every, (1.0 - share) * every, h.within, two_sided=True)[0]

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
@@ -30,10 +31,11 @@ from tumble.reduction.noise.coloured_noise import fit_coloured_noise
 from tumble.reduction.noise.rounding import Rounding, rounding_notes
 from tumble.reduction.rests.blemishes import BadSamples, bad_sample_notes, blemish_notes
 from tumble.reduction.rests.rests import Rests, reduced_rests, rows_of, thermometers_of
-from tumble.reduction.rests.segmentation import Stretch
+from tumble.reduction.rests.segmentation import Stretch, unrecorded
 from tumble.reduction.rests.sway import sway_notes, sway_of
 from tumble.reduction.rests.thermometer import Thermometers
 from tumble.reduction.turns.array_motion import ArrayMoments, MovedArray, array_moments
+from tumble.reduction.turns.links import Links, links_of, stretched
 from tumble.reduction.turns.moments import (
     NO_OWN_AXES,
     Compensation,
@@ -48,6 +50,7 @@ from tumble.reduction.turns.turns import (
     TurnSamples,
     aliased_rotations,
     linear_compensation,
+    no_turns,
     reduced_turns,
     turn_readings,
     unread_velocities,
@@ -108,6 +111,8 @@ class Observations(Brief):
     """By group, the source of its usual size, in words."""
     too_small: Mapping[str, float] = field(default_factory=dict)
     """By group, the factor by which its usual size may be too small, by its source."""
+    links: Links | None = None
+    """Motion that is no turn between rests, from node to node."""
     in_run: Mapping[str, float] = field(default_factory=dict)
     """Usual standard deviation of the in-run bias, SI, of the accelerometers, "accel", and of the gyros, "gyro"."""
 
@@ -194,6 +199,17 @@ class Observations(Brief):
         return replace(self.turns, C=moments.C, M=moments.Phi[..., 1:4], B=moments.Phi[..., 0], jumps=moments.jumps)
 
 
+def _without_rests(links: Links, accel: Block, gyro: Block | None, site: Site) -> Observations:
+    """The observations of a recording that has links alone."""
+    readings = (np.zeros((0, 0 if block is None else block.size)) for block in (accel, gyro))
+    of_accel, of_gyro = readings
+    rests = Rests.of_white_noise(np.zeros(0), np.zeros(0), accel=of_accel, gyro=of_gyro, densities=(0.0, 0.0))
+    turns, samples = no_turns(links.samples.samples)
+    return Observations(
+        accel_block=accel, gyro_block=gyro, site=site, rests=rests, turns=turns, turn_samples=samples, links=links
+    )
+
+
 def observe(
     reduction: Reduction,
     spans: tuple[Stretch, ...],
@@ -201,6 +217,8 @@ def observe(
     gyro: Block | None,
     site: Site,
     arrays: tuple[ArrayMoments, ...] | None = None,
+    *,
+    moving: bool = False,
 ) -> Observations:
     """Reduce the rests and turns of a log to observations.
 
@@ -216,7 +234,15 @@ def observe(
         Where the sensors are.
     arrays
         Moments of an array in motion, which do not depend on the rests, where they were made before.
+    moving
+        Whether motion that is no turn is cut into links; then there need be no rest.
     """
+    links = links_of(reduction, spans) if moving and gyro is not None else None
+    if links is not None:
+        linked = [unrecorded(a, b, 1, "links", why="") for a, b in pairwise(spans) if stretched(a, b)]
+        reduction = replace(reduction, gaps=(*reduction.gaps, *linked))
+        if not spans:
+            return _without_rests(links, accel, gyro, site)
     sway = None if gyro is None else sway_of(reduction, spans)
     rests, accel_quiet, gyro_noise, rounded = reduced_rests(reduction, spans, accel, gyro, sway)
     notes, turns, turn_samples, readings = list[str](), None, None, None
@@ -257,6 +283,7 @@ def observe(
         turn_samples=turn_samples,
         turn_readings=readings,
         arrays=arrays or (),
+        links=links,
         rounding=rounded,
         notes=(*notes, *rounding_notes(rounded)),
         thermometers=None if rests.temperatures is None else thermometers_of(reduction),

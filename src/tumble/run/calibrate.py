@@ -15,6 +15,7 @@ import numpy as np
 
 from tumble import __version__
 from tumble.arguments import checked
+from tumble.diagnosis.in_motion import motion_note
 from tumble.diagnosis.level_faces import with_common_tilt
 from tumble.diagnosis.misfit import ClockByEarth, clock_by_earth
 from tumble.diagnosis.undetermined import one_attitude
@@ -226,7 +227,10 @@ def _calibrated(
                     of_gyros = calibration.outcome.gyro.reasons
                     because = (f"{why}; the accelerometers are estimated alone" for why in of_gyros)
                     estimate, calibration, faults = alone, made_alone, (*because, *faults)
-        calibration = _with_remarks(calibration, little_used(observed.segmentation), ())
+        if estimate[1].links is None:
+            calibration = _with_remarks(calibration, little_used(observed.segmentation), ())
+        notes = (*calibration.provenance.notes, *motion_note(estimate[0], estimate[1]))
+        calibration = _with_provenance(calibration, notes=notes)
         if estimate[0].gyro is not None and not session.log.increments["gyro"]:
             grade, _ = _ruled_out(session, estimate[1]) or grade_of(session, estimate[1])
             doubts = time_base_doubted(estimate[0], grade_named(grade).gyro.scale)
@@ -310,11 +314,16 @@ def _guessed(observations: Observations) -> tuple[str, str]:
     white = _white_noise(observations)
     if len(white) == 1:
         return guessed_grade(white["accel"], None)
-    return guessed_grade(white["accel"], white["gyro"], float(np.abs(np.median(observations.rests.gyro, axis=0)).max()))
+    rates = observations.rests.gyro
+    bias = float(np.abs(np.median(rates, axis=0)).max()) if len(rates) else 0.0
+    return guessed_grade(white["accel"], white["gyro"], bias)
 
 
 def _white_noise(observations: Observations) -> dict[str, float]:
-    """Typical densities of the noise at rest, SI/√Hz, by kind of sensors."""
+    """Typical densities of the noise, SI/√Hz, by kind of sensors: at rest, or in motion where there is no rest."""
+    links = observations.links
+    if links is not None and not len(observations.rests):
+        return {"accel": links.accel_density**0.5, "gyro": links.gyro_density**0.5}
     noises = {"accel": observations.rests.accel_noise, "gyro": observations.rests.gyro_noise}
     return {kind: float(np.median(noise)) for kind, noise in noises.items() if noise.size}
 

@@ -313,7 +313,8 @@ def bridged_in(gaps: Sequence[Gap]) -> tuple[str, ...]:
 
 def _of_the_fit(estimate: Estimate, observations: Observations) -> Iterator[str]:
     """What no redundancy checks, and what turns of about one rate say of scale factors."""
-    if estimate.fits["accelerometers"].degrees < 0.5 and not estimate.unobservable:
+    alone = observations.links is None
+    if alone and estimate.fits["accelerometers"].degrees < 0.5 and not estimate.unobservable:
         yield "as many rests as accelerometer parameters: nothing checks the fit, a bad rest would go unnoticed"
     turns, about = observations.turns, None if estimate.linearised is None else estimate.linearised.about
     cubic = any(group_name(name) == "gyro.cubic" for name in estimate.names)

@@ -210,6 +210,9 @@ def observations_for_calibration(observed: Observed, *, biases_jump: bool = Fals
     """The observations of the positions of a session's programme, or of all rests where it has none, without the gyros
     where these are spoiled, as they are where their biases jump unless what is made of them can do with that; or why
     there is nothing to calibrate with. Raises ProgrammeError for a recording that does not go through the programme."""
+    moving = _in_motion(observed)
+    if moving is not None:
+        return moving
     matched = _matched(observed)
     if isinstance(matched, Outcome):
         return matched
@@ -220,6 +223,28 @@ def observations_for_calibration(observed: Observed, *, biases_jump: bool = Fals
     every = with_mended_samples(replace(every, notes=(*observed.notes, *every.notes, *torn))).with_blows()
     spoiled = observed.gyro_faults or (observed.gyro_bias_faults and not biases_jump)
     return every.of_accelerometers() if spoiled else every
+
+
+FEWEST_RESTS = 9
+"""Fewer rests determine no accelerometers: then what moves between them counts too."""
+SHORTEST_MOTION = 20.0
+"""s: of less motion nothing is learned."""
+
+
+def _in_motion(observed: Observed) -> Observations | None:
+    """The observations of a recording with few rests or none, from node to node; None of others."""
+    session, segmentation = observed.session, observed.segmentation
+    spoiled = observed.faults or observed.gyro_faults or observed.gyro_bias_faults
+    if session.programme is not None or session.gyro_block is None or session.log.gyro is None or spoiled:
+        return None
+    if len(segmentation.rests) >= FEWEST_RESTS:
+        return None
+    reduction, _ = without_numbered(observed.reduction, segmentation, session.excluded)
+    blocks = session.accel_block, session.gyro_block
+    every = observe(reduction, segmentation.rests, *blocks, session.site, moving=True)
+    if every.links is None or every.links.duration.sum() < SHORTEST_MOTION:
+        return None
+    return replace(every, notes=(*observed.notes, *every.notes))
 
 
 def observations_in_parts(observed: Observed, least: int = 1) -> tuple[Observations, IntArray] | Outcome:

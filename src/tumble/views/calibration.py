@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tumble.diagnosis.in_motion import IN_MOTION
 from tumble.diagnosis.verdict import gravity_said
 from tumble.files import FilePath
 from tumble.result.accepted import accepted_kinds
@@ -107,6 +108,7 @@ def calibration_blocks(
         f"{calibration.frame}",
         *(by_kind if every else [by_kind[-1] + (f" ({'; '.join(by_kind[:-1])})" if by_kind[:-1] else "")]),
         *improvement(calibration),
+        *(note for note in calibration.provenance.notes if not every and note.startswith(IN_MOTION)),
         parameter_table(calibration, parameters, truth) if compared else compact_table(parameters),
     ]
     blocks += [group_table(calibration), *unknown_blocks(calibration)] if every else []

@@ -56,7 +56,7 @@ def integrate_pieces(samples, pieces, model, own_axes, sums):
     sums : arrays that the sums are added to; before the first piece attitudes are 1 and all else zero.
     """
     (gyro, gyro_terms), (accel, accel_terms), G, delay = model
-    height = _RIGHT + sums[2].shape[2]
+    height = _RIGHT + sums[3].shape[2]
     flat = np.zeros(height * _LENGTH + 8)
     aligned = -(flat.ctypes.data // 8) % 8
     rows = flat[aligned : aligned + height * _LENGTH].reshape(height, _LENGTH)
@@ -68,14 +68,14 @@ def _integrate(
     const int64_t[:] start, const int64_t[:] stop, const double[:, ::1] gyro, const double[:, ::1] gyro_terms,
     const double[:, ::1] accel, const double[:, ::1] accel_terms, const double[:, ::1] G, double delay,
     const double[:, ::1] gyros, const double[:, ::1] accels, double[:, ::1] attitude, double[:, ::1] V,
-    double[:, :, ::1] products, double[:, :, ::1] moved, double[:, :, ::1] swept, double[::1] jumps,
+    double[:, ::1] P, double[:, :, ::1] products, double[:, :, ::1] moved, double[:, :, ::1] swept, double[::1] jumps,
     double[:, ::1] memory,
 ):
     """The same without tuples; `memory` is that of the rows."""
     with nogil:
         _integrate_all(
             rates, forces, intervals, piece, start, stop, gyro, gyro_terms, accel, accel_terms, G, delay, gyros, accels,
-            attitude, V, products, moved, swept, jumps, <Row*> &memory[0, 0],
+            attitude, V, P, products, moved, swept, jumps, <Row*> &memory[0, 0],
         )
 
 
@@ -84,7 +84,7 @@ cdef for_each_processor _integrate_all(
     const int64_t[:] start, const int64_t[:] stop, const double[:, ::1] gyro, const double[:, ::1] gyro_terms,
     const double[:, ::1] accel, const double[:, ::1] accel_terms, const double[:, ::1] G, double delay,
     const double[:, ::1] gyros, const double[:, ::1] accels, double[:, ::1] attitude, double[:, ::1] V,
-    double[:, :, ::1] products, double[:, :, ::1] moved, double[:, :, ::1] swept, double[::1] jumps,
+    double[:, ::1] P, double[:, :, ::1] products, double[:, :, ::1] moved, double[:, :, ::1] swept, double[::1] jumps,
     Row* rows,
 ) noexcept nogil:
     """Piece by piece, and within each GROUP by GROUP."""
@@ -105,7 +105,7 @@ cdef for_each_processor _integrate_all(
             _subtract_terms(gyro_terms, _RATE, count + 2, rows)
             jumps[k] += _regress(gyros, accels, count, rows)
             _step(count, rows)
-            _follow(attitude, V, k, count, rows)
+            _follow(attitude, V, P, k, count, rows)
             _multiply(count, rows)
             _add_products(_LEFT, _RIGHT, products.shape[2], count, rows, products, k)
             _add_products(_MOVED, _RIGHT, moved.shape[2], count, rows, moved, k)
@@ -290,10 +290,12 @@ cdef void _step(Py_ssize_t count, Row* rows) noexcept nogil:
         rows[_STEP + 1][HEAD + i], rows[_STEP + 2][HEAD + i], rows[_STEP + 3][HEAD + i] = e * fx, e * fy, e * fz
 
 
-cdef void _follow(double[:, ::1] attitude, double[:, ::1] V, Py_ssize_t k, Py_ssize_t count, Row* rows) noexcept nogil:
-    """From sample to sample C ← C exp([φ×]) with C_m = C exp([φ×]/2), by quaternions, and V += C_m times the move, of
-    which the middle V + ½ΔV is kept."""
-    cdef double q0, q1, q2, q3, m0, m1, m2, m3, d1, d2, d3, e0, e1, e2, e3, u, v, w, unit
+cdef void _follow(
+    double[:, ::1] attitude, double[:, ::1] V, double[:, ::1] P, Py_ssize_t k, Py_ssize_t count, Row* rows,
+) noexcept nogil:
+    """From sample to sample C ← C exp([φ×]) with C_m = C exp([φ×]/2), by quaternions, V += C_m times the move, of which
+    the middle V + ½ΔV is kept, and P += (V + ½ΔV) dt."""
+    cdef double q0, q1, q2, q3, m0, m1, m2, m3, d1, d2, d3, e0, e1, e2, e3, u, v, w, x, y, z, unit
     q0, q1, q2, q3 = attitude[k, 0], attitude[k, 1], attitude[k, 2], attitude[k, 3]
     for cell in range(HEAD, HEAD + count):
         e0, e1, e2, e3 = rows[_STEP][cell], rows[_STEP + 1][cell], rows[_STEP + 2][cell], rows[_STEP + 3][cell]
@@ -339,6 +341,13 @@ cdef void _follow(double[:, ::1] attitude, double[:, ::1] V, Py_ssize_t k, Py_ss
         rows[_MOVE][cell], rows[_MOVE + 1][cell], rows[_MOVE + 2][cell] = u + 0.5 * q1, v + 0.5 * q2, w + 0.5 * q3
         u, v, w = u + q1, v + q2, w + q3
     V[k, 0], V[k, 1], V[k, 2] = u, v, w
+    x, y, z = 0.0, 0.0, 0.0
+    for i in range(count):
+        e0 = rows[_DT][HEAD + i]
+        x += rows[_MOVE][HEAD + i] * e0
+        y += rows[_MOVE + 1][HEAD + i] * e0
+        z += rows[_MOVE + 2][HEAD + i] * e0
+    P[k, 0], P[k, 1], P[k, 2] = P[k, 0] + x, P[k, 1] + y, P[k, 2] + z
 
 
 # Products ---------------------------------------------------------------------------------------------------------

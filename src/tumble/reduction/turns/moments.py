@@ -113,6 +113,8 @@ class Moments:
     """Rotation (K, 3, 3), body at the end → body at the start."""
     V: Array
     """Velocity increment ∫ C f dt (K, 3), m/s."""
+    P: Array
+    """Position increment ∫ V dt (K, 3), m."""
     Phi: Array
     """∫ C_ij β_b dt (K, 3, 3, 13)."""
     Psi: Array
@@ -193,10 +195,11 @@ def integrate(
     firsts = np.cumsum([0, linear, 2 * n, 6, 6, 2 * m])
     one, of_gyros, forces_2, rates_2, of_accels = (slice(a, b) for a, b in pairwise(firsts.tolist()))
     rows, moved_rows = (-(-width // _kernels.BLOCK) * _kernels.BLOCK for width in firsts[[-1, 2]].tolist())
-    attitude, V, jumps = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)), np.zeros((count, 3)), np.zeros(count)
+    attitude, jumps = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)), np.zeros(count)
+    V, P = np.zeros((count, 3)), np.zeros((count, 3))
     products, moved = np.zeros((count, 10, rows)), np.zeros((count, 9, moved_rows))
     sweep = np.zeros((count, 9, _kernels.BLOCK))
-    sums = attitude, V, products, moved, sweep, jumps
+    sums = attitude, V, P, products, moved, sweep, jumps
     axes = np.ascontiguousarray(own.gyro, dtype=float), np.ascontiguousarray(own.accel, dtype=float)
     for pieces in batches:
         rates, forces, intervals = (
@@ -218,6 +221,7 @@ def integrate(
         return Moments(
             C=np.eye(3) + 2.0 * (attitude[:, 0, None, None] * cross + cross @ cross),
             V=V,
+            P=P,
             Phi=np.concatenate([Phi[..., one], Phi[..., forces_2]], axis=-1),
             Psi=Psi[..., one],
             W=Phi[..., rates_2],

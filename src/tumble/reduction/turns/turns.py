@@ -253,6 +253,17 @@ def reduced_turns(
     return turns, samples
 
 
+def no_turns(stored: MotionSamples) -> tuple[Turns, TurnSamples]:
+    """The turns of a recording without rests."""
+    none, places = np.zeros(0), np.zeros(0, dtype=np.int64)
+    square, wide = np.zeros((0, 3, 3)), np.zeros((0, 3, 3, 3))
+    turns = Turns(
+        first=places, last=places, duration=none, C=square, M=wide, B=square, covariance=square, arising=none,
+        velocity_covariance=square, jumps=none, aliased=none,
+    )  # fmt: skip
+    return turns, TurnSamples(samples=stored, start=places, stop=places)
+
+
 def _least_off(reduction: Reduction, rests: Rests) -> Array:
     """The smallest distances (6,) of bad samples, rates, rad/s, and forces, m/s², in the body, by the noise at rest and
     the resolution. Samples of more than three gyros are not tested."""

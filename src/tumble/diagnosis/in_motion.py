@@ -1,0 +1,70 @@
+"""What a recording from node to node shows (`tumble.inference.problem`): what its motion determines, what held the
+device, and whether that gives way.
+
+How what holds a device gives way with its attitude is among the unknowns, b ~ N(0, s²) for each of its numbers. The
+posterior mean of one of them has, over instruments, the variance s² − u²; where the squares of all of them are beyond
+what that allows, the motion follows the attitude by more than is carried, and scale factors and axes have it in them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import scipy
+
+from tumble.diagnosis.findings import Finding
+from tumble.diagnosis.projection import FALSE_ALARMS
+from tumble.inference.estimate import Estimate
+from tumble.inference.problem import LEVER, SUPPORT, SUPPORT_U
+from tumble.reduction.observations import Observations
+
+IN_MOTION = "calibrated in motion"
+"""How the note begins that a result is from motion."""
+MOST_NAMED = 4
+LOOSE = 0.3
+"""m: of a device that moves by more there is nothing to learn of its accelerometers in this way."""
+
+
+def in_motion(estimate: Estimate, observations: Observations, missing: tuple[str, ...]) -> Iterator[Finding]:
+    """Findings about an estimate with links; `missing` are the parameters of the linear model it does not determine."""
+    links, linearised = observations.links, estimate.linearised
+    assert links is not None
+    seconds = float(links.duration.sum())
+    sentence = f"{len(observations.rests)} rests and {seconds:.0f} s of motion"
+    advice = (
+        "turn it for two minutes about a point that stays in place, a tripod head or a ball joint, through all "
+        "attitudes, or put it down in nine or more positions (`tumble programme` shows them)"
+    )
+    if not estimate.converged or linearised is None:
+        yield Finding(sentence=f"{sentence} do not fit the model; {advice}", refuses=True)
+        return
+    if missing:
+        named = ", ".join(missing[:MOST_NAMED]) + (" and others" if len(missing) > MOST_NAMED else "")
+        yield Finding(sentence=f"{sentence} say too little of {named}; {advice}", concerns=missing, refuses=True)
+    given_way, displacement = linearised.point.local[0, -SUPPORT:], float(linearised.components.displacement)
+    square = float((given_way**2).sum()) / SUPPORT_U**2
+    if scipy.special.chdtrc(SUPPORT, square) < FALSE_ALARMS:
+        size = 100.0 * float(np.abs(given_way).max())
+        yield Finding(
+            sentence=f"the device moved by {size:.1f} cm and more with its attitude: what held it gave way; hold it by "
+            "something stiffer, or turn it in the hand without a rhythm",
+            refuses=True,
+        )
+    elif displacement > LOOSE and not missing:
+        yield Finding(
+            sentence=f"the device moved by {displacement:.1f} m in motion: keep it in one place", refuses=True
+        )
+
+
+def motion_note(estimate: Estimate, observations: Observations) -> tuple[str, ...]:
+    """That a result is from motion, and about which point, as a note; nothing of rests and turns."""
+    links, linearised = observations.links, estimate.linearised
+    if links is None or linearised is None:
+        return ()
+    lever = linearised.point.local[0, -LEVER - SUPPORT : -SUPPORT]
+    place, size = ", ".join(f"{1e3 * x:.0f}" for x in lever), 1e3 * float(linearised.components.displacement)
+    return (
+        f"{IN_MOTION}, from {len(observations.rests)} rests and {float(links.duration.sum()):.0f} s of it: "
+        f"the device turned, to within {size:.2g} mm, about a point from which its accelerometers are at ({place}) mm",
+    )

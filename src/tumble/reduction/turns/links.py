@@ -1,0 +1,244 @@
+"""Links: motion from node to node, where a device does not lie still.
+
+A node is an instant. What neighbouring nodes have in common are rotation C, velocity V and, beyond what a turn between
+rests has, place: the increments of the samples between them, in the body at the first node,
+
+    C = Π C_p,   V = Σ R V_p,   P = Σ (V_before T_p + R P_p),   R the rotation of what is before part p.
+
+Each link is integrated in PARTS, whose sensitivities are those of short turns (`tumble.reduction.turns.moments`), and
+put together: with [φ | V | P] the first-order change of a link, and those of a part with index p,
+
+    φ ← φ + R φ_p,   δV ← δV + φ × R V_p + R δV_p,   δP ← δP + T_p δV + φ × R P_p + R δP_p,
+
+δV on the right being that before the part. Within a part what an accelerometer's error adds to the velocity grows with
+time, what a rotation adds, ½ φ_p × V_p in all, with its square, so that δP_p = T_p (½ δV_p − φ_p × V_p/12), to ω T_p/6
+of itself. White noise of the samples, of density N_g and N_a, follows the same recursion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from tumble.reduction.blocks.motion_samples import MotionSamples
+from tumble.reduction.blocks.reducer import Reduction
+from tumble.reduction.rests.segmentation import Stretch
+from tumble.reduction.turns.turns import TurnSamples
+from tumble.rotation import rotation_matrix, skew
+from tumble.units import Array, BoolArray, IntArray
+
+PARTS = 4
+"""Parts of a link in which its sensitivities are integrated."""
+NODE_SECONDS = 0.5
+"""s: from node to node."""
+STRETCH = 3.0
+"""s: motion between two rests that lasts longer is cut into links; a shorter one is a turn."""
+FOURTH_DIFFERENCES = 70.0
+"""The variance of a fourth difference of independent samples of variance 1."""
+QUIET = 0.25
+"""The share of the links whose noise counts as that of the samples: what moves fast adds to the others."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Links:
+    """K links between M stations, which are the rests and the nodes of a recording in order of time.
+
+    Parameters
+    ----------
+    file, time : (M,)
+        The file of each station, and its time, s: the middle of a rest.
+    rest : (N,)
+        The station of each rest.
+    before : (K,)
+        The station before each link; the one after it is the next.
+    free : (K,)
+        Whether both ends of a link are nodes: then places are compared.
+    duration : (K,)
+        s.
+    samples : TurnSamples
+        The samples of the PARTS of each link, one after the other.
+    rates, forces : (K PARTS, 2, 3)
+        Rates, rad/s, and specific forces, m/s², of nominal sensors at both ends of each part.
+    gyro_density, accel_density
+        Of white noise, rad²/s and m²/s³.
+    """
+
+    file: IntArray
+    time: Array
+    rest: IntArray
+    before: IntArray
+    free: BoolArray
+    duration: Array
+    samples: TurnSamples
+    rates: Array
+    forces: Array
+    gyro_density: float
+    accel_density: float
+
+    def __len__(self) -> int:
+        return len(self.before)
+
+
+def links_of(reduction: Reduction, spans: Sequence[Stretch]) -> Links | None:
+    """The links of all motion of a recording that is no turn between rests; None where there is none."""
+    if reduction.samples is None:
+        return None
+    blocks = max(1, round(NODE_SECONDS / reduction.block_seconds))
+    file, time, before, free = list[int](), list[float](), list[int](), list[bool]()
+    rest, edges, duration = list[int](), list[tuple[int, int]](), list[float]()
+    for f in reduction.files:
+        own = [span for span in spans if span.file == f.file]
+        starts, stops = [0, *(span.last for span in own)], [*(span.first for span in own), len(f)]
+        torn = [gap for gap in reduction.gaps if gap.file == f.file and not gap.integrable]
+        for k, (start, stop) in enumerate(zip(starts, stops, strict=True)):
+            if k > 0:
+                rest.append(len(time))
+                file.append(f.file)
+                time.append(0.5 * (own[k - 1].start + own[k - 1].stop))
+            inner = 0 < k < len(own)
+            if stop - start < blocks or (inner and not stretched(own[k - 1], own[k])):
+                continue
+            cuts = np.linspace(start, stop, max(1, round((stop - start) / blocks)) + 1).astype(np.int64).tolist()
+            nodes = cuts[(1 if k > 0 else 0) : (-1 if k < len(own) else None)]
+            first = len(time) - (k > 0)
+            file += [f.file] * len(nodes)
+            time += [float(f.edges[cut]) for cut in nodes]
+            for j, (a, b) in enumerate(pairwise(cuts)):
+                if any(gap.time < f.edges[b] and gap.stop > f.edges[a] for gap in torn):
+                    continue
+                before.append(first + j)
+                free.append((k == 0 or j > 0) and (k == len(own) or j < len(cuts) - 2))
+                edges.append((f.sample_at(a), f.sample_at(b)))
+                duration.append(reduction.clock_rate * float(f.edges[b] - f.edges[a]))
+    if not before:
+        return None
+    parts = np.array([np.linspace(a, b, PARTS + 1).astype(np.int64) for a, b in edges])
+    samples = TurnSamples(samples=reduction.samples, start=parts[:, :-1].ravel(), stop=parts[:, 1:].ravel())
+    rates, forces = _ends(reduction.samples, parts)
+    gyro_density, accel_density = _densities(samples, np.array(duration))
+    return Links(
+        file=np.array(file),
+        time=np.array(time),
+        rest=np.array(rest, dtype=np.int64),
+        before=np.array(before, dtype=np.int64),
+        free=np.array(free, dtype=bool),
+        duration=np.array(duration),
+        samples=samples,
+        rates=rates,
+        forces=forces,
+        gyro_density=gyro_density,
+        accel_density=accel_density,
+    )
+
+
+def stretched(before: Stretch, after: Stretch) -> bool:
+    """Whether the motion between two rests is cut into links."""
+    return before.file == after.file and after.start - before.stop >= STRETCH
+
+
+def _ends(stored: MotionSamples, parts: IntArray) -> tuple[Array, Array]:
+    """Rates and forces (K PARTS, 2, 3) at both ends of each part, means of the samples on both sides."""
+    first, last = int(parts.min()), int(parts.max())
+    rates, forces, _ = stored.read(first, last)
+    out = []
+    for values in (rates, forces):
+        edges = parts - first
+        at = 0.5 * (values[np.maximum(edges - 1, 0)] + values[np.minimum(edges, len(values) - 1)])
+        out.append(np.stack([at[:, :-1], at[:, 1:]], axis=2).reshape(-1, 2, 3))
+    return out[0], out[1]
+
+
+def _densities(samples: TurnSamples, duration: Array) -> tuple[float, float]:
+    """Densities of white noise of the rates and of the forces, by the fourth differences of the quietest links."""
+    variances = np.zeros((len(samples.lengths), 2))
+    for pieces in samples.pieces():
+        for part, start, stop in zip(pieces.turn, pieces.start, pieces.stop, strict=True):
+            for kind, values in enumerate((pieces.rates, pieces.forces)):
+                steps = values[start:stop] * pieces.intervals[start:stop, None]
+                variances[part, kind] = (np.diff(steps, n=4, axis=0) ** 2).sum() / (3.0 * FOURTH_DIFFERENCES)
+    every = variances.reshape(-1, PARTS, 2).sum(axis=1) / duration[:, None]
+    gyro, accel = np.quantile(every, QUIET, axis=0).tolist()
+    return gyro, accel
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Increments:
+    """Increments of K links: rotation `C` (K, 3, 3), body at the end → body at the start, velocity `V` (K, 3), m/s,
+    and place `P` (K, 3), m, and `columns` (K, 9, m): what m quantities change in rotation, velocity and place, to first
+    order, by the columns of the parts."""
+
+    C: Array
+    V: Array
+    P: Array
+    columns: Array
+
+
+def joined_parts(rows: Array, C: Array, V: Array, P: Array, T: Array) -> Increments:
+    """Put the parts of links together.
+
+    Parameters
+    ----------
+    rows : (K, PARTS, 6, m + 1)
+        Of every part what m quantities change in rotation and velocity, and in the last column both as they are about
+        what the part was integrated with: a small rotation vector, and the velocity, m/s.
+    C, V, P, T : (K, PARTS, 3, 3), (K, PARTS, 3), (K, PARTS, 3), (K, PARTS)
+        Rotation, velocity (m/s), place (m) and duration (s) of the parts, as integrated.
+
+    Returns
+    -------
+    Increments
+    """
+    K, parts, m = len(rows), rows.shape[1], rows.shape[3] - 1
+    R, velocity, place = np.broadcast_to(np.eye(3), (K, 3, 3)), np.zeros((K, 3)), np.zeros((K, 3))
+    columns = np.zeros((K, 9, m))
+    by_rotation, by_velocity, by_place = columns[:, :3], columns[:, 3:6], columns[:, 6:]
+    for p in range(parts):
+        t = T[:, p, None]
+        moved = rows[:, p, 3:, -1]
+        gained = (R @ moved[..., None])[..., 0]
+        turned = rows[:, p, :3, -1]
+        own = P[:, p] + t * (0.5 * (moved - V[:, p]) - np.cross(turned, V[:, p]) / 12.0)
+        passed = (R @ own[..., None])[..., 0]
+        of_rotation, of_velocity = R @ rows[:, p, :3, :-1], R @ rows[:, p, 3:, :-1]
+        of_place = 0.5 * of_velocity + skew(gained) @ of_rotation / 12.0
+        by_place += t[..., None] * (by_velocity + of_place) - skew(passed) @ by_rotation
+        by_velocity += of_velocity - skew(gained) @ by_rotation
+        by_rotation += of_rotation
+        place = place + t * velocity + passed
+        velocity = velocity + gained
+        R = R @ rotation_matrix(turned) @ C[:, p]
+    return Increments(C=R, V=velocity, P=place, columns=columns)
+
+
+def noise_of_links(C: Array, V: Array, P: Array, T: Array, N_g: Array, N_a: Array) -> tuple[Array, Array]:
+    """Covariances (K, 9, 9) of rotation, velocity and place of links from white noise of gyros and of accelerometers.
+
+    Parameters
+    ----------
+    C, V, P, T : (K, PARTS, …)
+        As in `joined_parts`.
+    N_g, N_a : (3, 3)
+        Densities in the body, rad²/s and m²/s³.
+    """
+    K, parts = T.shape
+    R, by_gyros, by_accels = np.broadcast_to(np.eye(3), (K, 3, 3)), np.zeros((K, 9, 9)), np.zeros((K, 9, 9))
+    for p in range(parts):
+        t = T[:, p, None, None]
+        F = np.broadcast_to(np.eye(9), (K, 9, 9)).copy()
+        F[:, 3:6, :3] = -skew((R @ V[:, p, :, None])[..., 0])
+        F[:, 6:, :3] = -skew((R @ P[:, p, :, None])[..., 0])
+        F[:, 6:, 3:6] = t * np.eye(3)
+        # a rotation that arises evenly over the part has half of its effect on what the part gains, and a third
+        G = np.concatenate([R, 0.5 * F[:, 3:6, :3] @ R, F[:, 6:, :3] @ R / 3.0], axis=1)
+        by_gyros = F @ by_gyros @ np.swapaxes(F, 1, 2) + t * G @ N_g @ np.swapaxes(G, 1, 2)
+        by_accels = F @ by_accels @ np.swapaxes(F, 1, 2)
+        density = R @ N_a @ np.swapaxes(R, 1, 2)
+        by_accels[:, 3:6, 3:6] += t * density
+        by_accels[:, 3:6, 6:] += 0.5 * t**2 * density
+        by_accels[:, 6:, 3:6] += 0.5 * t**2 * density
+        by_accels[:, 6:, 6:] += t**3 / 3.0 * density
+        R = R @ C[:, p]
+    return by_gyros, by_accels

@@ -1,0 +1,161 @@
+"""Recordings of a device that never lies still, calibrated from node to node."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import tumble
+from tests.support.moving import G, Motion, Recording, record
+from tumble.inference.linearisation import linearise
+from tumble.inference.problem import Point, Problem, instruments_of
+from tumble.inference.start import start_of
+from tumble.inference.turns_about import TurnsAbout
+from tumble.recording.arrays import session_of_arrays
+from tumble.reduction.observations import Observations
+from tumble.result.calibration import Calibration
+from tumble.run.observed import inspect_session, observations_for_calibration
+from tumble.units import Array
+
+PIVOT = Motion()
+HAND = Motion(sway=0.1, frequency=0.6, lever=(0.0, 0.0, 0.0))
+
+
+def calibrated(recording: Recording) -> Calibration:
+    """The calibration of a recording at an unknown place of known gravity."""
+    return tumble.calibrate(
+        accel=recording.accel, gyro=recording.gyro, time=np.arange(len(recording.gyro)) / recording.rate, gravity=G,
+        gravity_u=1e-4, serial="A",
+    )  # fmt: skip
+
+
+def errors(recording: Recording, calibration: Calibration) -> Array:
+    """Errors over u of the 21 parameters."""
+    out = []
+    for kind, matrix, bias in (
+        ("accel", recording.accel_matrix, recording.accel_bias),
+        ("gyro", recording.gyro_matrix, recording.gyro_bias),
+    ):
+        truth = {f"{kind}.bias.{a}": bias[k] for k, a in enumerate("xyz")}
+        truth |= {f"{kind}.scale.{a}": matrix[k, k] - 1.0 for k, a in enumerate("xyz")}
+        truth |= {
+            f"{kind}.axis.{a}{b}": matrix[k, j] for k, a in enumerate("xyz") for j, b in enumerate("xyz") if j != k
+        }
+        out += [(p.value - truth[p.name]) / p.u for p in calibration.parameters if p.name in truth]
+    assert len(out) == 21
+    return np.array(out)
+
+
+@pytest.mark.parametrize("motion", [PIVOT, HAND, replace(HAND, rests=4)], ids=["pivot", "hand", "hand with rests"])
+def test_a_device_that_is_moved_is_calibrated(motion: Motion) -> None:
+    """Motion that is not the process of the estimate (harmonics): N = 4 recordings of 120 s, every parameter within
+    6 u, and together within 2 u, root mean square."""
+    every = []
+    for seed in range(4):
+        recording = record(motion, seed)
+        calibration = calibrated(recording)
+        assert calibration.outcome.verdict == "accepted", calibration.outcome
+        every.append(errors(recording, calibration))
+    assert np.abs(every).max() < 6.0
+    assert np.sqrt(np.mean(np.square(every))) < 2.0
+
+
+def test_the_lever_is_found() -> None:
+    """The place of the accelerometers from the pivot, within 3 mm, in the note of the result."""
+    (note,) = (
+        note for note in calibrated(record(PIVOT, 5)).provenance.notes if note.startswith("calibrated in motion")
+    )
+    found = [float(x) for x in note.rpartition("(")[2].partition(")")[0].split(",")]
+    np.testing.assert_allclose(found, [100.0, 50.0, -30.0], atol=3.0)
+
+
+def test_little_motion_is_refused_with_what_would_help() -> None:
+    outcome = calibrated(record(replace(HAND, seconds=30.0, rate=np.radians(10.0)), 1)).outcome
+    assert not outcome.accepted
+    assert "30 s of motion say too little of accel.bias" in outcome.reasons[0]
+    assert "turn it for two minutes" in outcome.reasons[0]
+
+
+def moving(seed: int = 2) -> Observations:
+    """Observations of a device on a pivot."""
+    recording = record(replace(PIVOT, seconds=30.0), seed)
+    session = session_of_arrays(
+        accel=recording.accel, gyro=recording.gyro, rate=recording.rate, latitude=0.9, gravity=G, gravity_u=1e-3
+    )
+    observations = observations_for_calibration(inspect_session(session))
+    assert isinstance(observations, Observations)
+    return observations
+
+
+def test_rows_of_links_are_derivatives_of_their_residuals() -> None:
+    """Every column of attitudes, velocities, lever, what holds the device, gravity and the parameters against
+    differences, at a point that is not the start, and where what holds the device does not give way."""
+    observations = moving()
+    problem = Problem.of(observations, instrument=instruments_of(observations)[0], usual=observations.usual)
+    start, rng = start_of(problem)[0], np.random.default_rng(1)
+    M, m, q = len(problem.link), len(problem.instrument.names), len(problem.local_u)
+    point = start.point.moved(
+        np.append(1e-3, 1e-3 * problem.spread * rng.normal(size=m)), 1e-3 * rng.normal(size=(M, 3)),
+        np.append(0.03 * rng.normal(size=3), np.zeros(q - 3))[None], 0.1 * rng.normal(size=(M, 3)), np.zeros((M, 3)),
+    )  # fmt: skip
+    about = TurnsAbout.of(observations, problem.instrument, point.values)
+    rows, n = linearise(problem, point, about), 6
+
+    def residuals(at: Point) -> Array:
+        return np.asarray(linearise(problem, at, about).link[:, :, -1])
+
+    def moved(parameters: Array, angles: Array, local: Array, velocities: Array) -> Array:
+        """By how much the predictions move, by central differences."""
+        step = 1e-4
+        there, back = (
+            residuals(point.moved(s * parameters, s * angles, s * local, s * velocities)) for s in (step, -step)
+        )
+        return (back - there) / (2.0 * step)
+
+    links, nothing = observations.links, (np.zeros(1 + m), np.zeros((M, 3)), np.zeros((1, q)), np.zeros((M, 3)))
+    assert links is not None
+    i = links.before
+    for k in range(3):
+        angles, velocities = np.zeros((M, 3)), np.zeros((M, 3))
+        angles[::2, k], velocities[::2, k] = 1.0, 1.0
+        even = (i % 2 == 0)[:, None]
+        got = moved(nothing[0], angles, nothing[2], nothing[3])
+        expected = np.where(even, rows.link[:, :, k], rows.link[:, :, n + k])
+        np.testing.assert_allclose(got, expected, atol=2e-5)
+        got = moved(nothing[0], nothing[1], nothing[2], velocities)
+        np.testing.assert_allclose(got, np.where(even, rows.link[:, :, 3 + k], rows.link[:, :, 9 + k]), atol=1e-8)
+    for k in range(q):
+        local = np.zeros((1, q))
+        local[0, k] = 1.0
+        got = moved(nothing[0], nothing[1], local, nothing[3])
+        np.testing.assert_allclose(got, rows.link[:, :, 19 + m + k], atol=1e-8)
+    for k in range(m + 1):
+        parameters = np.zeros(1 + m)
+        parameters[k] = 1.0 if k == 0 else problem.spread[k - 1]
+        got = moved(parameters, *nothing[1:]) / parameters[k]
+        size = np.abs(rows.link[:, :, 18 + k]).max() + 1e-12
+        np.testing.assert_allclose(got / size, rows.link[:, :, 18 + k] / size, atol=0.03)
+
+
+def test_a_heading_changes_nothing_where_the_place_is_unknown() -> None:
+    """All attitudes turned about the vertical: residuals of the links to 1e-9."""
+    observations = moving()
+    observations = replace(observations, site=replace(observations.site, latitude=None))
+    problem = Problem.of(observations, instrument=instruments_of(observations)[0], usual=observations.usual)
+    here = start_of(problem)[0]
+    turned = here.point.moved(
+        np.zeros(1 + len(here.point.values)), np.tile([0.0, 0.0, 0.7], (len(problem.link), 1)),
+    )  # fmt: skip
+    there = linearise(problem, turned, here.about)
+    np.testing.assert_allclose(there.link[:, :, -1], here.link[:, :, -1], atol=1e-9)
+
+
+def test_enough_rests_are_rests() -> None:
+    """A recording of nine rests and more has turns, and no links."""
+    recording = record(replace(PIVOT, seconds=120.0, rests=12, sway=0.0), 4)
+    session = session_of_arrays(accel=recording.accel, gyro=recording.gyro, rate=recording.rate, latitude=0.9)
+    found = observations_for_calibration(inspect_session(session))
+    assert isinstance(found, Observations)
+    assert (found.links is None) == (len(found.rests) >= 9)

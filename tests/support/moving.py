@@ -1,0 +1,148 @@
+"""Recordings of a device that never lies still, by motion that shares nothing with the estimate.
+
+The body turns about an axis that wanders smoothly; where it is follows from what holds it: a pivot (a tripod head, a
+ball joint) from which it hangs by a lever and which itself trembles, or a hand that sways about a place by a few
+harmonics. Navigation frame north, up, east; readings are means over the samples, from steps ten times as fine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
+
+from tumble.units import Array
+
+G = 9.81
+STEPS = 10
+"""Steps a sample."""
+UP = np.array([0.0, 1.0, 0.0])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Noise:
+    """Densities m/s²/√Hz and rad/s/√Hz, and in-run biases, m/s² and rad/s, of a correlation time, s."""
+
+    accel: float = 1.5e-3
+    gyro: float = np.radians(0.01)
+    accel_in_run: float = 3e-4
+    gyro_in_run: float = np.radians(5.0) / 3600.0
+    time: float = 300.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motion:
+    """How a device is moved: for `seconds` at about a `rate`, rad/s, about axes that last for `axis_time` s; on a
+    `lever`, m, from a pivot that sways, or in a hand that does, by `sway` m (root mean square of the distance) of
+    harmonics about `frequency` Hz; `rests` of 3 s are spread over it. `follows` m is the vertical displacement
+    proportional to (up · x)², by which a stand sags; `drift` m/s a uniform motion; `regrip` m a step of the place in
+    the middle, over a second."""
+
+    seconds: float = 120.0
+    rate: float = np.radians(60.0)
+    axis_time: float = 4.0
+    lever: Sequence[float] = (0.10, 0.05, -0.03)
+    sway: float = 1e-3
+    frequency: float = 1.0
+    rests: int = 0
+    follows: float = 0.0
+    drift: Sequence[float] = (0.0, 0.0, 0.0)
+    regrip: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recording:
+    """Readings (S, 3), m/s² and rad/s, their rate, Hz, the true sensitivities and biases, and the gravity."""
+
+    accel: Array
+    gyro: Array
+    rate: float
+    accel_matrix: Array
+    accel_bias: Array
+    gyro_matrix: Array
+    gyro_bias: Array
+    attitudes: Array
+    gravity: float = G
+    truth: dict[str, float] = field(default_factory=dict)
+
+
+def record(motion: Motion, seed: int, *, rate: float = 200.0, noise: Noise = Noise(), errors: float = 1.0) -> Recording:
+    """A recording of an instrument with errors drawn at random: biases 0.05 m/s² and 0.6 °/s, scale factors 0.6 %, axes
+    4 mrad, times `errors`; accelerometer axes are a lower triangle, so that the first is the body's."""
+    rng = np.random.default_rng(seed)
+    n = int(motion.seconds * rate)
+    h = 1.0 / (rate * STEPS)
+    t = np.asarray((np.arange(n * STEPS) + 0.5) * h)  # the middles of the steps
+    knots = int(motion.seconds / motion.axis_time) + 4
+    axis = CubicSpline(np.arange(knots) * motion.axis_time, rng.normal(size=(knots, 3)))(t + motion.axis_time)
+    omega = motion.rate * axis / np.linalg.norm(axis, axis=1, keepdims=True)
+    still = np.ones_like(t)
+    for k in range(motion.rests):
+        centre = (k + 0.5) * motion.seconds / motion.rests
+        still *= _smooth(np.asarray((np.abs(t - centre) - 1.5) / 0.5))
+    omega = omega * still[:, None]
+    C = _attitudes(omega, h, Rotation.random(random_state=seed).as_matrix())
+    position = C @ np.array(motion.lever) + _sway(motion, t, rng) * still[:, None] + np.outer(t, motion.drift)
+    up_x = C[:, 1, 0]
+    position += motion.follows * (up_x**2)[:, None] * UP
+    position += motion.regrip * _smooth(t - 0.5 * motion.seconds)[:, None] * np.array([0.6, 0.0, 0.8])
+    acceleration = np.gradient(np.gradient(position, h, axis=0), h, axis=0)
+    force = np.einsum("kji,kj->ki", C, acceleration + G * UP)
+    force, omega = (each[: n * STEPS].reshape(n, STEPS, 3).mean(axis=1) for each in (force, omega))
+    scale, axes, bias = 6e-3 * errors, 4e-3 * errors, (0.05 * errors, np.radians(0.6) * errors)
+    accel_matrix = np.eye(3) + np.diag(rng.normal(0, scale, 3)) + np.tril(rng.normal(0, axes, (3, 3)), -1)
+    off = rng.normal(0, axes, (3, 3))
+    gyro_matrix = np.eye(3) + np.diag(rng.normal(0, scale, 3)) + off - np.diag(np.diag(off))
+    accel_bias, gyro_bias = rng.normal(0, bias[0], 3), rng.normal(0, bias[1], 3)
+    out = []
+    for x, matrix, b, density, in_run in (
+        (force, accel_matrix, accel_bias, noise.accel, noise.accel_in_run),
+        (omega, gyro_matrix, gyro_bias, noise.gyro, noise.gyro_in_run),
+    ):
+        wander = _gauss_markov(n, in_run, noise.time * rate, rng)
+        out.append(x @ matrix.T + b + wander + rng.normal(0, density * np.sqrt(rate), (n, 3)))
+    return Recording(
+        accel=out[0], gyro=out[1], rate=rate, accel_matrix=accel_matrix, accel_bias=accel_bias,
+        gyro_matrix=gyro_matrix, gyro_bias=gyro_bias, attitudes=C[::STEPS],
+    )  # fmt: skip
+
+
+def _smooth(x: Array) -> Array:
+    """0 below 0, 1 above 1, smooth between to the second derivative."""
+    x = np.clip(x, 0.0, 1.0)
+    return np.asarray(x**3 * (10.0 - 15.0 * x + 6.0 * x**2))
+
+
+def _attitudes(omega: Array, h: float, first: Array) -> Array:
+    """Attitudes (S, 3, 3) in the middle of each step of constant rates."""
+    steps = Rotation.from_rotvec(omega * h).as_quat()
+    out, (a, b, c, d) = np.empty((len(omega), 4)), Rotation.from_matrix(first).as_quat().tolist()
+    for k, (x, y, z, w) in enumerate(steps.tolist()):
+        a, b, c, d = (d * x + a * w + b * z - c * y, d * y - a * z + b * w + c * x, d * z + a * y - b * x + c * w,
+             d * w - a * x - b * y - c * z)  # fmt: skip
+        out[k] = a, b, c, d
+    half = Rotation.from_rotvec(-0.5 * omega * h)
+    return np.asarray((Rotation.from_quat(out) * half).as_matrix())
+
+
+def _sway(motion: Motion, t: Array, rng: np.random.Generator) -> Array:
+    """Positions (S, 3) of six harmonics."""
+    out = np.zeros((len(t), 3))
+    for _ in range(6):
+        frequency, phase = motion.frequency * rng.uniform(0.4, 1.6), rng.uniform(0.0, 2.0 * np.pi, 3)
+        amplitude = rng.normal(size=3) * motion.sway * np.sqrt(2.0 / 18.0)
+        out += amplitude * np.sin(2.0 * np.pi * frequency * t[:, None] + phase)
+    return out
+
+
+def _gauss_markov(n: int, size: float, time: float, rng: np.random.Generator) -> Array:
+    """A stationary Gauss–Markov process (n, 3)."""
+    rho = np.exp(-1.0 / time)
+    from scipy.signal import lfilter
+
+    steps = rng.normal(0, size * np.sqrt(1.0 - rho**2), (n, 3))
+    steps[0] = rng.normal(0, size, 3)
+    return np.asarray(lfilter([1.0], [1.0, -rho], steps, axis=0))
