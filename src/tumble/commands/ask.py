@@ -204,7 +204,7 @@ SITE_LATITUDE = option("--latitude", "Of the site, ° north.", usual_setup.LATIT
 NOISELESS = click.option(
     "--noiseless",
     is_flag=True,
-    help="No noise, no instability and, in plans, no parameters of usual size beyond bias, scale factor and axis angles: "
+    help="No noise, no instability and, in plans, no parameters beyond bias, scale factor and axis angles: "
     "errors of the method alone.",
 )
 PACE = together(
