@@ -73,6 +73,11 @@ def test_a_better_table_makes_the_first_pass_of_the_sequential_method_better() -
     )
     assert rough[1]["group"] == "accel.scale"
     assert rough[1]["u"] == pytest.approx(10.0 * fine[1]["u"], rel=0.1)
+    assert not any("quadratic" in source for row in rough for source in row["sources"])  # of the method alone
+    (noisy,) = (
+        each for each in json.loads(run(*words[:5], "--json").stdout)["groups"] if each["group"] == "accel.scale"
+    )
+    assert "accel.quadratic" in noisy["sources"]
 
 
 def test_plans_are_data() -> None:

@@ -185,16 +185,19 @@ def test_remarks_say_where_the_formulas_end() -> None:
 
 @pytest.mark.parametrize("method", METHODS_OF_PAPER)
 def test_groups_that_a_method_leaves_out_are_in_its_plan_as_its_estimate_has_them(method: MethodOfPaper) -> None:
-    """What a group of usual size moves is a source beside the formulas, to 3 % that of the estimate of a session."""
+    """What a group of usual size moves is a source beside the formulas, to 3 % that of the estimate of a session, which
+    has each group as many times larger than usual as its readings happen to show."""
     setup = Setup.of(table_error_deg=0.0, mounting_error_deg=0.0)
     rows, rng = plan(setup, method=method).groups, np.random.default_rng(SEED)
     seen = simulate_observations(scenario_of(setup, rng), rng)
     found = {"sequential": sequential, "scalar": scalar}[method](replace(seen, usual=with_all_groups(setup).further))
     assert found.budget is not None
+    times = {f"prior.{group.name}": group.prior_widened for group in found.groups}
+    assert min(times.values()) >= 1.0
     for name, covariance in zip(found.budget.sources, found.budget.covariances, strict=True):
         if name.name.startswith("prior."):
             for row in rows[-len(GROUPS) :]:
-                of_group = math.sqrt(np.mean(np.diag(covariance)[MEMBERS[row.group]]))
+                of_group = math.sqrt(np.mean(np.diag(covariance)[MEMBERS[row.group]])) / times[name.name]
                 planned = row.sources.get(name.name.removeprefix("prior."), 0.0)
                 assert planned == pytest.approx(of_group, rel=0.03, abs=1e-2 * row.u)
 

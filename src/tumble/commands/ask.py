@@ -201,7 +201,12 @@ MOUNTING_ERROR = option(
     "--mounting-error", "Largest error of the mounting, °.", usual_setup.MOUNTING_ERROR_DEG, type=float
 )
 SITE_LATITUDE = option("--latitude", "Of the site, ° north.", usual_setup.LATITUDE_DEG, type=float)
-NOISELESS = click.option("--noiseless", is_flag=True, help="No noise and no instability: errors of the method alone.")
+NOISELESS = click.option(
+    "--noiseless",
+    is_flag=True,
+    help="No noise, no instability and, in plans, no parameters beyond bias, scale factor and axis angles: "
+    "errors of the method alone.",
+)
 PACE = together(
     option("--rest", "Duration of a rest, s.", usual_setup.ON_TABLE.rest, type=float),
     option("--turn-rate", "Rate of the turns, °/s.", usual_setup.ON_TABLE.rate_deg_s, type=float),

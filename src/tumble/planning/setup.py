@@ -147,8 +147,8 @@ def time_of(programme: Programme, setup: Setup) -> float:
 
 def with_all_groups(setup: Setup) -> Setup:
     """The set-up with all groups of parameters, of the usual sizes of its grade where it states none; an instrument of
-    one's own has those that it states."""
-    if setup.instrument not in GRADES:
+    one's own has those that it states, and so has one without any noise, which shows the errors of a method alone."""
+    if setup.instrument not in GRADES or setup.noise == setup.noise.scaled(0.0):
         return setup
     return replace(setup, further=usual_sizes(setup.instrument) | dict(setup.further))
 
