@@ -69,8 +69,8 @@ def test_the_time_base_is_in_the_scale_factors_of_the_gyros_together() -> None:
         pytest.param(
             Setup.of(grade="mems", rest=20.0, terms="full"),
             marks=pytest.mark.xfail(
-                reason="plans of MEMS accelerometers are up to 19 % too good: how means move with what is not known of the "
-                "noise is not in them (CHANGELOG, known limits)"
+                reason="plans of MEMS accelerometers are up to 19 % too good: how means move with what is not known of "
+                "the noise is not in them (CHANGELOG, known limits)"
             ),
         ),
         Setup.of(programme="cube-26", terms="full"),
