@@ -219,8 +219,8 @@ def candidates_of(session: LinearisedSession) -> Iterator[Candidate]:
 def jumps(session: LinearisedSession) -> Iterator[Candidate]:
     """Biases of a kind of sensors that change between two rests, as where a driver measures them anew or another device
     goes on, about their means over the rests, which are the parameters; the turn between is taken as lying half before
-    and half after it. They do so where their process, had it all scatter of the rests and lasted as long as the session,
-    would step by the most beside its usual steps."""
+    and half after it. They do so where their process, had it all scatter of the rests and lasted as long as the
+    session, would step by the most beside its usual steps."""
     rests, before_turn, first = session.observations.rests, session.problem.before_turn, 0
     components, longest = session.linearised.components, max(float(np.ptp(rests.start)), 1.0)
     wandering = VarianceComponents(
