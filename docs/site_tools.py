@@ -77,7 +77,9 @@ class Public(SphinxDirective):
             item = getattr(tumble, name)
             kind = "exception" if inspect.isclass(item) and issubclass(item, BaseException) else "class"
             lines.append(f".. auto{kind if inspect.isclass(item) else 'function'}:: tumble.{name}")
-            lines += ["   :members:", ""] if inspect.isclass(item) else [""]
+            data = inspect.isclass(item) and any(base.__name__ == f"{name}Data" for base in item.__bases__)
+            inherited = ["   :inherited-members: Mapping"] if data else []  # of a class that adds to its own data
+            lines += ["   :members:", *inherited, ""] if inspect.isclass(item) else [""]
         text = "```{eval-rst}\n" + "\n".join(lines) + "\n```\n"
         return self.parse_text_to_nodes(text)
 

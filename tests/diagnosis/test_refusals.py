@@ -172,7 +172,7 @@ def calibrate(folder: Path, *options: str) -> Result:
 
 def refused(recording: Recording, folder: Path) -> list[str]:
     """The reasons for which a recording is not accepted, the same in the file and on standard error."""
-    result = calibrate(recording.write(folder))
+    result = calibrate(recording.write(folder), "--all")
     assert result.exit_code == 1, result.output
     outcome = json.loads((folder / "calibration.json").read_text(encoding="utf-8"))["outcome"]
     assert outcome["accepted"] is False

@@ -218,6 +218,7 @@ def test_every_source_of_the_ellipsoid_is_what_it_varies_by_where_it_alone_does(
     session = replace(session, site=replace(session.site, gravity_u=1e-3))
     estimate, rests, rng = ellipsoid(session), session.rests, np.random.default_rng(8)
     assert estimate.budget is not None
+    sizes = {found.name: found.prior * found.prior_widened for found in estimate.groups}
     force = session.site.gravity * unit_vector(estimate.accel.apply(rests.accel))
     readings, roots = estimate.accel.predict(force), np.linalg.cholesky(rests.accel_covariance)
     time, seen = 0.5 * (rests.start + rests.stop), list[str]()
@@ -251,7 +252,7 @@ def test_every_source_of_the_ellipsoid_is_what_it_varies_by_where_it_alone_does(
             rms = np.abs(fitted(gravity_off(1e-3)).values - fitted(gravity_off(-1e-3)).values) / 2.0
         else:
             group = source.name.removeprefix("prior.")
-            each = [session.usual[group] * terms[group] * axis for axis in np.eye(3)]
+            each = [sizes[group] * terms[group] * axis for axis in np.eye(3)]
             halves = [(fitted(readings + off).values - fitted(readings - off).values) / 2.0 for off in each]
             rms = np.sqrt(np.sum(np.square(halves), axis=0))
         matters = own > 0.05 * estimate.u[:9]
