@@ -265,11 +265,14 @@ def test_ferraris_gyros_are_those_of_its_full_turns(ferraris: Calibration, data:
 
 
 def test_ferraris_is_poorly_observable_by_the_joint_method(ferraris: Calibration) -> None:
-    """The turns show what six faces do not, but poorly; the advice is the same."""
+    """The turns show what six faces do not, but poorly; the advice is the same. The terms left out are larger in this
+    unit than is usual and move the scale factor of one gyro by more than 0.5 %, which is said of it."""
     assert not ferraris.outcome.accepted
     assert ferraris.outcome.reasons[0].startswith("poorly observable in this session: ")
     assert "rests that would help" in ferraris.outcome.reasons[0]
-    assert all((ferraris[f"gyro.scale.{axis}"].u or 1.0) < 0.005 for axis in "xyz")
+    scales = {name: ferraris[name].u or 1.0 for name in ("gyro.scale.x", "gyro.scale.y", "gyro.scale.z")}
+    assert max(scales.values()) < 0.01
+    assert all(u < 0.005 or name in ferraris.outcome.reasons[0] for name, u in scales.items())
 
 
 # -------------------- PSINS, systematic --------------------

@@ -218,8 +218,9 @@ def candidates_of(session: LinearisedSession) -> Iterator[Candidate]:
 
 def jumps(session: LinearisedSession) -> Iterator[Candidate]:
     """Biases of a kind of sensors that change between two rests, as where a driver measures them anew or another device
-    goes on; the turn between is taken as lying half before and half after it. They do so where their process, had it
-    all scatter of the rests and lasted as long as the session, would step by the most beside its usual steps."""
+    goes on, about their means over the rests, which are the parameters; the turn between is taken as lying half before
+    and half after it. They do so where their process, had it all scatter of the rests and lasted as long as the
+    session, would step by the most beside its usual steps."""
     rests, before_turn, first = session.observations.rests, session.problem.before_turn, 0
     components, longest = session.linearised.components, max(float(np.ptp(rests.start)), 1.0)
     wandering = VarianceComponents(
@@ -245,6 +246,9 @@ def jumps(session: LinearisedSession) -> Iterator[Candidate]:
             after[last + 1 : part.rests.stop] = 1.0
             turns = np.arange(part.turns.start, part.turns.stop)
             in_turn[turns] = 0.5 * (1.0 + np.sign(before_turn[turns] - last))
+            share = float(after[part.rests].mean())
+            after[part.rests] -= share
+            in_turn[turns] -= share
             sentences.append(
                 f"biases of the {WORDS[kind]} jump by {{size}} after "
                 f"{session.observations.rest_named(last).rpartition(': ')[2]} "
