@@ -649,9 +649,10 @@ def test_results_are_printed_as_data(sessions: Path) -> None:
     compared = json.loads(run("compare", file, file, "--json").stdout)
     assert compared["verdict"] == "accepted"
     assert {each["value"] for each in compared["differences"]} == {0.0}
-    checked = json.loads(run("check", file, sessions / "one", "--json").stdout)
+    other = json.loads(run("calibrate", sessions / "two", "--json", "--force").stdout)
+    checked = json.loads(run("check", sessions / "two/calibration.json", sessions / "two", "--json").stdout)
     assert (checked["verdict"], checked["left_out"]) == ("accepted", True)
-    assert len(checked["rests"]) == len(observed["rests"])
+    assert len(checked["rests"]) == len(other["rests"])
 
 
 def test_quiet_leaves_results_reasons_and_errors(sessions: Path) -> None:

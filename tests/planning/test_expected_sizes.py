@@ -65,16 +65,7 @@ def test_the_time_base_is_in_the_scale_factors_of_the_gyros_together() -> None:
 
 @pytest.mark.parametrize(
     "setup",
-    [
-        pytest.param(
-            Setup.of(grade="mems", rest=20.0, terms="full"),
-            marks=pytest.mark.xfail(
-                reason="plans of MEMS accelerometers are up to 19 % too good: how means move with what is not known of "
-                "the noise is not in them (CHANGELOG, known limits)"
-            ),
-        ),
-        Setup.of(programme="cube-26", terms="full"),
-    ],
+    [Setup.of(grade="mems", rest=20.0, terms="full"), Setup.of(programme="cube-26", terms="full")],
     ids=["mems on the rough table", "navigation in a cube"],
 )
 def test_plan_states_what_calibrate_will(setup: Setup) -> None:
