@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -62,6 +63,27 @@ def test_a_device_that_is_moved_is_calibrated(motion: Motion) -> None:
     assert np.sqrt(np.mean(np.square(every))) < 2.0
 
 
+def test_the_linear_model_has_what_it_leaves_out_in_motion_too() -> None:
+    """Every parameter within 6 u."""
+    recording = record(PIVOT, 3)
+    arrays: dict[str, Any] = {
+        "accel": recording.accel,
+        "gyro": recording.gyro,
+        "time": np.arange(len(recording.gyro)) / recording.rate,
+    }
+    linear = tumble.calibrate(**arrays, gravity=G, gravity_u=1e-4, serial="A", terms="linear")
+    assert linear.outcome.verdict == "accepted"
+    assert np.abs(errors(recording, linear)).max() < 6.0
+
+
+def test_other_methods_than_joint_want_rests() -> None:
+    recording = record(replace(PIVOT, seconds=30.0), 3)
+    arrays: dict[str, Any] = {"accel": recording.accel, "gyro": recording.gyro, "rate": recording.rate}
+    outcome = tumble.calibrate(**arrays, method="ellipsoid", serial="A").outcome
+    assert not outcome.accepted
+    assert outcome.reasons[0].startswith("no rest found")
+
+
 def test_the_lever_is_found() -> None:
     """The place of the accelerometers from the pivot, within 3 mm, in the note of the result."""
     (note,) = (
@@ -84,7 +106,7 @@ def moving(seed: int = 2) -> Observations:
     session = session_of_arrays(
         accel=recording.accel, gyro=recording.gyro, rate=recording.rate, latitude=0.9, gravity=G, gravity_u=1e-3
     )
-    observations = observations_for_calibration(inspect_session(session))
+    observations = observations_for_calibration(inspect_session(session), joint=True)
     assert isinstance(observations, Observations)
     return observations
 
@@ -156,6 +178,6 @@ def test_enough_rests_are_rests() -> None:
     """A recording of nine rests and more has turns, and no links."""
     recording = record(replace(PIVOT, seconds=120.0, rests=12, sway=0.0), 4)
     session = session_of_arrays(accel=recording.accel, gyro=recording.gyro, rate=recording.rate, latitude=0.9)
-    found = observations_for_calibration(inspect_session(session))
+    found = observations_for_calibration(inspect_session(session), joint=True)
     assert isinstance(found, Observations)
     assert (found.links is None) == (len(found.rests) >= 9)

@@ -31,11 +31,10 @@ import numpy as np
 import scipy
 
 from tumble.diagnosis.undetermined import linear_names
-from tumble.inference.elimination import fold
 from tumble.inference.estimate import Estimate, GroupFinding
 from tumble.inference.joint import joint
 from tumble.inference.linearisation import Linearisation, linearise
-from tumble.inference.normal_equations import eliminate_rests, session_mean_bias
+from tumble.inference.normal_equations import eliminate_rests, fold_sessions, mean_by_common, session_mean_bias
 from tumble.inference.prediction import prediction
 from tumble.inference.problem import Problem, instruments_of
 from tumble.inference.sources import source
@@ -180,15 +179,15 @@ def moves_by_likelihood(rows: Linearisation) -> Array:
     """
     problem, equations = rows.problem, eliminate_rests(rows)
     last = 1 + problem.instrument.linear_count
-    triangle = np.zeros_like(rows.prior)
-    triangle[:last, :last] = rows.prior[:last, :last]
-    fold(equations.session_factors[0], triangle, triangular=True)
+    prior = np.zeros_like(rows.prior)
+    prior[:last, :last] = rows.prior[:last, :last]
+    triangle, heads = fold_sessions(prior, equations.session_factors, problem.local_u, rows.local_prior)
     exact = int(triangle[0, 0] == 0.0)  # gravity
     moves = np.zeros((last, len(triangle) - 1 - last))
     moves[exact:] = scipy.linalg.solve_triangular(triangle[exact:last, exact:last], triangle[exact:last, last:-1])
     if equations.wanders:  # biases are means over the session
         both = np.vstack([moves, -np.eye(moves.shape[1])])
-        moves[1 + problem.biases] += session_mean_bias(equations)[0][:, :-1] @ both
+        moves[1 + problem.biases] += mean_by_common(session_mean_bias(equations)[0], heads[0])[0][:, :-1] @ both
     return moves[1:]
 
 

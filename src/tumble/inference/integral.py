@@ -69,6 +69,7 @@ from tumble.inference.normal_equations import (
     eliminate_rests,
     fold_sessions,
     inverse_of,
+    mean_by_common,
     rests_deviance,
     session_mean_bias,
 )
@@ -453,12 +454,11 @@ def _triangle(
     sizes = np.log(problem.prior_u[k][kept]).sum() + len(heads) * np.log(local_u).sum()
     process, b = (alpha, gamma, omega), 1 + problem.biases
     if mean is not None:
-        Y, by_noise, q, head = np.eye(p), mean[1][k], len(local_u), heads[0]
-        by_local = mean[0][k][:, :q] @ inverse_of(head[:, :q]) if q else mean[0][k][:, :0]
-        by_shared = mean[0][k][:, q:] - by_local @ head[:, q:]  # what the session has beside follows from the others
-        Y[b] += by_shared[:, :-1]
+        Y, by_noise = np.eye(p), mean[1][k]
+        by_common, by_local = mean_by_common(mean[0][k], heads[0])
+        Y[b] += by_common[:, :-1]
         alpha, gamma, omega = Y @ alpha, Y @ gamma, Y @ omega @ Y.T
-        alpha[b] -= by_shared[:, -1]
+        alpha[b] -= by_common[:, -1]
         omega[np.ix_(b, b)] += np.einsum("ibd,icd->bc", by_noise, by_noise) + by_local @ by_local.T
     return Triangle(
         information=R[g, g].T @ R[g, g],

@@ -300,17 +300,17 @@ def whiten(
         others = columns[-1][:, :, last:-1], columns[-1][:, :, :last], columns[-1][:, :, -1:]
         return np.asarray(W @ np.concatenate([*columns[:-1], *others], axis=2))
 
-    def of(rows: Array, count: int) -> Array:
-        """Columns of what has no part in these rows."""
+    def none(rows: Array, count: int) -> Array:
+        """Zero columns, of unknowns that these rows do not have."""
         return np.zeros((*rows.shape[:2], count))
 
     rest, turn, link = linearisation.rest, linearisation.turn, linearisation.link
     states = np.broadcast_to(np.eye(rest.shape[1], n), (*rest.shape[:2], n))
     shares = 1.0 - problem.bias_after, problem.bias_after
-    here, after = (np.concatenate([x * linearisation.bias[:, :, :n], of(turn, s - n)], axis=2) for x in shares)
-    rest = whitened(rest_whitening, rest[:, :, :3], of(rest, v), states, of(rest, s - n), rest[:, :, 3:])
+    here, after = (np.concatenate([x * linearisation.bias[:, :, :n], none(turn, s - n)], axis=2) for x in shares)
+    rest = whitened(rest_whitening, rest[:, :, :3], none(rest, v), states, none(rest, s - n), rest[:, :, 3:])
     turn = whitened(
-        turn_whitening, turn[:, :, :3], of(turn, v), here, turn[:, :, 3:6], of(turn, v), after, turn[:, :, 6:]
+        turn_whitening, turn[:, :, :3], none(turn, v), here, turn[:, :, 3:6], none(turn, v), after, turn[:, :, 6:]
     )
     if problem.moves:
         bias = 0.5 * linearisation.link_bias[:, :, :n]
@@ -489,3 +489,28 @@ def session_mean_bias(equations: NormalEquations) -> tuple[Array, Array]:
     along_chains(back, carried)
     by_noise = np.swapaxes(carried[..., ::-1, :, :], -1, -2) @ inverse
     return sigma[..., None] * follow[..., biases, :].mean(axis=-3), by_noise
+
+
+def mean_by_common(by_shared: Array, head: Array) -> tuple[Array, Array]:
+    """The mean over a session of its biases, what the session has beside following from the common parameters.
+
+    Parameters
+    ----------
+    by_shared : (n, q + 1 + m + 1)
+        What it changes with, as of `session_mean_bias`.
+    head : (q, q + 1 + m + 1)
+        The rows that give what the session has beside (`fold_sessions`).
+
+    Returns
+    -------
+    by_common : (n, 1 + m + 1)
+        What it changes with gravity and the common parameters, and its value where these are zero, with the sign turned
+        round.
+    by_local : (n, q)
+        What it changes with the noise of what the session has beside.
+    """
+    q = len(head)
+    if q == 0:
+        return by_shared, by_shared[:, :0]
+    by_local = by_shared[:, :q] @ inverse_of(head[:, :q])
+    return by_shared[:, q:] - by_local @ head[:, q:], by_local

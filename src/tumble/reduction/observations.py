@@ -35,7 +35,7 @@ from tumble.reduction.rests.segmentation import Stretch, unrecorded
 from tumble.reduction.rests.sway import sway_notes, sway_of
 from tumble.reduction.rests.thermometer import Thermometers
 from tumble.reduction.turns.array_motion import ArrayMoments, MovedArray, array_moments
-from tumble.reduction.turns.links import Links, links_of, stretched
+from tumble.reduction.turns.links import Links, stretched
 from tumble.reduction.turns.moments import (
     NO_OWN_AXES,
     Compensation,
@@ -217,8 +217,7 @@ def observe(
     gyro: Block | None,
     site: Site,
     arrays: tuple[ArrayMoments, ...] | None = None,
-    *,
-    moving: bool = False,
+    links: Links | None = None,
 ) -> Observations:
     """Reduce the rests and turns of a log to observations.
 
@@ -227,17 +226,16 @@ def observe(
     reduction
         The blocks of the log.
     spans
-        The rests, at least one.
+        The rests, at least one unless there are links.
     accel, gyro
         The accelerometers and the gyros; None without gyros.
     site
         Where the sensors are.
     arrays
         Moments of an array in motion, which do not depend on the rests, where they were made before.
-    moving
-        Whether motion that is no turn is cut into links; then there need be no rest.
+    links
+        Those of a device that is moved, between these rests (`tumble.reduction.turns.links.links_of`).
     """
-    links = links_of(reduction, spans) if moving and gyro is not None else None
     if links is not None:
         linked = [unrecorded(a, b, 1, "links", why="") for a, b in pairwise(spans) if stretched(a, b)]
         reduction = replace(reduction, gaps=(*reduction.gaps, *linked))

@@ -197,7 +197,7 @@ def _calibrated(
     systematic = systematic_of(session)
     with ThreadPoolExecutor(max_workers=1) as beside:
         observed = inspected(session, progress, beside)
-        observations = observations_for_calibration(observed, biases_jump=method == "joint")
+        observations = observations_for_calibration(observed, joint=method == "joint")
         if base is not None or (method == "joint" and lies_still(observed)):
             return calibrate_warming(observed, base, provenance_of(observed.sha256))
         options = (estimator, systematic, terms, prior, clock)

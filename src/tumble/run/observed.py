@@ -41,6 +41,7 @@ from tumble.reduction.rests.blemishes import without_blemishes
 from tumble.reduction.rests.matching import match_rests, without_jump, without_numbered, without_times
 from tumble.reduction.rests.segmentation import Segmentation, Stretch, find_rests
 from tumble.reduction.together import held, in_parts
+from tumble.reduction.turns.links import links_of
 from tumble.reduction.turns.turns import torn_turns, without_unknown_turns
 from tumble.rotation import onto_body
 from tumble.units import IntArray
@@ -206,44 +207,58 @@ def _observed(session: Session, reduction: Reduction, rests: tuple[Stretch, ...]
     return observe(reduction, rests, session.accel_block, session.gyro_block, session.site)
 
 
-def observations_for_calibration(observed: Observed, *, biases_jump: bool = False) -> Observations | Outcome:
-    """The observations of the positions of a session's programme, or of all rests where it has none, without the gyros
-    where these are spoiled, as they are where their biases jump unless what is made of them can do with that; or why
-    there is nothing to calibrate with. Raises ProgrammeError for a recording that does not go through the programme."""
-    moving = _in_motion(observed)
-    if moving is not None:
+def observations_for_calibration(observed: Observed, *, joint: bool = False) -> Observations | Outcome:
+    """What a method sees of a session: the positions of its programme, or all rests where it has none.
+
+    Parameters
+    ----------
+    observed
+        What the log shows.
+    joint
+        Whether they are for the method joint, which follows a device with few rests through its motion, and gyros whose
+        biases jump. For others gyros that jump are left out, as spoiled ones always are.
+
+    Returns
+    -------
+    Observations or Outcome
+        The latter where there is nothing to calibrate with.
+
+    Raises
+    ------
+    ProgrammeError
+        For a recording that does not go through the programme.
+    """
+    if joint and (moving := _in_motion(observed)) is not None:
         return moving
     matched = _matched(observed)
     if isinstance(matched, Outcome):
         return matched
     reduction, match, torn = matched
-    if biases_jump and observed.gyro_bias_faults:
+    if joint and observed.gyro_bias_faults:
         reduction = without_jump(reduction, match, observed.session.gyro_block)
     every = _observed_again(observed, reduction, match)
     every = with_mended_samples(replace(every, notes=(*observed.notes, *every.notes, *torn))).with_blows()
-    spoiled = observed.gyro_faults or (observed.gyro_bias_faults and not biases_jump)
+    spoiled = observed.gyro_faults or (observed.gyro_bias_faults and not joint)
     return every.of_accelerometers() if spoiled else every
 
 
 FEWEST_RESTS = 9
-"""Fewer rests determine no accelerometers: then what moves between them counts too."""
+"""Fewer rests determine no accelerometers: then the motion between them counts too."""
 SHORTEST_MOTION = 20.0
-"""s: of less motion nothing is learned."""
+"""s: less motion determines nothing."""
 
 
 def _in_motion(observed: Observed) -> Observations | None:
     """The observations of a recording with few rests or none, from node to node; None of others."""
-    session, segmentation = observed.session, observed.segmentation
+    session, rests = observed.session, observed.segmentation.rests
     spoiled = observed.faults or observed.gyro_faults or observed.gyro_bias_faults
-    if session.programme is not None or session.gyro_block is None or session.log.gyro is None or spoiled:
+    if session.programme is not None or session.log.gyro is None or spoiled or len(rests) >= FEWEST_RESTS:
         return None
-    if len(segmentation.rests) >= FEWEST_RESTS:
+    reduction, match = without_numbered(observed.reduction, observed.segmentation, session.excluded)
+    links = links_of(reduction, match.rests)
+    if links is None or links.duration.sum() < SHORTEST_MOTION:
         return None
-    reduction, _ = without_numbered(observed.reduction, segmentation, session.excluded)
-    blocks = session.accel_block, session.gyro_block
-    every = observe(reduction, segmentation.rests, *blocks, session.site, moving=True)
-    if every.links is None or every.links.duration.sum() < SHORTEST_MOTION:
-        return None
+    every = observe(reduction, match.rests, session.accel_block, session.gyro_block, session.site, links=links)
     return replace(every, notes=(*observed.notes, *every.notes))
 
 
