@@ -1,9 +1,10 @@
-"""What a recording from node to node shows (`tumble.inference.problem`): what its motion determines, what held the
-device, and whether that gives way.
+"""Findings about a device that was calibrated in motion: what the motion does not determine, and whether it followed
+the attitude.
 
-How what holds a device gives way with its attitude is among the unknowns, b ~ N(0, s²) for each of its numbers. The
-posterior mean of one of them has, over instruments, the variance s² − u²; where the squares of all of them are beyond
-what that allows, the motion follows the attitude by more than is carried, and scale factors and axes have it in them.
+Displacements that follow the attitude, as of a stand that sags, are among the unknowns of the estimate: SUPPORT numbers
+b ~ N(0, s²) (docs/explanation/mathematics.md (40)). Their posterior mean has over instruments at most the variance s²,
+so that Σ b²/s² is at most χ² with SUPPORT degrees of freedom. Where it is larger, the displacements are larger than the
+prior allows for, and scale factors and axes contain them.
 """
 
 from __future__ import annotations
@@ -23,11 +24,11 @@ IN_MOTION = "calibrated in motion"
 """How the note begins that a result is from motion."""
 MOST_NAMED = 4
 LOOSE = 0.3
-"""m: of a device that moves by more there is nothing to learn of its accelerometers in this way."""
+"""m: a device that is displaced by more does not stay in one place, as the model has it."""
 
 
 def in_motion(estimate: Estimate, observations: Observations, missing: tuple[str, ...]) -> Iterator[Finding]:
-    """Findings about an estimate with links; `missing` are the parameters of the linear model it does not determine."""
+    """Findings about an estimate from motion; `missing` are the linear parameters that it does not determine."""
     links, linearised = observations.links, estimate.linearised
     assert links is not None
     seconds = float(links.duration.sum())
@@ -58,7 +59,7 @@ def in_motion(estimate: Estimate, observations: Observations, missing: tuple[str
 
 
 def motion_note(estimate: Estimate, observations: Observations) -> tuple[str, ...]:
-    """That a result is from motion, and about which point, as a note; nothing of rests and turns."""
+    """A note that a result is from motion, with the point about which the device turned; none for rests and turns."""
     links, linearised = observations.links, estimate.linearised
     if links is None or linearised is None:
         return ()

@@ -211,8 +211,8 @@ class HyperparameterEstimate:
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Integral:
     """How the posterior was integrated over the hyperparameters: at how many points, their effective number, the shape
-    of the Pareto distribution of their weights, of which more than 0.7 is not to be relied on, and the largest relative
-    error of a u by the points, as two independent sets of them tell."""
+    of the Pareto distribution of their weights, and the largest relative error of a u by the points, estimated from two
+    independent sets of them."""
 
     points: int
     effective: float

@@ -5,6 +5,7 @@
 | ln σ of a component of scatter | rests | σ exponential, its mean m the noise it stands beside |
 | | turns, velocities … | σ of density m/(m + σ)² |
 | ln σ_b, ln τ_b of a kind | in-run bias, a Gauss–Markov process | log-normal about the grade's size and 300 s, ÷× 30 |
+| ln σ_p, ln τ_p | displacement of a device in motion, a Gauss–Markov process | log-normal about 2 cm and 0.5 s |
 | p of a sensor | its scatter and in-run bias are exp(max(p, 0)) times those of its kind | N(0, ln 3) |
 | p of a group | its size is exp(max(p, 0)) times the usual one | N(0, ln k) |
 
@@ -154,9 +155,9 @@ class Score:
         """By sensor (n,), of its scatter at rest and of its in-run bias."""
         v, (accelerometers, gyros) = self.solution.components.variances, self.solution.equations.noise.sensors
         of_kind = np.repeat(v[:2], [accelerometers, gyros])
-        told = np.full(len(of_kind), 0.5 * SENSED * len(self.solution.problem.link))
+        known = np.full(len(of_kind), 0.5 * SENSED * len(self.solution.problem.link))
         scatter = QuadraticForms(
-            square=of_kind * self._by_direction[0][0], trace=of_kind * self._by_direction[1][0], double=told
+            square=of_kind * self._by_direction[0][0], trace=of_kind * self._by_direction[1][0], double=known
         )
         n, of_states = len(of_kind), self.states
         return scatter + QuadraticForms(
@@ -190,8 +191,8 @@ class Score:
             nothing = np.zeros(self.solution.problem.sensors)
             return QuadraticForms(square=nothing, trace=nothing, double=nothing)
         square, unknown, _ = self._steps
-        told = np.clip(1.0 - unknown, 0.0, 1.0).sum(axis=0)
-        return QuadraticForms(square=square.sum(axis=0), trace=(1.0 - unknown).sum(axis=0), double=told)
+        known = np.clip(1.0 - unknown, 0.0, 1.0).sum(axis=0)
+        return QuadraticForms(square=square.sum(axis=0), trace=(1.0 - unknown).sum(axis=0), double=known)
 
     @cached_property
     def times(self) -> Array:

@@ -250,10 +250,7 @@ def _turn_rows(problem: Problem, point: Point, about: TurnsAbout, model: tuple[A
     if instrument.in_velocities:  # ∫ e^{[Ω×]s} ds = T (I + [x×]/2 + [x×]²/6), x = Ω T
         x = skew(turns.duration[:, None] * problem.earth)
         gained = g * turns.duration[:, None] * UP
-        sideways = ((x / 2.0 + x @ x / 6.0) @ gained[:, :, None])[:, :, 0]  # the heading has a part in this alone
-        vertical, level = ((each[:, None] @ start)[:, 0] for each in (gained, sideways))
-        predicted = vertical + level
-        rows[:, 3:6, :2], rows[:, 3:6, 2:3] = skew(predicted) @ basis[:, :, :2], skew(level) @ basis[:, :, 2:]
+        rows[:, 3:6, :3], predicted = _by_gravity(start, basis, gained, x / 2.0 + x @ x / 6.0)
         rows[:, 3:6, 6] = predicted / g
         rows[:, 3:6, 7:-1], rows[:, 3:6, -1] = by[:, 3:, :-1], by[:, 3:, -1] - predicted
         bias[:, 3:6] = by_bias[:, 3:]
@@ -262,6 +259,28 @@ def _turn_rows(problem: Problem, point: Point, about: TurnsAbout, model: tuple[A
     rows[:, t:, 7:] = spare
     bias[:, t:, instrument.accel.size :] = turns.duration[:, None, None] * free
     return rows, bias
+
+
+def _by_gravity(start: Array, basis: Array, gained: Array, sideways: Array) -> tuple[Array, Array]:
+    """What gravity predicts of an increment in the body at its start, and its derivatives by the angles there.
+
+    Parameters
+    ----------
+    start, basis : (K, 3, 3)
+        Attitudes at the start, and their bases.
+    gained : (K, 3)
+        The increment along the vertical, were the Earth at rest.
+    sideways : (K, 3, 3)
+        By how much the rotation of the Earth turns it on the way. The heading has a part in this alone.
+
+    Returns
+    -------
+    derivatives, predicted : (K, 3, 3), (K, 3)
+    """
+    turned = (sideways @ gained[:, :, None])[:, :, 0]
+    vertical, level = ((each[:, None] @ start)[:, 0] for each in (gained, turned))
+    derivatives = np.concatenate([skew(vertical + level) @ basis[:, :, :2], skew(level) @ basis[:, :, 2:]], axis=2)
+    return derivatives, vertical + level
 
 
 def _link_rows(
@@ -309,11 +328,10 @@ def _link_rows(
         (slice(3, 6), up, x / 2.0 + x @ x / 6.0),
         (slice(6, 9), 0.5 * T[:, None] * up, x / 3.0 + x @ x / 12.0),
     ):
-        vertical, level = ((each[:, None] @ start)[:, 0] for each in (plain, (sideways @ plain[:, :, None])[:, :, 0]))
-        rows[:, at, :2], rows[:, at, 2:3] = skew(vertical + level) @ basis[:, :, :2], skew(level) @ basis[:, :, 2:]
+        rows[:, at, :3], predicted = _by_gravity(start, basis, plain, sideways)
         if problem.observations.site.gravity_u > 0.0:
-            rows[:, at, 18] = (vertical + level) / point.gravity
-        rows[:, at, -1] = -(vertical + level)
+            rows[:, at, 18] = predicted / point.gravity
+        rows[:, at, -1] = -predicted
     rows[:, 3:6, 3:6], rows[:, 3:6, 9:12] = -moves[i, :, None] * np.eye(3), moves[i + 1, :, None] * C
     rows[:, 3:6, -1] += total.V - turned + v_i
     rows[:, 6:, :2] += skew(apart) @ basis[:, :, :2]  # a heading turns the displacements with it

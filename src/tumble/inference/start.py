@@ -7,6 +7,8 @@ what the gyros see of the horizontal Earth's rate.
 
 from __future__ import annotations
 
+from itertools import accumulate
+
 import numpy as np
 
 from tumble.earth import EARTH_RATE
@@ -15,7 +17,7 @@ from tumble.inference.problem import Point, Problem
 from tumble.inference.turns_about import TurnsAbout
 from tumble.reduction.turns.links import PARTS
 from tumble.rotation import UP, rotation_matrix, skew, tangent_basis, unit_vector
-from tumble.units import Array
+from tumble.units import Array, IntArray
 
 ROUGH_TURN = 1e-2  # rad: what the start takes the turns to err by
 ROUGH_DRIFT = 0.1  # of what gyros read at rest beyond the median: with it they drift, which no scale factor explains
@@ -83,16 +85,10 @@ def headings(problem: Problem, vertical: Array, values: Array, about: TurnsAbout
     the turns, the rates at rest are ω − Ω_U u = δ + a N' + s E', where the gyros still err by δ: linear in δ and in a
     and s of each chain."""
     observations, turns = problem.observations, problem.observations.turns
-    north = -tangent_basis(vertical)[:, 1]
-    if about is not None and turns is not None:
-        around = rotation_matrix(-turns.duration[:, None] * problem.earth[1] * UP)
-        for i, k in zip(turns.first.tolist(), range(len(turns)), strict=True):
-            before = np.array([north[i], vertical[i], np.cross(north[i], vertical[i])])
-            after = (around[k] @ before @ about.C[k])[0]
-            level = after - (after @ vertical[i + 1]) * vertical[i + 1]
-            if level @ level > VERTICAL:
-                north[i + 1] = level / np.sqrt(level @ level)
-    attitudes = np.stack([north, vertical, np.cross(north, vertical)], axis=1)
+    if about is None or turns is None:
+        attitudes = carried_attitudes(problem, vertical, np.zeros(0, dtype=np.int64), np.zeros((0, 3, 3)), np.zeros(0))
+    else:
+        attitudes = carried_attitudes(problem, vertical, turns.first, about.C, turns.duration)
     if observations.gyro_block is None or problem.earth[0] == 0.0:
         return attitudes
     rate = problem.gyro_model(values).apply(observations.rests.gyro) - problem.earth[1] * vertical
@@ -111,58 +107,64 @@ def headings(problem: Problem, vertical: Array, values: Array, about: TurnsAbout
     return out
 
 
+def carried_attitudes(problem: Problem, vertical: Array, before: IntArray, C: Array, seconds: Array) -> Array:
+    """Attitudes (M, 3, 3) with these verticals (M, 3), in which each heading is that of the station before, carried by
+    what turns the body in between.
+
+    Parameters
+    ----------
+    problem, vertical
+        The problem, and the vertical in the body at each station.
+    before : (K,)
+        Stations that are followed by the next, in order.
+    C, seconds : (K, 3, 3), (K,)
+        Rotations from these to the next, body at the end → body at the start, and how long they last, s.
+    """
+    north, around = -tangent_basis(vertical)[:, 1], rotation_matrix(-seconds[:, None] * problem.earth[1] * UP)
+    for k, i in enumerate(before.tolist()):
+        axes = np.array([north[i], vertical[i], np.cross(north[i], vertical[i])])
+        after = (around[k] @ axes @ C[k])[0]
+        level = after - (after @ vertical[i + 1]) * vertical[i + 1]
+        if level @ level > VERTICAL:
+            north[i + 1] = level / np.sqrt(level @ level)
+    return np.stack([north, vertical, np.cross(north, vertical)], axis=1)
+
+
 def _started_in_motion(problem: Problem, values: Array) -> tuple[Linearisation, tuple[Array, ...]]:
-    """The start of a device that moves. Over some WINDOW links about a station its mean acceleration is small: the
-    sum of their velocities, turned into the body there, is along the vertical. Gyro biases are those with which the
-    vertical of one window is carried to that of the next ones; attitudes have these verticals, with headings carried
-    along."""
+    """The start of a device that moves.
+
+    Over WINDOW links on each side of a station the mean acceleration is small, so that the sum of the velocities of the
+    links, turned into the body there, is along the vertical. A bias b of the gyros turns a vertical that is carried
+    back by −∫ A b dt: by least squares it is the one with which the verticals of stations 2 WINDOW apart agree."""
     observations, instrument, M = problem.observations, problem.instrument, len(problem.link)
-    links, block = observations.links, problem.instrument.gyro
-    assert links is not None
+    block, chain, station = instrument.gyro, problem.chain, np.arange(M)
     assert block is not None
     own = instrument.own(block)
+    first, last = np.searchsorted(chain, chain), np.searchsorted(chain, chain, side="right") - 1
+    low, high = np.maximum(station - WINDOW, first), np.minimum(station + WINDOW, last)
+    here = station[: max(M - 2 * WINDOW, 0)]
+    here = here[chain[here] == chain[here + 2 * WINDOW]]
+    there = here + 2 * WINDOW
     for _ in range(2):
-        about = TurnsAbout.of(observations, instrument, values)
-        assert about.links is not None
-        C, V, T = _transitions(problem, about)
-        A, turned = np.empty((M, 3, 3)), np.zeros((M, 3, 3))
-        A[0] = np.eye(3)
-        for k in range(M - 1):
-            A[k + 1] = A[k] @ C[k]
+        C, V, T = _transitions(problem, TurnsAbout.of(observations, instrument, values))
+        A = np.array(list(accumulate(C[:-1], np.matmul, initial=np.eye(3))))
         gained = np.concatenate([np.zeros((1, 3)), np.cumsum((A @ V[:, :, None])[:, :, 0], axis=0)])
-        chain, every = problem.chain, np.arange(M)
-        begin = np.searchsorted(chain, chain)
-        end = np.searchsorted(chain, chain, side="right") - 1
-        low, high = np.maximum(every - WINDOW, begin), np.minimum(every + WINDOW, end)
         vertical = unit_vector((np.swapaxes(A, 1, 2) @ (gained[high] - gained[low])[:, :, None])[:, :, 0] + 1e-12 * UP)
-        at_rest = unit_vector(problem.accel_model(values).apply(observations.rests.accel))
-        vertical[problem.station] = at_rest
-        # the vertical of a station and that WINDOW stations later, in the body at the first: apart by ∫ A b dt
+        vertical[problem.station] = unit_vector(problem.accel_model(values).apply(observations.rests.accel))
         swept = np.concatenate([np.zeros((1, 3, 3)), np.cumsum(T[:, None, None] * A, axis=0)])
-        pairs = every[(every + 2 * WINDOW < M)]
-        pairs = pairs[chain[pairs] == chain[np.minimum(pairs + 2 * WINDOW, M - 1)]]
-        later = pairs + 2 * WINDOW
-        back = (np.swapaxes(A[pairs], 1, 2) @ A[later] @ vertical[later][:, :, None])[:, :, 0]
-        turned = np.swapaxes(A[pairs], 1, 2) @ (swept[later] - swept[pairs])
-        rows, apart = (skew(back) @ turned).reshape(-1, 3), (vertical[pairs] - back).ravel()
+        to_body = np.swapaxes(A[here], 1, 2)
+        back = (to_body @ A[there] @ vertical[there][:, :, None])[:, :, 0]
+        rows = skew(back) @ to_body @ (swept[there] - swept[here])
         if len(rows):
-            # a bias b turns `back` by −∫ A b dt × back
-            bias = np.linalg.lstsq(rows.reshape(-1, 3), apart, rcond=1e-6)[0]
+            bias = np.linalg.lstsq(rows.reshape(-1, 3), (vertical[here] - back).ravel(), rcond=1e-6)[0]
             values[own][: block.size] += (block.axes @ bias)[block.channels]
     about = TurnsAbout.of(observations, instrument, values)
-    C, _, _ = _transitions(problem, about)
-    north = -tangent_basis(vertical)[:, 1]
-    for k in range(M - 1):
-        if chain[k] == chain[k + 1]:
-            level = C[k].T @ north[k]
-            level = level - (level @ vertical[k + 1]) * vertical[k + 1]
-            if level @ level > VERTICAL:
-                north[k + 1] = level / np.sqrt(level @ level)
-    attitudes = np.stack([north, vertical, np.cross(north, vertical)], axis=1)
+    C, _, T = _transitions(problem, about)
+    followed = np.flatnonzero(chain[:-1] == chain[1:])
     point = Point(
         values=values,
         gravity=observations.site.gravity,
-        attitudes=attitudes,
+        attitudes=carried_attitudes(problem, vertical, followed, C[followed], T[followed]),
         local=np.zeros((1, len(problem.local_u))),
         velocities=np.zeros((M, 3)),
         displacements=np.zeros((M, 3)),

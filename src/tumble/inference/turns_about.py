@@ -87,13 +87,12 @@ class TurnsAbout:
             g_sensitivity = of_gyro.to_body @ K[accel.size :, FORCE]
             return Compensation(gyro=of_gyro, accel=of_accel, g_sensitivity=g_sensitivity, delay=late)
 
-        about = compensation(K)
-        K_of_all = K
+        about, coefficients = compensation(K), K
         if changes is None:
             moments = observations.moments_about(about, own)
         else:
-            K = K + changes
-            moments = observations.moments_about(list(map(compensation, K)), own)
+            coefficients = K + changes
+            moments = observations.moments_about(list(map(compensation, coefficients)), own)
         lefts = about.gyro.left_inverse, about.accel.left_inverse
         turns = observations.turns
         assert turns is not None
@@ -103,13 +102,13 @@ class TurnsAbout:
             turning = angular_rate(instrument, values, observations.rests.gyro, resting)
             ends = (resting[turns.first], resting[turns.last]), (turning[turns.first], turning[turns.last])
         growing = observations.growing_moments_about(about) if warms(instrument) else None
-        about_turns = TurnsAbout.from_moments(moments, accel, (K, late), lefts, ends, growing)
+        about_turns = TurnsAbout.from_moments(moments, accel, (coefficients, late), lefts, ends, growing)
         if observations.links is not None:
             links = observations.links
             of_parts = integrate(links.samples.pieces(), len(links.samples.lengths), about, own)
             at_ends = (links.forces[:, 0], links.forces[:, 1]), (links.rates[:, 0], links.rates[:, 1])
-            of_links = TurnsAbout.from_moments(of_parts, accel, (K_of_all, late), lefts, at_ends)
-            about_turns = replace(about_turns, links=of_links)
+            about_parts = TurnsAbout.from_moments(of_parts, accel, (K, late), lefts, at_ends)
+            about_turns = replace(about_turns, links=about_parts)
         if ends is None:
             return about_turns
         arrays = tuple(array_levers(each, instrument, values) for each in observations.arrays)

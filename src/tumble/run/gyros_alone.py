@@ -1,13 +1,12 @@
 """Gyros alone: the rests of a log without accelerometers, and the biases of its gyros.
 
-Accelerometers that read a constant vertical stand for those that there are not: the search for rests goes by the level
-of the gyros. At rest a gyro reads its bias, the Earth's rate Ω along its axis and G·f of the specific force, of neither
-of which the direction is known. With the means of N rests, of noise σ_k and what they differ by beyond it, s,
+Rests are found by the gyros, with accelerometers that read a constant vertical in place of the missing ones. At rest a
+gyro reads its bias, the component of the Earth's rate Ω along its axis, and G·f of the specific force; neither
+direction is known. With the means of N rests, whose noise is σ_k and whose scatter beyond it is s,
 
     u² = (s² + mean σ_k²)/N + Ω²/3 + (G g)²                                                                      (1)
 
-G being the g-sensitivity that is usual of the grade, which is that with the nearest noise. Scale factors and axes no
-rest shows.
+where G is the usual g-sensitivity of the grade whose noise is nearest. No rest shows scale factors or axes.
 """
 
 from __future__ import annotations
@@ -132,7 +131,7 @@ def calibrate_gyros(found: GyroRests) -> Calibration:
     )
     covariance, bias = budget.covariances.sum(axis=0), found.mean.mean(axis=0)
     missing = block.names[3:]
-    said = "gyro.scale, gyro.axis: not shown by gyros alone, taken as 0"
+    absent = "gyro.scale, gyro.axis: not shown by gyros alone, taken as 0"
     provenance = provenance_of(found.sha256)
     worth: Readings = readings_of_session(session)["accel"]
     return Calibration(
@@ -155,9 +154,9 @@ def calibrate_gyros(found: GyroRests) -> Calibration:
             provenance,
             sample_rate=found.reduction.rate,
             readings={"gyro": worth},
-            absent=(said,),
+            absent=(absent,),
             assumptions=(
-                f"{said}; to have them {MORE}",
+                f"{absent}; to have them {MORE}",
                 "the directions of the Earth's rate and of gravity are not known: either, gravity by the g-sensitivity "
                 f"that is usual for the grade {grade}, is in the u of gyro.bias",
                 *([f"doubt: {session.log.doubt}"] if session.log.doubt else []),

@@ -289,7 +289,7 @@ def _nominal(session: Session, found: _Found) -> Calibration:
         read[gyro.channels] = values
         models["gyro"] = SensorModel(matrix=models["gyro"].matrix, bias=read)
     missing = tuple(name for block in found.blocks for name in block.names if name not in names)
-    said = f"{', '.join(dict.fromkeys(map(group_name, missing)))}: not shown at rest, taken as 0"
+    absent = f"{', '.join(dict.fromkeys(map(group_name, missing)))}: not shown at rest, taken as 0"
     return Calibration(
         device=device_of(session),
         method="joint",
@@ -313,8 +313,8 @@ def _nominal(session: Session, found: _Found) -> Calibration:
         provenance=Provenance(
             site=replace(observations.site, latitude=found.latitude),
             readings=readings_of_session(session),
-            absent=(said,),
-            assumptions=(f"{said}; tumble calibrate LOG --base FILE.json takes them from a calibration",),
+            absent=(absent,),
+            assumptions=(f"{absent}; tumble calibrate LOG --base FILE.json takes them from a calibration",),
         ),
     )
 

@@ -321,7 +321,7 @@ def unknown_blocks(calibration: Calibration) -> list[Block]:
         sentence = f"integrated over them at {integral.points} points, effectively {integral.effective:.0f}; "
         weights = f"shape of the Pareto distribution of their weights {fixed(integral.pareto, 2)}"
         error = f"by two sets of points u errs by up to {100.0 * integral.u_error:.1f} %"
-        blocks.append(f"{sentence}{weights}, above 0.7 not to be relied on; {error}")
+        blocks.append(f"{sentence}{weights}; {error}")
     units, rows = shown_units(calibration.parameters), []
     for bias in (each for each in calibration.evidence.process_bias if each.name in units):  # means of their processes
         size, unit = units[bias.name]

@@ -1,7 +1,7 @@
 """Links: motion from node to node, where a device does not lie still.
 
-A node is an instant. What neighbouring nodes have in common are rotation C, velocity V and, beyond what a turn between
-rests has, place: the increments of the samples between them, in the body at the first node,
+A node is an instant at which the device moves. The samples between two nodes give the increments of rotation C,
+velocity V and position P, resolved in the body at the first node,
 
     C = Π C_p,   V = Σ R V_p,   P = Σ (V_before T_p + R P_p),   R the rotation of what is before part p.
 
@@ -26,8 +26,9 @@ import numpy as np
 from tumble.reduction.blocks.motion_samples import MotionSamples
 from tumble.reduction.blocks.reducer import Reduction
 from tumble.reduction.rests.segmentation import Stretch
-from tumble.reduction.turns.turns import TurnSamples
+from tumble.reduction.turns.turns import TurnSamples, variances_of_independent
 from tumble.rotation import rotation_matrix, skew
+from tumble.sensors.model import SensorKind
 from tumble.units import Array, BoolArray, IntArray
 
 PARTS = 4
@@ -36,8 +37,6 @@ NODE_SECONDS = 0.5
 """s: from node to node."""
 STRETCH = 3.0
 """s: motion between two rests that lasts longer is cut into links; a shorter one is a turn."""
-FOURTH_DIFFERENCES = 70.0
-"""The variance of a fourth difference of independent samples of variance 1."""
 QUIET = 0.25
 """The share of the links whose noise counts as that of the samples: what moves fast adds to the others."""
 
@@ -118,7 +117,6 @@ def links_of(reduction: Reduction, spans: Sequence[Stretch]) -> Links | None:
     parts = np.array([np.linspace(a, b, PARTS + 1).astype(np.int64) for a, b in edges])
     samples = TurnSamples(samples=reduction.samples, start=parts[:, :-1].ravel(), stop=parts[:, 1:].ravel())
     rates, forces = _ends(reduction.samples, parts)
-    gyro_density, accel_density = _densities(samples, np.array(duration))
     return Links(
         file=np.array(file),
         time=np.array(time),
@@ -129,8 +127,8 @@ def links_of(reduction: Reduction, spans: Sequence[Stretch]) -> Links | None:
         samples=samples,
         rates=rates,
         forces=forces,
-        gyro_density=gyro_density,
-        accel_density=accel_density,
+        gyro_density=_density(samples, "gyro", np.array(duration)),
+        accel_density=_density(samples, "accel", np.array(duration)),
     )
 
 
@@ -151,24 +149,16 @@ def _ends(stored: MotionSamples, parts: IntArray) -> tuple[Array, Array]:
     return out[0], out[1]
 
 
-def _densities(samples: TurnSamples, duration: Array) -> tuple[float, float]:
-    """Densities of white noise of the rates and of the forces, by the fourth differences of the quietest links."""
-    variances = np.zeros((len(samples.lengths), 2))
-    for pieces in samples.pieces():
-        for part, start, stop in zip(pieces.turn, pieces.start, pieces.stop, strict=True):
-            for kind, values in enumerate((pieces.rates, pieces.forces)):
-                steps = values[start:stop] * pieces.intervals[start:stop, None]
-                variances[part, kind] = (np.diff(steps, n=4, axis=0) ** 2).sum() / (3.0 * FOURTH_DIFFERENCES)
-    every = variances.reshape(-1, PARTS, 2).sum(axis=1) / duration[:, None]
-    gyro, accel = np.quantile(every, QUIET, axis=0).tolist()
-    return gyro, accel
+def _density(samples: TurnSamples, kind: SensorKind, duration: Array) -> float:
+    """Density of white noise, rad²/s of rates or m²/s³ of forces, in the quietest links."""
+    variances = variances_of_independent(samples, kind).reshape(-1, PARTS).sum(axis=1)
+    return float(np.quantile(variances / duration, QUIET))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Increments:
     """Increments of K links: rotation `C` (K, 3, 3), body at the end → body at the start, velocity `V` (K, 3), m/s,
-    and place `P` (K, 3), m, and `columns` (K, 9, m): what m quantities change in rotation, velocity and place, to first
-    order, by the columns of the parts."""
+    and position `P` (K, 3), m, with `columns` (K, 9, m), their derivatives by m quantities."""
 
     C: Array
     V: Array
@@ -177,15 +167,15 @@ class Increments:
 
 
 def joined_parts(rows: Array, C: Array, V: Array, P: Array, T: Array) -> Increments:
-    """Put the parts of links together.
+    """Increments of links from those of their parts.
 
     Parameters
     ----------
     rows : (K, PARTS, 6, m + 1)
-        Of every part what m quantities change in rotation and velocity, and in the last column both as they are about
-        what the part was integrated with: a small rotation vector, and the velocity, m/s.
+        Derivatives of the rotation and the velocity of every part by m quantities; in the last column a small rotation
+        vector by which the rotation differs from `C`, and the velocity, m/s.
     C, V, P, T : (K, PARTS, 3, 3), (K, PARTS, 3), (K, PARTS, 3), (K, PARTS)
-        Rotation, velocity (m/s), place (m) and duration (s) of the parts, as integrated.
+        Rotation, velocity (m/s), position (m) and duration (s) of the parts, as integrated.
 
     Returns
     -------
@@ -214,7 +204,7 @@ def joined_parts(rows: Array, C: Array, V: Array, P: Array, T: Array) -> Increme
 
 
 def noise_of_links(C: Array, V: Array, P: Array, T: Array, N_g: Array, N_a: Array) -> tuple[Array, Array]:
-    """Covariances (K, 9, 9) of rotation, velocity and place of links from white noise of gyros and of accelerometers.
+    """Covariances (K, 9, 9) of the increments of links by white noise of gyros, and by that of accelerometers.
 
     Parameters
     ----------

@@ -38,7 +38,7 @@ from tumble.reduction.rests.sway import FOURTH_DIFFERENCES, Sway
 from tumble.reduction.turns.array_motion import read_by
 from tumble.reduction.turns.moments import BlockCompensation, Compensation, Pieces, integrate, moments_of
 from tumble.rotation import onto_body
-from tumble.sensors.model import Block, SensorModel
+from tumble.sensors.model import Block, SensorKind, SensorModel
 from tumble.units import G_STANDARD, Array, IntArray
 
 PATH_STEPS = 32
@@ -288,13 +288,15 @@ def _by_rounding(samples: TurnSamples, block: Block, rounded: Rounding) -> Array
     return out[:, :, None] * np.eye(block.size)
 
 
-def rotations_of_independent(samples: TurnSamples) -> Array:
-    """Variance an axis (K,), rad², of the rotations if what rates change by from sample to sample were independent:
-    Σ |Δ⁴ω Δt|² / (3 · 70). A motion that its samples follow has next to no differences of fourth order."""
+def variances_of_independent(samples: TurnSamples, kind: SensorKind = "gyro") -> Array:
+    """Variance an axis (K,) of the integrals of rates, rad², or of forces, m²/s², over the turns if what they change by
+    from sample to sample were independent: Σ |Δ⁴x Δt|² / (3 · 70). A motion that its samples follow has next to no
+    differences of fourth order."""
     out = np.zeros(len(samples.lengths))
     for pieces in samples.pieces():
+        values = pieces.rates if kind == "gyro" else pieces.forces
         for turn, start, stop in zip(pieces.turn, pieces.start, pieces.stop, strict=True):
-            steps = pieces.rates[start:stop] * pieces.intervals[start:stop, None]
+            steps = values[start:stop] * pieces.intervals[start:stop, None]
             out[turn] += (np.diff(steps, n=4, axis=0) ** 2).sum() / (3.0 * FOURTH_DIFFERENCES)
     return out
 
@@ -302,7 +304,7 @@ def rotations_of_independent(samples: TurnSamples) -> Array:
 def aliased_rotations(samples: TurnSamples, covariance: Array) -> Array:
     """The same if for most turns it is far beyond their noise, of `covariance` (K, 3, 3), which shows how the log is
     sampled; else 0: in a single turn samples may be missing."""
-    variance, noise = rotations_of_independent(samples), np.trace(covariance, axis1=1, axis2=2) / 3.0
+    variance, noise = variances_of_independent(samples), np.trace(covariance, axis1=1, axis2=2) / 3.0
     aliased = len(noise) > 0 and np.median(variance / noise) > BEYOND_NOISE
     return variance if aliased else np.zeros_like(variance)
 
