@@ -15,7 +15,7 @@ import numpy as np
 import polars as pl
 
 from tumble.drafting.foreign_log import LONGEST, SAMPLE_ROWS, ForeignLog, samples_in
-from tumble.drafting.times import Stamps, overflow_of, recordings_of, times_of_column
+from tumble.drafting.times import Stamps, grows_mostly, overflow_of, past_midnight, recordings_of, times_of_column
 from tumble.errors import InputError
 from tumble.files import OutputFolder
 from tumble.recording.columns.names import ACCEL, GYRO, MAGNETOMETER, time_unit
@@ -68,6 +68,8 @@ def repaired(log: ForeignLog, folder: OutputFolder, rate: float | None) -> Forei
     for kind, sensors in triads.items():
         if kind != MAGNETOMETER and not np.isfinite(log.read(sensors.columns, rows=SAMPLE_ROWS)).any():
             raise InputError(f"{log.files[0]}: expected numbers in {', '.join(sensors.columns)[:200]}, found none")
+    if (rising := _in_rising_order(log, folder)) is not None:
+        return repaired(rising, folder, rate)
     mends = _rows_that_are_samples(log)
     time, in_seconds, of_time = _time(log, rate)
     unsigned = [kind for kind in (ACCEL, GYRO) if kind in triads and _wrapped(log.read(triads[kind].columns))]
@@ -109,6 +111,32 @@ def repaired(log: ForeignLog, folder: OutputFolder, rate: float | None) -> Forei
     every_remark = (*log.remarks, *(remark for remark, _ in mends), *filter(None, [why]), copied)
     return ForeignLog(
         files=tuple(files), keys={}, columns=columns, preamble=log.preamble, remarks=every_remark, doubts=log.doubts
+    )
+
+
+def _in_rising_order(log: ForeignLog, folder: OutputFolder) -> ForeignLog | None:
+    """A copy of a log whose newest rows come first, in the order of time; None for any other log."""
+    stamps = log.stamps()
+    if stamps is None or len(stamps.values) < _FEWEST_ROWS or not grows_mostly(-stamps.values):
+        return None
+    column, clock = stamps.column, stamps.clock
+    every = dict.fromkeys((column, *(c for triad in log.columns.triads.values() for c in triad.columns)))
+    files: list[Path] = []
+    for number, source in enumerate(log.sources(), 1):
+        rows = pl.concat(t for t, _ in source.tables([*every, *log.columns.temperatures], log.clock)).reverse()
+        if clock:
+            rows = rows.with_columns(pl.Series(column, past_midnight(rows[column].to_numpy())))
+        name = "in-order.parquet" if len(log.files) == 1 else f"in-order-{number:02d}.parquet"
+        files.append(folder.new_file(name))
+        write_tables(files[-1], iter([rows]))
+    remark = f"time: column {column!r} falls from row to row: rows in the order of time, copied to {files[0].name}"
+    return ForeignLog(
+        files=tuple(files),
+        keys={},
+        columns=replace(log.columns, time_unit="s") if clock else log.columns,
+        preamble=log.preamble,
+        remarks=(*log.remarks, remark),
+        doubts=log.doubts,
     )
 
 

@@ -24,7 +24,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from tumble.errors import LogError
-from tumble.recording.log_source import Kind, LogSource, unread_error
+from tumble.recording.log_source import BLANK_LINE, Kind, LogSource, unread_error
 from tumble.recording.rows.gaps import (
     FREE,
     JUMP,
@@ -117,6 +117,10 @@ def rows_of(
         first += table.height
     if sieve.held is not None:
         yield sieve.judged(sieve.held, last=True)
+    # where nothing else tells the time, a blank line may have been a sample; many, or at even distances, are layout
+    distances = np.diff([gap.row for gap in sieve.blank])
+    if len(sieve.blank) <= FREE + SHARE * (first - 1) and (len(distances) < 2 or np.ptp(distances) > 0):
+        gaps += sieve.blank
     if sieve.left_out - sieve.repeated > FREE + SHARE * (first - 1) or 2 * sieve.repeated >= first - 1:
         raise sieve.too_many(first - 1)
 
@@ -126,7 +130,8 @@ class _Sieve:
     """Leaves out the rows of a file that have no time of their own. `count`: rows that went out; `last`: the time of
     the last of them; `shift`: what midnights have added to a clock, s; `held`: the last rows, of which only the next
     ones tell whether they leap or fall back; `falls`: of rows that do how many there are, the first, the time before it
-    and its own, s."""
+    and its own, s; `blank`: the
+    blank lines between rows that are counted."""
 
     source: LogSource
     spec: LogSpec
@@ -139,6 +144,7 @@ class _Sieve:
     shift: float = 0.0
     held: LogRows | None = None
     falls: list[tuple[int, int, float, float]] = field(default_factory=list)
+    blank: list[Gap] = field(default_factory=list)
     left_out: int = 0
     repeated: int = 0
     first: Gap | None = None
@@ -160,9 +166,22 @@ class _Sieve:
         for u in lines:
             if u.row == 1 and u.kind in (Kind.ROW, Kind.VALUE):
                 raise unread_error(self.source, u)
+            at = int(np.searchsorted(rows.numbers, u.row)) - 1
+            before = float(rows.time[at]) if at >= 0 else self.last
             if u.kind is not Kind.NO_ROW:
-                before = int(np.searchsorted(rows.numbers, u.row)) - 1
-                self._leave_out(u.row, u.what, float(rows.time[before]) if before >= 0 else self.last)
+                self._leave_out(u.row, u.what, before)
+            elif counted and u.found == BLANK_LINE:
+                self.blank.append(
+                    Gap(
+                        file=self.file,
+                        row=u.row,
+                        time=max(before, 0.0),
+                        samples=0,
+                        what="a blank line, which may have been a sample",
+                        stop=max(before, 0.0) + self.grid.interval,
+                        integrable=False,
+                    )
+                )
         self.count += len(rows.time)
         self.last = float(rows.time[-1]) if len(rows.time) else self.last
         return rows
