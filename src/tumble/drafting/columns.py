@@ -15,11 +15,10 @@ import numpy as np
 import polars as pl
 
 from tumble.drafting.containers import NAMED, NoLogError, check_format, check_is_text
-from tumble.drafting.dialects import as_table
+from tumble.drafting.dialects import as_tables
 from tumble.drafting.foreign_log import LONGEST, SAMPLE_ROWS, ForeignLog, Stated, samples_in
 from tumble.drafting.repairs import nanoseconds_of, with_signs
 from tumble.drafting.sensors_apart import are_sensors_apart, of_sensors_apart
-from tumble.drafting.several_sensors import split_by_header, split_by_sensor
 from tumble.drafting.times import grows_mostly, times_of_column
 from tumble.errors import InputError
 from tumble.files import OutputFolder, whole_file
@@ -113,18 +112,14 @@ def _found(file: Path, folder: OutputFolder) -> list[ForeignLog]:
     if not seen:
         raise NoLogError(f"{file}: expected a log, found an empty file")
     check_is_text(file, seen)
-    if parts := split_by_header(file, seen, folder):
-        return [log for part in parts for log in _found(part, folder)]
-    if (copied := as_table(file, seen, folder)) is not None:
-        part, remark = copied
-        return [replace(log, remarks=(remark, *log.remarks)) for log in _found(part, folder)]
+    if (copied := as_tables(file, seen, folder)) is not None:
+        parts, remarks = copied
+        return [replace(log, remarks=(*remarks, *log.remarks)) for part in parts for log in _found(part, folder)]
     dialect_and_top = dialect_of(seen)
     if dialect_and_top is None and max(map(len, seen.split(b"\n"))) > LINE_BYTES // 2:
         raise InputError(f"{file}: expected a log of rows of numbers, found something else; is it a recording?")
     if dialect_and_top is not None:
         dialect, top = dialect_and_top
-        if parts := split_by_sensor(file, seen, dialect, top, folder):
-            return [log for part in parts for log in _found(part, folder)]
         lines = seen.decode(dialect.encoding, errors="replace").split("\n")[top.lines : top.lines + SAMPLE_ROWS]
         rows = [row for line in lines if len(row := dialect.cells(line)) == len(top.names)]
     if dialect_and_top is None or len(rows) < 2:

@@ -68,8 +68,8 @@ def repaired(log: ForeignLog, folder: OutputFolder, rate: float | None) -> Forei
     for kind, sensors in triads.items():
         if kind != MAGNETOMETER and not np.isfinite(log.read(sensors.columns, rows=SAMPLE_ROWS)).any():
             raise InputError(f"{log.files[0]}: expected numbers in {', '.join(sensors.columns)[:200]}, found none")
-    if (rising := _in_rising_order(log, folder)) is not None:
-        return repaired(rising, folder, rate)
+    if (turned := _newest_first(log)) is not None:
+        return repaired(_copy(log, folder, [log.columns.time or ""], [turned]), folder, rate)
     mends = _rows_that_are_samples(log)
     time, in_seconds, of_time = _time(log, rate)
     unsigned = [kind for kind in (ACCEL, GYRO) if kind in triads and _wrapped(log.read(triads[kind].columns))]
@@ -85,6 +85,22 @@ def repaired(log: ForeignLog, folder: OutputFolder, rate: float | None) -> Forei
     mends += of_time
     if not mends and parts is None:
         return log
+    return _copy(log, folder, time, mends, in_seconds=in_seconds, parts=parts, why=why)
+
+
+def _copy(
+    log: ForeignLog,
+    folder: OutputFolder,
+    time: list[str],
+    mends: list[Mend],
+    *,
+    in_seconds: bool = False,
+    parts: Edges | None = None,
+    why: str = "",
+) -> ForeignLog:
+    """The log of a mended copy: a file for each file or for each of the `parts`; with a column TIME in place of those
+    of the time where it is `in_seconds`, and the remark `why` there are parts."""
+    triads = log.columns.triads
     every = (*time, *(c for triad in triads.values() for c in triad.columns), *log.columns.temperatures)
     stamp = [TIME] if in_seconds else time
 
@@ -114,30 +130,18 @@ def repaired(log: ForeignLog, folder: OutputFolder, rate: float | None) -> Forei
     )
 
 
-def _in_rising_order(log: ForeignLog, folder: OutputFolder) -> ForeignLog | None:
-    """A copy of a log whose newest rows come first, in the order of time; None for any other log."""
+def _newest_first(log: ForeignLog) -> Mend | None:
+    """The step that turns a log round whose time falls from row to row; None for any other log."""
     stamps = log.stamps()
     if stamps is None or len(stamps.values) < _FEWEST_ROWS or not grows_mostly(-stamps.values):
         return None
-    column, clock = stamps.column, stamps.clock
-    every = dict.fromkeys((column, *(c for triad in log.columns.triads.values() for c in triad.columns)))
-    files: list[Path] = []
-    for number, source in enumerate(log.sources(), 1):
-        rows = pl.concat(t for t, _ in source.tables([*every, *log.columns.temperatures], log.clock)).reverse()
-        if clock:
-            rows = rows.with_columns(pl.Series(column, past_midnight(rows[column].to_numpy())))
-        name = "in-order.parquet" if len(log.files) == 1 else f"in-order-{number:02d}.parquet"
-        files.append(folder.new_file(name))
-        write_tables(files[-1], iter([rows]))
-    remark = f"time: column {column!r} falls from row to row: rows in the order of time, copied to {files[0].name}"
-    return ForeignLog(
-        files=tuple(files),
-        keys={},
-        columns=replace(log.columns, time_unit="s") if clock else log.columns,
-        preamble=log.preamble,
-        remarks=(*log.remarks, remark),
-        doubts=log.doubts,
-    )
+
+    def turned(tables: Iterator[pl.DataFrame]) -> Iterator[pl.DataFrame]:
+        rows = pl.concat(tables).reverse()
+        time = rows[stamps.column].to_numpy()
+        yield rows.with_columns(pl.Series(stamps.column, past_midnight(time) if stamps.clock else time))
+
+    return f"time: column {stamps.column!r} falls from row to row: rows put in the order of time", turned
 
 
 def _recordings(log: ForeignLog) -> tuple[Edges | None, str]:

@@ -282,14 +282,9 @@ class _Sieve:
 
 
 def regular_grid(source: LogSource, spec: LogSpec) -> Grid:
-    """The grid of rows that are equally spaced: the straight line through all time stamps, whatever their resolution
-    and their delays."""
-    count, line = 0, _StampLine()
-    for time in _stamps(source, spec):
-        sound = is_reading(time)
-        line.add(np.arange(count, count + len(time), dtype=float)[sound], time[sound])
-        count += len(time)
-    grid = line.grid()
+    """Grid of equally spaced rows: the straight line through all time stamps, whatever their resolution and delays."""
+    stamps = _stamps(source, spec)
+    grid = _line_through(np.arange(len(stamps), dtype=float), stamps)
     if not grid.interval > 0.0:
         raise LogError(
             f"{source.path}: expected times that grow, found rows {grid.interval:.3g} s apart; check log.time"
@@ -298,32 +293,28 @@ def regular_grid(source: LogSource, spec: LogSpec) -> Grid:
 
 
 def rounded_grid(source: LogSource, spec: LogSpec, interval: float) -> Grid | None:
-    """The grid whose times, rounded to decimals or to the last bit of 32, are the time stamps of rows about `interval`
-    s apart; None where they are none."""
-    line, number, last = _StampLine(), 0.0, None
-    decimals, single, largest = 0, True, 0.0
-    for time in _stamps(source, spec):
-        stamps = time / spec.time_factor
-        largest = max(largest, float(np.abs(stamps).max(initial=0.0)))
-        single &= bool((stamps.astype(np.float32) == stamps).all())
-        while decimals <= _FINEST:
-            scaled = stamps * 10.0**decimals
-            if (np.abs(scaled - np.rint(scaled)) <= _ROUNDING * np.abs(scaled) + 1e-9).all():
-                break
-            decimals += 1
-        step = 10.0**-decimals if decimals <= _FINEST else float(np.spacing(np.float32(largest))) if single else 0.0
-        step *= spec.time_factor
-        if not (is_reading(stamps).all() and 0.0 < step <= _COARSEST * interval):
-            return None
-        numbers = number + np.cumsum(np.rint(np.diff(time, prepend=time[:1] if last is None else last) / interval))
-        line.add(numbers, time)
-        if len(time):
-            number, last = float(numbers[-1]), time[-1:]
-    grid = line.grid(rounded=True)
-    if not grid.interval > 0.0:
+    """Grid whose times, rounded to decimals or to the last bit of 32, are the time stamps of rows about `interval` s
+    apart; None if they are none."""
+    stamps = _stamps(source, spec)
+    step = _resolution(stamps / spec.time_factor) * spec.time_factor
+    if not (is_reading(stamps).all() and 0.0 < step <= _COARSEST * interval):
         return None
-    off = (np.abs(time - grid.nearest(time)).max(initial=0.0) for time in _stamps(source, spec))
-    return grid if max(off) <= _OFF * step else None
+    grid = _line_through(np.cumsum(np.rint(np.diff(stamps, prepend=stamps[:1]) / interval)), stamps)
+    fits = grid.interval > 0.0 and np.abs(stamps - grid.nearest(stamps)).max(initial=0.0) <= _OFF * step
+    return replace(grid, rounded=True) if fits else None
+
+
+def _resolution(stamps: Array) -> float:
+    """Step to which numbers are rounded: a decimal, or the last bit of 32; 0 if to none."""
+    for decimals in range(_FINEST + 1):
+        for part in (stamps[:1000], stamps):  # of most logs the first rows decide
+            scaled = part * 10.0**decimals
+            if (np.abs(scaled - np.rint(scaled)) > _ROUNDING * np.abs(scaled) + 1e-9).any():
+                break
+        else:
+            return float(10.0**-decimals)
+    single = (stamps.astype(np.float32) == stamps).all()
+    return float(np.spacing(np.float32(np.abs(stamps).max(initial=0.0)))) if single else 0.0
 
 
 def burst_grid(source: LogSource, spec: LogSpec, head: Array) -> Grid | None:
@@ -336,7 +327,7 @@ def burst_grid(source: LogSource, spec: LogSpec, head: Array) -> Grid | None:
         return None
     bursts = 1 + int(np.count_nonzero(changes > _WITHIN * scatter))
     window = _ABOUT_LINE * math.ceil(len(head) / bursts)
-    grid, time = regular_grid(source, spec), np.concatenate(list(_stamps(source, spec)))
+    grid, time = regular_grid(source, spec), _stamps(source, spec)
     off = time - grid.start - grid.interval * np.arange(len(time))
     windows = len(off) // window
     if windows < 2 or not is_reading(time).all():
@@ -347,38 +338,26 @@ def burst_grid(source: LogSource, spec: LogSpec, head: Array) -> Grid | None:
     return replace(grid, jitter=jitter) if stays and jitter > _FAST * means.std() else None
 
 
-class _StampLine:
-    """The straight line of least squares through times over numbers."""
-
-    def __init__(self) -> None:
-        self._start: float | None = None
-        self._sums = np.zeros(5)  # of 1, k, t, k², k t
-
-    def add(self, k: Array, time: Array) -> None:
-        """Add times (m,), s, of these numbers (m,)."""
-        if self._start is None and len(time):
-            self._start = float(time[0])
-        t = time - (self._start or 0.0)
-        self._sums += [len(k), k.sum(), t.sum(), (k * k).sum(), (k * t).sum()]
-
-    def grid(self, *, rounded: bool = False) -> Grid:
-        """The line as a grid."""
-        ones, k1, t1, k2, kt = self._sums.tolist()
-        interval = (ones * kt - k1 * t1) / (ones * k2 - k1 * k1)
-        return Grid(start=(self._start or 0.0) + (t1 - interval * k1) / ones, interval=interval, rounded=rounded)
+def _line_through(numbers: Array, stamps: Array) -> Grid:
+    """Straight line of least squares through time stamps (m,), s, of rows with these numbers (m,)."""
+    sound = is_reading(stamps)
+    k, t = numbers[sound], stamps[sound]
+    k_mean, t_mean = float(k.mean()), float(t.mean())
+    k = k - k_mean
+    interval = float(k @ (t - t_mean)) / float(k @ k)
+    return Grid(start=t_mean - interval * k_mean, interval=interval)
 
 
-def _stamps(source: LogSource, spec: LogSpec) -> Iterator[Array]:
-    """All time stamps, s, of the lines that are rows, table by table; times of day go on past midnight."""
+def _stamps(source: LogSource, spec: LogSpec) -> Array:
+    """All time stamps (m,), s, of the lines that are rows; times of day go on past midnight."""
     assert spec.time is not None
-    first, days, last = 1, 0, np.empty(0)
+    first, parts = 1, [np.empty(0)]
     for table, unread in source.tables([spec.time], spec.time if spec.clock else None):
-        keep = np.ones(table.height, dtype=bool)
-        keep[[u.row - first for u in unread if u.kind in (Kind.NO_ROW, Kind.CUT)]] = False
+        rows = np.ones(table.height, dtype=bool)
+        rows[[u.row - first for u in unread if u.kind in (Kind.NO_ROW, Kind.CUT)]] = False
+        parts.append(table[spec.time].to_numpy()[rows] * spec.time_factor)
         first += table.height
-        time = table[spec.time].to_numpy()[keep] * spec.time_factor
-        passed = days + np.cumsum(np.diff(np.concatenate([last, time])) < -_HALF_DAY) if spec.clock else np.zeros(0)
-        if len(passed):
-            last, days = time[-1:], int(passed[-1])
-            time = time + 2.0 * _HALF_DAY * np.concatenate([np.zeros(len(time) - len(passed)), passed])
-        yield time
+    stamps = np.concatenate(parts)
+    if spec.clock:
+        stamps += 2.0 * _HALF_DAY * np.cumsum(np.diff(stamps, prepend=stamps[:1]) < -_HALF_DAY)
+    return stamps

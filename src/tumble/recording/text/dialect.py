@@ -285,6 +285,7 @@ def encoding_of(seen: bytes) -> str:
     return "latin-1"
 
 
+@lru_cache(maxsize=2)
 def dialect_of(seen: bytes) -> tuple[Dialect, Top] | None:
     """How a text log is written, by its first bytes, and what stands above its numbers; None where it has no rows of
     numbers."""
