@@ -125,7 +125,7 @@ class Log(Brief):
         memory that of the names and numbers of the columns that are read."""
         digest = hashlib.sha256()
         for file in self.session.log.files:
-            if isinstance(file, TableLog):
+            if isinstance(file, TableLog) and file.in_memory:
                 for piece in file.content(self.session.log.columns):
                     digest.update(piece)
             else:

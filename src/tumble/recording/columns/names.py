@@ -61,7 +61,7 @@ class Columns:
     """The columns found in a table: the time with its unit (None where the name does not say), one triad of each kind,
     and the `temperatures` as [log.temperature] has them. `others` are the names of
     triads of the same kinds, and of thermometers, that were not taken, `times` those of all times, `interval` that of
-    the times from sample to sample."""
+    the times from sample to sample. `unsure`: whether by their numbers others are hardly less likely."""
 
     time: str | None
     time_unit: str | None
@@ -70,6 +70,7 @@ class Columns:
     others: tuple[str, ...] = ()
     times: tuple[str, ...] = ()
     interval: str | None = None
+    unsure: bool = False
 
 
 def columns_by_name(names: Iterable[str]) -> Columns:

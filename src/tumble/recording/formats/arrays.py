@@ -28,7 +28,7 @@ from scipy.io.matlab import MatlabOpaque, MatReadError
 from tumble.errors import InputError
 from tumble.recording.columns.names import ACCEL, columns_by_name
 from tumble.recording.columns.names import Columns as Known
-from tumble.recording.columns.numbers import columns_by_data, grows
+from tumble.recording.columns.numbers import columns_by_data, grows, guesses
 from tumble.recording.formats import TIME, Message
 from tumble.recording.rows.gaps import is_reading
 from tumble.recording.text.pieces import check_unpacked, largest_unpacked
@@ -126,11 +126,10 @@ def _with_told_by_data(columns: Mapping[str, Column], known: Known) -> tuple[Kno
     if not 0 < len(together) <= _WIDEST:
         return known, ""
     told = columns_by_data(list(together), np.column_stack([column.part(_WHOLE) for column in together.values()]))
-    found = told.columns
-    if ACCEL not in found.triads:
+    if ACCEL not in told.triads:
         return known, ""
-    remark = "; ".join(told.guesses(known.triads))
-    return replace(known, triads={**found.triads, **known.triads}, time=known.time or found.time), remark
+    remark = "; ".join(guesses(told, known.triads))
+    return replace(known, triads={**told.triads, **known.triads}, time=known.time or told.time), remark
 
 
 def _rows(columns: Mapping[str, Column], length: int, time: str | None, factor: float) -> Iterator[pl.DataFrame]:

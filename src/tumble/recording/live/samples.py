@@ -11,7 +11,7 @@ import numpy as np
 import polars as pl
 
 from tumble.recording.log import Chunk, samples_of_file
-from tumble.recording.log_source import Unread, in_column
+from tumble.recording.log_source import LogSource, Tables
 from tumble.recording.rows.gaps import Gap, Grid, is_reading
 from tumble.recording.session import LogSpec
 from tumble.units import Array
@@ -26,30 +26,18 @@ SI_LOG: Mapping[str, Any] = {
 _HEAD = 100
 
 
-@dataclass(kw_only=True, slots=True, eq=False)
-class _ComingRows:
-    """The source of a log of which rows may come at any time: while none has, its tables are empty."""
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _ComingRows(LogSource):
+    """A log of which rows may come at any time: while none has, its tables are empty."""
 
-    path: Path
-    names: tuple[str, ...]
     waiting: list[Array] = field(default_factory=list)
 
-    def first_date(self, column: str) -> str | None:
-        del column
-        return None
-
-    def tables(self, columns: Sequence[str], clock: str | None = None) -> Iterator[tuple[pl.DataFrame, list[Unread]]]:
+    def read(self, columns: Sequence[str], clock: str | None) -> Tables:
         del clock
         while True:
             rows = np.concatenate([np.empty((0, len(self.names))), *self.waiting])
             self.waiting.clear()
             yield pl.DataFrame(rows, schema=list(self.names), orient="row").select(columns), []
-
-    def whole(self, numbers: Sequence[str]) -> Iterator[pl.DataFrame]:
-        return (table for table, _ in self.tables(numbers))
-
-    def place(self, row: int, column: str | None = None) -> str:
-        return f"{self.path}: row {row}" + in_column(column)
 
 
 class StreamedSamples:

@@ -387,7 +387,11 @@ def source_of(text: str) -> LineSource:
             return GrowingFile(Path(rest))
         case "replay" if rest:
             folder, _, speed = rest.rpartition("@") if "@" in rest else (rest, "", "1x")
-            return Replay(Path(folder), speed_of(text, speed))
+            with contextlib.suppress(ValueError):
+                times = math.inf if speed == "max" else float(speed.removesuffix("x"))
+                if times > 0.0:
+                    return Replay(Path(folder), times)
+            raise InputError(f"--listen {text}: expected a speed such as @20x, found @{speed}")
         case "udp" | "tcp":
             if number is None or number > 65535:
                 raise InputError(f"--listen {text}: expected a port from 0 to 65535, found {last!r}")
@@ -402,14 +406,3 @@ def source_of(text: str) -> LineSource:
         "--listen: expected file:PATH, replay:FOLDER@20x, stdin, udp:PORT, tcp:PORT, serial:DEVICE:BAUD "
         f"or mavlink:udp:PORT, found {text!r}"
     )
-
-
-def speed_of(text: str, speed: str) -> float:
-    """How many times as fast as time passes, of "20x" or "max"; `text` stands after --listen."""
-    try:
-        times = math.inf if speed == "max" else float(speed.removesuffix("x"))
-    except ValueError:
-        times = 0.0
-    if not times > 0.0:
-        raise InputError(f"--listen {text}: expected a speed such as @20x, found @{speed}")
-    return times

@@ -22,7 +22,17 @@ import numpy as np
 import polars as pl
 
 from tumble.errors import LogError
-from tumble.recording.log_source import BLANK_LINE, Kind, Unread, in_column, one_ahead, readable, rows_of_numbers
+from tumble.recording.log_source import (
+    BLANK_LINE,
+    Kind,
+    LogSource,
+    Tables,
+    Unread,
+    in_column,
+    one_ahead,
+    readable,
+    rows_of_numbers,
+)
 from tumble.recording.session import LogSpec
 from tumble.recording.text.dialect import (
     BLANKS,
@@ -32,6 +42,7 @@ from tumble.recording.text.dialect import (
     LINE_BYTES,
     MONTHS,
     NAMED_MONTH,
+    SEEN_BYTES,
     Dialect,
     head_lines,
     names_of_rows,
@@ -52,20 +63,18 @@ _GPS_START = 3657
 _WEEK = f'^\\s*"?{GPS_WEEK}"?$'
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class TextLog:
-    """A text log. Rows that cannot be read come as NaN, with what was found in them."""
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class TextLog(LogSource):
+    """A text log in a dialect, with `top` lines above its first data row. Rows that cannot be read come as NaN, with
+    what was found in them."""
 
-    path: Path
-    names: tuple[str, ...]
     dialect: Dialect
     top: int
-    """Lines above the first data row."""
 
     def first_date(self, column: str) -> str | None:
         return date_of(self._cell(next(self.pieces(), b""), column))
 
-    def tables(self, columns: Sequence[str], clock: str | None = None) -> Iterator[tuple[pl.DataFrame, list[Unread]]]:
+    def read(self, columns: Sequence[str], clock: str | None) -> Tables:
         if missing := [column for column in columns if column not in self.names]:  # its first rows are of no one width
             raise LogError(f"{self.path}: expected a column {missing[0]}, found {', '.join(self.names)}")
         first, day, pieces = 1, None, self.pieces()
@@ -234,7 +243,7 @@ def text_log(path: Path, dialect: Dialect | None) -> TextLog:
         names = names_of_rows([name.strip() for name in above], [cells for cells in below if cells])
         return TextLog(path=path, names=numbered(names), dialect=Dialect(), top=1)
     with opened(path, dialect.encoding) as stream:
-        top = top_of(head_lines(stream), dialect)
+        top = top_of(head_lines(stream.read(SEEN_BYTES)), dialect)
     if top is None:
         raise LogError(f"{path}: expected rows of numbers with log.delimiter {dialect.delimiter!r}, found none")
     return TextLog(path=path, names=top.names, dialect=dialect, top=top.lines)
