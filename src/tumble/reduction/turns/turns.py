@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from itertools import accumulate, pairwise
+from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
@@ -36,12 +36,13 @@ from tumble.reduction.rests.rests import Rests
 from tumble.reduction.rests.segmentation import Stretch, unrecorded
 from tumble.reduction.rests.sway import FOURTH_DIFFERENCES, Sway
 from tumble.reduction.turns.array_motion import read_by
-from tumble.reduction.turns.moments import BlockCompensation, Compensation, Pieces, integrate, moments_of
+from tumble.reduction.turns.moments import BlockCompensation, Compensation, Pieces, integrate_in_parts
 from tumble.rotation import onto_body
 from tumble.sensors.model import Block, SensorKind, SensorModel
 from tumble.units import G_STANDARD, Array, IntArray
 
 PATH_STEPS = 32
+"""Steps of a turn in which the noise of its gyros is carried to its start."""
 VELOCITY_FLOOR = 1e-8  # m/s
 VELOCITY_STEP = 0.02  # of the velocity times the cube of the angle of a step: the error of the integration
 BEYOND_NOISE = 9.0
@@ -60,8 +61,6 @@ CONVERTERS = 2.0 ** np.arange(11, 32)
 EXACT, AT_END = 1e-6, 1e-3
 """Of a reading, and of a count: two readings that are the same, and a reading that is the end of a converter."""
 HALF_TURN = math.pi
-
-_BODY = Block(kind="gyro", axes=np.eye(3))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -217,7 +216,10 @@ def reduced_turns(
         ramps = beside.reshape(-1, 2) * (duration > 0.0)[:, None]  # not between the parts of a rest
         duration = duration + 0.5 * (ramps / reduction.rate).sum(axis=1)
         samples = replace(samples, start=start - ramps[:, 0], stop=stop + ramps[:, 1], ramps=ramps)
-    moments = integrate(samples.pieces(), len(first), linear_compensation(gyro, gyro.nominal(), accel, accel.nominal()))
+    nominal = linear_compensation(gyro, gyro.nominal(), accel, accel.nominal())
+    moments, C, V = integrate_in_parts(samples.pieces(), samples.lengths, PATH_STEPS, nominal)
+    seconds = moments.T.reshape(-1, PATH_STEPS)
+    Phi = np.einsum("kpij,kpj...->ki...", C[:, :-1], moments.Phi[..., :4].reshape(-1, PATH_STEPS, 3, 3, 4))
     long = np.maximum(duration, block_seconds)
     of_forces, of_rates = (
         _in_body(block, _by_rounding(samples, block, rounded[block.kind])) for block in (accel, gyro)
@@ -234,20 +236,24 @@ def reduced_turns(
     velocity = np.array([T**2 * np.trace(of_mean(accel, of_accel, T)) / 3.0 for T in long])
     velocity += np.trace(of_forces, axis1=1, axis2=2) / 3.0
     # rounding, and the integration, of third order in the angle of a step (docs/explanation/mathematics.md (6))
-    angle = np.sqrt(moments.body_rates[:, [0, 3, 5]].sum(axis=1) * moments.T) / np.maximum(stop - start, 1)
-    floor = VELOCITY_FLOOR + VELOCITY_STEP * np.linalg.norm(moments.V, axis=1) * angle**3
-    covariance = _carried(samples, density) + TURN_FLOOR**2 * np.eye(3)
+    squares = moments.body_rates[:, [0, 3, 5]].reshape(len(first), -1).sum(axis=1)
+    angle = np.sqrt(squares * seconds.sum(axis=1)) / np.maximum(stop - start, 1)
+    floor = VELOCITY_FLOOR + VELOCITY_STEP * np.linalg.norm(V[:, -1], axis=1) * angle**3
+    # ∫ C N Cᵀ w dt by the trapezoidal rule; w in place of w² lets neighbouring turns of a device that sways be
+    # independent, which have the noise of the rest between them in common
+    rotated = C @ density[:, None] @ np.swapaxes(C, 2, 3)
+    covariance = 0.5 * np.einsum("kp,kpij->kij", seconds, rotated[:, 1:] + rotated[:, :-1]) + TURN_FLOOR**2 * np.eye(3)
     turns = Turns(
         first=first,
         last=first + 1,
         duration=duration,
-        C=moments.C,
-        M=moments.Phi[..., 1:4],
-        B=moments.Phi[..., 0],
+        C=C[:, -1],
+        M=Phi[..., 1:],
+        B=Phi[..., 0],
         covariance=covariance,
         arising=np.array([of_gyro.arising(T / block_seconds) for T in long]),
         velocity_covariance=(velocity + floor**2)[:, None, None] * np.eye(3),
-        jumps=moments.jumps,
+        jumps=moments.jumps.reshape(-1, PATH_STEPS).sum(axis=1),
         aliased=aliased_rotations(samples, covariance),
     )
     return turns, samples
@@ -349,30 +355,6 @@ def turn_readings(
         integral[k] = seconds[between] @ blocks.gyro.means[between]
         covariance[k] += T**2 * noise.covariance_of_mean(max(T / reduction.block_seconds, 1.0))
     return TurnReadings(integral=integral, covariance=covariance + TURN_FLOOR**2 * np.eye(gyro.size))
-
-
-def _carried(samples: TurnSamples, density: Array) -> Array:
-    """∫ C N Cᵀ w dt (K, 3, 3), rad², of the turns and the density N (K, 3, 3), rad²/s, of their gyro noise, by the
-    trapezoidal rule over PATH_STEPS steps a piece. Of a device that sways w in place of w² lets neighbouring turns be
-    independent, which have the noise of the rest between them in common."""
-    C = np.broadcast_to(np.eye(3), density.shape).copy()
-    out = np.zeros_like(density)
-    nominal = linear_compensation(_BODY, _BODY.nominal(), _BODY, _BODY.nominal())
-    for pieces in samples.pieces():
-        passed = np.concatenate([[0.0], np.cumsum(pieces.intervals)])
-        cuts = [
-            np.unique(np.linspace(a, b, PATH_STEPS + 1).astype(np.int64))
-            for a, b in zip(pieces.start, pieces.stop, strict=True)
-        ]
-        start, stop = np.concatenate([c[:-1] for c in cuts]), np.concatenate([c[1:] for c in cuts])
-        steps, at = moments_of(replace(pieces, start=start, stop=stop), nominal).C, 0
-        for k, edges in zip(pieces.turn, cuts, strict=True):
-            path = np.array(list(accumulate(steps[at : at + len(edges) - 1], np.matmul, initial=C[k])))
-            at += len(edges) - 1
-            rotated = path @ density[k] @ np.swapaxes(path, 1, 2)
-            out[k] += 0.5 * np.tensordot(np.diff(passed[edges]), rotated[1:] + rotated[:-1], axes=1)
-            C[k] = path[-1]
-    return out
 
 
 # Turns that are left out
