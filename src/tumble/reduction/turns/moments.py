@@ -30,12 +30,12 @@ import numpy as np
 from tumble.reduction.turns import moment_kernels as _kernels
 from tumble.rotation import onto_body, skew
 from tumble.sensors.model import SensorModel
+from tumble.sensors.parameters import PAIRS
 from tumble.units import Array, IntArray
 
 NO_AXES: Array = np.empty((0, 3))
 PARTS = 8
 """Parts of a turn in which something grows: a staircase of n steps has 1 − 1/n² of what a line does."""
-_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
 # What the samples are compensated with -------------------------------------------------------------------------
@@ -214,7 +214,7 @@ def integrate(
             where = turn[part], start[part], stop[part]
             _kernels.integrate_pieces((rates, forces, intervals), where, by._kernel_model(), axes, sums)
         del pieces, rates, forces, intervals  # before the next are read
-    cross = _skews(attitude[:, 1:])  # of unit quaternions, scalar first
+    cross = skew(attitude[:, 1:])  # of unit quaternions, scalar first
     Phi, body = products[:, :9].reshape(count, 3, 3, rows), products[:, 9]
     with np.errstate(over="ignore", invalid="ignore"):  # of turns of damaged samples, which are judged later
         Psi = _crossed(Phi[..., :moved_rows], V) - moved.reshape(count, 3, 3, moved_rows)
@@ -238,21 +238,13 @@ def integrate(
 
 def _crossed(matrices: Array, V: Array) -> Array:
     """The columns M_jb (K, 3, 3, R) of each turn times its V (K, 3): (M_jb × V)_i = −([V×] M_jb)_i."""
-    return _turned(-_skews(V), matrices)
+    return _turned(-skew(V), matrices)
 
 
 def _turned(C: Array, matrices: Array) -> Array:
     """C (K, 3, 3) times the columns of (K, 3, …)."""
     flat = matrices.reshape(*matrices.shape[:2], math.prod(matrices.shape[2:]))
     return np.asarray((C @ flat).reshape(matrices.shape))
-
-
-def _skews(vectors: Array) -> Array:
-    """[v×] (K, 3, 3) of vectors (K, 3)."""
-    return np.asarray(np.einsum("kj,jab->kab", vectors, _GENERATORS))
-
-
-_GENERATORS = np.array([skew(axis) for axis in np.eye(3)])
 
 
 def integrate_in_parts(
@@ -316,7 +308,7 @@ def growing_moments(batches: Iterable[Pieces], lengths: IntArray, compensation: 
     Phi = _turned(before, moments.Phi)
     after = (V[:, -1:] - V[:, 1:]).reshape(-1, 3)
     Psi = _turned(before, moments.Psi) + _crossed(Phi[..., : _kernels.LINEAR], after)
-    Phi, Psi = (np.einsum("kp,kp...->k...", weight, each.reshape(*T.shape, 3, 3, -1)) for each in (Phi, Psi))
+    Phi, Psi = (np.einsum("kp,kp...->k...", weight, each.reshape(-1, PARTS, *each.shape[1:])) for each in (Phi, Psi))
     return Phi, Psi
 
 
@@ -331,15 +323,15 @@ def lever_columns(moments: Moments, left_inverse: Array, axes: Array, rates: tup
     with s_p a_pᵀ for e_p e_pᵀ, so that it holds for any axes, and with the `rates` (K, 3) in the body at the start and
     at the end, which at rest are the Earth's. 0 of what takes no time."""
     along = np.einsum("jp,pa->pja", left_inverse, axes)
-    first, second = (np.array([_GENERATORS[list(pair)[side]] for pair in _PAIRS]) for side in (0, 1))
-    weights = np.zeros((3, len(_PAIRS), len(axes), 3))
+    first, second = (skew(np.eye(3)[list(each)]) for each in zip(*PAIRS, strict=True))
+    weights = np.zeros((3, len(PAIRS), len(axes), 3))
     for G, H, which in ((first, second, slice(None)), (second, first, [1, 2, 4])):
         kernel = np.einsum("pja,kab,kbr->jkpr", along, G, H) - np.einsum("kja,pab,kbr->jkpr", G, along, H)
         weights[:, which] += kernel[:, which]
-    flat = weights.reshape(3 * len(_PAIRS), -1)
+    flat = weights.reshape(3 * len(PAIRS), -1)
     columns = -np.asarray(moments.W.reshape(len(moments), 3, len(flat)) @ flat)
     first, last = (
-        np.einsum("pja,kab->kjpb", along, _skews(rate)).reshape(len(rate), *columns.shape[1:]) for rate in rates
+        np.einsum("pja,kab->kjpb", along, skew(rate)).reshape(len(rate), *columns.shape[1:]) for rate in rates
     )
     return np.asarray(columns - (moments.C @ last - first) * np.sign(moments.T)[:, None, None])
 

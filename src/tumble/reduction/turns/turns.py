@@ -236,7 +236,7 @@ def reduced_turns(
     velocity = np.array([T**2 * np.trace(of_mean(accel, of_accel, T)) / 3.0 for T in long])
     velocity += np.trace(of_forces, axis1=1, axis2=2) / 3.0
     # rounding, and the integration, of third order in the angle of a step (docs/explanation/mathematics.md (6))
-    squares = moments.body_rates[:, [0, 3, 5]].reshape(len(first), -1).sum(axis=1)
+    squares = moments.body_rates[:, [0, 3, 5]].reshape(-1, PATH_STEPS, 3).sum(axis=(1, 2))
     angle = np.sqrt(squares * seconds.sum(axis=1)) / np.maximum(stop - start, 1)
     floor = VELOCITY_FLOOR + VELOCITY_STEP * np.linalg.norm(V[:, -1], axis=1) * angle**3
     # ∫ C N Cᵀ w dt by the trapezoidal rule; w in place of w² lets neighbouring turns of a device that sways be
