@@ -167,6 +167,7 @@ class _Sieve:
         self.last = float(rows.time[-1]) if len(rows.time) else self.last
         return rows
 
+    @np.errstate(invalid="ignore")  # of a first time that is -inf, as the one before it
     def _timed(self, rows: LogRows) -> LogRows:
         """The rows in the order of their times, which go on past midnight, without those that leap, fall or repeat."""
         if self.spec.clock and len(rows.time):
@@ -182,6 +183,7 @@ class _Sieve:
             return rows
         return self.judged(rows if self.held is None else self.held.followed_by(rows), last=False)
 
+    @np.errstate(invalid="ignore")
     def judged(self, rows: LogRows, *, last: bool) -> LogRows:
         """Without rows that leap and without rows that are no later than one before them. Unless they are the `last` of
         the file, rows at the end that may leap are held back, and so are those that are no later."""
