@@ -266,7 +266,9 @@ def test_a_clock_that_starts_anew_costs_the_turn_or_the_part_of_the_rest_that_it
     assert bench.screen == "done"
     eventually(lambda: _stepped(bench)["estimate"]["rests"] == 9, 60.0)
     folder = bench.station.folder
-    assert [Path(str(file)).name for file in read_session(folder).log.files] == [f"log{n}.csv" for n in ("", "-2", "-3", "-4")]
+    assert [Path(str(file)).name for file in read_session(folder).log.files] == [
+        f"log{n}.csv" for n in ("", "-2", "-3", "-4")
+    ]
     calibration = calibrate(folder)
     assert (calibration.outcome.accepted, len(calibration.evidence.rests)) == (True, 9)
     again = Station(folder, None, wanted=("accel.bias=1mg", "gyro.bias=100deg/h"))
