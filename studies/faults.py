@@ -373,24 +373,38 @@ def _strange_files(there: dict[str, bytes], alone: dict[str, bytes]) -> str:
 
 
 def streams(bench: Bench, commands: dict[str, str]) -> Found:
-    """Standard input, output and error closed; a pipe that nobody reads; /dev/full; a terminal of 20 columns."""
+    """Standard input, output and error closed, one, two or all of them; a pipe that nobody reads, or of which a byte is
+    read; /dev/full; a terminal of 20 columns."""
+    streams = ("input", "output", "error")
     for name, command in commands.items():
-        for number, what in enumerate(("input", "output", "error")):
+        for closed in ((0,), (1,), (2,), (1, 2), (0, 1, 2)):
             bench.emptied()
-            ended = bench.run_fresh(command, preexec_fn=lambda number=number: os.close(number))
-            yield f"{name}, standard {what} closed", ended.fault()
-        bench.emptied()
-        reading, writing = os.pipe()
-        os.close(reading)
-        ended = bench.run_fresh(command, stdout=writing)
-        os.close(writing)
-        yield f"{name}, a pipe that nobody reads", ended.fault() or ("it complains" if "tumble:" in ended.err else "")
+            ended = bench.run_fresh(command, preexec_fn=lambda closed=closed: [*map(os.close, closed)])
+            yield f"{name}, standard {' and '.join(streams[n] for n in closed)} closed", ended.fault()
+        for count in (0, 1):
+            bench.emptied()
+            reading, writing = os.pipe()
+            reader = threading.Thread(target=_read_and_close, args=(reading, count))
+            reader.start()
+            if not count:
+                reader.join()
+            ended = bench.run_fresh(command, stdout=writing)
+            os.close(writing)
+            reader.join()
+            complains = "it complains" if "tumble:" in ended.err else ""
+            yield f"{name}, a pipe of which {count} bytes are read", ended.fault() or complains
         if Path("/dev/full").exists():
             bench.emptied()
             with Path("/dev/full").open("w", encoding="utf-8") as full:
                 yield f"{name}, standard output full", bench.run_fresh(command, stdout=full).fault()
         bench.emptied()
         yield f"{name}, a terminal of 20 columns", _on_terminal(bench, command, 20)
+
+
+def _read_and_close(descriptor: int, count: int) -> None:
+    if count:
+        os.read(descriptor, count)
+    os.close(descriptor)
 
 
 def _on_terminal(bench: Bench, command: str, columns: int) -> str:
@@ -774,7 +788,7 @@ EVERY: dict[str, tuple[Callable[[Bench, dict[str, str]], Found], dict[str, str]]
     "folders": (folders, WRITERS),
     "killed": (killed, WRITERS),
     "two": (two_at_once, WRITERS),
-    "streams": (streams, _of(FAMILIES)),
+    "streams": (streams, WRITERS | READERS),
     "surroundings": (surroundings, _of(FAMILIES)),
     "bombs": (bombs, {}),
     "inputs": (inputs_of_others, {}),
