@@ -9,7 +9,7 @@ from dataclasses import replace
 from tumble.bench.follow.faults import Fault, SampleWatch
 from tumble.bench.follow.progress import Blocks, File, Judged, Progress, Rest, grouped
 from tumble.bench.follow.wishes import Task
-from tumble.bench.record.recorder import AGREEING_ROWS, NEXT_SECONDS, recorded_files
+from tumble.bench.record.recorder import NEXT_SECONDS, recorded_files
 from tumble.errors import LogError
 from tumble.recording.live.lines import Lines
 from tumble.recording.live.samples import StreamedSamples
@@ -74,7 +74,7 @@ class Live:
         self.at, self._number, self._streamed = 0, self._number + 1, streamed
         self.trouble, self._unreadable = "", False
         self._lines = Lines(columns=spec.columns, clock=spec.time, refuse=lambda _: None)  # counted by who records it
-        self._behind, self._latest, self._shift = 0, -math.inf, 0.0 if self.now is None else math.nan
+        self._latest, self._shift = -math.inf, 0.0 if self.now is None else math.nan
         self._searched: tuple[int, tuple[Exclusion, ...]] = 0, ()
 
     @property
@@ -154,24 +154,17 @@ class Live:
         return True
 
     def _look_at_clock(self, rows: Array) -> None:
-        """Report a clock that goes back: until it is where it was, the reader of the log takes no sample."""
+        """Say that the clock has gone back in a log of another program: until it is where it was, no sample is
+        taken."""
         spec = self._task.session.log
-        if spec.time is None or not self.samples:
-            return
-        times = rows[:, spec.columns.index(spec.time)] * spec.time_factor
-        time, late = float(times[-1]), times < self._latest - NEXT_SECONDS
-        self._behind = self._behind + int(late.sum()) if late[-1] else 0
-        if self._behind <= AGREEING_ROWS:  # as many are taken back into another file by who records it
-            self.trouble = ""
-            return
-        if not self.trouble:
-            at = self._latest
-            said = (
-                f"the clock goes back from {at:.1f} s to {time:.1f} s: another power-on, or wrong times before; what "
-                "follows is recorded, but such a log cannot be calibrated: record anew"
+        if spec.time is not None:
+            behind = self._latest - float(rows[-1, spec.columns.index(spec.time)]) * spec.time_factor
+            self.trouble = (
+                f"the clock has gone back by {behind:.0f} s, and the page waits for it: such a log cannot be "
+                f"calibrated, but --listen file:{self.files[-1].name} into another folder records a file for each clock"
+                if behind > NEXT_SECONDS
+                else ""
             )
-            self.faults.appendleft(Fault(kind="clock", said=said, start=at, stop=at, choices=("anew", "go_on")))
-        self.trouble = f"the clock is {self._latest - time:.0f} s behind: the page waits for it"
 
     def _take(self, chunk: Chunk, interval: float) -> None:
         """Find the faults of samples, and feed them to the reduction."""
