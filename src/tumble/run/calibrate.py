@@ -360,7 +360,7 @@ def estimated(
     unstamped = session.log.unstamped
     observations = replace(observations, start=start, notes=notes, by_clock=by_clock, unstamped=unstamped)
     try:
-        with np.errstate(over="ignore", invalid="ignore"):  # damaged samples, of which it breaks down
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # damaged samples, of which it breaks down
             estimate = method(replace(observations, usual={}) if linear_joint else observations)
         if estimate.method != "joint":  # which counts the time base itself
             change, relative = by_time_base(estimate.names, by_clock), max(map(abs, by_clock.values()), default=0.0)
