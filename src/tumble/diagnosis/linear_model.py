@@ -26,6 +26,7 @@ for any number of sensors.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import scipy
@@ -34,6 +35,7 @@ from tumble.diagnosis.undetermined import linear_names
 from tumble.inference.estimate import Estimate, GroupFinding
 from tumble.inference.joint import joint
 from tumble.inference.linearisation import Linearisation, linearise
+from tumble.inference.noise import SCATTER, VarianceComponents
 from tumble.inference.normal_equations import eliminate_rests, fold_sessions, mean_by_common, session_mean_bias
 from tumble.inference.prediction import prediction
 from tumble.inference.problem import Problem, instruments_of
@@ -80,7 +82,7 @@ class LeftOut:
             if group.name in instrument.members:
                 size = posterior.get(group_of(group.name).sized_with or group.name)
                 widened = group.prior_widened if size is None else size.root_mean_square
-                too_small[instrument.members[group.name]] = max(group.prior_widened, widened)
+                too_small[instrument.members[group.name]] = widened
         usual = problem.prior_u[1 + first :]
         return LeftOut(instrument=instrument, usual=usual, too_small=too_small[first:], moves=moves)
 
@@ -151,21 +153,30 @@ def groups_in_data(observations: Observations) -> tuple[Problem, Array]:
     return problem, np.concatenate([*every, np.zeros((1, groups))])
 
 
-def with_left_out_by_joint(estimate: Estimate, observations: Observations) -> Estimate:
-    """An estimate by `joint` of the linear model with what it leaves out, by its likelihood, judged by that of all
-    groups where there is one."""
-    linear, problem = estimate.linearised, whole_problem(observations)
-    if linear is None:
-        return estimate
-    instrument = problem.instrument
+def linear_joint(observations: Observations) -> Estimate:
+    """The estimate by `joint` of the linear model, with what it leaves out. Scatter and in-run biases are those that
+    stand beside all groups, where there is an estimate with these: else the groups would count twice."""
+    beside, problem = by_joint(observations), whole_problem(observations)
+    estimate = joint(replace(observations, usual={}), components=None if beside is None else components_in(beside))
+    linear, instrument = estimate.linearised, problem.instrument
+    assert linear is not None
     values = np.append(linear.point.values, np.zeros(len(instrument.names) - instrument.linear_count))
     point = replace(linear.point, values=values)
     about = None if linear.about is None else TurnsAbout.of(observations, instrument, values)
     moves = moves_by_likelihood(replace(linearise(problem, point, about), noise=linear.noise))
-    beside = by_joint(observations)
     if beside is not None and estimate.converged:
-        estimate = replace(estimate, linearised=beside.linearised, hyperparameters=beside.hyperparameters)
+        degrees = None if beside.degrees is None else beside.degrees[: instrument.linear_count]
+        beside_it = replace(estimate, linearised=beside.linearised, hyperparameters=beside.hyperparameters)
+        estimate = replace(beside_it, degrees=degrees)
     return with_left_out(estimate, LeftOut.of(problem, moves, beside), observations.site.gravity)
+
+
+def components_in(estimate: Estimate) -> VarianceComponents:
+    """Scatter and in-run biases of the sizes that count in the u of an estimate, the roots of their mean squares."""
+    assert estimate.linearised is not None
+    names = (*SCATTER, "accel_in_run", "gyro_in_run")
+    sizes: dict[str, Any] = {h.name: h.root_mean_square for h in estimate.hyperparameters if h.name in names}
+    return replace(estimate.linearised.components, **sizes)
 
 
 def moves_by_likelihood(rows: Linearisation) -> Array:
