@@ -95,7 +95,9 @@ def _estimate(observations: Observations, method: Method, intervals: bool) -> Es
     """The estimate of a method."""
     if method == "joint":
         return joint(observations, quick=not intervals)
-    return METHODS[method](observations) if method in METHODS else ITERATED_METHODS[method](observations, ITERATIONS)
+    if method in METHODS:
+        return METHODS[method](observations, intervals=intervals)
+    return ITERATED_METHODS[method](observations, ITERATIONS, intervals=intervals)
 
 
 def bound(scenario: Scenario, attitudes: Array, observations: Observations) -> dict[str, float]:

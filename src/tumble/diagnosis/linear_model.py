@@ -53,10 +53,10 @@ _NOTHING = 1e-9
 """Of the largest singular value: what rests do not determine is moved by nothing that they show."""
 
 
-def by_joint(observations: Observations) -> Estimate | None:
-    """What `joint` makes of observations; None where it does not converge or leaves a linear parameter open."""
+def by_joint(observations: Observations, intervals: bool = True) -> Estimate | None:
+    """What `joint` makes of observations, integrated for `intervals`; None where it does not converge or leaves a linear parameter open."""
     try:
-        found = joint(observations)
+        found = joint(observations, intervals=intervals)
     except np.linalg.LinAlgError:
         return None
     return found if found.converged and not linear_names(found.unobservable) else None

@@ -29,8 +29,9 @@ from tumble.sensors.parameters import units_of
 from tumble.units import Array
 
 
-def ellipsoid(observations: Observations) -> Estimate:
-    """The accelerometer parameters of a session with covariance.
+def ellipsoid(observations: Observations, *, intervals: bool = True) -> Estimate:
+    """The accelerometer parameters of a session with covariance. How large groups are is the maximum of `joint`, with
+    `intervals` integrated.
 
     Raises InputError for more than three accelerometers, and LinAlgError where the rests lie on no ellipsoid."""
     block, rests, site = observations.accel_block, observations.rests, observations.site
@@ -49,8 +50,8 @@ def ellipsoid(observations: Observations) -> Estimate:
     if not isinstance(found, Refusal):
         beside, sizes = None, None
         if observations.usual and found.converged:
-            beside = by_joint(observations.of_accelerometers())
-            sizes = beside if observations.turns is None else by_joint(observations)
+            beside = by_joint(observations.of_accelerometers(), intervals)
+            sizes = beside if observations.turns is None else by_joint(observations, intervals)
         return estimate_of(found, observations, beside, sizes or beside)
     if not len(found.null):
         raise np.linalg.LinAlgError(found.reason)

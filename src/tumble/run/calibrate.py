@@ -58,7 +58,7 @@ def _imported(module: str, name: str) -> Callable[..., Estimate]:
     return lambda *args, **words: getattr(import_module(f"tumble.methods.{module}"), name)(*args, **words)
 
 
-METHODS: Mapping[str, Estimator] = {
+METHODS: Mapping[str, Callable[..., Estimate]] = {
     "joint": joint,
     "ellipsoid": _imported("ellipsoid", "ellipsoid"),
 }
