@@ -55,8 +55,8 @@ def session_rows(seed: int, methods: Sequence[Method], intervals: bool, number: 
     methods
         Names of methods, see `tumble.calibrate`.
     intervals
-        Whether the joint method integrates over its hyperparameters, as `tumble.calibrate` does; else its u is that at
-        the maximum of the likelihood.
+        Whether joint, and what other methods take from it, is integrated over its hyperparameters, as
+        `tumble.calibrate` does; else u is that at the maximum of the likelihood.
     number
         Of the trial.
     cell

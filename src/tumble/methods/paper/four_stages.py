@@ -276,9 +276,7 @@ def _series(programme: Programme, position: IntArray, first: Sequence[int]) -> t
 # Iterations
 
 
-def iterated(
-    observations: Observations, method: PaperMethod, iterations: int, intervals: bool = True
-) -> Estimate:
+def iterated(observations: Observations, method: PaperMethod, iterations: int, intervals: bool = True) -> Estimate:
     """The estimate after so many iterations, at least one, with covariance. The first starts from what is known of the
     sensors (`Observations.start`). How large groups are is the maximum of `joint`, with `intervals` integrated. Raises
     InputError."""
