@@ -113,8 +113,8 @@ def next_positions(
     """The positions that a set-up's programme gains most by, the best first; of equally good ones the first.
 
     `wanted` are accuracies by group, SI, as weights in place of the spreads of the linear parameters; without `gyros`
-    accelerometers alone are calibrated. Without a `table` it is that of the programme. Raises InputError for values that make no sense, where there is no noise, and
-    where nothing that is calibrated is wanted.
+    accelerometers alone are calibrated. Without a `table` it is that of the programme. Raises InputError for values
+    that make no sense, where there is no noise, and where nothing that is calibrated is wanted.
     """
     timeless = (group for group in instrument_of(setup, gyros=True).further if group.variable is None)
     setup = replace(setup, further={group.name: setup.further[group.name] for group in timeless})

@@ -99,19 +99,8 @@ class Plan(Brief):
     has otherwise where a session does not state it."""
 
     json_fields: ClassVar[tuple[str, ...]] = (
-        *(
-            "verdict",
-            "reasons",
-            "remarks",
-            "assumptions",
-            "setup",
-            "method",
-            "rank",
-            "condition",
-            "groups",
-            "following",
-        ),
-        "requirements",
+        *("verdict", "reasons", "remarks", "assumptions", "setup", "method", "rank", "condition", "groups"),
+        *("following", "requirements"),
     )
     setup: Setup
     method: PlannedMethod

@@ -30,7 +30,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.linalg import block_diag
 
-from tumble.diagnosis.linear_model import LeftOut, by_joint, groups_in_data, with_left_out
+from tumble.diagnosis.linear_model import by_joint, groups_in_data, left_out_sizes, with_left_out
 from tumble.earth import earth_rate
 from tumble.errors import InputError, ProgrammeError, SessionError
 from tumble.inference.estimate import Estimate, Fit
@@ -479,11 +479,12 @@ def _estimate(
     rows = {"accelerometers": slice(0, n), "gyro rests": slice(n, 2 * n), "gyro turns": slice(2 * n, None)}
     groups = {name: _GROUPS[name] for name in list(_GROUPS)[: 3 if len(launch.blocks) == 2 else 1]}
 
-    observations, beside, found, by_groups = launch.observations, None, None, np.zeros((len(launch.data),) * 2)
+    problem, shown, observations, beside = None, np.zeros((len(launch.data), 0)), launch.observations, None
+    sizes = np.zeros(0)
     if observations.usual:
         beside, (problem, shown) = by_joint(observations, intervals), groups_in_data(observations)
-        found = LeftOut.of(problem, derivative @ shown, beside)
-        by_groups = (shown * found.sizes**2) @ shown.T
+        sizes = left_out_sizes(problem, beside)
+    by_groups = (shown * sizes**2) @ shown.T
 
     def residuals_of(name: str, scatter: Mapping[str, float]) -> Residuals:
         noise, chosen = launch.covariance(scatter) + by_groups, rows[name]
@@ -534,10 +535,10 @@ def _estimate(
         ),
         budget=budget,
     )
-    if found is None:
+    if problem is None:
         return estimate
     estimate = replace(estimate, linearised=None if beside is None or not converged else beside.linearised)
-    return with_left_out(estimate, found, observations.site.gravity)
+    return with_left_out(estimate, problem, derivative @ shown, sizes)
 
 
 def _budget(
