@@ -207,6 +207,70 @@ cdef for_each_processor _carry_back(const double[:, :, ::1] by_next, double[:, :
                 own[i, a, b] = own[i, b, a] = total
 
 
+def residuals(
+    const double[:, :, ::1] rows, const double[:, :, ::1] reduced, const int64_t[:] first, const double[:, :, ::1] own,
+    const double[:, :, ::1] with_next, const double[:, ::1] root, const double[::1] shared, double[:, ::1] residual,
+    double[:, :, ::1] covariance, double[:, ::1] work,
+):
+    """Residuals of rows (K, t, ·) and their covariances 1 - A S A' - (E U)(E U)'.
+
+    rows, reduced : [A | ...] (K, t, u + w) and with the unknowns of the stations as they follow from all others, E.
+    first (K,) : station of each, or the first of two.
+    own, with_next : S, covariances of the unknowns of a station with themselves and with those of the next.
+    root (w - 1, w - 1), shared (w,) : upper triangle U, and what the columns of E are multiplied with.
+    work (u + w, t) : memory.
+    """
+    with nogil:
+        _residuals(rows, reduced, first, own, with_next, root, shared, residual, covariance, work)
+
+
+cdef for_each_processor _residuals(
+    const double[:, :, ::1] rows, const double[:, :, ::1] reduced, const int64_t[:] first, const double[:, :, ::1] own,
+    const double[:, :, ::1] with_next, const double[:, ::1] root, const double[::1] shared, double[:, ::1] residual,
+    double[:, :, ::1] covariance, double[:, ::1] work,
+) noexcept nogil:
+    """The same; `work` has A S and E U, transposed."""
+    cdef double part, s
+    t, d, w = rows.shape[1], own.shape[1], reduced.shape[2]
+    u = rows.shape[2] - w
+    for k in range(rows.shape[0]):
+        i = first[k]
+        work[:, :] = 0.0
+        for a in range(t):
+            residual[k, a] = 0.0
+            for c in range(w):
+                residual[k, a] -= reduced[k, a, c] * shared[c]
+            for b in range(u):
+                part = rows[k, a, b]
+                if part != 0.0:
+                    for c in range(u):
+                        if b < d:
+                            s = own[i, b, c] if c < d else with_next[i, b, c - d]
+                        else:
+                            s = with_next[i, c, b - d] if c < d else own[i + 1, b - d, c - d]
+                        work[c, a] += part * s
+        for b in range(w - 1):
+            for c in range(b, w - 1):
+                s = root[b, c]
+                if s != 0.0:
+                    for a in range(t):
+                        work[u + c, a] += s * reduced[k, a, b]
+        for a in range(t):
+            for b in range(t):
+                covariance[k, a, b] = 1.0 if a == b else 0.0
+        for c in range(u):
+            for a in range(t):
+                part = rows[k, a, c]
+                if part != 0.0:
+                    for b in range(t):
+                        covariance[k, a, b] -= part * work[c, b]
+        for c in range(u, u + w - 1):
+            for a in range(t):
+                part = work[c, a]
+                for b in range(t):
+                    covariance[k, a, b] -= part * work[c, b]
+
+
 cpdef bint whiten(
     const double[:, :, :] noise, const double[:, :, :] directions, const int64_t[:] component,
     const double[:] variance, double[:, ::1] work, double[:, :, ::1] factors,

@@ -53,8 +53,8 @@ from tumble.inference.hyperparameters import (
     CorrelationTime,
     GroupSize,
     Hyperparameter,
+    Hyperparameters,
     InRunSize,
-    QuadraticForms,
     Score,
     log_prior,
     restricted_likelihood,
@@ -258,7 +258,7 @@ class Proposal:
     def about(fitted: Maximum) -> Proposal:
         """The proposal by the score and the average information at the maximum."""
         hyperparameters, solution, phi, B = fitted.hyperparameters, fitted.solution, fitted.phi, fitted.curvature
-        score, densities = Score(solution), dict[int, Density]()
+        forms, densities = Score(solution).of(hyperparameters), dict[int, Density]()
         sizes = [i for i, h in enumerate(hyperparameters) if isinstance(h, GroupSize)]
         if sizes:
             densities |= _densities_of_sizes(fitted, sizes)
@@ -281,7 +281,7 @@ class Proposal:
         densities |= _densities_of_times(fitted, spread)
         for i in (each for each in outer if each not in densities):
             h = hyperparameters[i]
-            density = partial(_size_density, h, phi[i], h.forms(score), curvature[i])
+            density = partial(_size_density, h, phi[i], (forms.square[i], forms.trace[i]), curvature[i])
             if i in times:
                 in_run[i] = times[i], density
             else:
@@ -318,7 +318,7 @@ class Proposal:
         return phi, log_q
 
 
-def _times_of(hyperparameters: Sequence[Hyperparameter]) -> dict[int, int]:
+def _times_of(hyperparameters: Hyperparameters) -> dict[int, int]:
     """Of every size of in-run biases the element that is their correlation time."""
     sizes, times = (
         [i for i, h in enumerate(hyperparameters) if isinstance(h, kind)] for kind in (InRunSize, CorrelationTime)
@@ -336,11 +336,11 @@ def _spread_in_session(noise: NoiseModel, log_time: Array) -> Array:
 
 
 def _size_density(
-    h: Hyperparameter, phi: float, forms: QuadraticForms, curvature: float, shift: float | Array = 0.0
+    h: Hyperparameter, phi: float, forms: tuple[float, float], curvature: float, shift: float | Array = 0.0
 ) -> Density:
     """The density along a standard deviation by the quadratic forms of its variance and the curvature of −ℓ at the
     maximum; a stack of them where the data see it exp(shift) times as large as there."""
-    square, trace = max(float(forms.square), 1e-6), max(float(forms.trace), 1e-6)
+    square, trace = max(forms[0], 1e-6), max(forms[1], 1e-6)
     informed = curvature - float(h.log_prior(np.array(phi))[2])
     share = float(np.clip(informed / (2.0 * square), 1e-3, 1.0 - 1e-6))  # 1/(u + 1)
     half = REACH * float(np.clip(curvature**-0.5, 0.5, 1.5))
@@ -409,7 +409,7 @@ class Triangle:
 
 
 def triangles(
-    linearisation: Linearisation, hyperparameters: Sequence[Hyperparameter], phi: Array, members: IntArray
+    linearisation: Linearisation, hyperparameters: Hyperparameters, phi: Array, members: IntArray
 ) -> Iterator[Triangle]:
     """The triangles at φ (K, D), whatever this has for the groups whose parameters are `members` (g,) of those of the
     instrument."""
@@ -499,10 +499,10 @@ def _densities_of_sizes(fitted: Maximum, sizes: list[int]) -> dict[int, Density]
     members, element = members_of(fitted, np.array(sizes))
     (triangle,) = triangles(fitted.linearisation, hyperparameters, phi[None], members)
     usual, out = fitted.usual_problem.usual_u[1 + members], dict[int, Density]()
-    score = Score(fitted.solution)
+    double = Score(fitted.solution).of(hyperparameters).double
     for i in sizes:
         h, at_bound = hyperparameters[i], phi[i] <= 0.0
-        curvature = 2.0 * float(h.forms(score).double) + h.within**-2 if at_bound else fitted.curvature[i, i]
+        curvature = 2.0 * float(double[i]) + h.within**-2 if at_bound else fitted.curvature[i, i]
         size = max(curvature, h.within**-2) ** -0.5
         p = max(phi[i], 0.0) + KNOTS * size if at_bound else np.linspace(0.0, phi[i] + KNOTS[-1] * size, 2 * len(KNOTS))
         every = np.tile(phi, (len(p), 1))

@@ -42,7 +42,7 @@ from tumble.inference.hyperparameters import (
     LEAST_DEGREES,
     CorrelationTime,
     GroupSize,
-    Hyperparameter,
+    Hyperparameters,
     InRunSize,
     Scatter,
     average_information,
@@ -121,7 +121,7 @@ class Maximum:
     """
 
     linearisation: Linearisation
-    hyperparameters: tuple[Hyperparameter, ...]
+    hyperparameters: Hyperparameters
     solution: Solution
     point: Point
     curvature: Array
@@ -173,8 +173,8 @@ def maximum(
     problem, linearisation = start.problem, start
     hyperparameters = hyperparameters_of(problem, start.noise, _seen(solve(start, NO_COMPONENTS)))
     if phi is None or len(phi) != len(hyperparameters):
-        phi = np.array([h.centre for h in hyperparameters])
-    bounded = np.array([h.bounded for h in hyperparameters], dtype=bool)
+        phi = hyperparameters.centre
+    bounded = hyperparameters.bounded
     increments, near, gain, enough = list[Array](), False, np.inf, GAIN * max(1, len(phi))
     radius, B = FURTHEST, np.zeros((0, 0))
     while True:
