@@ -232,10 +232,11 @@ class Score:
         (N, q), and where these stand in SCATTER."""
         equations, noise = self.solution.equations, self.noise
         out = list[tuple[Array, Array, IntArray]]()
+        rest, turn, link = noise.seen_directions
         for W, (r, _), (Z, place) in (
-            (equations.rest_whitening, self.solution.rest_residuals, noise.scaled_rest_directions),
-            (equations.turn_whitening, self.solution.turn_residuals, noise.turn_directions),
-            (equations.link_whitening, self.solution.link_residuals, noise.link_directions),
+            (equations.rest_whitening, self.solution.rest_residuals, rest),
+            (equations.turn_whitening, self.solution.turn_residuals, turn),
+            (equations.link_whitening, self.solution.link_residuals, link),
         ):
             WZ = W @ Z
             out.append((WZ, (r[:, None] @ WZ)[:, 0], place))

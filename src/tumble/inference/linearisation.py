@@ -129,7 +129,8 @@ class Linearisation:
         return rest, turn, np.concatenate([*before, *after, *common(link, 18)], axis=2)
 
     def _changed(self, **fields: Any) -> Linearisation:
-        """The same rows with other fields, and all that does not depend on these."""
+        """The same rows with other fields, and with what does not depend on these, which is made but once."""
+        self.ordered  # noqa: B018
         out = copy(self)
         vars(out).update(fields)
         return out

@@ -28,6 +28,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
+import scipy
 
 from tumble.inference.fits import (
     LEAST_WEIGHT,
@@ -278,7 +279,8 @@ def likeliest(start: Linearisation, iterations: int = MAX_ITERATIONS) -> Maximum
 
 def without_outliers(fitted: Maximum, iterations: int = MAX_ITERATIONS) -> Maximum:
     """The maximum without the rests and turns that do not fit; the same where all do."""
-    if max(float(each.max(initial=0.0)) for each in sigmas(fitted.solution)) < STANDS_OUT:
+    every = np.concatenate(sigmas(fitted.solution))
+    if 2.0 * scipy.special.ndtr(-every.max()) * len(every) > STANDS_OUT:
         return fitted
     robust = maximum(fitted.linearisation, fitted.phi, iterations, robust=True)
     dropped = [w < LEAST_WEIGHT for w in student_weights(chi_square_falls(robust.solution))]

@@ -56,6 +56,9 @@ CORRELATION_TIME = 300.0
 DISPLACEMENT, DISPLACEMENT_TIME = 0.02, 0.5
 """m and s: the usual displacement of a device in the hand or on a pivot, and its correlation time."""
 
+OMITTED = 2e-3
+"""A row whose weight has a root below it is left out."""
+
 
 def typical_noise(covariance: Array) -> float:
     """Standard deviation of a component of the median row, of covariances (N, n, n); 0 of none."""
@@ -196,6 +199,19 @@ class NoiseModel:
         """The directions of the scatter at rest, those of sensors unlike others longer, and their places in SCATTER."""
         (Z, place), unlike = self.rest_directions, self.components.unlike
         return (Z * unlike[..., None, None, :] if unlike.size else Z), place
+
+    @property
+    def seen_directions(self) -> tuple[tuple[Array, IntArray], ...]:
+        """The directions of the scatter of rests, turns and links, longer where rows count less: their whitening has
+        the weights in it. What is left out shows nothing of scatter."""
+        (rest, of_rest), (turn, of_turn) = self.scaled_rest_directions, self.turn_directions
+        if np.all(self.rest_weights == 1.0) and np.all(self.turn_weights == 1.0):
+            return (rest, of_rest), (turn, of_turn), self.link_directions
+        rest, turn = (
+            Z * np.where(w > OMITTED, 1.0 / w, 0.0)[:, :, None]
+            for Z, w in ((rest, self.rest_weights), (turn, self.turn_weights))
+        )
+        return (rest, of_rest), (turn, of_turn), self.link_directions
 
     @cached_property
     def biases(self) -> int:
