@@ -32,8 +32,8 @@ Adding a hyperparameter is adding a class of `Hyperparameter` and an entry in `h
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Container, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -54,7 +54,6 @@ from tumble.inference.noise import (
     typical_noise,
 )
 from tumble.inference.normal_equations import (
-    NormalEquations,
     Solution,
     add_priors,
     eliminate_rests,
@@ -224,7 +223,11 @@ class Score:
     """The quadratic forms of a solution, each made when it is first asked for."""
 
     def __init__(self, solution: Solution) -> None:
-        self.solution, self.noise, self.variances = solution, solution.equations.noise, solution.equations.noise.variances
+        self.solution, self.noise, self.variances = (
+            solution,
+            solution.equations.noise,
+            solution.equations.noise.variances,
+        )
 
     @cached_property
     def directions(self) -> tuple[tuple[Array, Array, IntArray], ...]:
@@ -334,7 +337,9 @@ class Score:
         solution = self.solution
         q, off = solution.local.shape[-1], solution.linearisation.point.local + solution.local
         each = _of_priors(off, (solution.roots[:, :q] ** 2).sum(axis=-1), solution.problem.local_u)
-        return QuadraticForms(square=each.square.sum(axis=0), trace=each.trace.sum(axis=0), double=each.double.sum(axis=0))
+        return QuadraticForms(
+            square=each.square.sum(axis=0), trace=each.trace.sum(axis=0), double=each.double.sum(axis=0)
+        )
 
     def of(self, hyperparameters: Hyperparameters) -> QuadraticForms:
         """By element of φ (D,)."""
@@ -558,7 +563,11 @@ def _variates_of_states(hyperparameters: Hyperparameters, solution: Solution) ->
     """Working variates of the steps of the states that follow stations (M, s, D), and of the first states of sessions
     (S, s, D): of sizes the whitened residuals. With S β the steps, of variances V, and w = V⁻¹ S β, a correlation time
     changes the covariance S⁻¹ V S⁻ᵀ of the states so that its variate is −V^{−½} (−∂S β − V S⁻ᵀ ∂Sᵀ w + ∂V w)."""
-    noise, b, first = solution.equations.noise, solution.states, [part.stations.start for part in solution.problem.parts]
+    noise, b, first = (
+        solution.equations.noise,
+        solution.states,
+        [part.stations.start for part in solution.problem.parts],
+    )
     follows, s, n = noise.follows[:, None], b.shape[1], solution.problem.sensors
     lapse = np.where(follows & np.isfinite(noise.state_lapse), noise.state_lapse, 0.0)
     rho, step = np.where(follows, noise.state_rho, 0.0), np.where(follows, noise.state_step, 1.0)
