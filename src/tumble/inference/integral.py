@@ -111,7 +111,7 @@ SHIFT = 0.6180339887498949
 """Of a sequence of points to the next, in the unit cube."""
 NUMBERS_AT_ONCE = 60_000
 """Numbers of matrices whose roots are taken at once: half a megabyte."""
-NOTHING = 1e-5
+NOTHING = 1e-3
 """Of the largest weight: draws that weigh less are left out of the moments."""
 COVERAGE = 0.9545
 MOST_DEGREES = 1e6
@@ -557,30 +557,35 @@ class Draws:
     ----------
     phi, log_weight : (P, D) and (P,)
         φ, and the logarithms of the weights.
-    point : (P,)
-        Which of the points of ψ each belongs to, ascending.
-    sizes : (P, g)
-        Standard deviations of the priors of the parameters of the groups.
     triangles
         What is known at the points of ψ.
+    kept, point : (Q,)
+        The draws that weigh anything, and the point of ψ that each belongs to, ascending.
+    values, covariances : (Q, g) and (Q, g, g)
+        Of the parameters of the groups in these.
     """
 
     phi: Array
     log_weight: Array
-    point: IntArray
-    sizes: Array
     triangles: Triangles
+    kept: IntArray
+    point: IntArray
+    values: Array
+    covariances: Array
 
     @staticmethod
     def joined(parts: Sequence[Draws]) -> Draws:
         """Several sets of draws as one."""
-        first = np.cumsum([0, *(len(part.triangles.right) for part in parts)])
+        draws = np.cumsum([0, *(len(part.phi) for part in parts)])
+        points = np.cumsum([0, *(len(part.triangles.right) for part in parts)])
         return Draws(
             phi=np.concatenate([part.phi for part in parts]),
             log_weight=np.concatenate([part.log_weight for part in parts]),
-            point=np.concatenate([part.point + offset for part, offset in zip(parts, first, strict=False)]),
-            sizes=np.concatenate([part.sizes for part in parts]),
             triangles=Triangles.joined([part.triangles for part in parts]),
+            kept=np.concatenate([part.kept + first for part, first in zip(parts, draws, strict=False)]),
+            point=np.concatenate([part.point + first for part, first in zip(parts, points, strict=False)]),
+            values=np.concatenate([part.values for part in parts]),
+            covariances=np.concatenate([part.covariances for part in parts]),
         )
 
     @cached_property
@@ -589,28 +594,22 @@ class Draws:
         return smoothed(self.log_weight)
 
     @property
+    def weight(self) -> Array:
+        """The weights (Q,) of those that are kept."""
+        weight = self.smoothed[0][self.kept]
+        return np.asarray(weight / weight.sum())
+
+    @property
     def by_point(self) -> Array:
-        """The weights (K,) of the points of ψ, of those of the draws."""
-        return np.asarray(np.bincount(self.point, self.smoothed[0], len(self.triangles.right)), dtype=np.float64)
-
-    @cached_property
-    def kept(self) -> IntArray:
-        """The draws (Q,) that weigh anything."""
-        weight = self.smoothed[0]
-        return np.flatnonzero(weight > NOTHING * weight.max())
-
-    @cached_property
-    def of_groups(self) -> tuple[Array, Array]:
-        """Values (Q, g) and covariances (Q, g, g) of the parameters of the groups of those that are kept."""
-        return self.triangles.of_groups(self.point[self.kept], self.sizes[self.kept])
+        """The weights (K,) of the points of ψ."""
+        return np.asarray(np.bincount(self.point, self.weight, len(self.triangles.right)), dtype=np.float64)
 
     def steps(self, alpha: Array, gamma: Array) -> Array:
         """The steps (Q, y) of what is α + Γ c at the points (K, y), (K, y, g)."""
-        out, point = alpha[self.point[self.kept]], self.point[self.kept]
-        edges = np.searchsorted(point, np.arange(len(alpha) + 1)).tolist()
+        out, edges = alpha[self.point], np.searchsorted(self.point, np.arange(len(alpha) + 1)).tolist()
         for k, by in enumerate(gamma):
             some = slice(edges[k], edges[k + 1])
-            out[some] += self.of_groups[0][some] @ by.T
+            out[some] += self.values[some] @ by.T
         return out
 
     def moments(self, *, process: bool = False) -> tuple[Array, Array, Array]:
@@ -618,13 +617,12 @@ class Draws:
         steps; where `process`, of the biases (n,) as the means of their processes."""
         every, prefix = self.triangles, "process_" if process else ""
         alpha, gamma, omega = (getattr(every, prefix + name) for name in ("alpha", "gamma", "omega"))
-        weight, point, steps = self.smoothed[0][self.kept], self.point[self.kept], self.steps(alpha, gamma)
-        weight = weight / weight.sum()
+        weight, point, steps = self.weight, self.point, self.steps(alpha, gamma)
         starts = np.flatnonzero(np.diff(point, prepend=-1))
-        of_groups = np.add.reduceat(weight[:, None, None] * self.of_groups[1], starts, axis=0)
+        of_groups = np.add.reduceat(weight[:, None, None] * self.covariances, starts, axis=0)
         some = gamma[point[starts]]
         flat, by = (np.swapaxes(x, 0, 1).reshape(some.shape[1], -1) for x in (some @ of_groups, some))
-        within = np.tensordot(np.bincount(point, weight, len(alpha)), omega, axes=1) + flat @ by.T
+        within = np.tensordot(self.by_point, omega, axes=1) + flat @ by.T
         mean = weight @ steps
         off = steps - mean
         return mean, within, (off.T * weight) @ off
@@ -632,14 +630,10 @@ class Draws:
     def mixture(self) -> tuple[Array, Array, Array]:
         """Of the mixture of Gaussians, of which MIXED are drawn, their means and standard deviations (·, 1 + m), and
         their weights (·,)."""
-        weight, every = np.cumsum(self.smoothed[0][self.kept]), self.triangles
-        drawn = np.searchsorted(weight / weight[-1], (np.arange(MIXED) + 0.5) / MIXED)
-        some, count = np.unique(np.minimum(drawn, len(weight) - 1), return_counts=True)
-        point = self.point[self.kept[some]]
-        variance = np.diagonal(every.omega, axis1=1, axis2=2)[point]
-        for row, k, covariance in zip(
-            variance := variance.copy(), point.tolist(), self.of_groups[1][some], strict=True
-        ):
+        every, drawn = self.triangles, np.searchsorted(np.cumsum(self.weight), (np.arange(MIXED) + 0.5) / MIXED)
+        some, count = np.unique(np.minimum(drawn, len(self.kept) - 1), return_counts=True)
+        variance = np.diagonal(every.omega, axis1=1, axis2=2)[self.point[some]]
+        for row, k, covariance in zip(variance, self.point[some].tolist(), self.covariances[some], strict=True):
             row += ((every.gamma[k] @ covariance) * every.gamma[k]).sum(axis=1)
         return self.steps(every.alpha, every.gamma)[some], np.sqrt(variance), count / MIXED
 
@@ -650,13 +644,18 @@ def _drawn(fitted: Maximum, proposal: Proposal, count: int, sequence: int) -> Dr
     phi, log_q = proposal.points(fitted.phi, count, sequence)
     sizes = fitted.usual_problem.usual_u[1 + members] * np.exp(np.maximum(phi[:, :, element], 0.0))
     every = triangles(fitted.linearisation, hyperparameters, phi[:, 0], members)
-    log_prior = hyperparameters.log_prior(phi)[0].sum(axis=-1)
+    log_weight = every.log_likelihood(sizes) + hyperparameters.log_prior(phi)[0].sum(axis=-1) - log_q
+    weight = smoothed(log_weight.ravel())[0].reshape(log_weight.shape)
+    point, size = np.nonzero(weight > NOTHING * weight.max())
+    values, covariances = every.of_groups(point, sizes[point, size])
     return Draws(
         phi=phi.reshape(-1, phi.shape[-1]),
-        log_weight=(every.log_likelihood(sizes) + log_prior - log_q).ravel(),
-        point=np.repeat(np.arange(count), phi.shape[1]),
-        sizes=sizes.reshape(phi.shape[0] * phi.shape[1], -1) if len(members) else np.zeros((log_q.size, 0)),
+        log_weight=log_weight.ravel(),
         triangles=every,
+        kept=point * phi.shape[1] + size,
+        point=point,
+        values=values,
+        covariances=covariances,
     )
 
 
