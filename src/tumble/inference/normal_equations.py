@@ -225,7 +225,7 @@ class Solution:
         )
         for (rows, before, parts), E in zip(kinds, equations.reduced_rows(problem), strict=True):
             K, t = rows.shape[:2]
-            residual, covariance, work = np.zeros((K, t)), np.zeros((K, t, t)), np.empty((rows.shape[2], t))
+            residual, covariance, work = np.zeros((K, t)), np.zeros((K, t, t)), np.empty((t, rows.shape[2]))
             for part, root, shared in zip(parts, self.roots, self.shared, strict=False):
                 of = rows[part], E[part], before[part]
                 residuals(*of, own, with_next, root, shared, residual[part], covariance[part], work)
