@@ -111,8 +111,8 @@ SHIFT = 0.6180339887498949
 """Of a sequence of points to the next, in the unit cube."""
 NUMBERS_AT_ONCE = 60_000
 """Numbers of matrices whose roots are taken at once: half a megabyte."""
-NOTHING = 1e-3
-"""Of the largest weight: draws that weigh less are left out of the moments."""
+NOTHING = 1e-4
+"""Of the weight of a point of ψ: sizes of less are left out of the moments there."""
 COVERAGE = 0.9545
 MOST_DEGREES = 1e6
 
@@ -166,9 +166,8 @@ def posterior(fitted: Maximum, *, integrate: bool = True) -> Posterior:
             drawn[sequence % 2] = Draws.joined([drawn[sequence % 2], more])
         sets *= 2
     both = Draws.joined(drawn)
-    weight, pareto = both.smoothed
     mean, within, between = both.moments()
-    sources = scaled_to(contributions(_typical(fitted, both.phi, weight)), within) | {"hyperparameters": between}
+    sources = scaled_to(contributions(_typical(fitted, both)), within) | {"hyperparameters": between}
     covariance = np.sum(list(sources.values()), axis=0)
     means, deviations, share = both.mixture()
     factor = coverage_factors(means - mean, deviations, share, np.sqrt(np.diag(covariance)))
@@ -182,10 +181,10 @@ def posterior(fitted: Maximum, *, integrate: bool = True) -> Posterior:
         process_step=process_mean,
         process_covariance=process_within + process_between,
         points=len(both.triangles.right),
-        effective=float(1.0 / (both.by_point**2).sum()),
-        pareto=pareto,
+        effective=float(1.0 / (both.smoothed[0] ** 2).sum()),
+        pareto=both.smoothed[1],
         u_error=error,
-        hyperparameters=_summary(fitted, both.phi, weight),
+        hyperparameters=_summary(fitted, both.phi.reshape(both.weight.size, -1), both.weight.ravel()),
     )
 
 
@@ -551,91 +550,76 @@ def _densities_of_sizes(fitted: Maximum, sizes: list[int]) -> dict[int, Density]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Draws:
-    """Points of ψ, sizes of groups at each, and the posterior there.
+    """K points of ψ, L sizes of groups at each, and the posterior there.
 
     Parameters
     ----------
-    phi, log_weight : (P, D) and (P,)
+    phi, log_weight : (K, L, D) and (K, L)
         φ, and the logarithms of the weights.
+    sizes : (K, L, g)
+        Standard deviations of the priors of the parameters of the groups.
     triangles
         What is known at the points of ψ.
-    kept, point : (Q,)
-        The draws that weigh anything, and the point of ψ that each belongs to, ascending.
-    values, covariances : (Q, g) and (Q, g, g)
-        Of the parameters of the groups in these.
+    value, within, between : (K, g), (K, g, g) and (K, g, g)
+        At each point the mean of the parameters of the groups over the sizes, the mean of their covariances, and the
+        covariance of their values.
     """
 
     phi: Array
     log_weight: Array
+    sizes: Array
     triangles: Triangles
-    kept: IntArray
-    point: IntArray
-    values: Array
-    covariances: Array
+    value: Array
+    within: Array
+    between: Array
 
     @staticmethod
     def joined(parts: Sequence[Draws]) -> Draws:
-        """Several sets of draws as one."""
-        draws = np.cumsum([0, *(len(part.phi) for part in parts)])
-        points = np.cumsum([0, *(len(part.triangles.right) for part in parts)])
-        return Draws(
-            phi=np.concatenate([part.phi for part in parts]),
-            log_weight=np.concatenate([part.log_weight for part in parts]),
-            triangles=Triangles.joined([part.triangles for part in parts]),
-            kept=np.concatenate([part.kept + first for part, first in zip(parts, draws, strict=False)]),
-            point=np.concatenate([part.point + first for part, first in zip(parts, points, strict=False)]),
-            values=np.concatenate([part.values for part in parts]),
-            covariances=np.concatenate([part.covariances for part in parts]),
-        )
+        """Several sets of points as one."""
+        names = [each.name for each in fields(Draws) if each.name != "triangles"]
+        arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+        return Draws(triangles=Triangles.joined([part.triangles for part in parts]), **arrays)
 
     @cached_property
     def smoothed(self) -> tuple[Array, float]:
-        """The weights (P,) and their shape."""
-        return smoothed(self.log_weight)
+        """The weights (K,) of the points, and their shape."""
+        return smoothed(scipy.special.logsumexp(self.log_weight, axis=1))
 
     @property
     def weight(self) -> Array:
-        """The weights (Q,) of those that are kept."""
-        weight = self.smoothed[0][self.kept]
-        return np.asarray(weight / weight.sum())
-
-    @property
-    def by_point(self) -> Array:
-        """The weights (K,) of the points of ψ."""
-        return np.asarray(np.bincount(self.point, self.weight, len(self.triangles.right)), dtype=np.float64)
-
-    def steps(self, alpha: Array, gamma: Array) -> Array:
-        """The steps (Q, y) of what is α + Γ c at the points (K, y), (K, y, g)."""
-        out, edges = alpha[self.point], np.searchsorted(self.point, np.arange(len(alpha) + 1)).tolist()
-        for k, by in enumerate(gamma):
-            some = slice(edges[k], edges[k + 1])
-            out[some] += self.values[some] @ by.T
-        return out
+        """The weights (K, L) of all draws."""
+        return np.asarray(self.smoothed[0][:, None] * scipy.special.softmax(self.log_weight, axis=1))
 
     def moments(self, *, process: bool = False) -> tuple[Array, Array, Array]:
         """The mean step (1 + m,), the mean of the covariances at the draws (1 + m, 1 + m), and the covariance of the
         steps; where `process`, of the biases (n,) as the means of their processes."""
-        every, prefix = self.triangles, "process_" if process else ""
-        alpha, gamma, omega = (getattr(every, prefix + name) for name in ("alpha", "gamma", "omega"))
-        weight, point, steps = self.weight, self.point, self.steps(alpha, gamma)
-        starts = np.flatnonzero(np.diff(point, prepend=-1))
-        of_groups = np.add.reduceat(weight[:, None, None] * self.covariances, starts, axis=0)
-        some = gamma[point[starts]]
-        flat, by = (np.swapaxes(x, 0, 1).reshape(some.shape[1], -1) for x in (some @ of_groups, some))
-        within = np.tensordot(self.by_point, omega, axes=1) + flat @ by.T
+        prefix, weight = "process_" if process else "", self.smoothed[0]
+        alpha, gamma, omega = (getattr(self.triangles, prefix + name) for name in ("alpha", "gamma", "omega"))
+
+        def carried(of_groups: Array) -> Array:
+            """Σ w Γ (…) Γᵀ."""
+            by = np.swapaxes(weight[:, None, None] * (gamma @ of_groups), 0, 1).reshape(gamma.shape[1], -1)
+            return np.asarray(by @ np.swapaxes(gamma, 0, 1).reshape(gamma.shape[1], -1).T)
+
+        steps = alpha + (gamma @ self.value[:, :, None])[:, :, 0]
         mean = weight @ steps
         off = steps - mean
-        return mean, within, (off.T * weight) @ off
+        within = np.tensordot(weight, omega, axes=1) + carried(self.within)
+        return mean, within, (off.T * weight) @ off + carried(self.between)
 
     def mixture(self) -> tuple[Array, Array, Array]:
         """Of the mixture of Gaussians, of which MIXED are drawn, their means and standard deviations (·, 1 + m), and
         their weights (·,)."""
-        every, drawn = self.triangles, np.searchsorted(np.cumsum(self.weight), (np.arange(MIXED) + 0.5) / MIXED)
-        some, count = np.unique(np.minimum(drawn, len(self.kept) - 1), return_counts=True)
-        variance = np.diagonal(every.omega, axis1=1, axis2=2)[self.point[some]]
-        for row, k, covariance in zip(variance, self.point[some].tolist(), self.covariances[some], strict=True):
-            row += ((every.gamma[k] @ covariance) * every.gamma[k]).sum(axis=1)
-        return self.steps(every.alpha, every.gamma)[some], np.sqrt(variance), count / MIXED
+        weight, every = np.cumsum(self.weight.ravel()), self.triangles
+        drawn, count = np.unique(np.searchsorted(weight, (np.arange(MIXED) + 0.5) / MIXED), return_counts=True)
+        point, size = np.divmod(np.minimum(drawn, len(weight) - 1), self.sizes.shape[1])
+        values, covariances = every.of_groups(point, self.sizes[point, size])
+        means, variance = every.alpha[point], np.diagonal(every.omega, axis1=1, axis2=2)[point]
+        for row, k in enumerate(point.tolist()):
+            gamma = every.gamma[k]
+            means[row] += gamma @ values[row]
+            variance[row] += ((gamma @ covariances[row]) * gamma).sum(axis=1)
+        return means, np.sqrt(variance), count / MIXED
 
 
 def _drawn(fitted: Maximum, proposal: Proposal, count: int, sequence: int) -> Draws:
@@ -645,17 +629,23 @@ def _drawn(fitted: Maximum, proposal: Proposal, count: int, sequence: int) -> Dr
     sizes = fitted.usual_problem.usual_u[1 + members] * np.exp(np.maximum(phi[:, :, element], 0.0))
     every = triangles(fitted.linearisation, hyperparameters, phi[:, 0], members)
     log_weight = every.log_likelihood(sizes) + hyperparameters.log_prior(phi)[0].sum(axis=-1) - log_q
-    weight = smoothed(log_weight.ravel())[0].reshape(log_weight.shape)
-    point, size = np.nonzero(weight > NOTHING * weight.max())
-    values, covariances = every.of_groups(point, sizes[point, size])
+    share = scipy.special.softmax(log_weight, axis=1)
+    value, (within, between) = np.zeros_like(every.right), np.zeros((2, *every.information.shape))
+    for k, weight in enumerate(share):
+        some = np.flatnonzero(weight > NOTHING)
+        w = weight[some] / weight[some].sum()
+        values, covariances = every.of_groups(np.full(len(some), k), sizes[k, some])
+        value[k], within[k] = w @ values, np.tensordot(w, covariances, axes=1)
+        off = values - value[k]
+        between[k] = (off.T * w) @ off
     return Draws(
-        phi=phi.reshape(-1, phi.shape[-1]),
-        log_weight=log_weight.ravel(),
+        phi=phi,
+        log_weight=log_weight,
+        sizes=sizes,
         triangles=every,
-        kept=point * phi.shape[1] + size,
-        point=point,
-        values=values,
-        covariances=covariances,
+        value=value,
+        within=within,
+        between=between,
     )
 
 
@@ -665,15 +655,16 @@ def _u_error(drawn: Sequence[Draws]) -> float:
     return float(np.max(np.abs(first - second) / np.maximum(first + second, 1e-300)))
 
 
-def _typical(fitted: Maximum, phi: Array, weight: Array) -> Solution:
+def _typical(fitted: Maximum, draws: Draws) -> Solution:
     """The solution with every standard deviation as its root mean square over the draws, and every time as the mean of
     its logarithm."""
     typical = fitted.phi.copy()
     for i, h in enumerate(fitted.hyperparameters):
+        phi = draws.phi[..., i]
         if isinstance(h, CorrelationTime):
-            typical[i] = weight @ phi[:, i]
+            typical[i] = (draws.weight * phi).sum()
         else:
-            typical[i] = 0.5 * np.log(weight @ h.value(phi[:, i]) ** 2)
+            typical[i] = 0.5 * np.log((draws.weight * h.value(phi) ** 2).sum())
     return restricted_likelihood(fitted.linearisation, fitted.hyperparameters, typical)
 
 
