@@ -13,8 +13,7 @@ import numpy as np
 
 from tumble.errors import CalibrationError
 from tumble.inference.estimate import Fit, Judgement, Outcome
-from tumble.result.evidence import Evidence
-from tumble.result.parts import Launch
+from tumble.result.parts import Evidence, Launch
 from tumble.result.record import AnyCalibration, CalibrationData
 from tumble.sensors.model import WORDS, SensorKind, SensorModel
 from tumble.sensors.parameters import sensor_kind

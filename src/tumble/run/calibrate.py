@@ -33,7 +33,7 @@ from tumble.recording.session import LogSpec, Session
 from tumble.recording.session_file import session_from
 from tumble.reduction.observations import Observations
 from tumble.result.calibration import Calibration, calibration_from, read_calibration
-from tumble.result.evidence import Provenance
+from tumble.result.parts import Provenance
 from tumble.run.from_estimate import bridged_in, reference_of, result_of, without_result
 from tumble.run.observed import Progress, inspected, observations_for_calibration
 from tumble.run.warming import calibrate_warming, lies_still

@@ -30,9 +30,8 @@ from tumble.recording.session import AirConditions, Circumstances, Session
 from tumble.recording.session_file import session_from
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import by_gravity, degrees_of_mean, shared_gravity, welch_satterthwaite
-from tumble.result.evidence import Evidence
 from tumble.result.launch_variances import LaunchVariances, at_temperature, own_variance, pooled, variance_of_type
-from tumble.result.parts import CalibratedTemperature, Parameter, SourceContributions, learned_fraction
+from tumble.result.parts import CalibratedTemperature, Evidence, Parameter, SourceContributions, learned_fraction
 from tumble.result.shared_errors import by_priors, is_of_device
 from tumble.result.uncertainty_budget import contributions_of
 from tumble.run.calibrate import DEFAULT_METHOD, Method, calibrate, provenance_of
