@@ -37,7 +37,7 @@ from tumble.views.calibration import (
 )
 from tumble.views.numbers import cells, shown_units
 from tumble.views.render.terminal import print_blocks, text_of
-from tumble.views.report.write import write_report
+from tumble.views.report.document import write_report
 
 REQUEST = Setup.of(rest=10.0, sample_rate=50.0)
 

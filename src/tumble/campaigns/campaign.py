@@ -38,8 +38,8 @@ MOST_TASKS = 10_000_000
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Axis:
-    """An axis of the grid: the `default`, None for the usual one on a table or by hand; all `names` that it may have, or
-    the `limits` of its numbers, whole ones or any."""
+    """An axis of the grid: its `default`, None for the usual one on a table or by hand, and all `names` that it may
+    have, or the `limits` of its numbers, whole ones or any."""
 
     default: str | float | None = None
     names: tuple[str, ...] = ()

@@ -7,8 +7,8 @@ Rests and turns are drawn directly from the truth (`simulate_observations`), wit
 detection of rests and the estimation of the noise may spoil shows where sampled logs are calibrated: `tumble simulate`
 and `tumble fleet`.
 
-A trial has the maximum of the likelihood alone, and a verdict by what is determined, by convergence and by the rests and
-turns that do not fit. Simulated devices have no faults: a search for causes behind their residuals would find false
+A trial has the maximum of the likelihood alone, and a verdict by what is determined, by convergence, and by the rests
+and turns that do not fit. Simulated devices have no faults: a search for causes behind their residuals would find false
 alarms only, in less than one of a hundred trials.
 """
 

@@ -229,8 +229,7 @@ def due(day: datetime | None, place: str) -> None:
 @ask.JSON
 def selftest(out: Path | None, by: str | None) -> None:
     """Run the reference cases on this machine and compare them with published values, closed forms and truth."""
-    from tumble.lab.selftest import run_selftest
-    from tumble.lab.views.selftest import selftest_blocks
+    from tumble.lab.selftest import run_selftest, selftest_blocks
 
     _new_file(out, "record")
     record = run_selftest(by=by, progress=lambda name: tell.say(f"running: {name}"))

@@ -47,10 +47,11 @@ from tumble.views.report.document import (
     provenance,
     reasons_of,
     report_of,
+    sources_of,
     verdict_on,
+    write_document,
 )
 from tumble.views.report.result import Cells, value_blocks, verdict_blocks
-from tumble.views.report.write import sources_of, write_document
 from tumble.views.uncertainty_budget import SHOWN
 
 OVER_TEMPERATURE = (

@@ -1,5 +1,5 @@
-"""What a calibration consists of: parameters, sensor models, rests, turns, readings, launches, sessions together; and the
-records of these that are the evidence behind the parameters, and their provenance.
+"""What a calibration consists of: parameters, sensor models, rests, turns, readings, launches, sessions together; and
+the records of these that are the evidence behind the parameters, and their provenance.
 
 Each is a plain dataclass; the annotations beyond the types are what a calibration file is held to, and how what is no
 plain dataclass is read from it (`FromTable`); `tumble.result.file` writes it.
