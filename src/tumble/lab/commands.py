@@ -76,7 +76,7 @@ def add(calibration: Path, day: datetime | None, every: bool, place: str, **part
 def _show_record(opened: Registry, record: Record, every: bool) -> bool:
     """Print a record with the verdict on it. Returns whether it passes."""
     from tumble.lab.registry.registry import logs_of
-    from tumble.lab.views.registry import record_blocks
+    from tumble.lab.registry.views import record_blocks
 
     verdict, calibration = opened.verdict(record), opened.calibration(record)
     logs = [{"session": session, "log_sha256": log} for session, log in logs_of(calibration)]
@@ -96,7 +96,7 @@ def _show_record(opened: Registry, record: Record, every: bool) -> bool:
 def list_(serial: str | None, place: str) -> None:
     """All devices with their latest record, or the records of the device SERIAL."""
     from tumble.lab.registry.registry import open_registry
-    from tumble.lab.views.registry import device_table, record_table
+    from tumble.lab.registry.views import device_table, record_table
 
     with open_registry(place) as opened:
         records = opened.records(serial)
@@ -136,7 +136,7 @@ def show(number: int | None, model: str | None, out: Path | None, every: bool, p
 def _show_datasheet(opened: Registry, model: str, out: Path | None) -> None:
     from datetime import UTC, datetime
 
-    from tumble.lab.views.datasheet import datasheet_blocks, write_datasheet
+    from tumble.lab.datasheet import datasheet_blocks, write_datasheet
 
     sheet = opened.datasheet(model)
     if out is not None:
@@ -158,7 +158,7 @@ def trend(serial: str, parameter: str | None, every: bool, place: str) -> None:
     in all together, as `tumble compare` says it of both.
     """
     from tumble.lab.registry.registry import open_registry
-    from tumble.lab.views.registry import history_blocks, trend_blocks
+    from tumble.lab.registry.views import history_blocks, trend_blocks
 
     with open_registry(place) as opened:
         found = opened.trend(serial, parameter)
@@ -181,7 +181,7 @@ def limits(model: str | None, file: Path | None, place: str) -> None:
     from datetime import UTC, datetime
 
     from tumble.lab.registry.registry import open_registry
-    from tumble.lab.views.registry import limits_blocks, limits_table
+    from tumble.lab.registry.views import limits_blocks, limits_table
 
     begun = datetime.now(UTC)
     with open_registry(place, create=file is not None) as opened:
@@ -212,7 +212,7 @@ def due(day: datetime | None, place: str) -> None:
     1 if anything is withdrawn or overdue.
     """
     from tumble.lab.registry.registry import open_registry
-    from tumble.lab.views.registry import due_table
+    from tumble.lab.registry.views import due_table
 
     with open_registry(place) as opened:
         items = opened.due(None if day is None else day.date())
