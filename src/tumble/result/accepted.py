@@ -50,18 +50,6 @@ def accepted_kinds(calibration: CalibrationData) -> tuple[SensorKind, ...]:
     return tuple(kind for kind, model, judgement in judged if model is not None and judgement.accepted)
 
 
-def accepted_accelerometers(calibration: AnyCalibration, wanted_by: str) -> AnyCalibration:
-    """The accepted part of a calibration, which has accelerometers. Raises CalibrationError otherwise, for what they
-    are `wanted_by`."""
-    part = accepted_part(calibration)
-    if part.accel is None:
-        why = "; ".join(part.provenance.absent) or "none of accelerometers"
-        raise CalibrationError(
-            f"calibration of {part.serial!r}: expected accepted accelerometers, by which {wanted_by}, found {why}"
-        )
-    return part
-
-
 def _alone(calibration: AnyCalibration, kind: SensorKind) -> AnyCalibration:
     """The sensors of one kind, with what belongs to no kind."""
     other: SensorKind = "gyro" if kind == "accel" else "accel"

@@ -128,7 +128,14 @@ def mean_of_launches(runs: Sequence[Run], *, alike: Sequence[LaunchVariances] = 
             )
     check_recordings([(r.session.name, d, _means(r.calibration)) for r, d in zip(runs, digests, strict=True)])
     names = [name for name in first if all(name in launch for launch in launches)]
-    temperature = _mean_temperature(launches)
+    references = [launch.temperature.references for launch in launches]
+    sizes = [{kind: len(celsius) for kind, celsius in each.items()} for each in references]
+    kinds = sizes[0] if all(each == sizes[0] for each in sizes) else ()
+    temperature = CalibratedTemperature(
+        reference=_mean_where_known([launch.reference_temperature for launch in launches]),
+        thermometers=_common_items([launch.temperature.thermometers for launch in launches]),
+        references={kind: tuple(np.mean([each[kind] for each in references], axis=0).tolist()) for kind in kinds},
+    )
     values, covariances = at_temperature(launches, names, temperature)
     clock_u = min(run.session.log.time_base_u for run in runs)
     common = _common_errors(launches, names, covariances, by_time_base(names, clocked(clock_u, session.log.increments)))
@@ -184,18 +191,6 @@ def mean_of_launches(runs: Sequence[Run], *, alike: Sequence[LaunchVariances] = 
 
 
 # -------------------- the statistics of the mean (see `tumble.result.coverage`) --------------------
-
-
-def _mean_temperature(launches: Sequence[Calibration]) -> CalibratedTemperature:
-    """The reference temperatures of the mean: the means of those of the launches."""
-    references = [launch.temperature.references for launch in launches]
-    sizes = [{kind: len(celsius) for kind, celsius in each.items()} for each in references]
-    kinds = sizes[0] if all(each == sizes[0] for each in sizes) else ()
-    return CalibratedTemperature(
-        reference=_mean_where_known([launch.reference_temperature for launch in launches]),
-        thermometers=_common_items([launch.temperature.thermometers for launch in launches]),
-        references={kind: tuple(np.mean([each[kind] for each in references], axis=0).tolist()) for kind in kinds},
-    )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
