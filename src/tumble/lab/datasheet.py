@@ -151,15 +151,15 @@ def _row(name: str, values: Array, *, run_to_run: float | None = None, u: float 
 
 
 @cache
-def tolerance_factor(n: int, content: float = CONTENT, confidence: float = CONFIDENCE) -> float:
+def tolerance_factor(n: int) -> float:
     """The factor k of two-sided tolerance intervals x̄ ± k s of n normal values with unknown mean, Eq. (1)."""
     nodes, weights = np.polynomial.legendre.leggauss(80)
     z = 0.5 * (nodes + 1.0) * 8.5 / np.sqrt(n)
     density = weights * 8.5 / np.sqrt(n) * 0.5 * np.sqrt(2.0 * n / np.pi) * np.exp(-0.5 * n * z**2)
-    quantile = ncx2.ppf(content, 1, z**2)
+    quantile = ncx2.ppf(CONTENT, 1, z**2)
 
     def confident(k: float) -> float:
-        return float(density @ chi2.sf((n - 1) * quantile / k**2, n - 1)) - confidence
+        return float(density @ chi2.sf((n - 1) * quantile / k**2, n - 1)) - CONFIDENCE
 
     return float(brentq(confident, 1.0, 1e4, xtol=1e-10))
 

@@ -125,7 +125,7 @@ def calibrate_together(
         return without_result(first, "joint", estimate, provenance)
     calibration, of_sessions = result_of(first, *estimate, systematic, frame, provenance), estimate[0].own
     if of_sessions is not None:
-        numbers = zip(of_sessions.values.tolist(), of_sessions.u.tolist(), strict=True)
+        by_session = zip(of_sessions.values.tolist(), of_sessions.u.tolist(), strict=True)
         named = list(zip(of_sessions.names, of_sessions.units, of_sessions.priors.tolist(), strict=True))
         members = [
             replace(
@@ -135,7 +135,7 @@ def calibrate_together(
                     for (name, unit, prior), x, u in zip(named, *own, strict=True)
                 ),
             )
-            for member, own in zip(members, numbers, strict=True)
+            for member, own in zip(members, by_session, strict=True)
         ]
     return replace(
         calibration,
