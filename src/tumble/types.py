@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from tumble.campaigns.campaign import Campaign as Campaign
+from tumble.campaigns.cluster import Place as Place
 from tumble.campaigns.fleet import FleetResult as FleetResult
 from tumble.campaigns.summary import CampaignResult as CampaignResult
 from tumble.campaigns.summary import SummaryLine as SummaryLine

@@ -16,7 +16,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 import polars as pl
@@ -24,7 +24,7 @@ import polars as pl
 from tumble.arguments import checked
 from tumble.brief import Brief
 from tumble.campaigns.campaign import AXES, Campaign, read_campaign
-from tumble.campaigns.cluster import executor_for
+from tumble.campaigns.cluster import Place, executor_for
 from tumble.campaigns.engine import Progress, run
 from tumble.files import FilePath, whole_file
 from tumble.sensors.parameters import group_of, positions_by_group
@@ -71,10 +71,8 @@ def campaign(
     planned: Campaign | FilePath,
     out: FilePath,
     *,
-    serial: bool = False,
-    cluster: str | None = None,
-    workers: int | None = None,
     progress: Progress = lambda _done, _all: None,
+    **place: Unpack[Place],
 ) -> CampaignResult:
     """Simulate and calibrate many times over the grid of a campaign.
 
@@ -84,14 +82,10 @@ def campaign(
         The campaign, or its TOML file.
     out
         Folder of the results; what it has already is not computed again.
-    serial
-        Whether to compute in this process.
-    cluster
-        Address of the scheduler of a Dask cluster, such as tcp://10.0.0.5:8786.
-    workers
-        Number of processes of a new cluster on this machine; one a core by default.
     progress
         Function that is called with the number of tasks done and of all.
+    **place
+        Where to compute, see `tumble.types.Place`.
 
     Returns
     -------
@@ -113,7 +107,7 @@ def campaign(
     """
     definition = planned if isinstance(planned, Campaign) else read_campaign(Path(planned))
     folder = Path(out)
-    with executor_for(serial=serial, cluster=cluster, workers=workers) as executor:
+    with executor_for(**place) as executor:
         rows = run(definition.job(), folder, executor=executor, progress=progress)
     lines = summary(rows)
     write_summary(lines, folder / SUMMARY_FILE)
