@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, fields
 from itertools import pairwise
 from math import erfc, inf, isfinite, sqrt
 from typing import Annotated, Any, Protocol
@@ -261,25 +261,23 @@ class JudgementTable:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class OutcomeTable:
-    """Whether the values can be used, and if not, why; of the accelerometers and the gyros too, and of the groups of
-    their parameters that are judged otherwise than they."""
+    """Whether the values can be used, and if not, why, and which kinds of sensors and groups of parameters a sentence
+    concerns. By these the accelerometers, the gyros and groups of parameters are judged, which the file has for others
+    to read."""
 
     accepted: Any = None
     verdict: str | None = None
     reasons: tuple[str, ...]
     remarks: tuple[str, ...] = ()
     unobservable: tuple[str, ...] = ()
+    concerns: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     accel: JudgementTable | None = None
     gyro: JudgementTable | None = None
     groups: Mapping[str, JudgementTable] = field(default_factory=dict)
 
 
 def _outcome_of(table: OutcomeTable) -> Outcome:
-    if table.verdict is None:
-        return Outcome(reasons=table.reasons, unobservable=table.unobservable)
-    if table.accel is None or table.gyro is None:
-        raise ValueError("expected outcomes of accelerometers and of gyros beside the verdict, found none")
-    return Outcome.from_content(asdict(table))
+    return Outcome(**{each.name: getattr(table, each.name) for each in fields(Outcome)})
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
