@@ -40,8 +40,8 @@ from tumble.export.exported import (
     triads,
 )
 from tumble.export.templates import front_of, laid_out
-from tumble.result.applied_correction import linear_example
 from tumble.result.calibration import Calibration
+from tumble.result.correction import linear_example
 from tumble.result.temperature_curves import Range, changing, measured_range, warm_rests
 from tumble.sensors.model import SensorKind, SensorModel
 from tumble.sensors.parameters import OVER_TEMPERATURE, group_name

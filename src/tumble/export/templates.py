@@ -69,8 +69,8 @@ from tumble.export.exported import (
     yaml_list,
     yaml_number,
 )
-from tumble.result.applied_correction import linear_example
 from tumble.result.calibration import Calibration
+from tumble.result.correction import linear_example
 from tumble.sensors.model import WORDS, SensorKind, SensorModel
 from tumble.units import DEGREE, G_STANDARD, Array
 

@@ -32,8 +32,8 @@ from tumble.files import FilePath
 from tumble.lab.certificate import RELATES, STATES, Certificate, check_certificate, judged_by, read_certificate
 from tumble.lab.conformity import RISK, RULE, Verdict, verdicts
 from tumble.lab.scope import statement_of_scope, within_scope
-from tumble.result.applied_correction import linear_example
 from tumble.result.calibration import Calibration, read_calibration
+from tumble.result.correction import linear_example
 from tumble.result.coverage import PROBABILITY, degrees_of_freedom
 from tumble.result.further import described
 from tumble.result.parts import FEWEST_DEGREES, Parameter, stated_factor
