@@ -41,8 +41,7 @@ from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.rests import Rests
 from tumble.result.calibration import Calibration
-from tumble.result.evidence import Evidence
-from tumble.result.parts import CalibratedDevice, Parameter, Readings
+from tumble.result.parts import CalibratedDevice, Evidence, Parameter, Readings
 from tumble.run.calibrate import provenance_of
 from tumble.run.case import estimate_in
 from tumble.run.from_estimate import learned_in, parameters_of
