@@ -164,6 +164,7 @@ CSV_FAULTS: dict[str, tuple[Callable[[Lines], Lines], str]] = {
         ": row 20 (line 21): expected at most 2% of the rows and 3 to be left out, found 10 of 300, the first here",
     ),
     "nan as a time": (with_value(17, "t", "nan"), ": row 17 (line 18), column 't': expected a time, found nan"),
+    "-inf as the first time": (with_value(1, "t", "-inf"), ": row 1 (line 2), column 't': expected a time, found -inf"),
     "header only": (lambda table: table[:1], ": expected a log, found no rows; the file is empty"),
     "49 samples": (lambda table: table[:50], ": expected at least 50 samples, found 49"),
     "less than 2 s": (lambda table: table[:200], ": expected at least 2 s, found 1.99 s"),

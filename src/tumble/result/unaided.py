@@ -31,7 +31,7 @@ import numpy as np
 
 from tumble.result.accepted import accepted_kinds
 from tumble.result.calibration import Calibration
-from tumble.result.linear_fit import errors_left
+from tumble.result.correction import errors_left
 from tumble.rotation import left_inverse
 from tumble.sensors.model import SensorKind
 from tumble.sensors.parameters import beyond_linear, group_name

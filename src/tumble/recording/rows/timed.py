@@ -187,6 +187,7 @@ class _TimedRows:
         self.last = float(rows.time[-1]) if len(rows.time) else self.last
         return rows
 
+    @np.errstate(invalid="ignore")  # of a first time that is -inf, as the one before it
     def _by_stamps(self, rows: LogRows) -> LogRows:
         """Rows in the order of their stamps, which go on past midnight, without those that leap, fall or repeat."""
         if self.spec.clock and len(rows.time):
@@ -202,6 +203,7 @@ class _TimedRows:
             return rows
         return self.in_order(rows if self.pending is None else self.pending.followed_by(rows), last=False)
 
+    @np.errstate(invalid="ignore")
     def in_order(self, rows: LogRows, *, last: bool) -> LogRows:
         """Rows without those that leap and those that are no later than one before them. Unless the rows are the `last`
         of the file, those at the end that may leap are pending, and so are those that are no later."""
