@@ -100,9 +100,9 @@ class ForeignLog:
         """Read the first rows of some columns of all files, (m, n): seconds for times of day, NaN where no number is.
 
         The columns that a session needs are read together, so that a file is parsed once."""
-        known = self.columns
-        sensors = [c for kind in ("accel", "gyro") if kind in known.triads for c in known.triads[kind].columns]
-        together = [c for c in (known.time, *sensors) if c is not None]
+        named = self.columns
+        sensors = [c for kind in ("accel", "gyro") if kind in named.triads for c in named.triads[kind].columns]
+        together = [c for c in (named.time, *sensors) if c is not None]
         wanted = together if set(columns) <= set(together) else columns
         parts, count = [np.empty((0, len(columns)))], 0
         for source in self.sources():
@@ -125,7 +125,7 @@ class ForeignLog:
         return np.empty(0)
 
     def reads_gravity(self, columns: Sequence[str]) -> bool:
-        """Whether the median length of three columns is that of gravity in a known unit; false for no columns."""
+        """Whether the median length of three columns is that of gravity in a named unit; false for no columns."""
         length = np.linalg.norm(self.read(columns, rows=HEAD_ROWS), axis=1) if columns else np.empty(0)
         median = float(np.nanmedian(length)) if np.isfinite(length).any() else 0.0
         return any(c.unit is not None and abs(median / c.value - 1.0) < _NEAR for c in CANDIDATES[ACCEL])
