@@ -125,7 +125,7 @@ class ForeignLog:
         return np.empty(0)
 
     def reads_gravity(self, columns: Sequence[str]) -> bool:
-        """Whether the median length of three columns is that of gravity in a named unit; false for no columns."""
+        """Whether the median length of three columns is that of gravity in a known unit; false for no columns."""
         length = np.linalg.norm(self.read(columns, rows=HEAD_ROWS), axis=1) if columns else np.empty(0)
         median = float(np.nanmedian(length)) if np.isfinite(length).any() else 0.0
         return any(c.unit is not None and abs(median / c.value - 1.0) < _NEAR for c in CANDIDATES[ACCEL])

@@ -42,7 +42,7 @@ _LABEL = re.compile(
 Step = Callable[[Iterator[pl.DataFrame]], Iterator[pl.DataFrame]]
 """Mends the tables of a file, one after the other."""
 Mend = tuple[str, Step]
-"""What is said of a step, and the step."""
+"""A remark on a step, and the step."""
 Edges = list[tuple[int, int]]
 """First and last + 1 row of parts of a log."""
 

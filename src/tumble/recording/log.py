@@ -102,10 +102,10 @@ class Log(Brief):
     def notes(self) -> tuple[str, ...]:
         """What is remarkable in its times, in words."""
         jitter = max(grid.jitter for grid in self._grids)
-        said = (
+        note = (
             f"time stamps are those of bursts, read up to {1e3 * jitter:.2g} ms late or early: rows are taken as even"
         )
-        return (said,) if jitter > 0.0 else ()
+        return (note,) if jitter > 0.0 else ()
 
     def chunks(self, rows: int = 65536) -> Iterator[Chunk]:
         """The samples in order, file by file, at most `rows` at a time; together the same to the bit for any

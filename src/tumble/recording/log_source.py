@@ -1,4 +1,4 @@
-"""A file of a log as tables: what every reader gives, and what is said of what cannot be read."""
+"""A file of a log as tables: what every reader gives, and messages about what cannot be read."""
 
 from __future__ import annotations
 
@@ -134,9 +134,9 @@ def readable(path: Path) -> Iterator[None]:
     try:
         yield
     except (OSError, EOFError, pl.exceptions.PolarsError) as error:
-        said = " ".join(str(error).split())
+        words = " ".join(str(error).split())
         raise LogError(
-            f"{path}: expected a readable {ending_of(path)} file, found it damaged or incomplete: {said}; "
+            f"{path}: expected a readable {ending_of(path)} file, found it damaged or incomplete: {words}; "
             "copy or record it again"
         ) from None
 
@@ -147,8 +147,8 @@ def rows_of_numbers(path: Path) -> Iterator[None]:
     try:
         yield
     except pl.exceptions.PolarsError as error:
-        said = " ".join(str(error).split())[:200]
-        raise LogError(f"{path}: expected rows of numbers, found: {said}; see `tumble inspect`") from None
+        words = " ".join(str(error).split())[:200]
+        raise LogError(f"{path}: expected rows of numbers, found: {words}; see `tumble inspect`") from None
 
 
 def ending_of(path: Path) -> str:
@@ -159,7 +159,7 @@ def ending_of(path: Path) -> str:
 
 
 def unread_error(source: LogSource, unread: Unread) -> LogError:
-    """What is said of a row that cannot be read where it cannot be left out either."""
+    """Error for a row that can neither be read nor left out."""
     width, shown = len(source.names), unread.found[:_SHOWN]
     expected, found = "a number", repr(shown) if shown.strip() else "an empty value"
     if unread.column is None:

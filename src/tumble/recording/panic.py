@@ -49,10 +49,10 @@ def without_panic(*, silent: bool = False) -> Iterator[None]:
             os.dup2(kept, _STANDARD_ERROR)
             os.close(kept)
             held.seek(0)
-            said = held.read()
-            if said and not silent and _MARK not in said:
+            written = held.read()
+            if written and not silent and _MARK not in written:
                 with suppress(OSError):
-                    os.write(_STANDARD_ERROR, said)
+                    os.write(_STANDARD_ERROR, written)
 
 
 def wait_for_last_words() -> None:

@@ -24,7 +24,7 @@ from tumble.recording.text.pieces import check_unpacked
 from tumble.recording.text.text_log import text_log
 
 ENDINGS = (".csv", ".csv.gz", ".csv.zst", ".parquet")
-"""Endings of the files that are read without being told how they are written."""
+"""Endings of the files that are read without a dialect."""
 
 Data = Any
 """A mapping from column names to arrays (N,), a polars or a pandas frame; a sequence of them is a log of several files.

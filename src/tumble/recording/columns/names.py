@@ -224,8 +224,8 @@ def _split(name: str) -> tuple[list[str], str]:
     for count in (2, 1):
         unit = "_".join(words[-count:])
         rest = words[:-count]  # which must have all that a name needs, an axis, a direction or the time
-        told = _axes(rest) or any(map(_DIRECTION.fullmatch, rest)) or score(TIME_KIND, "_".join(rest))
-        if rest and unit in ALL_UNITS and told:
+        is_name = _axes(rest) or any(map(_DIRECTION.fullmatch, rest)) or score(TIME_KIND, "_".join(rest))
+        if rest and unit in ALL_UNITS and is_name:
             return rest, unit
         inner = "_".join(words[-count - 1 : -1])
         if len(words) > count + 1 and inner in ALL_UNITS and len(inner) > 1 and words[-1] in _LETTERS:
@@ -240,9 +240,9 @@ def _words(name: str) -> list[str]:
         whole = token.lower() in ALL_UNITS
         words += [token] if whole else re.split(r"(?<=[a-z])(?=[A-Z])", token)
     words = [word.lower() for word in words if word]
-    said = [word for word in words if word != "axis"]
-    said = said[:-1] if said[-1:] == ["cal"] else said  # of Shimmer: in a unit
-    return said if len(said) > 1 else words
+    kept = [word for word in words if word != "axis"]
+    kept = kept[:-1] if kept[-1:] == ["cal"] else kept  # of Shimmer: in a unit
+    return kept if len(kept) > 1 else words
 
 
 # -------------------- thermometers --------------------

@@ -83,9 +83,9 @@ class _Hypothesis:
     gyro: Run | None
 
 
-def guesses(told: Columns, named: Collection[str] = ()) -> list[str]:
-    """A sentence on each kind of sensors that was told by numbers and is not `named`."""
-    triads = {kind: s for kind, s in told.triads.items() if kind not in named}
+def guesses(columns: Columns, named: Collection[str] = ()) -> list[str]:
+    """A sentence on each kind of sensors that was identified by numbers and is not `named`."""
+    triads = {kind: s for kind, s in columns.triads.items() if kind not in named}
     return [f"{kind}: columns {', '.join(s.columns)}, by their numbers (a guess)" for kind, s in triads.items()]
 
 

@@ -99,7 +99,7 @@ class Reader:
     endings
         How names of its files end, in lower case and with the dot.
     messages
-        Gives the kinds of messages in a file. Whatever it raises is said of a damaged file.
+        Gives the kinds of messages in a file. Whatever it raises becomes a message about a damaged file.
     """
 
     endings: tuple[str, ...]
@@ -194,8 +194,8 @@ def _intact(path: Path) -> Iterator[None]:
         )  # a field that a message does not have
         if of_python and not isinstance(error, LookupError) and here:
             raise
-        said = type(error).__name__ if of_python else " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{path}: expected an intact recording, found it damaged or incomplete: {said}") from None
+        words = type(error).__name__ if of_python else " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{path}: expected an intact recording, found it damaged or incomplete: {words}") from None
 
 
 def as_log(path: Path, accel: Message, gyro: Message | None = None, thermometers: Sequence[Message] = ()) -> None:

@@ -26,8 +26,7 @@ from scipy.io import loadmat
 from scipy.io.matlab import MatlabOpaque, MatReadError
 
 from tumble.errors import InputError
-from tumble.recording.columns.names import ACCEL, columns_by_name
-from tumble.recording.columns.names import Columns as Known
+from tumble.recording.columns.names import ACCEL, Columns, columns_by_name
 from tumble.recording.columns.numbers import columns_by_data, grows, guesses
 from tumble.recording.formats import TIME, Message
 from tumble.recording.rows.gaps import is_reading
@@ -73,22 +72,22 @@ def messages(path: Path) -> list[Message]:
     for length in sorted({max(shape) for shape, _ in arrays.values()}, reverse=True):
         columns = dict(_columns({name: array for name, array in arrays.items() if max(array[0]) == length}))
         widths = Counter(column.array for name, column in columns.items() if name != f"{column.array}/t")
-        known = columns_by_name([name for name, column in columns.items() if widths[column.array] <= len("xyz")])
-        guessed, remark = ACCEL not in known.triads, ""
+        named = columns_by_name([name for name, column in columns.items() if widths[column.array] <= len("xyz")])
+        guessed, remark = ACCEL not in named.triads, ""
         if guessed:
-            known, remark = _with_told_by_data(columns, known)
-        if length < _SHORTEST or not known.triads:
+            named, remark = _with_columns_by_data(columns, named)
+        if length < _SHORTEST or not named.triads:
             continue
-        factor = TIME_UNITS[known.time_unit or "s"]
+        factor = TIME_UNITS[named.time_unit or "s"]
         (by_data if guessed else by_name).append(
             Message(
                 name=f"{length} rows",
                 count=length,
-                triads=known.triads,
-                temperatures=known.temperatures,
-                timed=known.time is not None,
+                triads=named.triads,
+                temperatures=named.temperatures,
+                timed=named.time is not None,
                 remark=remark,
-                rows=partial(_rows, columns, length, known.time, factor),
+                rows=partial(_rows, columns, length, named.time, factor),
             )
         )
     if not by_name and not by_data and path.suffix.lower() == ".mat" and not h5py.is_hdf5(path):
@@ -117,19 +116,19 @@ def _columns(arrays: Mapping[str, tuple[Shape, Read]]) -> Iterator[tuple[str, Co
             yield from ((f"{name}[{at}]", column) for at, column in enumerate(across))
 
 
-def _with_told_by_data(columns: Mapping[str, Column], known: Known) -> tuple[Known, str]:
+def _with_columns_by_data(columns: Mapping[str, Column], named: Columns) -> tuple[Columns, str]:
     """What columns are where no name says which are accelerometers: by their numbers, but for the triads that an array
     of their own is named as; and that in words."""
-    taken = {column for triad in known.triads.values() for column in triad.columns}
+    taken = {column for triad in named.triads.values() for column in triad.columns}
     free = {name: column for name, column in columns.items() if name not in taken}
     together = {name: column for name, column in free.items() if column.axis is not None} or free
     if not 0 < len(together) <= _WIDEST:
-        return known, ""
-    told = columns_by_data(list(together), np.column_stack([column.part(_WHOLE) for column in together.values()]))
-    if ACCEL not in told.triads:
-        return known, ""
-    remark = "; ".join(guesses(told, known.triads))
-    return replace(known, triads={**told.triads, **known.triads}, time=known.time or told.time), remark
+        return named, ""
+    by_data = columns_by_data(list(together), np.column_stack([column.part(_WHOLE) for column in together.values()]))
+    if ACCEL not in by_data.triads:
+        return named, ""
+    remark = "; ".join(guesses(by_data, named.triads))
+    return replace(named, triads={**by_data.triads, **named.triads}, time=named.time or by_data.time), remark
 
 
 def _rows(columns: Mapping[str, Column], length: int, time: str | None, factor: float) -> Iterator[pl.DataFrame]:

@@ -88,7 +88,7 @@ class TextLog(LogSource):
     def _rows(
         self, piece: bytes, first: int, columns: Sequence[str], clock: str | None, day: int
     ) -> tuple[pl.DataFrame, list[Unread]]:
-        """The rows of a piece that begins with data row `first`. Where there is something to be said about them, it is
+        """The rows of a piece that begins with data row `first`. If something in them cannot be read at once, it is
         halved until few lines are left, which Python reads."""
         fast = self._at_once(piece, columns, clock, day)
         if fast is not None:
