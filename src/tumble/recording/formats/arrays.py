@@ -12,7 +12,7 @@ import struct
 import zipfile
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -41,38 +41,35 @@ _WIDEST = 32
 _WHOLE = slice(0, 1 << 21)
 _MATLAB_HEADER, _MATLAB_PACKED = 128, 15
 _PIECE_BYTES = 1 << 20
-Shape = tuple[int, ...]
-Read = Callable[[Any], Any]
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Column:
-    """A column of a table: the name of an array, its shape, how a part of it is read, and which of its columns or rows
-    it is."""
+    """A column of a table: the name of an array, the array, of NumPy or in an open HDF5 file, and which of its columns
+    or rows it is."""
 
-    array: str
-    shape: Shape
-    read: Read
+    name: str
+    array: Any
     axis: int | None
 
     def part(self, rows: slice) -> Array:
-        """Some of it, NaN for what is no reading."""
-        across, upright = 0 if self.axis is None else self.axis, self.shape[0] >= self.shape[-1]
-        where = rows if len(self.shape) == 1 else (rows, across) if upright else (across, rows)
+        """Some of its numbers, NaN for what is no reading."""
+        shape, across = self.array.shape, 0 if self.axis is None else self.axis
+        where = rows if len(shape) == 1 else (rows, across) if shape[0] >= shape[-1] else (across, rows)
         with np.errstate(over="ignore"):  # numbers of 80 bits that are beyond those of 64
-            numbers = np.asarray(self.read(where), dtype=np.float64)
+            numbers = np.asarray(self.array[where], dtype=np.float64)
         return np.where(is_reading(numbers), numbers, np.nan)
 
 
 def messages(path: Path) -> list[Message]:
     """Tables with inertial sensors, one for each length of arrays; those whose names say so come first."""
-    arrays = {name: array for name, array in _arrays(path).items() if len(array[0]) in (1, 2)}
+    arrays = {name: array for name, array in _arrays(path).items() if len(array.shape) in (1, 2)}
     by_name: list[Message] = []
     by_data: list[Message] = []
-    for length in sorted({max(shape) for shape, _ in arrays.values()}, reverse=True):
-        columns = dict(_columns({name: array for name, array in arrays.items() if max(array[0]) == length}))
-        widths = Counter(column.array for name, column in columns.items() if name != f"{column.array}/t")
-        named = columns_by_name([name for name, column in columns.items() if widths[column.array] <= len("xyz")])
+    for length in sorted({max(array.shape) for array in arrays.values()}, reverse=True):
+        columns = dict(_columns({name: array for name, array in arrays.items() if max(array.shape) == length}))
+        widths = Counter(column.name for name, column in columns.items() if name != f"{column.name}/t")
+        named = columns_by_name([name for name, column in columns.items() if widths[column.name] <= len("xyz")])
         guessed, remark = ACCEL not in named.triads, ""
         if guessed:
             named, remark = _with_columns_by_data(columns, named)
@@ -102,12 +99,14 @@ def messages(path: Path) -> list[Message]:
     return by_name + by_data
 
 
-def _columns(arrays: Mapping[str, tuple[Shape, Read]]) -> Iterator[tuple[str, Column]]:
-    for name, (shape, read) in arrays.items():
+def _columns(arrays: Mapping[str, Any]) -> Iterator[tuple[str, Column]]:
+    """Columns of arrays by their names."""
+    for name, array in arrays.items():
+        shape = array.shape
         if min((*shape, 1)) == 1 and np.prod(shape) == max(shape):
-            yield name, Column(array=name, shape=shape, read=read, axis=None)
+            yield name, Column(name=name, array=array, axis=None)
         elif 3 <= min(shape) <= _WIDEST:
-            across = [Column(array=name, shape=shape, read=read, axis=axis) for axis in range(min(shape))]
+            across = [Column(name=name, array=array, axis=axis) for axis in range(min(shape))]
             ends = (across[0], across[-1]) if len(across) == 4 else ()
             time = next((column for column in ends if grows(column.part(_WHOLE))), None)
             if time is not None:
@@ -138,8 +137,8 @@ def _rows(columns: Mapping[str, Column], length: int, time: str | None, factor: 
         yield pl.DataFrame(table if time is None else {TIME: table.pop(time) * factor} | table)
 
 
-def _arrays(path: Path) -> dict[str, tuple[Shape, Read]]:
-    """Arrays of numbers by their paths: shape, and how to read a part of them."""
+def _arrays(path: Path) -> dict[str, Any]:
+    """Arrays of numbers by their paths."""
     if path.suffix.lower() in (".npy", ".npz"):
         try:
             if zipfile.is_zipfile(path):
@@ -163,7 +162,15 @@ def _arrays(path: Path) -> dict[str, tuple[Shape, Read]]:
             return dict(_nested(loadmat(path, simplify_cells=True)))
         except (MatReadError, ValueError) as error:
             raise ValueError(f"not a MATLAB file: {error}") from None
-    return _datasets(path)
+    datasets: dict[str, Any] = {}
+
+    def visit(name: str, item: Any) -> None:
+        if isinstance(item, h5py.Dataset) and item.dtype.kind in "fiu":
+            datasets[name] = item
+
+    h5py.File(path).visititems(visit)  # open as long as one of them is there
+    check_unpacked(path, sum(math.prod(item.shape) * item.dtype.itemsize for item in datasets.values()))
+    return datasets
 
 
 def _bytes_of_matlab(path: Path) -> int:
@@ -185,7 +192,7 @@ def _bytes_of_matlab(path: Path) -> int:
     return found
 
 
-def _nested(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, tuple[Shape, Read]]]:
+def _nested(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
     """The arrays of a MATLAB file, those in structures too."""
     for name, value in content.items():
         if isinstance(value, np.ndarray) and value.dtype.names:
@@ -197,29 +204,10 @@ def _nested(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str,
         if isinstance(value, dict):
             yield from _nested(value, f"{prefix}{name}/")
         elif isinstance(value, np.ndarray) and value.dtype.kind in "fiu" and not name.startswith("__"):
-            yield prefix + name, (value.shape, value.__getitem__)
+            yield prefix + name, value
 
 
 def _stacked(samples: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Structures of one sample each as arrays of all samples, by their names; without what is not alike in all."""
     found = {name: [np.asarray(sample.get(name, np.nan)) for sample in samples] for name in samples[0]}
     return {name: np.array(parts) for name, parts in found.items() if len({part.shape for part in parts}) == 1}
-
-
-def _datasets(path: Path) -> dict[str, tuple[Shape, Read]]:
-    """The arrays of an HDF5 file."""
-    found: dict[str, tuple[Shape, Read, int]] = {}
-
-    def visit(name: str, item: Any) -> None:
-        if isinstance(item, h5py.Dataset) and item.dtype.kind in "fiu":
-            found[name] = (item.shape, partial(_read, path, name), item.dtype.itemsize)
-
-    with h5py.File(path) as file:
-        file.visititems(visit)
-    check_unpacked(path, sum(math.prod(shape) * size for shape, _, size in found.values()))
-    return {name: (shape, read) for name, (shape, read, _) in found.items()}
-
-
-def _read(path: Path, name: str, part: Any) -> Any:
-    with h5py.File(path) as file:
-        return file[name][part]
