@@ -54,14 +54,11 @@ class Chunk:
     temperature: Array | None
     magnetometer: Array | None = None
 
-    @property
-    def _arrays(self) -> dict[str, Any]:
-        names = "time", "dt", "accel", "gyro", "temperature", "magnetometer"
-        return {name: array for name in names if (array := getattr(self, name)) is not None}
-
     def part(self, rows: slice) -> Chunk:
         """Some of the samples."""
-        return replace(self, **{name: array[rows] for name, array in self._arrays.items()})
+        names = "time", "dt", "accel", "gyro", "temperature", "magnetometer"
+        arrays: dict[str, Any] = {name: each[rows] for name in names if (each := getattr(self, name)) is not None}
+        return replace(self, **arrays)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, repr=False)

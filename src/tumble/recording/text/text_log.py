@@ -12,7 +12,6 @@ import codecs
 import csv
 import re
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from itertools import chain, islice, product
@@ -185,16 +184,11 @@ class TextLog(LogSource):
                 except pl.exceptions.PolarsError:
                     if self.dialect == Dialect():
                         raise
-                    rows: list[list[str]] = []
-                    for line in piece.decode("utf-8", errors="replace").splitlines():
-                        with suppress(csv.Error):
-                            cells = self.cells(line)
-                            rows += (
-                                [cells] if len(cells) == len(self.names) and not self.dialect.is_comment(line) else []
-                            )
-                    yield pl.DataFrame(rows, schema=dict.fromkeys(self.names, pl.String), orient="row").with_columns(
-                        point
-                    )
+                    lines = piece.decode("utf-8", errors="replace").splitlines()
+                    rows = [self.dialect.cells(line) for line in lines if not self.dialect.is_comment(line)]
+                    rows = [cells for cells in rows if len(cells) == len(self.names)]
+                    text = dict.fromkeys(self.names, pl.String)
+                    yield pl.DataFrame(rows, schema=text, orient="row").with_columns(point)
 
     def pieces(self) -> Iterator[bytes]:
         """The rows in pieces of whole lines that are parsed alike whatever the dialect."""
