@@ -149,7 +149,8 @@ def _arrays(path: Path) -> dict[str, Any]:
             else:  # mapped: it takes no memory for what a damaged header promises
                 named = {path.stem: np.load(path, mmap_mode="r")}
         except ValueError as error:
-            if "pickle" not in str(error):  # objects, which only Python reads, as it runs what is in the file
+            # objects, which only Python reads, as it runs what is in the file
+            if "pickle" not in str(error) and "Python objects" not in str(error):
                 raise
             raise InputError(
                 f"{path}: expected arrays of numbers, found objects of Python; save the arrays themselves, np.savez("
