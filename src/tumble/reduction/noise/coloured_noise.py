@@ -29,7 +29,6 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from tumble.reduction import kernels as _kernels
 from tumble.units import Array, BoolArray
@@ -64,7 +63,7 @@ class ColouredNoise:
 
     def variance_of_mean(self, blocks: float) -> Array:
         """Variance (c,) of a mean over blocks, at level 1."""
-        return _variance_of_mean(self.autocovariance, blocks / self.batch)
+        return _variance_of_mean(self.autocovariance, np.array([blocks / self.batch]))[:, 0]
 
     def arising(self, blocks: float) -> float:
         """The time at which the noise of an integral over T, so many blocks, arises: the variance of ∫ (T − t) n dt in
@@ -153,15 +152,11 @@ def _fit(rests: Sequence[Array]) -> ColouredNoise:
     return ColouredNoise(batch=batch, autocovariance=autocovariance, correlation=correlation, level=level)
 
 
-def _variance_of_mean(autocovariance: Array, batches: ArrayLike) -> Array:
-    """v(K) of the module docstring by partial sums of r_j and of j r_j: of autocovariances (..., L) for one K (...), or
-    for several (..., n), in batches."""
-    K = np.asarray(batches, dtype=float)
-    last = np.clip(K.astype(np.int64), 1, autocovariance.shape[-1]) - 1
-    r = autocovariance[..., : int(last.max()) + 1]
-    sums, moments = np.cumsum(r, axis=-1)[..., last], np.cumsum(np.arange(r.shape[-1]) * r, axis=-1)[..., last]
-    white = r[..., :1] if K.ndim else r[..., 0]
-    return np.asarray(np.maximum((2.0 * (sums - moments / K) - white) / K, LEAST * white / K))
+def _variance_of_mean(autocovariance: Array, batches: Array) -> Array:
+    """v(K) (c, n) of the module docstring for autocovariances (c, L) and numbers K (n,) of batches."""
+    out = np.empty((len(autocovariance), len(batches)))
+    _kernels.mean_variances(autocovariance, batches.astype(float), LEAST, np.empty((2, autocovariance.shape[1])), out)
+    return out
 
 
 @lru_cache(maxsize=256)
@@ -249,7 +244,7 @@ def _levels(series: list[Array], autocovariance: Array) -> Array:
         return level
     lengths = np.array([len(series[i]) for i in long])
     different, which = np.unique(lengths, return_inverse=True)
-    expected = autocovariance[0] - _variance_of_mean(autocovariance, different)[which]
+    expected = autocovariance[0] - _variance_of_mean(autocovariance[None], different)[0, which]
     power = np.array([series[i] @ series[i] for i in long]) / lengths / np.maximum(expected, 1e-12 * autocovariance[0])
     if np.median(power) == 0.0:
         return level
