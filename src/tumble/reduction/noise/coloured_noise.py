@@ -94,10 +94,10 @@ def fit_coloured_noise(rests: Sequence[Array]) -> ColouredNoise:
     ordinary = [i for i, rest in enumerate(rests) if len(rest) <= LONG * typical]
     pieces = [piece for i in long for piece in np.array_split(rests[i], math.ceil(len(rests[i]) / typical))]
     alike = _alike([rests[i] for i in ordinary], pieces)
-    noise, of_long = _fit([rests[i] for i in ordinary] + alike), fit_coloured_noise([rests[i] for i in long])
+    noise, noise_of_long = _fit([rests[i] for i in ordinary] + alike), fit_coloured_noise([rests[i] for i in long])
     level = np.empty((len(rests), rests[0].shape[1]))
-    level[ordinary], level[long] = noise.level[: len(ordinary)], of_long.level
-    return replace(noise, level=level, apart={rest: (of_long, index) for index, rest in enumerate(long)})
+    level[ordinary], level[long] = noise.level[: len(ordinary)], noise_of_long.level
+    return replace(noise, level=level, apart={rest: (noise_of_long, index) for index, rest in enumerate(long)})
 
 
 def _alike(rests: list[Array], pieces: list[Array]) -> list[Array]:
@@ -202,18 +202,18 @@ def _fit_channels(channels: list[list[Array]], longest: int, sloping: BoolArray)
     lost, bent = np.zeros(len(channels)), np.zeros(raw.shape)
     for _ in range(50 if len(noisy) else 0):
         corrected = raw + lost[:, None] + bent
-        of_orders = []  # filters, a row each, and innovation variances, up to where no process has the autocovariances
+        fits = []  # filters, a row each, and innovation variances, up to where no process has the autocovariances
         for c in noisy:
-            of_order, powers = np.zeros((order_limit + 1,) * 2), np.zeros(order_limit + 1)
-            count = _kernels.levinson(corrected[c], of_order, powers)
-            of_orders.append((of_order[:count], powers[:count]))
-        orders = min(len(powers) for _, powers in of_orders)
-        surprise = total * sum(np.log(powers[:orders]) for _, powers in of_orders)
+            order_filters, powers = np.zeros((order_limit + 1,) * 2), np.zeros(order_limit + 1)
+            count = _kernels.levinson(corrected[c], order_filters, powers)
+            fits.append((order_filters[:count], powers[:count]))
+        orders = min(len(powers) for _, powers in fits)
+        surprise = total * sum(np.log(powers[:orders]) for _, powers in fits)
         fitted = np.arange(orders) + 1.0
         best = int(np.argmin(surprise + 2.0 * len(noisy) * fitted * total / (total - fitted - 1.0)))
         now = np.zeros(len(channels))
-        for c, (of_order, _) in zip(noisy, of_orders, strict=True):
-            filters[c] = of_order[best, : best + 1]
+        for c, (order_filters, _) in zip(noisy, fits, strict=True):
+            filters[c] = order_filters[best, : best + 1]
             autocovariance[c], autocovariance[c, : best + 1] = 0.0, corrected[c, : best + 1]
             if best:
                 _kernels.continue_autocovariance(autocovariance[c], filters[c], NEGLIGIBLE)
