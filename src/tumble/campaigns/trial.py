@@ -57,8 +57,8 @@ def session_rows(seed: int, methods: Sequence[Method], intervals: bool, number: 
     methods
         Names of methods, see `tumble.calibrate`.
     intervals
-        Whether the joint method integrates over its hyperparameters, as `tumble.calibrate` does; else its u is that at
-        the maximum of the likelihood.
+        Whether joint, and what other methods take from it, is integrated over its hyperparameters, as
+        `tumble.calibrate` does; else u is that at the maximum of the likelihood.
     number
         Of the trial.
     cell
@@ -97,7 +97,9 @@ def _estimate(observations: Observations, method: Method, intervals: bool) -> Es
     """The estimate of a method."""
     if method == "joint":
         return joint(observations, quick=not intervals)
-    return METHODS[method](observations) if method in METHODS else ITERATED_METHODS[method](observations, ITERATIONS)
+    if method in METHODS:
+        return METHODS[method](observations, intervals=intervals)
+    return ITERATED_METHODS[method](observations, ITERATIONS, intervals=intervals)
 
 
 def bound(scenario: Scenario, attitudes: Array, observations: Observations) -> dict[str, float]:

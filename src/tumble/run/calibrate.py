@@ -16,6 +16,7 @@ import numpy as np
 
 from tumble import __version__
 from tumble.arguments import checked
+from tumble.diagnosis import linear_model
 from tumble.diagnosis.in_motion import motion_note
 from tumble.diagnosis.level_faces import with_common_tilt
 from tumble.diagnosis.misfit import ClockByEarth, clock_by_earth
@@ -58,7 +59,7 @@ def _imported(module: str, name: str) -> Callable[..., Estimate]:
     return lambda *args, **words: getattr(import_module(f"tumble.methods.{module}"), name)(*args, **words)
 
 
-METHODS: Mapping[str, Estimator] = {
+METHODS: Mapping[str, Callable[..., Estimate]] = {
     "joint": joint,
     "ellipsoid": _imported("ellipsoid", "ellipsoid"),
 }
@@ -355,18 +356,14 @@ def estimated(
     unstamped = session.log.unstamped
     observations = replace(observations, start=start, notes=notes, by_clock=by_clock, unstamped=unstamped)
     try:
-        with np.errstate(over="ignore", invalid="ignore"):  # damaged samples, of which it breaks down
-            estimate = method(replace(observations, usual={}) if linear_joint else observations)
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # damaged samples, of which it breaks down
+            estimate = linear_model.linear_joint(observations) if linear_joint else method(observations)
         if estimate.method != "joint":  # which counts the time base itself
             change, relative = by_time_base(estimate.names, by_clock), max(map(abs, by_clock.values()), default=0.0)
             of_clock, budget = np.outer(change, change), estimate.budget
             budget = None if budget is None else budget.beside(source("clock", relative, "1"), of_clock)
             estimate = replace(estimate, covariance=estimate.covariance + of_clock, budget=budget)
         if linear_joint or estimate.method != "joint":
-            from tumble.diagnosis import linear_model
-
-            if linear_joint:
-                estimate = linear_model.with_left_out_by_joint(estimate, observations)
             notes += linear_model.taken_as_nothing(estimate)
             estimate = linear_model.linear_part(estimate) if terms == "linear" else estimate
         elif prior is not None:

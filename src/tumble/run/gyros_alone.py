@@ -108,8 +108,8 @@ def calibrate_gyros(found: GyroRests) -> Calibration:
     session, N = found.session, len(found.mean)
     if not session.log.accel.scale_stated:
         raise InputError(
-            f"{session.device.serial}: expected gyros in a unit, found counts whose worth nothing tells; state "
-            "--gyro-unit, or log the accelerometers too; `tumble noise` tells the noise in counts"
+            f"{session.device.serial}: expected the unit of the gyros, found none, and nothing tells it without "
+            "accelerometers; state --gyro-unit deg/s or another; `tumble noise` tells the noise of counts as it is"
         )
     block = replace(session.accel_block, kind="gyro")
     seconds = np.array([rest.stop - rest.start for rest in found.segmentation.rests])

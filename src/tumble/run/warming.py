@@ -177,7 +177,7 @@ def _at_rest(observed: Observed) -> Observed:
     rests = find_rests(observed.reduction, observed.session.accel_block, None).rests
     files, limit = observed.reduction.by_file, observed.segmentation.rate_limit
     second = max(1, round(1.0 / observed.reduction.block_seconds))
-    for rest in rests:
+    for rest in rests if observed.session.gyro_block is not None else ():
         means = files[rest.file].gyro.means[rest.first : rest.last]
         seconds = means[: len(means) // second * second].reshape(-1, second, means.shape[1]).mean(axis=1)
         if limit is not None and len(seconds) > 1 and np.linalg.norm(np.diff(seconds, axis=0), axis=1).max() > limit:

@@ -65,6 +65,18 @@ WHAT_AN_INCREMENT_SAYS = (
 """Explanation below the increments of iterations."""
 
 
+def _over_temperature(calibration: Calibration) -> list[Block]:
+    """That there are coefficients of temperature, which only the whole table shows."""
+    count = sum(p.name[-3:-1] == ".t" for p in calibration.parameters)
+    measured = calibration.temperature_range
+    if not count or measured is None:
+        return []
+    low, high = measured
+    return [
+        f"over temperature, {low:.0f} to {high:.0f} °C: {count} coefficients with their u, in the file and by --all"
+    ]
+
+
 def calibration_blocks(
     calibration: Calibration,
     truth: Mapping[str, float] | None = None,
@@ -113,6 +125,7 @@ def calibration_blocks(
         *improvement(calibration),
         *(note for note in calibration.provenance.notes if not every and note.startswith(IN_MOTION)),
         parameter_table(calibration, parameters, truth) if compared else compact_table(parameters),
+        *([] if every else _over_temperature(calibration)),
     ]
     blocks += [group_table(calibration), *unknown_blocks(calibration)] if every else []
     if budget:
