@@ -102,6 +102,8 @@ REACH = 8.0
 SETTLED, ROUGH = 0.07, 0.1
 """Of u, for the parameter of which it is largest: an error by the points above which there are twice as many, and above
 which it is said."""
+FEW = 4.0
+"""Effective points of a sequence: two of fewer may agree by chance, and there are twice as many."""
 SHOWN = 0.2
 """Twice the members of a group of which the session learns something where it is as large as its prior allows for: of
 less, its size is not shown at all, and stays that of the sheet."""
@@ -160,12 +162,14 @@ def posterior(fitted: Maximum, *, integrate: bool = True) -> Posterior:
     np.empty(KEPT_MEMORY, dtype=np.uint8)
     count = max(POINTS if len(proposal.inner) else 2 * POINTS, 2 * (len(proposal.outer) + SPARE)) // 2
     drawn, sets = [_drawn(fitted, proposal, count, sequence) for sequence in (0, 1)], 1
-    while (error := _u_error(drawn)) > SETTLED and 2 * count * sets < MOST_POINTS:  # twice as many
+    while 2 * count * sets < MOST_POINTS:
+        if _u_error(drawn) < SETTLED and min(each.effective for each in drawn) > FEW:
+            break
         for sequence in range(2 * sets, 4 * sets):
             more = _drawn(fitted, proposal, count, sequence)
             drawn[sequence % 2] = Draws.joined([drawn[sequence % 2], more])
         sets *= 2
-    both = Draws.joined(drawn)
+    error, both = _u_error(drawn), Draws.joined(drawn)
     mean, within, between = both.moments()
     sources = scaled_to(contributions(_typical(fitted, both)), within) | {"hyperparameters": between}
     covariance = np.sum(list(sources.values()), axis=0)
@@ -181,7 +185,7 @@ def posterior(fitted: Maximum, *, integrate: bool = True) -> Posterior:
         process_step=process_mean,
         process_covariance=process_within + process_between,
         points=len(both.triangles.right),
-        effective=float(1.0 / (both.smoothed[0] ** 2).sum()),
+        effective=both.effective,
         pareto=both.smoothed[1],
         u_error=error,
         hyperparameters=_summary(fitted, both.phi.reshape(both.weight.size, -1), both.weight.ravel()),
@@ -584,6 +588,11 @@ class Draws:
     def smoothed(self) -> tuple[Array, float]:
         """The weights (K,) of the points, and their shape."""
         return smoothed(scipy.special.logsumexp(self.log_weight, axis=1))
+
+    @property
+    def effective(self) -> float:
+        """The effective number of points."""
+        return float(1.0 / (self.smoothed[0] ** 2).sum())
 
     @property
     def weight(self) -> Array:

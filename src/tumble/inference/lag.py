@@ -91,9 +91,13 @@ def maximum_with_lags(start: Linearisation, iterations: int) -> tuple[Maximum, A
 
     def with_lags(phi: Array, kind: str, tried: Array) -> list[Solution]:
         """The solutions at φ with lags of a kind."""
-        near = replace(fitted.linearisation, point=fitted.point)
-        every = (held(with_lag(fitted.point.values, kind, lag), near) for lag in tried.tolist())
-        return [restricted_likelihood(there, fitted.hyperparameters, phi) for there in every]
+        values, out = fitted.point.values, list[Solution]()
+        here = held(values, replace(fitted.linearisation, point=fitted.point))
+        for lag in tried.tolist():
+            other = with_lag(values, kind, lag)
+            there = here.at_lags(free.with_lags(other), other)
+            out.append(restricted_likelihood(there, fitted.hyperparameters, phi))
+        return out
 
     def likelihood(phi: Array, kind: str) -> Callable[[Array], tuple[Array, Array]]:
         """−2 ln of the posterior of lags."""
