@@ -46,6 +46,7 @@ from tumble.inference.noise import (
     DISPLACEMENT,
     DISPLACEMENT_TIME,
     LINK_SCATTER,
+    REST_SCATTER,
     SCATTER,
     SCATTER_WORDS,
     TURN_SCATTER,
@@ -383,6 +384,7 @@ def hyperparameters_of(problem: Problem, noise: NoiseModel, seen: BoolArray) -> 
     """The hyperparameters of a problem: the components of scatter (c,) that are `seen`, the in-run biases, and the
     groups whose size is by a prior."""
     observations, blocks, out = problem.observations, problem.instrument.blocks, list[Hyperparameter]()
+    undisturbed = problem.prior.undisturbed
 
     # components of scatter: each stands beside the noise along its directions
     both = (
@@ -392,7 +394,7 @@ def hyperparameters_of(problem: Problem, noise: NoiseModel, seen: BoolArray) -> 
     )
     for number, (name, (unit, words)) in enumerate(SCATTER_WORDS.items()):
         beside = [np.zeros(0)]
-        for covariance, Z, place in both if seen[number] else ():
+        for covariance, Z, place in both if seen[number] and not (undisturbed and name in REST_SCATTER) else ():
             along = Z[:, :, place == number]
             length = (along**2).sum(axis=1)
             size = np.einsum("kaq,kab,kbq->kq", along, covariance, along)
@@ -414,7 +416,7 @@ def hyperparameters_of(problem: Problem, noise: NoiseModel, seen: BoolArray) -> 
         out.append(
             CorrelationTime(name=f"{kind}_time", unit="s", words=words_of_time, usual=CORRELATION_TIME, **process)
         )
-        for c, sensor in enumerate(block.sensors if block.size > 1 else ()):
+        for c, sensor in enumerate(block.sensors if block.size > 1 and not undisturbed else ()):
             words_of_sensor = f"scatter and in-run bias of {kind} {sensor} over those of the others"
             size = _factor(f"{kind}.in_run.{sensor}", words_of_sensor, UNLIKE, slice(first + c, first + c + 1))
             out.append(SensorFactor(**size))

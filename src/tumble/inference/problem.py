@@ -65,14 +65,26 @@ OWN: tuple[Variable, ...] = ("time", "launch")
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Prior:
-    """What is known beforehand: standard deviations, SI, of parameters about their start values, by name (others have
-    their limit or their usual size), and of the attitudes about those of the programme, rad an axis. Where a
-    `covariance` (1 + m, 1 + m) of gravity and the parameters is known, it takes the place of all of these but the
-    attitudes'."""
+    """What is known beforehand.
+
+    Parameters
+    ----------
+    parameters
+        Standard deviations, SI, of parameters about their start values, by name; others have their limit or their usual
+        size.
+    attitude
+        Standard deviation of the attitudes about those of the programme, rad an axis.
+    covariance : (1 + m, 1 + m)
+        Of gravity and the parameters; it takes the place of `parameters`.
+    undisturbed
+        Whether the rests are parts of one: nothing but the noise and the in-run biases changes readings from one to the
+        next, and those of all sensors of a kind are alike.
+    """
 
     parameters: Mapping[str, float] = field(default_factory=dict)
     attitude: float | None = None
     covariance: Array | None = None
+    undisturbed: bool = False
 
 
 NO_PRIOR = Prior()
