@@ -27,16 +27,16 @@ mean of those along φ_i and of its marginal is taken. Of a size of a group it i
 maximum; of a size λ = exp(max(p, 0)) half of it is that of p < 0, by the prior. z has the correlations of the average
 information.
 The points z are of two fixed low-discrepancy sequences, each moved so that its mean and covariance are exactly those of
-the normal distribution, so that a result is the same to the last digit. With the weights w ∝ e^ℓ/q, smoothed by the
-Pareto distribution that fits the largest (Vehtari et al. 2024, Pareto smoothed importance sampling), and the step m and
-covariance V at each
+the normal distribution, so that a result is the same to the last digit. The weights w ∝ e^ℓ/q of the ψ, each the sum
+over its sizes, are smoothed by the Pareto distribution that fits the largest (Vehtari et al. 2024, Pareto smoothed
+importance sampling). With the step m and covariance V at each draw
 
     x̄ = Σ w m,    C = Σ w (V + m mᵀ) − x̄ x̄ᵀ
 
 and the coverage factor k of a parameter is the half width at 95.45 % of its mixture of Gaussians over its u, of which
 u is half where a few points far out would make it more. The two sequences are independent: half the difference of what
-each finds for u is the error of u by the points. As long as it exceeds SETTLED of u there are twice as many points,
-until there are MOST_POINTS.
+each finds for u is the error of u by the points. As long as it exceeds SETTLED of u, or few points count, there are
+twice as many, by further sequences, until there are MOST_POINTS.
 """
 
 from __future__ import annotations
@@ -716,8 +716,8 @@ def conditional(solution: Solution) -> Conditional:
 
 
 def rough(integral: Integral) -> bool:
-    """Whether an integral rests on a few points: by the error of u."""
-    return integral.u_error > ROUGH
+    """Whether an integral rests on a few points: by the error of u, or by their effective number."""
+    return integral.u_error > ROUGH or (integral.points > 1 and integral.effective < 2.0 * FEW)
 
 
 def normal_points(points: int, dimensions: int, sequence: int = 0) -> Array:
