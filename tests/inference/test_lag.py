@@ -161,3 +161,20 @@ def test_a_lag_is_judged_with_the_sizes_that_are_likeliest_with_it() -> None:
     near = likeliest_near(fitted, there).log_posterior
     assert plain < best - 5.0
     assert best - near < 0.4 * (best - plain)
+
+
+def test_rows_at_another_lag_are_those_linearised_there() -> None:
+    """Whatever goes with temperature, in rests and in turns that warm: ℓ, and the step in units of u."""
+    _, observations = warming(1, "25+10@300", {"accel": 20.0, "gyro": 40.0}, 1.0)
+    instrument, _ = instruments_of(observations)
+    problem = Problem.of(observations, instrument=instrument, usual=observations.usual)
+    fitted, _ = maximum_with_lags(start_of(problem)[0], MAX_ITERATIONS)
+    values = fitted.point.values.copy()
+    values[list(problem.lags.values())] += [15.0, 60.0]
+    held, about = problem.with_lags(values), fitted.linearisation.about
+    near = fitted.linearisation.at_lags(held, values)
+    whole = linearise(held, replace(fitted.linearisation.point, values=near.point.values), about)
+    found, expected = (restricted_likelihood(each, fitted.hyperparameters, fitted.phi) for each in (near, whole))
+    assert float(found.log_posterior) == pytest.approx(float(expected.log_posterior), abs=0.02)
+    u = np.sqrt(expected.covariance.diagonal()[1:])
+    np.testing.assert_allclose((found.parameters - expected.parameters)[1:] / u, 0.0, atol=0.01)

@@ -245,7 +245,7 @@ class Score:
         (N, q), and where these stand in SCATTER."""
         equations, noise = self.solution.equations, self.noise
         out = list[tuple[Array, Array, IntArray]]()
-        rest, turn, link = noise.seen_directions
+        rest, turn, link = noise.weighted_directions
         for W, (r, _), (Z, place) in (
             (equations.rest_whitening, self.solution.rest_residuals, rest),
             (equations.turn_whitening, self.solution.turn_residuals, turn),

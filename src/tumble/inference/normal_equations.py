@@ -27,7 +27,7 @@ import scipy
 from tumble.inference.elimination import along_chains, eliminate, fold, given_parameters, given_unknowns, put_back
 from tumble.inference.elimination_kernels import residuals
 from tumble.inference.linearisation import Linearisation
-from tumble.inference.noise import OMITTED, NoiseModel, VarianceComponents
+from tumble.inference.noise import NoiseModel, VarianceComponents
 from tumble.inference.problem import Problem, SessionSpan
 from tumble.units import Array, IntArray
 
@@ -406,14 +406,9 @@ def _local_solution(head: Array, parameters: Array, root: Array) -> tuple[Array,
 
 
 def rests_deviance(equations: NormalEquations) -> Array:
-    """ln |V| + 2 Σ ln |diag R| of the rows that are not left out and of the unknowns of the rests."""
-    noise = equations.noise
-    every = (
-        (equations.rest_whitening, noise.rest_weights),
-        (equations.turn_whitening, noise.turn_weights),
-        (equations.link_whitening, 1.0),
-    )
-    whitened = sum(np.log(W.diagonal(0, -2, -1)).sum(axis=(-2, -1), where=w > OMITTED) for W, w in every)
+    """ln |V| + 2 Σ ln |diag R| of the rows and of the unknowns of the rests."""
+    noise, every = equations.noise, (equations.rest_whitening, equations.turn_whitening, equations.link_whitening)
+    whitened = sum(np.log(W.diagonal(0, -2, -1)).sum(axis=(-2, -1)) for W in every)
     steps = np.log(noise.state_step[..., noise.follows, :]).sum(axis=(-2, -1)) if noise.states else 0.0
     return np.asarray(2.0 * (_logarithms(equations.rest_factors.diagonal(0, -2, -1)).sum(axis=-1) + steps - whitened))
 
