@@ -46,9 +46,9 @@ from tumble.inference.noise import (
     DISPLACEMENT,
     DISPLACEMENT_TIME,
     LINK_SCATTER,
+    REST_SCATTER,
     SCATTER,
     SCATTER_WORDS,
-    TURN_SCATTER,
     NoiseModel,
     VarianceComponents,
     typical_noise,
@@ -110,25 +110,16 @@ class Hyperparameter:
         """The quantity, SI."""
         return np.exp(np.maximum(phi, 0.0) if self.bounded else phi)
 
-    def log_prior(self, phi: Array) -> tuple[Array, Array, Array]:
-        """The logarithm of the prior density of φ less a constant, its derivative, and the curvature of its negative:
-        normal."""
-        z = (phi - self.centre) / self.within
-        return -0.5 * z * z, -z / self.within, np.full_like(z, self.within**-2.0)
+    def log_prior(self, phi: Array) -> Array:
+        """The logarithm of its prior density less a constant, its derivative, and the curvature of its negative (3, …)
+        at values (…) of it alone."""
+        return Hyperparameters((self,)).log_prior(phi[..., None])[..., 0]
 
 
 class Scatter(Hyperparameter):
     """ln σ of a component of scatter."""
 
     __slots__ = ()
-
-    def log_prior(self, phi: Array) -> tuple[Array, Array, Array]:
-        """That of σ exponential with the mean `usual`; of the scatter of turns of density m/(m + σ)²."""
-        z = phi - self.centre
-        x = np.exp(z)
-        if self.name in TURN_SCATTER or self.name in LINK_SCATTER:
-            return z - 2.0 * np.log1p(x), (1.0 - x) / (1.0 + x), 2.0 * x / (1.0 + x) ** 2
-        return z - x, 1.0 - x, x
 
 
 class InRunSize(Hyperparameter):
@@ -178,20 +169,33 @@ class Hyperparameters(tuple[Hyperparameter, ...]):
         return np.array([h.centre for h in self])
 
     @cached_property
-    def _normal(self) -> tuple[Array, list[int]]:
-        """1/within (D,), 0 where the prior is not normal, and these elements."""
-        others = [i for i, h in enumerate(self) if isinstance(h, Scatter)]
-        return np.array([0.0 if isinstance(h, Scatter) else 1.0 / h.within for h in self]), others
+    def _priors(self) -> tuple[Array, IntArray, IntArray]:
+        """1/within (D,), 0 where the prior is not normal, and the scatter of rests, and that of turns and links."""
+        scatter = [i for i, h in enumerate(self) if isinstance(h, Scatter)]
+        at_rest, others = (
+            np.array([i for i in scatter if (self[i].name in REST_SCATTER) is rests], dtype=int)
+            for rests in (True, False)
+        )
+        return np.array([0.0 if i in scatter else 1.0 / h.within for i, h in enumerate(self)]), at_rest, others
 
     def log_prior(self, phi: Array) -> Array:
         """Of every element the logarithm of the prior density of φ (D,), less a constant, its derivative, and the
-        curvature of its negative (3, D)."""
-        narrow, others = self._normal
-        out, z = np.empty((3, *phi.shape)), (phi - self.centre) * narrow
+        curvature of its negative (3, D): normal; of scatter σ exponential with the mean `usual`, of that of turns and
+        links of density m/(m + σ)²."""
+        (narrow, at_rest, others), off = self._priors, phi - self.centre
+        out, z = np.empty((3, *phi.shape)), off * narrow
         out[0], out[1], out[2] = -0.5 * z * z, -z * narrow, narrow * narrow
-        for i in others:
-            out[..., i] = self[i].log_prior(phi[..., i])
+        z = off[..., at_rest]
+        x = np.exp(z)
+        out[..., at_rest] = z - x, 1.0 - x, x
+        z = off[..., others]
+        x = np.exp(z)
+        out[..., others] = z - 2.0 * np.log1p(x), (1.0 - x) / (1.0 + x), 2.0 * x / (1.0 + x) ** 2
         return out
+
+    @cached_property
+    def _selections(self) -> dict[tuple[tuple[type[Hyperparameter], int], ...], Array]:
+        return {}
 
     @cached_property
     def _members(self) -> dict[tuple[type[Hyperparameter], int], Array]:
@@ -205,6 +209,12 @@ class Hyperparameters(tuple[Hyperparameter, ...]):
                 if isinstance(h, kind):
                     out[i, h.members] = 1.0
         return self._members[kind, count]
+
+    def selection(self, counts: tuple[tuple[type[Hyperparameter], int], ...]) -> Array:
+        """The same (D, Σ) of several kinds, side by side."""
+        if counts not in self._selections:
+            self._selections[counts] = np.hstack([self.members(*each) for each in counts])
+        return self._selections[counts]
 
 
 # -------------------- score --------------------
@@ -235,7 +245,7 @@ class Score:
         (N, q), and where these stand in SCATTER."""
         equations, noise = self.solution.equations, self.noise
         out = list[tuple[Array, Array, IntArray]]()
-        rest, turn, link = noise.seen_directions
+        rest, turn, link = noise.weighted_directions
         for W, (r, _), (Z, place) in (
             (equations.rest_whitening, self.solution.rest_residuals, rest),
             (equations.turn_whitening, self.solution.turn_residuals, turn),
@@ -351,7 +361,7 @@ class Score:
             GroupSize: self.priors,
             LocalGroupSize: self.local_priors,
         }
-        some = np.hstack([hyperparameters.members(kind, len(of.square)) for kind, of in every.items()])
+        some = hyperparameters.selection(tuple((kind, len(of.square)) for kind, of in every.items()))
         square, trace, double = (
             some @ np.concatenate([getattr(of, name) for of in every.values()])
             for name in ("square", "trace", "double")
@@ -383,6 +393,7 @@ def hyperparameters_of(problem: Problem, noise: NoiseModel, seen: BoolArray) -> 
     """The hyperparameters of a problem: the components of scatter (c,) that are `seen`, the in-run biases, and the
     groups whose size is by a prior."""
     observations, blocks, out = problem.observations, problem.instrument.blocks, list[Hyperparameter]()
+    undisturbed = problem.prior.undisturbed
 
     # components of scatter: each stands beside the noise along its directions
     both = (
@@ -392,7 +403,7 @@ def hyperparameters_of(problem: Problem, noise: NoiseModel, seen: BoolArray) -> 
     )
     for number, (name, (unit, words)) in enumerate(SCATTER_WORDS.items()):
         beside = [np.zeros(0)]
-        for covariance, Z, place in both if seen[number] else ():
+        for covariance, Z, place in both if seen[number] and not (undisturbed and name in REST_SCATTER) else ():
             along = Z[:, :, place == number]
             length = (along**2).sum(axis=1)
             size = np.einsum("kaq,kab,kbq->kq", along, covariance, along)
@@ -414,7 +425,7 @@ def hyperparameters_of(problem: Problem, noise: NoiseModel, seen: BoolArray) -> 
         out.append(
             CorrelationTime(name=f"{kind}_time", unit="s", words=words_of_time, usual=CORRELATION_TIME, **process)
         )
-        for c, sensor in enumerate(block.sensors if block.size > 1 else ()):
+        for c, sensor in enumerate(block.sensors if block.size > 1 and not undisturbed else ()):
             words_of_sensor = f"scatter and in-run bias of {kind} {sensor} over those of the others"
             size = _factor(f"{kind}.in_run.{sensor}", words_of_sensor, UNLIKE, slice(first + c, first + c + 1))
             out.append(SensorFactor(**size))

@@ -44,6 +44,9 @@ class Linearisation:
         Rows of the turns: angles of the rest before and of the rest after, and as above.
     bias : (K, t, n)
         Coefficients of the turns for a bias of the accelerometers, then of the gyros, in the turn.
+    growing : (K, t, c)
+        Columns of the turns for c changes of parameters that grow by 1 a second about the middle of the turns; zeros
+        where none do.
     link : (J, 9, 18 + p + q + 1)
         Rows of the links: angles and velocities of the station before and of that after, displacements of both, and as
         above.
@@ -67,6 +70,7 @@ class Linearisation:
     rest: Array
     turn: Array
     bias: Array
+    growing: Array
     link: Array
     link_bias: Array
     gained: Array
@@ -147,6 +151,31 @@ class Linearisation:
             local_prior=-self.point.local / problem.local_u[..., None, :],
         )
 
+    def at_lags(self, problem: Problem, values: Array) -> Linearisation:
+        """The same rows with other lags behind the thermometers, which are known: to first order in what parameters
+        change by with temperature.
+
+        Parameters
+        ----------
+        problem
+            The problem in which the lags are known (`Problem.with_lags`).
+        values : (m,)
+            The parameters, lags included.
+        """
+        point, (own, base), every = replace(self.point, values=values), problem.changed, list[Array]()
+        warmed = problem.warmed(point)
+        for place, rows, first in ((0, self.rest.copy(), 4), (1, self.turn.copy(), 7)):
+            by = warmed.goes[place][:, None] * rows[:, :, first + base]
+            if place == 1:
+                by += warmed.goes[GROWING][:, None] * self.growing
+            less = (rows[:, :, first + own] - by) @ problem.changes_in(point, place)[:, :, None]
+            rows[:, :, -1] += less[:, :, 0]
+            rows[:, :, first + own] = by
+            every.append(rows)
+        rest, turn = every
+        prior = prior_rows(problem, point, self.array)
+        return replace(self, problem=problem, point=point, rest=rest, turn=turn, prior=prior)
+
     def beside(self, rest: Array, turn: Array) -> Linearisation:
         """The same with further common parameters after those of the instrument, of which nothing is known beforehand,
         by their columns (N, r, c) and (K, t, c)."""
@@ -182,11 +211,12 @@ def linearise(
     model = problem.instrument.linearised(point.values)
     turn = np.zeros((0, problem.rows_of_turn, 8 + problem.width))
     bias = np.zeros((0, problem.rows_of_turn, problem.sensors))
+    growing = np.zeros((0, problem.rows_of_turn, len(problem.changed[0])))
     gained = np.zeros((0, 3))
     link, link_bias = np.zeros((0, 9, 20 + problem.width)), np.zeros((0, 9, problem.sensors))
     noise = problem.noise
     if about is not None:
-        turn, bias = _turn_rows(warmed, point, about, model)
+        turn, bias, growing = _turn_rows(warmed, point, about, model)
         if about.links is not None:
             link, link_bias, noise = _link_rows(warmed, point, about.links, model)
     arrays = [each.rows(problem.instrument, point.values) for each in (() if about is None else about.arrays)]
@@ -201,6 +231,7 @@ def linearise(
         rest=_rest_rows(warmed, point, model),
         turn=turn,
         bias=bias,
+        growing=growing,
         link=link,
         link_bias=link_bias,
         gained=gained,
@@ -274,13 +305,16 @@ def at_reference(linearisation: Linearisation) -> Array:
     return np.asarray(accel - (by @ problem.changes_in(linearisation.point, 0)[:, :, None])[:, :, 0])
 
 
-def _turn_rows(problem: Problem, point: Point, about: TurnsAbout, model: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Rotation and velocity of the turns, (13) and (14), what more than three gyros say of themselves, and the
-    coefficients of all for a bias of the accelerometers and gyros."""
+def _turn_rows(
+    problem: Problem, point: Point, about: TurnsAbout, model: tuple[Array, Array]
+) -> tuple[Array, Array, Array]:
+    """Rotation and velocity of the turns, (13) and (14), what more than three gyros say of themselves, the coefficients
+    of all for a bias of the accelerometers and gyros, and the columns of what grows in the turns."""
     turns, instrument, g = problem.observations.turns, problem.instrument, point.gravity
     assert turns is not None
     by = about.rows(instrument, point.values, model, problem.width)
-    _add_changes(problem, point, by, 0, 1, about.growing_columns(model[1]))
+    G = about.growing_columns(model[1])
+    _add_changes(problem, point, by, 0, 1, G)
     (spare, free), t = _spare_rows(problem, point, about, model), 6 if instrument.in_velocities else 3
     rows = np.zeros((len(turns), problem.rows_of_turn, 8 + problem.width))
     bias, by_bias = np.zeros((len(turns), problem.rows_of_turn, problem.sensors)), about.paths[..., CONSTANT]
@@ -304,9 +338,13 @@ def _turn_rows(problem: Problem, point: Point, about: TurnsAbout, model: tuple[A
         bias[:, 3:6] = by_bias[:, 3:]
     if problem.observations.site.gravity_u == 0.0:
         rows[:, :, 6] = 0.0
+    growing = np.zeros((*rows.shape[:2], len(problem.changed[1])))
+    if G is not None:
+        G = G[:, :, problem.changed[1]]
+        growing[:, :3], growing[:, 3:t] = by_rotation @ G[:, :3], G[:, 3:t]
     rows[:, t:, 7:] = spare
     bias[:, t:, instrument.accel.size :] = turns.duration[:, None, None] * free
-    return rows, bias
+    return rows, bias, growing
 
 
 def _by_gravity(start: Array, basis: Array, gained: Array, sideways: Array) -> tuple[Array, Array]:

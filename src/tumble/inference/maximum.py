@@ -79,6 +79,8 @@ GAIN = 0.5 * 0.05**2
 deviations, root mean square."""
 NEAR, FAR_STEPS = 1.0, 2
 """Of u: until x is so near, at most for so many linearisations, φ stays as it is, for residuals are of x then."""
+SAME = 0.1
+"""Of an element of φ: what ℓ may be below a maximum, and would be by its curvature, on the way there."""
 FURTHEST = 2.0
 """Δ at first and at most."""
 SQUARED = 10.0
@@ -156,7 +158,11 @@ class Maximum:
 
 
 def maximum(
-    start: Linearisation, phi: Array | None = None, iterations: int = MAX_ITERATIONS, robust: bool = False
+    start: Linearisation,
+    phi: Array | None = None,
+    iterations: int = MAX_ITERATIONS,
+    robust: bool = False,
+    known: Maximum | None = None,
 ) -> Maximum:
     """The joint maximum of x and φ.
 
@@ -170,6 +176,8 @@ def maximum(
         Linearisations at most.
     robust
         Whether rows are Student-t (`tumble.inference.fits`).
+    known
+        A maximum that is returned where φ comes so close to it from below that it leads there again.
     """
     problem, linearisation = start.problem, start
     hyperparameters = hyperparameters_of(problem, start.noise, _seen(solve(start, NO_COMPONENTS)))
@@ -209,6 +217,10 @@ def maximum(
             if gained > 0.0:
                 solution, gradient, exact = tried, tried_gradient, False
         phi = solution.phi
+        if known is not None and near and len(phi) == len(known.phi):
+            away, below = phi - known.phi, float(known.solution.log_posterior - solution.log_posterior)
+            if max(below, 0.5 * float(away @ known.curvature @ away)) < SAME * len(phi) and below > 0.0:
+                return known
 
         # x by a step of Gauss–Newton, to where rows are linearised next
         point, change = moved(solution, keep=len(increments) >= TO_AND_FRO)
@@ -271,7 +283,8 @@ def likeliest(start: Linearisation, iterations: int = MAX_ITERATIONS) -> Maximum
         starts += [(0.0, anew), (1.0, anew)]
     for bias_after, phi in starts:
         problem = replace(start.problem, bias_after=bias_after)
-        other = maximum(replace(start, problem=problem), phi, iterations)
+        known = best if bias_after == best.linearisation.problem.bias_after else None
+        other = maximum(replace(start, problem=problem), phi, iterations, known=known)
         if other.converged and other.solution.log_posterior > best.solution.log_posterior:
             best = other
     return best

@@ -195,23 +195,23 @@ class NoiseModel:
         return self.components.variances
 
     @cached_property
-    def scaled_rest_directions(self) -> tuple[Array, IntArray]:
-        """The directions of the scatter at rest, those of sensors unlike others longer, and their places in SCATTER."""
-        (Z, place), unlike = self.rest_directions, self.components.unlike
-        return (Z * unlike[..., None, None, :] if unlike.size else Z), place
+    def directions(self) -> tuple[tuple[Array, IntArray], ...]:
+        """The directions Z of the scatter of rests, turns and links, those of sensors unlike others longer, and their
+        places in SCATTER. Rows that are left out have no scatter, of which they show nothing."""
+        (rest, of_rest), (turn, of_turn), unlike = self.rest_directions, self.turn_directions, self.components.unlike
+        rest = rest * unlike[..., None, None, :] if unlike.size else rest
+        if not (np.all(self.rest_weights > OMITTED) and np.all(self.turn_weights > OMITTED)):
+            rest = rest * (self.rest_weights > OMITTED)[:, :, None]
+            turn = turn * (self.turn_weights > OMITTED)[:, :, None]
+        return (rest, of_rest), (turn, of_turn), self.link_directions
 
     @property
-    def seen_directions(self) -> tuple[tuple[Array, IntArray], ...]:
-        """The directions of the scatter of rests, turns and links, longer where rows count less: their whitening has
-        the weights in it. What is left out shows nothing of scatter."""
-        (rest, of_rest), (turn, of_turn) = self.scaled_rest_directions, self.turn_directions
+    def weighted_directions(self) -> tuple[tuple[Array, IntArray], ...]:
+        """The same, longer where rows count less: their whitening has the weights in it."""
         if np.all(self.rest_weights == 1.0) and np.all(self.turn_weights == 1.0):
-            return (rest, of_rest), (turn, of_turn), self.link_directions
-        rest, turn = (
-            Z * np.where(w > OMITTED, 1.0 / w, 0.0)[:, :, None]
-            for Z, w in ((rest, self.rest_weights), (turn, self.turn_weights))
-        )
-        return (rest, of_rest), (turn, of_turn), self.link_directions
+            return self.directions
+        (rest, of_rest), (turn, of_turn), link = self.directions
+        return (rest / self.rest_weights[:, :, None], of_rest), (turn / self.turn_weights[:, :, None], of_turn), link
 
     @cached_property
     def biases(self) -> int:
@@ -232,9 +232,9 @@ class NoiseModel:
         """Inverses of the Cholesky factors of the covariances of the rows of rests (N, r, r), turns (K, t, t) and links
         (J, 9, 9)."""
         variances = self.variances
-        rest = whitening(self.rest, *self.scaled_rest_directions, variances) * self.rest_weights[:, None]
-        turn = whitening(self.turn, *self.turn_directions, variances) * self.turn_weights[:, None]
-        return rest, turn, whitening(self.link, *self.link_directions, variances)
+        every = zip((self.rest, self.turn, self.link), self.directions, strict=True)
+        rest, turn, link = (whitening(N, *directions, variances) for N, directions in every)
+        return rest * self.rest_weights[:, None], turn * self.turn_weights[:, None], link
 
     def _of_states(self, of_biases: Array, of_displacements: Array | float) -> Array:
         """Values of all states, of those of the biases and of the displacements."""

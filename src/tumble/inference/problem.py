@@ -38,6 +38,7 @@ from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -64,14 +65,26 @@ OWN: tuple[Variable, ...] = ("time", "launch")
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Prior:
-    """What is known beforehand: standard deviations, SI, of parameters about their start values, by name (others have
-    their limit or their usual size), and of the attitudes about those of the programme, rad an axis. Where a
-    `covariance` (1 + m, 1 + m) of gravity and the parameters is known, it takes the place of all of these but the
-    attitudes'."""
+    """What is known beforehand.
+
+    Parameters
+    ----------
+    parameters
+        Standard deviations, SI, of parameters about their start values, by name; others have their limit or their usual
+        size.
+    attitude
+        Standard deviation of the attitudes about those of the programme, rad an axis.
+    covariance : (1 + m, 1 + m)
+        Of gravity and the parameters; it takes the place of `parameters`.
+    undisturbed
+        Whether the rests are parts of one: nothing but the noise and the in-run biases changes readings from one to the
+        next, and those of all sensors of a kind are alike.
+    """
 
     parameters: Mapping[str, float] = field(default_factory=dict)
     attitude: float | None = None
     covariance: Array | None = None
+    undisturbed: bool = False
 
 
 NO_PRIOR = Prior()
@@ -333,25 +346,30 @@ class Problem:
         members = self.instrument.members
         return {kind: members[f"{kind}.lag"].start for kind in KINDS if f"{kind}.lag" in members}
 
-    def with_sizes(self, prior_u: Array, local_u: Array) -> Problem:
-        """The problem with priors of other standard deviations (1 + m,) and (q,), and all that does not depend on
-        them."""
+    def _changed(self, **fields: Any) -> Problem:
+        """The problem with other fields, and with all that was made of those that stay."""
         out = copy(self)
-        vars(out).update(prior_u=prior_u, local_u=local_u)
+        if "variables" in fields:
+            vars(out).pop("goes", None)
+        vars(out).update(fields)
         return out
+
+    def with_sizes(self, prior_u: Array, local_u: Array) -> Problem:
+        """The problem with priors of other standard deviations (1 + m,) and (q,)."""
+        return self._changed(prior_u=prior_u, local_u=local_u)
 
     def with_lags(self, values: Array) -> Problem:
         """The problem in which the lags are known to have the values they have among those of the parameters (m,)."""
         mean, at = self.prior_mean.copy(), list(self.lags.values())
         mean[1:][at] = values[at]
-        return replace(self, prior_mean=mean)
+        return self._changed(prior_mean=mean)
 
     def warmed(self, point: Point) -> Problem:
         """The problem with the temperatures that the sensors have by the lags at a point."""
         lags = {kind: float(point.values[at]) for kind, at in self.lags.items()}
         if tuple(lags.values()) == self.at_lags:
             return self
-        return replace(self, variables=variables_of(self.observations, lags), at_lags=tuple(lags.values()))
+        return self._changed(variables=variables_of(self.observations, lags), at_lags=tuple(lags.values()))
 
     def goes_with(self, variable: Variable, own: slice, place: int) -> Array:
         """What the parameters at `own` go with (·, m), or (·, 1) where all go with the same, at rest (`place` 0) or in

@@ -90,11 +90,8 @@ def noise_roots(linearisation: Linearisation) -> tuple[Roots, Roots, Roots]:
         return out
 
     of_links = {"link.noise": noise.link} if linearisation.problem.moves else {}
-    return (
-        roots(rests, noise.scaled_rest_directions),
-        roots(in_turns, noise.turn_directions),
-        roots(of_links, noise.link_directions),
-    )
+    rest, turn, link = map(roots, (rests, in_turns, of_links), noise.directions)
+    return rest, turn, link
 
 
 def contributions(solution: Solution) -> dict[str, Array]:

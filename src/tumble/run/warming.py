@@ -261,7 +261,7 @@ def _estimated(session: Session, observations: Observations, base: Calibration |
         site=replace(given.site, latitude=0.5 * np.pi),
     )
     with np.errstate(invalid="ignore"):  # the mean rate of turns about nothing
-        estimate = joint(observations, prior=Prior(parameters=prior))
+        estimate = joint(observations, prior=Prior(parameters=prior, undisturbed=not several))
     return _Found(
         estimate=estimate,
         observations=observations,

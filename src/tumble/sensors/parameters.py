@@ -363,7 +363,7 @@ FURTHER: list[ParameterGroup] = [
         replace(
             _group(
                 f"{kind}.lag", "s", f"lag of the {sensors} behind their thermometer", _once,
-                _HOUR, ((1.0, "s"),), _grades(150.0, 150.0, 150.0, 150.0),
+                _HOUR, ((1.0, "s"),), _grades(100.0, 60.0, 40.0, 40.0),
             ),
             variable="lag",
         )
