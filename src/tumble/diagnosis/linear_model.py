@@ -145,9 +145,16 @@ def linear_joint(observations: Observations) -> Estimate:
     about = None if linear.about is None else TurnsAbout.of(observations, instrument, values)
     moves = moves_by_likelihood(replace(linearise(problem, point, about), noise=linear.noise))
     if beside is not None and estimate.converged:
-        degrees = None if beside.degrees is None else beside.degrees[: instrument.linear_count]
-        beside_it = replace(estimate, linearised=beside.linearised, hyperparameters=beside.hyperparameters)
-        estimate = replace(beside_it, degrees=degrees)
+        assert beside.budget is not None
+        assert estimate.budget is not None
+        sources = {each.name: each for each in beside.budget.sources}
+        estimate = replace(
+            estimate,
+            linearised=beside.linearised,
+            hyperparameters=beside.hyperparameters,
+            degrees=None if beside.degrees is None else beside.degrees[: instrument.linear_count],
+            budget=replace(estimate.budget, sources=tuple(sources.get(s.name, s) for s in estimate.budget.sources)),
+        )
     return with_left_out(estimate, problem, moves, left_out_sizes(problem, beside))
 
 
