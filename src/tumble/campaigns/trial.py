@@ -7,13 +7,15 @@ Rests and turns are drawn directly from the truth (`simulate_observations`), wit
 detection of rests and the estimation of the noise may spoil shows where sampled logs are calibrated: `tumble simulate`
 and `tumble fleet`.
 
-A trial has the maximum of the likelihood alone, and a verdict by the size of the residuals: simulated devices have no
-faults, so that a search for causes would find false alarms only, in less than one of a hundred trials.
+A trial has the maximum of the likelihood alone, and a verdict by what is determined, by convergence, and by the rests
+and turns that do not fit. Simulated devices have no faults: a search for causes behind their residuals would find false
+alarms only, in less than one of a hundred trials.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -80,7 +82,7 @@ def session_rows(seed: int, methods: Sequence[Method], intervals: bool, number: 
         except (InputError, np.linalg.LinAlgError) as error:
             rows.append({"method": method, "error": f"{type(error).__name__}: {error}"} | bounds)
             continue
-        reasons = verdict(estimate, observations, search=False).reasons
+        reasons = verdict(replace(estimate, linearised=None), observations).reasons
         row: dict[str, Any] = {"method": method, "accepted": not reasons, "reasons": "; ".join(reasons)} | bounds
         linear = len(estimate.names) if estimate.instrument is None else estimate.instrument.linear_count
         for i, name in enumerate(estimate.names):
