@@ -9,8 +9,8 @@ rotations of turns −∂φ/∂θ φ. With the derivative G of the result by wha
 
 which is in u, of all of these methods. The groups stay at nothing, so that −φ is their error. With it the corrected
 force in the attitudes of the rests is as well known as the fit has it, and in others as badly as the groups allow.
-Where the session shows that σ is too small, it is what `joint` widens the prior of a group to
-(`GroupFinding.prior_widened`).
+Where the session shows another size than σ, it is the root mean square of what `joint` finds of it (`left_out_sizes`).
+Scatter is judged beside the groups: of residuals that these explain none is left for it, else they would be in u twice.
 
 G is of the methods of the paper the derivative of their passes; of `ellipsoid` A⁺, A being the linear columns with the
 weights that the fit has and B what no turn of the vertical reaches; and of `joint` with linear terms N⁻¹ Aᵀ of its
