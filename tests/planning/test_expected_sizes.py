@@ -94,8 +94,8 @@ def test_plan_states_what_calibrate_will(setup: Setup) -> None:
     ids=["navigation in a cube", "tactical on the rough table", "navigation in nine positions"],
 )
 def test_plan_states_what_calibrate_will_with_linear_terms(setup: Setup) -> None:
-    """The median of six instruments: the u of each group to a quarter, and the errors are of that size. Scatter that the
-    groups are themselves would be in u beside them, and make it up to three times as large."""
+    """The median of six instruments: the u of each group to a quarter, and the errors are of that size. Scatter that
+    the groups are themselves would be in u beside them, and make it up to three times as large."""
     setup = replace(setup, programme=replace(setup.programme, ordered=True), clock_u=0.0)
     variances, errors = [], []
     for seed in range(6):
