@@ -20,7 +20,7 @@ C W_iᵀW_i C, and the parts add up to C. A prior of size s of parameter j is W 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -110,8 +110,8 @@ def stated(setup: Setup, *, gyros: bool = True, terms: Terms = "full") -> Bound:
     InputError
         For values that make no sense, and where there is no noise.
     """
-    if not setup.programme.ordered:  # the mean over orders
-        return _mean([stated(each, gyros=gyros, terms=terms) for each in _in_some_orders(setup)])
+    if not setup.programme.ordered:
+        return _mean_over_orders(setup, lambda each: stated(each, gyros=gyros, terms=terms))
     course = itinerary_of(setup).as_logged(setup.ramp, USUAL.margin_of(setup.rest))
     seen = view(course, setup, gyros=gyros)
     seen = expected(seen.with_components(_with_drifts(seen, setup.further)))
@@ -145,22 +145,17 @@ ORDERS = 8
 """Of positions that come in any order, over which is averaged."""
 
 
-def _in_some_orders(setup: Setup) -> list[Setup]:
-    """A set-up with the positions of its programme in several orders."""
+def _mean_over_orders(setup: Setup, state: Callable[[Setup], Bound]) -> Bound:
+    """The mean of bounds over several orders of the positions of a programme."""
     listed, rng = setup.programme, np.random.default_rng(0)
     orders = [rng.permutation(len(listed.positions)).tolist() for _ in range(ORDERS)]
     programmes = (replace(listed, positions=tuple(listed.positions[i] for i in o), ordered=True) for o in orders)
-    return [replace(setup, programme=each) for each in programmes]
-
-
-def _mean(bounds: Sequence[Bound]) -> Bound:
-    """The mean of bounds of the same parameters."""
-    first = bounds[0]
+    bounds = [state(replace(setup, programme=each)) for each in programmes]
     return replace(
-        first,
+        bounds[0],
         covariance=np.mean([each.covariance for each in bounds], axis=0),
         condition=float(np.mean([each.condition for each in bounds])),
-        sources={name: np.mean([each.sources[name] for each in bounds], axis=0) for name in first.sources},
+        sources={name: np.mean([each.sources[name] for each in bounds], axis=0) for name in bounds[0].sources},
     )
 
 

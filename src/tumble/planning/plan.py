@@ -227,25 +227,23 @@ def plan(
 def largest_errors(setup: Setup) -> tuple[float, float]:
     """The largest errors of table and mounting, rad, in the ratio of a set-up, with which every rest is near enough to
     its position for `calibrate`: each tilts by up to √2 times its error about an axis."""
-    table, mounting = (setup.table_error, setup.mounting_error) if _tilt(setup) > 0.0 else (1.0, 1.0)
+    table, mounting = setup.table_error, setup.mounting_error
+    if table + mounting == 0.0:
+        table = mounting = 1.0
     most = POSITION_LIMIT / math.sqrt(2.0) / (table + mounting)
     return most * table, most * mounting
 
 
-def _tilt(setup: Setup) -> float:
-    """By how much errors of table and mounting may tilt a position, rad."""
-    return math.sqrt(2.0) * (setup.table_error + setup.mounting_error)
-
-
 def _tilted(setup: Setup) -> tuple[str, ...]:
     """That errors of table and mounting may take a rest out of its position, where they may."""
-    if _tilt(setup) <= 1.001 * POSITION_LIMIT:
+    tilt = math.sqrt(2.0) * (setup.table_error + setup.mounting_error)
+    if tilt <= 1.001 * POSITION_LIMIT:
         return ()
     return (
         f"errors of table and mounting of up to {setup.table_error / DEGREE:.3g}° and "
-        f"{setup.mounting_error / DEGREE:.3g}° may tilt a position by {_tilt(setup) / DEGREE:.2g}°, and `calibrate` "
-        f"takes rests within {POSITION_LIMIT / DEGREE:.0f}° of the positions of a programme; the method joint needs "
-        "none: leave [programme] out of the session",
+        f"{setup.mounting_error / DEGREE:.3g}° may tilt a position by {tilt / DEGREE:.2g}°, and `calibrate` takes "
+        f"rests within {POSITION_LIMIT / DEGREE:.0f}° of the positions of a programme; the method joint needs none: "
+        "leave [programme] out of the session",
     )
 
 
