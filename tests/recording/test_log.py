@@ -841,6 +841,21 @@ def test_line_that_is_no_sample_is_left_out(change: Change, tmp_path: Path) -> N
     assert all(gap.samples == 0 for gap in log.gaps)
 
 
+@pytest.mark.parametrize(
+    ("rows", "gaps"), [((17,), 1), ((17, 40, 120), 3), (tuple(range(20, 280, 20)), 0)], ids=["one", "few", "layout"]
+)
+def test_a_blank_line_may_have_been_a_sample_where_no_time_says_so(
+    rows: tuple[int, ...], gaps: int, tmp_path: Path
+) -> None:
+    table = lines()
+    for row in reversed(rows):
+        table.insert(row, [""])
+    log = csv_log(tmp_path, table, time=None, rate_hz=100.0)
+    check_ramp(whole(log))
+    assert [(gap.samples, gap.integrable) for gap in log.gaps] == gaps * [(0, False)]
+    assert [gap.time for gap in log.gaps] == pytest.approx([0.01 * (row - 1) for row in rows[:gaps]])
+
+
 LONG_GAPS: dict[str, tuple[Change, int, float, str]] = {
     "nan in six rows": (with_values(range(101, 107), "gx", "nan"), 6, 1.01, "nan in 'gx'"),
     "infinity in six rows": (with_values(range(101, 107), "ay", "-inf"), 6, 1.01, "-inf in 'ay'"),

@@ -35,6 +35,7 @@ Earth's rate is noise, Ω/√3 an axis.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -331,6 +332,13 @@ class Problem:
         """Where the lags behind the thermometers stand among the parameters, by kind of sensor."""
         members = self.instrument.members
         return {kind: members[f"{kind}.lag"].start for kind in KINDS if f"{kind}.lag" in members}
+
+    def with_sizes(self, prior_u: Array, local_u: Array) -> Problem:
+        """The problem with priors of other standard deviations (1 + m,) and (q,), and all that does not depend on
+        them."""
+        out = copy(self)
+        vars(out).update(prior_u=prior_u, local_u=local_u)
+        return out
 
     def with_lags(self, values: Array) -> Problem:
         """The problem in which the lags are known to have the values they have among those of the parameters (m,)."""

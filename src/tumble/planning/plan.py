@@ -24,7 +24,7 @@ from tumble.diagnosis.observability import in_words
 from tumble.errors import InputError
 from tumble.planning.bounds import CLOCK, GRAVITY, Bound, stated
 from tumble.planning.error_propagation import MethodOfPaper
-from tumble.planning.next_positions import ANY, NextPosition, TurnTable, next_positions
+from tumble.planning.next_positions import NextPosition, TurnTable, next_positions
 from tumble.planning.pass_errors import ESTIMATORS, REST_NOISE, PassErrors, remarks
 from tumble.planning.setup import MEMBERS, NAMES, UNITS, Setup, check_setup, expect, with_all_groups
 from tumble.recording.session import USUAL_RATE_U
@@ -99,19 +99,8 @@ class Plan(Brief):
     has otherwise where a session does not state it."""
 
     json_fields: ClassVar[tuple[str, ...]] = (
-        *(
-            "verdict",
-            "reasons",
-            "remarks",
-            "assumptions",
-            "setup",
-            "method",
-            "rank",
-            "condition",
-            "groups",
-            "following",
-        ),
-        "requirements",
+        *("verdict", "reasons", "remarks", "assumptions", "setup", "method", "rank", "condition", "groups"),
+        *("following", "requirements"),
     )
     setup: Setup
     method: PlannedMethod
@@ -156,7 +145,7 @@ def plan(
     iterations: int = 2,
     wanted: Mapping[str, float] | None = None,
     gyros: bool = True,
-    table: TurnTable = ANY,
+    table: TurnTable | None = None,
     progress: Progress = lambda _added, _most: None,
 ) -> Plan:
     """What a calibration by a set-up's programme will state, before it is made.
@@ -179,7 +168,7 @@ def plan(
     gyros
         Of joint: with False, accelerometers alone.
     table
-        How the device can be turned to a next position.
+        How the device can be turned to a next position; by default as the programme turns it.
     progress
         Receives how far the search for more positions is.
 
@@ -231,8 +220,7 @@ def plan(
             for one in following(setup, wanted)[:NEXT]
         ),
         requirements=needs,
-        reasons=(*missing, *(row.reason for row in needs if row.reason)),
-        remarks=tuple(f"{said}; the method joint needs none: leave [programme] out" for said in _tilted(setup)),
+        reasons=(*missing, *_tilted(setup), *(row.reason for row in needs if row.reason)),
     )
 
 
@@ -256,7 +244,8 @@ def _tilted(setup: Setup) -> tuple[str, ...]:
     return (
         f"errors of table and mounting of up to {setup.table_error / DEGREE:.3g}° and "
         f"{setup.mounting_error / DEGREE:.3g}° may tilt a position by {_tilt(setup) / DEGREE:.2g}°, and `calibrate` "
-        f"takes rests within {POSITION_LIMIT / DEGREE:.0f}° of the positions of a programme",
+        f"takes rests within {POSITION_LIMIT / DEGREE:.0f}° of the positions of a programme; the method joint needs "
+        "none: leave [programme] out of the session",
     )
 
 

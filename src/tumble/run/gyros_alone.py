@@ -30,8 +30,7 @@ from tumble.reduction.blocks.reducer import Reduction, reduce_log
 from tumble.reduction.noise.coloured_noise import fit_coloured_noise
 from tumble.reduction.rests.segmentation import Segmentation, find_rests
 from tumble.result.calibration import Calibration
-from tumble.result.evidence import Evidence
-from tumble.result.parts import Parameter, Readings
+from tumble.result.parts import Evidence, Parameter, Readings
 from tumble.result.uncertainty_budget import contributions_of
 from tumble.rotation import UP, rotation_matrix, rotation_vector
 from tumble.run.calibrate import provenance_of

@@ -51,8 +51,14 @@ from tumble.reduction.rests.warming import OVER_TEMPERATURE as WIDE
 from tumble.result.accepted import accepted_part
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import degrees_through, welch_satterthwaite
-from tumble.result.evidence import Evidence, Provenance
-from tumble.result.parts import CalibratedTemperature, Parameter, SourceContributions, learned_fraction
+from tumble.result.parts import (
+    CalibratedTemperature,
+    Evidence,
+    Parameter,
+    Provenance,
+    SourceContributions,
+    learned_fraction,
+)
 from tumble.result.record import reference_of_parameter
 from tumble.result.uncertainty_budget import contributions_of
 from tumble.run.from_estimate import (

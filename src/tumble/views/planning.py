@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from tumble.planning.plan import Plan, PlannedGroup, Requirement, largest_errors
+from tumble.planning.plan import Plan, Requirement, largest_errors
 from tumble.planning.setup import GROUPS, Setup, time_of
 from tumble.programme.sheet_words import clock, move_text, short_code
 from tumble.sensors.parameters import group_of, shown_in
@@ -28,7 +28,11 @@ def in_unit(name: str, value: float) -> str:
 def plan_blocks(plan: Plan, *, sources: bool = False) -> list[Block]:
     """What a set-up gives: u by group, and with `sources` by source; the best next positions; what wanted accuracies
     need."""
-    blocks: list[Block] = [_head(plan.setup)]
+    setup, programme = plan.setup, plan.setup.programme
+    blocks: list[Block] = [
+        f"{programme.name}: {len(programme.positions)} positions in {clock(time_of(programme, setup))}, "
+        f"rests of {setup.rest:g} s, turns at {setup.turn_rate / DEGREE:g} °/s"
+    ]
     if plan.rank is not None and plan.condition is not None:
         linear = sum(len(row.parameters) for row in plan.groups if row.group in GROUPS)
         condition = f", condition {plan.condition:.3g}" if math.isfinite(plan.condition) else ""
@@ -42,15 +46,6 @@ def plan_blocks(plan: Plan, *, sources: bool = False) -> list[Block]:
     return [*blocks, Items(items=plan.assumptions)]
 
 
-def _head(setup: Setup) -> str:
-    """What is planned."""
-    programme = setup.programme
-    return (
-        f"{programme.name}: {len(programme.positions)} positions in {clock(time_of(programme, setup))}, "
-        f"rests of {setup.rest:g} s, turns at {setup.turn_rate / DEGREE:g} °/s"
-    )
-
-
 def _groups_table(plan: Plan, *, sources: bool) -> Table:
     """Expected uncertainty by group of parameters, and by source where asked for."""
     rows: list[Mapping[str, str]] = []
@@ -60,15 +55,11 @@ def _groups_table(plan: Plan, *, sources: bool) -> Table:
         if plan.method != "joint":
             cells = {"pass": str(row.iteration), **cells, "by": row.estimator}
         rows.append(cells | {"mostly from": row.largest if math.isfinite(row.u) else "not determined"})
-        rows += _source_rows(row, cells) if sources else ()
+        for name, u in row.sources.items() if sources else ():
+            if u**2 >= SHOWN * row.u**2:
+                blank = dict.fromkeys(cells, "")
+                rows.append({**blank, "u (rms)": in_unit(row.group, u), "mostly from": name})
     return table(rows, words=("parameters", "by", "mostly from"))
-
-
-def _source_rows(row: PlannedGroup, cells: Mapping[str, str]) -> list[Mapping[str, str]]:
-    """A row for each source of a group."""
-    shown = ((name, u) for name, u in row.sources.items() if u**2 >= SHOWN * row.u**2)
-    blank = dict.fromkeys(cells, "")
-    return [{**blank, "u (rms)": in_unit(row.group, u), "mostly from": name} for name, u in shown]
 
 
 def _following_table(plan: Plan) -> Table:
