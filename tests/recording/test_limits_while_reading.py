@@ -65,7 +65,7 @@ PACKED: dict[str, Callable[[Path], object]] = {
 def test_an_array_that_is_longer_than_its_file_is_damaged_and_takes_no_memory(tmp_path: Path) -> None:
     (tmp_path / "a.npy").write_bytes(np.lib.format.magic(1, 0) + struct.pack("<H", len(HUGE)) + HUGE)
     tracemalloc.start()
-    with pytest.raises(InputError, match="a.npy: expected an intact recording, found it damaged"):
+    with pytest.raises(InputError, match=r"a\.npy: expected an intact recording, found it damaged"):
         new_session(tmp_path / "session", tmp_path / "a.npy")
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()

@@ -152,6 +152,7 @@ def test_the_calibration_names_the_thermometer_of_each_sensor(folder: Path, made
 
 def test_accelerometers_alone_are_calibrated_with_their_thermometer(folder: Path) -> None:
     session = read_session(folder)
+    assert session.log.temperature is not None
     alone = replace(session.log, gyro=None, temperature=replace(session.log.temperature, columns=("T_accel",)))
     assert calibrate(replace(session, log=alone))["accel.bias.x"].u
 

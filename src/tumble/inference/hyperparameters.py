@@ -480,7 +480,7 @@ def scaled(problem: Problem, hyperparameters: Hyperparameters, phi: Array) -> tu
     def factors(kind: type[Hyperparameter], count: int) -> Array:
         return np.exp(p @ hyperparameters.members(kind, count))
 
-    components = {h.name: values[..., i] for i, h in enumerate(hyperparameters) if not h.bounded}
+    components: dict[str, Any] = {h.name: values[..., i] for i, h in enumerate(hyperparameters) if not h.bounded}
     prior_u = np.broadcast_to(problem.usual_u, (*phi.shape[:-1], len(problem.usual_u))).copy()
     prior_u[..., 1:] *= factors(GroupSize, len(problem.usual_u) - 1)
     local_u = problem.usual_local_u * factors(LocalGroupSize, len(problem.usual_local_u))

@@ -29,6 +29,7 @@ from tumble.inference.estimate import (
     ProcessBias,
 )
 from tumble.inference.fits import TOTAL, chi_squares, left_out, sigmas
+from tumble.inference.hyperparameters import Hyperparameters
 from tumble.inference.integral import Posterior, posterior
 from tumble.inference.lag import maximum_with_lags
 from tumble.inference.linearisation import at_reference
@@ -71,7 +72,7 @@ def joint(
     if fitted.converged and not quick:
         fitted = without_outliers(fitted)
     if components is not None:
-        fitted = replace(fitted, hyperparameters=(), solution=solve(fitted.linearisation, components))
+        fitted = replace(fitted, hyperparameters=Hyperparameters(()), solution=solve(fitted.linearisation, components))
     shown = posterior(fitted, integrate=intervals and not quick and components is None)
     return _estimate(fitted, shown, (*first, *fitted.increments[:-1], shown.step[1:]), by_lag)
 
