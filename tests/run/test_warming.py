@@ -105,9 +105,10 @@ def test_files_of_autopilots_say_the_curves_of_the_estimate(alone: Calibration) 
         for i, x in enumerate("xyz"):
             told = curve(alone, f"{kind}.bias.{x}", T).value
             d = T - px4[f"{stem}_TREF"]
-            by_px4 = sum(px4[f"{stem}_X{k}_{i}"] * d**k for k in POWERS)
-            by_ardupilot = sum(1e-6 * ardupilot[f"INS_TCAL1_{short}{k}_{x.upper()}"] * (T - 35.0) ** k for k in POWERS)
-            for found in (by_px4, by_ardupilot):
+            by_px4 = [px4[f"{stem}_X{k}_{i}"] * d**k for k in POWERS]
+            by_ardupilot = [1e-6 * ardupilot[f"INS_TCAL1_{short}{k}_{x.upper()}"] * (T - 35.0) ** k for k in POWERS]
+            for terms in (by_px4, by_ardupilot):
+                found = np.sum(terms, axis=0)
                 assert found - found[0] == pytest.approx(told - told[0], abs=1e-4 * float(np.ptp(told)))
 
 
