@@ -87,7 +87,7 @@ def one_attitude(observations: Observations) -> str:
     if rests.accel.shape[1] != len("xyz"):
         return ""
     up = rests.accel / np.linalg.norm(rests.accel, axis=1, keepdims=True)
-    if (up @ up.T).min() < _ONE_ATTITUDE:
+    if not len(up) or (up @ up.T).min() < _ONE_ATTITUDE:
         return ""
     counted = "1 rest" if len(up) == 1 else f"all {len(up)} rests"
     return (

@@ -9,6 +9,9 @@
 | p of a sensor | its scatter and in-run bias are exp(max(p, 0)) times those of its kind | N(0, ln 3) |
 | p of a group | its size is exp(max(p, 0)) times the usual one | N(0, ln k) |
 
+Of a device that lies still while it warms ÷× 5 takes the place of ÷× 30, nothing scatters from one part of the rest to
+the next, and sensors of a kind are alike.
+
 A component of scatter may be small, and is never excluded: no test decides whether it is there. That of
 turns falls by a power: with an exponential one turns that are spoilt a hundred times their noise are so unlikely that
 sound accelerometers take the blame. With λ = exp(max(p, 0))
@@ -70,6 +73,9 @@ IN_RUN_WITHIN = float(np.log(30.0) / 1.645)
 """Standard deviation of the logarithms of its size and of its correlation time about the usual ones: nine of ten are
 within ÷× 30. It is wide enough for the process to take a drift, of which there is no group beside it: with ÷× 5 the
 biases of a BMI160 that move by 4 mg in 237 s went into its scale factors."""
+UNDISTURBED_WITHIN = float(np.log(5.0) / 1.645)
+"""The same of a device that lies still, whose drift with temperature has parameters: ÷× 5, as instruments of a grade
+differ."""
 SHEET, STATED, GUESSED = 2.0, 3.0, 10.0
 """The factor by which a usual size may be too small where it is from a data sheet, from a grade that is stated, or from
 one that is guessed."""
@@ -417,7 +423,8 @@ def hyperparameters_of(problem: Problem, noise: NoiseModel, seen: BoolArray) -> 
     covariances = (rests.accel_covariance, rests.gyro_covariance) if len(problem.link) > 1 else ()
     for block, covariance in zip(blocks, covariances, strict=False):
         kind, words = block.kind, "accelerometers" if block.kind == "accel" else "gyros"
-        process: dict[str, Any] = {"within": IN_RUN_WITHIN, "members": slice(first, first + block.size)}
+        within = UNDISTURBED_WITHIN if undisturbed else IN_RUN_WITHIN
+        process: dict[str, Any] = {"within": within, "members": slice(first, first + block.size)}
         usual, unit = observations.in_run.get(kind, typical_noise(covariance)), SCATTER_WORDS[kind][0]
         words_of_bias = f"in-run bias of the {words}"
         out.append(InRunSize(name=f"{kind}_in_run", unit=unit, words=words_of_bias, usual=usual, **process))
