@@ -3,7 +3,7 @@
 | φ | what | prior |
 |---|---|---|
 | ln σ of a component of scatter | rests | σ exponential, its mean m the noise it stands beside |
-| | turns, velocities … | σ of density m/(m + σ)² |
+| | turns, velocities …, magnetometer | σ of density m/(m + σ)² |
 | ln σ_b, ln τ_b of a kind | in-run bias, a Gauss–Markov process | log-normal about the grade's size and 300 s, ÷× 30 |
 | ln σ_p, ln τ_p | displacement of a device in motion, a Gauss–Markov process | log-normal about 2 cm and 0.5 s |
 | p of a sensor | its scatter and in-run bias are exp(max(p, 0)) times those of its kind | N(0, ln 3) |
@@ -121,7 +121,7 @@ class Score:
         for W, (r, C), (Z, place) in (
             (solution.equations.rest_whitening, solution.rest_residuals, noise.scaled_rest_directions),
             (solution.equations.turn_whitening, solution.turn_residuals, noise.turn_directions),
-            (solution.equations.link_whitening, solution.link_residuals, noise.link_directions),
+            (solution.equations.link_whitening, solution.link_residuals, noise.scaled_link_directions),
         ):
             WZ = W @ Z
             products = np.swapaxes(WZ, -1, -2) @ C @ WZ
@@ -157,7 +157,9 @@ class Score:
         of_kind = np.repeat(v[:2], [accelerometers, gyros])
         known = np.full(len(of_kind), 0.5 * SENSED * len(self.solution.problem.link))
         scatter = QuadraticForms(
-            square=of_kind * self._by_direction[0][0], trace=of_kind * self._by_direction[1][0], double=known
+            square=of_kind * self._by_direction[0][0][: len(of_kind)],
+            trace=of_kind * self._by_direction[1][0][: len(of_kind)],
+            double=known,
         )
         n, of_states = len(of_kind), self.states
         return scatter + QuadraticForms(
@@ -272,7 +274,7 @@ class WorkingVariates:
         for out, W, (r, _), (Z, place), some in (
             (self.rest, solution.equations.rest_whitening, solution.rest_residuals, noise.scaled_rest_directions, rest),
             (self.turn, solution.equations.turn_whitening, solution.turn_residuals, noise.turn_directions, turn),
-            (self.link, solution.equations.link_whitening, solution.link_residuals, noise.link_directions, link),
+            (self.link, solution.equations.link_whitening, solution.link_residuals, noise.scaled_link_directions, link),
         ):
             if some.any():
                 WZ = W @ Z[:, :, some]
@@ -367,10 +369,11 @@ class Scatter(Hyperparameter):
     __slots__ = ()
 
     def log_prior(self, phi: Array) -> tuple[Array, Array, Array]:
-        """That of σ exponential with the mean `usual`; of the scatter of turns of density m/(m + σ)²."""
+        """That of σ exponential with the mean `usual`; of the scatter of turns, of links and of a magnetometer of
+        density m/(m + σ)²."""
         z = phi - self.centre
         x = np.exp(z)
-        if self.name in TURN_SCATTER or self.name in LINK_SCATTER:
+        if self.name in (*TURN_SCATTER, *LINK_SCATTER, "mag"):
             return z - 2.0 * np.log1p(x), (1.0 - x) / (1.0 + x), 2.0 * x / (1.0 + x) ** 2
         return z - x, 1.0 - x, x
 

@@ -42,12 +42,13 @@ SCATTER_WORDS = {
     "aliased_apart": ("1", "what spare gyros say over jumps between samples"),
     "link_gyro": ("1", "noise of the gyros in motion, over that of its quiet parts"),
     "link_accel": ("1", "noise of the accelerometers in motion, over that of its quiet parts"),
+    "mag": ("", "readings of the magnetometer, in its unit"),
 }
 SCATTER = tuple(SCATTER_WORDS)
 """The components of scatter, white from rest to rest and from turn to turn."""
 TURN_SCATTER = SCATTER[2:8]
 """Those that concern turns alone."""
-LINK_SCATTER = SCATTER[8:]
+LINK_SCATTER = SCATTER[8:10]
 """Those of links."""
 REST_SCATTER = SCATTER[:2]
 """Those of readings at rest."""
@@ -79,6 +80,8 @@ class VarianceComponents:
         The error of the integral over a jump between samples in parts of its size times the interval (18).
     aliased, aliased_apart
         The error of a rotation, and of what gyros say beyond it, in parts of what aliased samples would make it.
+    mag
+        Scatter of the readings of the magnetometer, in its unit, from station to station.
     accel_in_run, gyro_in_run, accel_time, gyro_time
         Size, SI, and correlation time, s, of the in-run bias of each kind of sensor.
     link_gyro, link_accel
@@ -104,6 +107,7 @@ class VarianceComponents:
     aliased_apart: float = 0.0
     link_gyro: float = 0.0
     link_accel: float = 0.0
+    mag: float = 0.0
     accel_in_run: float = 0.0
     gyro_in_run: float = 0.0
     accel_time: float = CORRELATION_TIME
@@ -131,6 +135,14 @@ class VarianceComponents:
 
 
 NO_COMPONENTS = VarianceComponents()
+IGNORED = 1e-5
+"""Square root of a weight: rows of less are none."""
+
+
+def _without_ignored(Z: Array, weights: Array) -> Array:
+    """Directions (N, r, q) that have no part in rows (N, r) of no weight."""
+    ignored = weights < IGNORED
+    return np.where(ignored[:, :, None], 0.0, Z) if ignored.any() else Z
 
 
 def _stacked(numbers: list[Any]) -> Array:
@@ -147,11 +159,11 @@ class NoiseModel:
 
     Parameters
     ----------
-    rest, turn, link : (N, r, r), (K, t, t) and (J, 9, 9)
+    rest, turn, link : (N, r, r), (K, t, t) and (J, l, l)
         Covariances N of the rows of rests, turns and links without scatter.
     rest_directions, turn_directions, link_directions : ((N, r, q), (q,)), …
         Directions Z of the components of scatter, each with the place in SCATTER of the one it belongs to.
-    rest_weights, turn_weights : (N, r) and (K, t)
+    rest_weights, turn_weights, link_weights : (N, r), (K, t) and (J, l)
         Square roots of the weights that single rows have beside that: 1 but for those that do not fit.
     interval : (M,)
         Time, s, from the middle of each station to that of the next one, infinite where the chain of biases begins
@@ -174,6 +186,7 @@ class NoiseModel:
     link_directions: tuple[Array, IntArray]
     rest_weights: Array
     turn_weights: Array
+    link_weights: Array
     interval: Array
     displaced: Array | None
     follows: BoolArray
@@ -184,15 +197,30 @@ class NoiseModel:
         """The same with other components of variance."""
         return replace(self, components=components)
 
-    def weighted(self, rest: Array, turn: Array) -> NoiseModel:
+    @property
+    def weights(self) -> tuple[Array, Array, Array]:
+        """Square roots of the weights of the rows of rests, turns and links."""
+        return self.rest_weights, self.turn_weights, self.link_weights
+
+    def weighted(self, rest: Array, turn: Array, link: Array) -> NoiseModel:
         """The same with other square roots of the weights of single rows."""
-        return replace(self, rest_weights=rest, turn_weights=turn)
+        return replace(self, rest_weights=rest, turn_weights=turn, link_weights=link)
 
     @property
     def scaled_rest_directions(self) -> tuple[Array, IntArray]:
-        """The directions of the scatter at rest, those of sensors unlike others longer, and their places in SCATTER."""
+        """The directions of the scatter at rest, those of sensors unlike others longer, and their places in SCATTER;
+        none of what is left out, whose readings say nothing of it."""
         (Z, place), unlike = self.rest_directions, self.components.unlike
-        return (Z * unlike[..., None, None, :] if unlike.size else Z), place
+        Z = _without_ignored(Z, self.rest_weights)
+        if not unlike.size:
+            return Z, place
+        others = np.ones((*unlike.shape[:-1], len(place) - unlike.shape[-1]))
+        return Z * np.concatenate([unlike, others], axis=-1)[..., None, None, :], place
+
+    @property
+    def scaled_link_directions(self) -> tuple[Array, IntArray]:
+        """The same of links."""
+        return _without_ignored(self.link_directions[0], self.link_weights), self.link_directions[1]
 
     @property
     def biases(self) -> int:
@@ -215,7 +243,8 @@ class NoiseModel:
         variances = self.components.variances
         rest = whitening(self.rest, *self.scaled_rest_directions, variances) * self.rest_weights[:, None]
         turn = whitening(self.turn, *self.turn_directions, variances) * self.turn_weights[:, None]
-        return rest, turn, whitening(self.link, *self.link_directions, variances)
+        link = whitening(self.link, *self.scaled_link_directions, variances) * self.link_weights[:, None]
+        return rest, turn, link
 
     def _of_states(self, of_biases: Array, of_displacements: Array | float) -> Array:
         """Values of all states, of those of the biases and of the displacements."""

@@ -146,6 +146,12 @@ class Observations(Brief):
         at_rest = replace(rests, gyro=none, gyro_covariance=covariance, gyro_drift=none, gyro_noise=none)
         return replace(self, gyro_block=None, rests=at_rest, turns=None, turn_samples=None, turn_readings=None)
 
+    def without_magnetometer(self) -> Observations:
+        """The observations without the readings of the magnetometer."""
+        rests = replace(self.rests, magnetometer=None, magnetometer_covariance=None)
+        links = None if self.links is None else replace(self.links, magnetometer=None)
+        return replace(self, rests=rests, links=links)
+
     def of_rest(self, i: int) -> Observations:
         """The observations of rest i alone."""
         return replace(
