@@ -29,8 +29,8 @@ A magnetometer, in the units of the autopilot, Gauss or thousandths, has a symme
     PX4        field = S (reading − OFF),   S = (XSCALE, XODIAG, YODIAG; ·, YSCALE, ZODIAG; ·, ·, ZSCALE)
     ArduPilot  field = SCALE · S (reading + OFS),   S likewise of DIA and ODI
 
-so that of M⁻¹ = R S, R a rotation, S is held; the calibration's frame of the magnetometer, which is fixed by its first
-channels, is turned by R. What an autopilot's own procedure refuses (PX4: offsets beyond 1.3 Gauss, scales beyond 0.1
+so that of M⁻¹ = R S, R a rotation, S is held; R, how the magnetometer is mounted, the autopilot has in its own settings.
+What an autopilot's own procedure refuses (PX4: offsets beyond 1.3 Gauss, scales beyond 0.1
 to 3; ArduPilot: offsets beyond COMPASS_OFFS_MAX, 1800, DIA beyond 0.2 to 5, ODI beyond 1) is not written, and that is
 said.
 

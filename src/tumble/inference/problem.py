@@ -41,7 +41,6 @@ from functools import cached_property
 import numpy as np
 
 from tumble.earth import EARTH_RATE, earth_rate
-from tumble.inference.magnetometer import OWN as MAGNETIC
 from tumble.inference.magnetometer import Magnetometer
 from tumble.inference.noise import SCATTER, NoiseModel
 from tumble.inference.variables import GROWING, KINDS, Variables, variables_of

@@ -210,6 +210,8 @@ def _without_rests(links: Links, accel: Block, gyro: Block | None, site: Site) -
     readings = (np.zeros((0, 0 if block is None else block.size)) for block in (accel, gyro))
     of_accel, of_gyro = readings
     rests = Rests.of_white_noise(np.zeros(0), np.zeros(0), accel=of_accel, gyro=of_gyro, densities=(0.0, 0.0))
+    if links.magnetometer is not None:
+        rests = replace(rests, magnetometer=np.zeros((0, 3)), magnetometer_covariance=np.zeros((0, 3, 3)))
     turns, samples = no_turns(links.samples.samples)
     return Observations(
         accel_block=accel, gyro_block=gyro, site=site, rests=rests, turns=turns, turn_samples=samples, links=links
