@@ -29,10 +29,9 @@ A magnetometer, in the units of the autopilot, Gauss or thousandths, has a symme
     PX4        field = S (reading − OFF),   S = (XSCALE, XODIAG, YODIAG; ·, YSCALE, ZODIAG; ·, ·, ZSCALE)
     ArduPilot  field = SCALE · S (reading + OFS),   S likewise of DIA and ODI
 
-so that of M⁻¹ = R S, R a rotation, S is held; R, how the magnetometer is mounted, the autopilot has in its own settings.
-What an autopilot's own procedure refuses (PX4: offsets beyond 1.3 Gauss, scales beyond 0.1
-to 3; ArduPilot: offsets beyond COMPASS_OFFS_MAX, 1800, DIA beyond 0.2 to 5, ODI beyond 1) is not written, and that is
-said.
+so that of M⁻¹ = R S, R a rotation, S is held; R, how the magnetometer is mounted, an autopilot has in other settings.
+What its own procedure refuses (PX4: offsets beyond 1.3 Gauss, scales beyond 0.1 to 3; ArduPilot: offsets beyond
+COMPASS_OFFS_MAX, 1800, DIA beyond 0.2 to 5, ODI beyond 1) is not written, and that is said.
 
 The biases of a calibration are polynomials of the third degree at most, so a cubic holds them whole; TMIN and TMAX are
 the ends of what was measured. Scale factors have one value each, that at the reference temperature.

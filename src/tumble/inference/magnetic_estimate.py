@@ -266,10 +266,8 @@ def magnetometer_estimate(fitted: Maximum, step: Array) -> MagnetometerEstimate 
     rests = problem.observations.rests
     time = 0.5 * (rests.start + rests.stop) if links is None else links.time[readings.station]
     alone, fit = solution.session_covariances[0, :DIP, :DIP], chi_squares(solution)[MAGNETOMETER]
-    named = [
-        name for name, u, limit in zip(magnetometer.block.names, np.sqrt(alone.diagonal()), magnetometer.u, strict=False)
-        if u > limit / DETERMINED
-    ]  # fmt: skip
+    loose = np.sqrt(alone.diagonal()) > magnetometer.u[:DIP] / DETERMINED
+    named = np.array(magnetometer.block.names)[loose].tolist()
     refused = f"nothing determines {', '.join(named)}: take more attitudes" if named else ""
     if fit.scatter > SCATTER_LIMIT * magnetometer.field:
         refused = (

@@ -40,7 +40,7 @@ class Magnetometer:
 
     @property
     def u(self) -> Array:
-        """Standard deviations (OWN,) of the unknowns about their reference beforehand, bias in the unit of the field."""
+        """Standard deviations (OWN,) of the unknowns beforehand, about zero."""
         limits = limits_of(self.block.names)
         limits[:3] *= self.field
         return np.concatenate([limits, [DIP_U, DECLINATION_U, DELAY_U]])

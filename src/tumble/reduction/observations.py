@@ -205,7 +205,7 @@ class Observations(Brief):
         return replace(self.turns, C=moments.C, M=moments.Phi[..., 1:4], B=moments.Phi[..., 0], jumps=moments.jumps)
 
 
-def _without_rests(links: Links, accel: Block, gyro: Block | None, site: Site) -> Observations:
+def without_rests(links: Links, accel: Block, gyro: Block | None, site: Site) -> Observations:
     """The observations of a recording that has links alone."""
     readings = (np.zeros((0, 0 if block is None else block.size)) for block in (accel, gyro))
     of_accel, of_gyro = readings
@@ -248,7 +248,7 @@ def observe(
         linked = [unrecorded(a, b, 1, "links", why="") for a, b in pairwise(spans) if stretched(a, b)]
         reduction = replace(reduction, gaps=(*reduction.gaps, *linked))
         if not spans:
-            return _without_rests(links, accel, gyro, site)
+            return without_rests(links, accel, gyro, site)
     sway = None if gyro is None else sway_of(reduction, spans)
     rests, accel_quiet, gyro_noise, rounded = reduced_rests(reduction, spans, accel, gyro, sway)
     notes, turns, turn_samples, readings = list[str](), None, None, None

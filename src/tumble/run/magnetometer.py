@@ -74,7 +74,7 @@ def _with_covariance(
     their derivatives; in another frame than that of the accelerometers as if by none."""
     G = np.zeros((len(magnetometer.values), len(covariance)))
     if calibration.frame == "accelerometer":
-        columns = {name: column for name, column in zip(names, magnetometer.by_parameters.T, strict=True)}
+        columns = dict(zip(names, magnetometer.by_parameters.T, strict=True))
         for i, parameter in enumerate(calibration.parameters):
             G[:, i] = columns[parameter.name]
     across = G @ covariance

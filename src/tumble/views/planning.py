@@ -28,7 +28,7 @@ def in_unit(name: str, value: float) -> str:
 def plan_blocks(plan: Plan, *, sources: bool = False) -> list[Block]:
     """What a set-up gives: u by group, and with `sources` by source; the best next positions; what wanted accuracies
     need."""
-    blocks: list[Block] = [_head(plan.setup)]
+    blocks: list[Block] = [_head(plan)]
     if plan.rank is not None and plan.condition is not None:
         linear = sum(len(row.parameters) for row in plan.groups if row.group in GROUPS)
         condition = f", condition {plan.condition:.3g}" if math.isfinite(plan.condition) else ""
@@ -42,9 +42,12 @@ def plan_blocks(plan: Plan, *, sources: bool = False) -> list[Block]:
     return [*blocks, Items(items=plan.assumptions)]
 
 
-def _head(setup: Setup) -> str:
+def _head(plan: Plan) -> str:
     """What is planned."""
-    programme = setup.programme
+    setup, programme = plan.setup, plan.setup.programme
+    if plan.motion is not None:
+        where = "on a pivot" if plan.motion.held == "pivot" else "in the hand"
+        return f"{clock(plan.motion.seconds)} of motion {where}"
     return (
         f"{programme.name}: {len(programme.positions)} positions in {clock(time_of(programme, setup))}, "
         f"rests of {setup.rest:g} s, turns at {setup.turn_rate / DEGREE:g} °/s"
