@@ -59,7 +59,6 @@ WRITERS = {
     "new": "new {out}/n {in}/csv/log.csv --latitude 50",
     "simulate": "simulate {out}/n --positions 3 --rest 4 --sample-rate 20 --format csv",
     "calibrate": "calibrate {in}/csv --terms linear -o {out}/n.json --force",
-    "check": "check {in}/calibration.json {in}/csv -o {out}/n.json",
     "ellipsoid": "ellipsoid {in}/readings.csv --unit m/s^2 -o {out}/n.json --force",
     "apply csv": "apply {in}/calibration.json {in}/csv -o {out}/n.csv --force",
     "apply parquet": "apply {in}/calibration.json {in}/csv -o {out}/n.parquet --force",
@@ -70,9 +69,9 @@ WRITERS = {
     "inspect plot": "inspect {in}/csv --plot {out}/n.svg",
     "noise plot": "noise {in}/csv --plot {out}/n.svg",
     "programme": "programme cube-26 -o {out}/n.html",
+    "example": "example {out}/n",
     "registry add": "registry add {in}/calibration.json --registry {out}/n.sqlite",
     "registry show": "registry show 1 -o {out}/n.json --registry {in}/r.sqlite",
-    "registry trend": "registry trend mems-7 -o {out}/n.html --registry {in}/r.sqlite",
     "campaign": "campaign {in}/campaign.toml --in-process -o {out}/n",
     "fleet": "fleet {in}/manifest.txt --in-process -o {out}/n",
     "selftest": "selftest -o {out}/n.json",
@@ -374,24 +373,38 @@ def _strange_files(there: dict[str, bytes], alone: dict[str, bytes]) -> str:
 
 
 def streams(bench: Bench, commands: dict[str, str]) -> Found:
-    """Standard input, output and error closed; a pipe that nobody reads; /dev/full; a terminal of 20 columns."""
+    """Standard input, output and error closed, one, two or all of them; a pipe that nobody reads, or of which a byte is
+    read; /dev/full; a terminal of 20 columns."""
+    streams = ("input", "output", "error")
     for name, command in commands.items():
-        for number, what in enumerate(("input", "output", "error")):
+        for closed in ((0,), (1,), (2,), (1, 2), (0, 1, 2)):
             bench.emptied()
-            ended = bench.run_fresh(command, preexec_fn=lambda number=number: os.close(number))
-            yield f"{name}, standard {what} closed", ended.fault()
-        bench.emptied()
-        reading, writing = os.pipe()
-        os.close(reading)
-        ended = bench.run_fresh(command, stdout=writing)
-        os.close(writing)
-        yield f"{name}, a pipe that nobody reads", ended.fault() or ("it complains" if "tumble:" in ended.err else "")
+            ended = bench.run_fresh(command, preexec_fn=lambda closed=closed: [*map(os.close, closed)])
+            yield f"{name}, standard {' and '.join(streams[n] for n in closed)} closed", ended.fault()
+        for count in (0, 1):
+            bench.emptied()
+            reading, writing = os.pipe()
+            reader = threading.Thread(target=_read_and_close, args=(reading, count))
+            reader.start()
+            if not count:
+                reader.join()
+            ended = bench.run_fresh(command, stdout=writing)
+            os.close(writing)
+            reader.join()
+            complains = "it complains" if "tumble:" in ended.err else ""
+            yield f"{name}, a pipe of which {count} bytes are read", ended.fault() or complains
         if Path("/dev/full").exists():
             bench.emptied()
             with Path("/dev/full").open("w", encoding="utf-8") as full:
                 yield f"{name}, standard output full", bench.run_fresh(command, stdout=full).fault()
         bench.emptied()
         yield f"{name}, a terminal of 20 columns", _on_terminal(bench, command, 20)
+
+
+def _read_and_close(descriptor: int, count: int) -> None:
+    if count:
+        os.read(descriptor, count)
+    os.close(descriptor)
 
 
 def _on_terminal(bench: Bench, command: str, columns: int) -> str:
@@ -775,7 +788,7 @@ EVERY: dict[str, tuple[Callable[[Bench, dict[str, str]], Found], dict[str, str]]
     "folders": (folders, WRITERS),
     "killed": (killed, WRITERS),
     "two": (two_at_once, WRITERS),
-    "streams": (streams, _of(FAMILIES)),
+    "streams": (streams, WRITERS | READERS),
     "surroundings": (surroundings, _of(FAMILIES)),
     "bombs": (bombs, {}),
     "inputs": (inputs_of_others, {}),

@@ -22,8 +22,7 @@ from tumble.inference.joint import joint
 from tumble.methods.field_check import CheckResult, field_check
 from tumble.planning.setup import Setup
 from tumble.result.calibration import Calibration
-from tumble.result.evidence import Evidence
-from tumble.result.parts import CalibratedDevice, Parameter
+from tumble.result.parts import CalibratedDevice, Evidence, Parameter
 from tumble.sensors.grades import TURN_ON, spread_of
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import Scenario, scenario_of

@@ -39,8 +39,7 @@ from tumble.methods.paper.four_stages import (
 )
 from tumble.planning.setup import Setup
 from tumble.result.calibration import Calibration
-from tumble.result.evidence import Evidence
-from tumble.result.parts import CalibratedDevice, Launch, Parameter
+from tumble.result.parts import CalibratedDevice, Evidence, Launch, Parameter
 from tumble.rotation import rotation_matrix
 from tumble.sensors.grades import NoiseModel
 from tumble.sensors.model import ACCEL_ANGLES, PERFECT_TRIAD, SensorModel, triad_model, triad_parameters

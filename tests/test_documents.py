@@ -90,7 +90,6 @@ def test_a_turn_between_rests_that_are_not_there_is_named() -> None:
         ("accel/bias", [0, "1", 0], 'accel.bias[2]: expected a number, found "1"'),
         ("outcome/accepted", [], None),
         ("outcome/reasons", "none", 'outcome.reasons: expected a list, found "none"'),
-        ("outcome/verdict", "accepted", "outcome: expected outcomes of accelerometers and of gyros beside the verdict"),
         ("device", "A-7", 'device: expected a table, found "A-7"'),
         ("method", "joint\x1b[2J", "method: expected 1 to 200 printable characters, found"),
         ("launches", [{}], "launches[1].parameters: expected this key, found none"),

@@ -30,7 +30,7 @@ from tumble.errors import InputError, MissingExtraError
 from tumble.inference.estimate import Outcome
 from tumble.planning.setup import Setup
 from tumble.recording.arrays import session_of_arrays
-from tumble.result.evidence import Evidence, Provenance
+from tumble.result.parts import Evidence, Provenance
 
 CACHE = ROOT / ".mypy_cache" / "user"
 

@@ -40,7 +40,7 @@ from tumble.use.compare import compare_calibrations as compare_calibrations
 from tumble.use.corrector import Corrected as Corrected
 from tumble.use.corrector import Corrector as Corrector
 from tumble.use.stream import check_stream as check_stream
-from tumble.views.report.write import write_report as write_report
+from tumble.views.report.document import write_report as write_report
 from tumble.views.sheet import write_sheet as write_sheet
 
 __version__: str

@@ -76,27 +76,29 @@ def plain_name(word: str) -> str:
 
 
 class OutputFolder:
-    """A folder that new files are written into. It is made with the first of them, and none replaces another."""
+    """A folder that new files are written into, each by `whole_file`. It is made with the first of them, and none
+    replaces another."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.written: list[Path] = []
+        self._there = path.exists()
 
     def new_file(self, name: str) -> Path:
-        """The path of a file of this name, which is there from now on and empty; with a number behind its stem where
-        there was one already."""
-        self.path.mkdir(parents=True, exist_ok=True)
+        """The path of a file that is to be written: of this name, with a number behind its stem where there was one
+        already.
+
+        Raises FileExistsError for a folder that another process has made meanwhile."""
+        self.path.mkdir(parents=True, exist_ok=self._there)
+        self._there = True
+        taken = {path.name.casefold() for path in self.written}
         wanted = path = self.path / name
         number = 1
-        while True:
-            try:
-                path.touch(exist_ok=False)
-            except FileExistsError:
-                number += 1
-                path = wanted.with_stem(f"{wanted.stem}-{number}")
-            else:
-                self.written.append(path)
-                return path
+        while os.path.lexists(path) or path.name.casefold() in taken:
+            number += 1
+            path = wanted.with_stem(f"{wanted.stem}-{number}")
+        self.written.append(path)
+        return path
 
 
 @contextmanager

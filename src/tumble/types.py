@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from tumble.campaigns.campaign import Campaign as Campaign
+from tumble.campaigns.cluster import Place as Place
 from tumble.campaigns.fleet import FleetResult as FleetResult
 from tumble.campaigns.summary import CampaignResult as CampaignResult
 from tumble.campaigns.summary import SummaryLine as SummaryLine
@@ -41,13 +42,13 @@ from tumble.reduction.blocks.tuning import Tuning as Tuning
 from tumble.reduction.noise.allan_deviation import AllanDeviation as AllanDeviation
 from tumble.reduction.observations import Observations as Observations
 from tumble.reduction.rests.segmentation import Segmentation as Segmentation
-from tumble.result.evidence import Evidence as Evidence
-from tumble.result.evidence import Provenance as Provenance
 from tumble.result.launch_variances import LaunchVariances as LaunchVariances
 from tumble.result.parts import CalibratedDevice as CalibratedDevice
 from tumble.result.parts import CalibratedTemperature as CalibratedTemperature
+from tumble.result.parts import Evidence as Evidence
 from tumble.result.parts import Launch as Launch
 from tumble.result.parts import Member as Member
+from tumble.result.parts import Provenance as Provenance
 from tumble.result.parts import Readings as Readings
 from tumble.result.parts import RestResult as RestResult
 from tumble.result.parts import SourceContributions as SourceContributions

@@ -96,7 +96,7 @@ MAGNETIC_UNITS = tuple(TESLA)
 TEMPERATURE_UNITS = {"degC": (1.0, 0.0), "K": (1.0, -ZERO_CELSIUS), "degF": (5.0 / 9.0, -160.0 / 9.0)}
 """What a log's temperature is in °C: gain · number + shift. A raw one has a scale, numbers per °C, and an offset."""
 
-TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 
 
 _SHOWN: dict[str, tuple[tuple[float, str], ...]] = {

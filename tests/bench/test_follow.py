@@ -10,12 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support.bench_driver import Bench
+from tests.support.bench_driver import SAMPLE_RATE, Bench, Unit
 from tests.support.browser import eventually
+from tumble import calibrate
 from tumble.bench import screens
 from tumble.bench.follow.faults import SampleWatch
 from tumble.bench.follow.wishes import wishes
 from tumble.bench.record.recorder import NOTHING_RECEIVED
+from tumble.bench.station import Station
 from tumble.errors import InputError
 from tumble.programme.sheet_pictures import ghost
 from tumble.recording.session_file import read_session
@@ -205,10 +207,74 @@ def test_a_clock_that_goes_back_is_named(opened: Callable[..., Bench]) -> None:
     samples = bench.state["received"]["samples"]
     assert samples >= before + 200
     bench.file.writelines(f"{900.0 + k / 100},{row}" for k, row in enumerate(rows))
-    named(bench, "the clock goes back from 90")
-    assert answers(bench).keys() == {"anew", "go_on"}
     bench.run(1.0)
+    (said,) = bench.state["received"]["trouble"]
+    assert said.startswith("the clock has gone back by 89")
     assert bench.state["received"]["samples"] < samples + 200
+
+
+def restarted(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The sensor is reset: its clock starts anew, and who records it goes on in another file."""
+    begun, line = bench.unit.sample, Unit.line
+    bench.file.close()
+    files = [*bench.station._live.files]
+    files.append(bench.station.folder / f"log-{len(files) + 1}.csv")
+    bench.file = files[-1].open("w")
+    bench.file.write(files[0].read_text().partition("\n")[0] + "\n")
+
+    def later() -> str:
+        time, _, rest = line(bench.unit).partition(",")
+        return f"{float(time) - begun / SAMPLE_RATE:.9g},{rest}" if rest else ""
+
+    monkeypatch.setattr(bench.unit, "line", later)
+    source = SimpleNamespace(name="serial:/dev/ttyUSB0:115200")
+    intake = SimpleNamespace(received=NOTHING_RECEIVED, ended=False, source=source, files=files, stop=lambda: None)
+    monkeypatch.setattr(bench.station, "intake", intake)
+
+
+def test_a_clock_that_starts_anew_costs_the_turn_or_the_part_of_the_rest_that_it_falls_into(
+    opened: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In a turn, in a rest that is long enough, and in one that is not: the programme goes on, and nothing of it is
+    missing in the calibration, by whose files the page is begun again at the same place."""
+    bench = opened("nine")
+    bench.until(lambda: bench.screen == "turn")
+    bench.take(2)
+    bench.unit.go_to(2)
+    bench.run(1.0)
+    restarted(bench, monkeypatch)
+    bench.moved()
+    assert bench.said.startswith("the sensor's clock starts anew after ")
+    assert bench.said.endswith("as when it is unplugged or reset; the recording goes on in log-2.csv")
+    assert primary(bench) == ["go_on"]
+    bench.until(lambda: bench.said == "Turn now to position 4")
+    assert "the turn with it tells nothing" in bench.state["message"]
+    restarted(bench, monkeypatch)
+    bench.run(5.0)
+    assert bench.said == "Turn now to position 4"
+    assert bench.state["message"].endswith("in log-3.csv; the first part is kept; go on to the next position")
+    bench.unit.go_to(3)
+    bench.moved()
+    bench.until(lambda: bench.screen == "rest")
+    restarted(bench, monkeypatch)
+    bench.run(2.0)
+    assert bench.said == "At rest 4 of 9: hold still"
+    assert bench.state["message"].endswith("in log-4.csv; hold still, this rest begins anew")
+    bench.until(lambda: bench.screen == "turn")
+    for position in range(5, 10):
+        bench.take(position)
+    assert bench.screen == "done"
+    eventually(lambda: _stepped(bench)["estimate"]["rests"] == 9, 60.0)
+    folder = bench.station.folder
+    assert [Path(str(file)).name for file in read_session(folder).log.files] == [
+        f"log{n}.csv" for n in ("", "-2", "-3", "-4")
+    ]
+    calibration = calibrate(folder)
+    assert (calibration.outcome.accepted, len(calibration.evidence.rests)) == (True, 9)
+    again = Station(folder, None, wanted=("accel.bias=1mg", "gyro.bias=100deg/h"))
+    again.step()
+    assert (again.state["screen"], again.state["rest"]) == ("done", bench.state["rest"])
+    again.stop()
 
 
 @pytest.mark.parametrize(("accel", "gyro", "unit"), [(1.0 / 9.80665, 57.29578, "g"), (1e3 / 9.80665, 57.29578, "mg")])
@@ -290,7 +356,7 @@ def test_an_unplugged_sensor_is_the_headline(opened: Callable[..., Bench], monke
     bench.until(lambda: bench.screen == "turn")
     received = {**NOTHING_RECEIVED, "silent": True}
     source = SimpleNamespace(name="serial:/dev/ttyUSB0:115200")
-    stopped = SimpleNamespace(received=received, ended=False, source=source, stop=lambda: None)
+    stopped = SimpleNamespace(received=received, ended=False, source=source, files=[], stop=lambda: None)
     monkeypatch.setattr(bench.station, "intake", stopped)
     bench.station.step()
     assert bench.state["headline"] == "Nothing comes from the sensor: is it plugged in?"

@@ -161,8 +161,8 @@ def recorded(folder: Path, source: object, sent: Callable[[], None], until: int)
 
 
 def test_rows_are_recorded_as_they_come_whatever_their_times_are(folder: Path) -> None:
-    """Three that agree on a wrong time, one that leaps, some that are exchanged, a clock that starts anew: the log has
-    every row."""
+    """Three that agree on a wrong time, one that leaps, some that are exchanged: the log has every row, and those since
+    the clock started anew are another file of it."""
     wrong = {100: 900.5, 101: 900.51, 102: 900.52, 150: 1e308, 200: 2.02, 201: 2.01, 300: 2.99}
     rows = [row(k, wrong.get(k)) for k in range(1, 1001)] + [row(k) for k in range(1, 50)]
     out, into = os.pipe()
@@ -178,7 +178,9 @@ def test_rows_are_recorded_as_they_come_whatever_their_times_are(folder: Path) -
                 datagrams.sendto(each.encode(), ("127.0.0.1", source.port))
 
     intake = recorded(folder, source, send, len(rows) - 500)
-    assert log_of(folder) == [HEADER, *rows]
+    assert log_of(folder) == [HEADER, *rows[:1000]]
+    assert [file.name for file in intake.files] == ["log.csv", "log-2.csv"]
+    assert intake.files[1].read_text().splitlines() == [HEADER, *rows[1000:]]
     assert intake.received["refused"] == 0
 
 

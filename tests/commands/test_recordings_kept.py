@@ -140,6 +140,9 @@ def test_new_files_have_names_of_their_own_and_are_all_that_a_failure_takes_away
     output = OutputFolder(folder)
     made = [output.new_file(name) for name in asked]
     assert len({*made, *before}) == len(made) + len(before)
+    assert hashes(folder) == before  # nothing stands there before it is written whole
+    for path in made:
+        path.write_text("made")
     assert {path: found for path, found in hashes(folder).items() if path in before} == before
 
     def failed() -> None:

@@ -3,6 +3,7 @@ and what would help is what is missing."""
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -10,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
+from pydantic import TypeAdapter
 
 from tests.diagnosis.test_verdict import estimated
 from tests.support.shared import copy_of, session
@@ -22,6 +24,7 @@ from tumble.inference.joint import joint
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.segmentation import Segmentation, Stretch
+from tumble.result.parts import Judged
 from tumble.run.calibrate import calibrate
 from tumble.sensors.grades import GRADES
 from tumble.sensors.parameters import group_name
@@ -52,7 +55,7 @@ def test_groups_at_ten_times_their_size_are_named_and_nothing_scatters(seed: int
     assert "gyro.g_sensitivity" in causes_of(misfit(estimate))
     (said,) = (remark for remark in outcome.gyro.remarks if "g-sensitivity" in remark)
     assert said not in outcome.accel.remarks
-    assert Outcome.from_content(as_json(outcome)) == outcome
+    assert TypeAdapter[Outcome](Judged).validate_json(json.dumps(as_json(outcome))) == outcome
 
 
 def test_groups_that_rests_hardly_tell_apart_are_widened_alike() -> None:

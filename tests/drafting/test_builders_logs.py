@@ -214,12 +214,50 @@ def array_of_numpy(folder: Path, rows: Array) -> Path:
     return folder / "a.npy"
 
 
+def newest_first(folder: Path, rows: Array) -> Path:
+    return table(folder / "log.csv", f"t,{NAMES}", rows[::-1])
+
+
+def newest_first_by_the_clock(folder: Path, rows: Array) -> Path:
+    back = rows[::-1]
+    return table(folder / "log.csv", f"time,{NAMES}", back[:, 1:], times=dates(back, "%H:%M:%S.%f", 12))
+
+
+def week_and_seconds(folder: Path, rows: Array) -> Path:
+    """GPS time, over the end of a week."""
+    week, seconds = np.divmod(604760.0 + rows[:, 0], 604800.0)
+    times = [f"{2371 + w:.0f}:{s:.4f}" for w, s in zip(week, seconds, strict=True)]
+    return table(folder / "log.csv", f"gps_time,{NAMES}", rows[:, 1:], times=times)
+
+
+def in_minutes(folder: Path, rows: Array) -> Path:
+    return table(folder / "log.csv", f"Time (min),{NAMES}", rows[:, 0] / 60.0, rows[:, 1:], digits=12)
+
+
+def in_hours_without_a_unit(folder: Path, rows: Array) -> Path:
+    return table(folder / "log.csv", f"time,{NAMES}", rows[:, 0] / 3600.0, rows[:, 1:], digits=14)
+
+
+def a_time_for_each_sensor(folder: Path, rows: Array) -> Path:
+    """As phyphox exports one table of sensors at rates of their own: the shorter columns end in empty cells."""
+    names = [f"Time (s),{kind} x ({u}),{kind} y ({u}),{kind} z ({u})" for kind, u in
+             (("Acceleration", "m/s^2"), ("Gyroscope", "rad/s"))]  # fmt: skip
+    accel, gyro = rows[::2, :4], np.column_stack([rows[:, 0] + 0.003, rows[:, 4:]])
+    lines = []
+    for k, of_gyro in enumerate(gyro.tolist()):
+        of_accel = [f"{x:.9g}" for x in accel[k]] if k < len(accel) else [""] * 4
+        lines.append(",".join([*of_accel, *(f"{x:.9g}" for x in of_gyro)]))
+    (folder / "log.csv").write_text("\n".join([",".join(names), *lines]) + "\n", encoding="utf-8")
+    return folder / "log.csv"
+
+
 LOGS: list[Callable[[Path, Array], Path]] = [
     plain, in_g_and_ms, of_st, printed_counts, counts_at_micros, counter_starts_anew, of_a_german_office,
     units_below_names, iso_dates, times_of_day, without_times, header_after_comments, with_magnetometer_and_temperature,
     with_quaternions, two_imus, axes_in_another_order, behind_the_start_of_a_board, named_values, objects_of_json,
     rows_of_a_sensor_each, files_of_a_phone, with_lost_samples, of_a_buffer, whole_seconds, of_a_vehicle,
-    tuples_of_python, array_of_numpy,
+    tuples_of_python, array_of_numpy, newest_first, newest_first_by_the_clock, week_and_seconds, in_minutes,
+    in_hours_without_a_unit, a_time_for_each_sensor,
 ]  # fmt: skip
 
 

@@ -9,11 +9,10 @@ import polars as pl
 import pytest
 
 from tumble.diagnosis.turn_likelihood import WIDTHS
-from tumble.drafting.dialects import as_table
+from tumble.drafting.dialects import as_tables, cells
 from tumble.drafting.draft import Draft
 from tumble.drafting.foreign_log import samples_in
 from tumble.drafting.hypotheses import Evidence, length_and_zero, ranked
-from tumble.drafting.named_values import cells
 from tumble.drafting.new_session import Given, new_session
 from tumble.drafting.times import Stamps, overflow_of, recordings_of, times_of_column
 from tumble.errors import InputError, LogError
@@ -153,9 +152,10 @@ def test_a_clock_may_be_one_of_twelve_hours() -> None:
 def test_rows_come_out_of_what_is_about_them(lines: list[str], copied: str, tmp_path: Path) -> None:
     log = tmp_path / "log.txt"
     log.write_text("\n".join([*lines, ""]))
-    found = as_table(log, log.read_bytes(), OutputFolder(tmp_path / "session"))
+    found = as_tables(log, log.read_bytes(), OutputFolder(tmp_path / "session"))
     assert found is not None
-    assert found[0].read_text() == copied
+    (table,), _ = found
+    assert table.read_text() == copied
 
 
 def test_dates_tell_the_unit_of_a_time() -> None:

@@ -317,11 +317,11 @@ def test_raw_increments_of_novatel(name: str, rows: Array, tmp_path: Path) -> No
     readings = "43110635,-817242,-202184,-215194,-41188,-9895"
     body = f"RAWIMUSXA,1692,484620.664;00,11,1692,484620.664389000,00801503,{readings}"
     assert sentences(["", "words", ""]) is None
-    spelling = sentences([f"%{body}*a5db8c7b"] * 9 + [f"%{body}*a5db8c7c"])  # of NovAtel's manual; damaged
-    assert spelling is not None
-    assert spelling.values(f"%{body}*a5db8c7b") == [
+    form = sentences([f"%{body}*a5db8c7b"] * 9 + [f"%{body}*a5db8c7c"])  # of NovAtel's manual; damaged
+    assert form is not None
+    assert form.row(0, f"%{body}*a5db8c7b") == ("", [
         "484620.664389000", "-202184", "817242", "43110635", "-9895", "41188", "-215194",
-    ]  # fmt: skip
+    ])  # fmt: skip
 
 
 @pytest.mark.parametrize("others", [["GPS,{t},45.1,7.6"], ["GPS,{t},45.1,7.6,240,9,1.2,3,0", "BARO,{t},1002,3"]])

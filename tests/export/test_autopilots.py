@@ -25,7 +25,7 @@ from tumble.recording.formats import messages
 from tumble.recording.session import AutopilotSensor
 from tumble.recording.session_file import read_session
 from tumble.result.calibration import Calibration, read_calibration
-from tumble.result.linear_fit import linear_model
+from tumble.result.correction import linear_model
 from tumble.result.parts import Parameter
 from tumble.rotation import unit_vector
 from tumble.run.calibrate import calibrate

@@ -18,7 +18,7 @@ from tests.support.exports import FORMATS, beside
 from tests.use.test_applied_model import larger, read, truth
 from tumble.export import export_calibration
 from tumble.result.calibration import Calibration
-from tumble.result.linear_fit import linear_model, session_rate
+from tumble.result.correction import linear_model, session_rate
 from tumble.rotation import unit_vector
 from tumble.sensors.model import SensorModel
 from tumble.sensors.parameters import group_name, groups

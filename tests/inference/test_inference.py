@@ -26,7 +26,7 @@ from tumble.inference.hyperparameters import (
     restricted_likelihood,
     score,
 )
-from tumble.inference.integral import conditional, members_of, posterior, smoothed, triangles, with_sizes
+from tumble.inference.integral import conditional, members_of, posterior, smoothed, triangles
 from tumble.inference.joint import joint
 from tumble.inference.linearisation import Linearisation, linearise
 from tumble.inference.maximum import Maximum, Status, maximum
@@ -428,16 +428,18 @@ def test_sizes_folded_into_a_triangle_are_those_of_the_whole_elimination(name: s
     phi = np.tile(away_from_bounds(hyperparameters), (2, 1))
     phi[1, groups] += 0.7
     members, element = members_of(fitted, groups)
-    (triangle,) = triangles(fitted.linearisation, hyperparameters, phi[:1], members)
+    every = triangles(fitted.linearisation, hyperparameters, phi[:1], members)
     sizes = fitted.usual_problem.usual_u[1 + members] * np.exp(phi[:, element])
-    likelihood, c, covariance = with_sizes(triangle, sizes)
+    (likelihood,) = every.log_likelihood(sizes[None])
+    c, covariance = every.of_groups(np.zeros(2, dtype=int), sizes)
+    (alpha,), (gamma,), (omega,) = every.alpha, every.gamma, every.omega
     for k in range(2):
         solution = restricted_likelihood(fitted.linearisation, hyperparameters, phi[k])
         expected = conditional(solution)
         u = np.sqrt(np.maximum(np.diag(expected.covariance), 1e-300))
         assert likelihood[k] == pytest.approx(-0.5 * float(solution.deviance), abs=1e-6)
-        np.testing.assert_allclose((triangle.alpha + triangle.gamma @ c[k] - expected.step)[1:] / u[1:], 0.0, atol=1e-6)
-        whole = triangle.omega + triangle.gamma @ covariance[k] @ triangle.gamma.T
+        np.testing.assert_allclose((alpha + gamma @ c[k] - expected.step)[1:] / u[1:], 0.0, atol=1e-6)
+        whole = omega + gamma @ covariance[k] @ gamma.T
         np.testing.assert_allclose((whole - expected.covariance) / np.outer(u, u), 0.0, atol=1e-6)
 
 

@@ -16,7 +16,7 @@ from tests.use.test_compare import of_common_gravity, of_common_time_base
 from tumble.cli import main
 from tumble.lab.registry.registry import open_registry
 from tumble.lab.registry.trend import Trend
-from tumble.lab.views.registry import change_lines
+from tumble.lab.registry.views import change_lines
 from tumble.result.calibration import Calibration
 from tumble.use.compare import compare_calibrations
 

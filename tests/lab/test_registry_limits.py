@@ -19,7 +19,7 @@ from tumble.errors import InputError
 from tumble.lab.conformity import judge, judge_value
 from tumble.lab.limits import Limits, months_later, parse_limits, read_limits
 from tumble.lab.registry.registry import Registry, open_registry
-from tumble.lab.views.registry import due_table
+from tumble.lab.registry.views import due_table
 from tumble.result.coverage import expanded_of
 from tumble.result.parts import Parameter
 from tumble.units import ARCSEC, DEGREE_PER_HOUR, G_STANDARD

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.support.formula_setup import bound
+from tumble.diagnosis.linear_model import linear_joint
 from tumble.inference.joint import joint
 from tumble.planning.bounds import stated
 from tumble.planning.expected_sizes import _expected_scatter, _expected_size
@@ -81,3 +82,30 @@ def test_plan_states_what_calibrate_will(setup: Setup) -> None:
     assert estimate.names[: said.linear] == said.names[: said.linear]
     for group, members in positions_by_group(said.names[: said.linear]).items():
         assert said.rms(group) == pytest.approx(float(np.sqrt(mean[members].mean())), rel=0.1), group
+
+
+@pytest.mark.parametrize(
+    "setup",
+    [
+        Setup.of(programme="cube-26", terms="full"),
+        Setup.of(grade="tactical", terms="full"),
+        Setup.of(grade="mems", programme="nine", rest=30.0, terms="full"),
+    ],
+    ids=["navigation in a cube", "tactical on the rough table", "mems in nine positions"],
+)
+def test_plan_states_what_calibrate_will_with_linear_terms(setup: Setup) -> None:
+    """Six instruments: the rms u of each group to a quarter, and the errors are of that size. Scatter that the groups
+    are themselves would be in u beside them, and make it up to three times as large."""
+    setup = replace(setup, programme=replace(setup.programme, ordered=True), clock_u=0.0)
+    variances, errors = [], []
+    for seed in range(6):
+        rng = np.random.default_rng(100 + seed)
+        scenario = scenario_of(setup, rng)
+        estimate = linear_joint(simulate_observations(scenario, rng))
+        variances.append(np.diag(estimate.covariance)[:21])
+        truth = np.array([scenario.truth[name] for name in estimate.names[:21]])
+        errors.append((estimate.values[:21] - truth) / estimate.u[:21])
+    said, mean = stated(setup, terms="linear"), np.mean(variances, axis=0)
+    for group, members in positions_by_group(said.names).items():
+        assert said.rms(group) == pytest.approx(float(np.sqrt(mean[members].mean())), rel=0.25), group
+    assert 0.8 < np.sqrt(np.mean(np.square(errors))) < 1.15

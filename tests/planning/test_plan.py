@@ -127,6 +127,14 @@ def test_a_held_device_makes_single_turns_from_where_it_is() -> None:
         assert all(turns_there(one, setup) for one in found)
 
 
+def test_a_table_is_asked_for_no_attitude_that_its_axes_do_not_reach() -> None:
+    """That of the rough table turns about N and U, and the device is mounted along N, U and E."""
+    found = next_positions(Setup.of())
+    assert len(found) > 10
+    assert not any("E+" in one.position.attitude or "E-" in one.position.attitude for one in found)
+    assert all(one.move.axis is None or one.move.axis[2] == 0.0 for one in found)
+
+
 def turns_there(one: NextPosition, setup: Setup) -> bool:
     """Whether a move is a turn about N or U by a multiple of 45° that leads to its position."""
     assert one.move.axis is not None
@@ -194,11 +202,11 @@ def test_impossible_wishes_are_refused(wanted: dict[str, float], words: str) -> 
 @pytest.mark.parametrize(("times", "accepted"), [(1.0, True), (2.0, False)])
 def test_tables_that_calibrate_refuses_are_not_any(tmp_path: Path, times: float, accepted: bool) -> None:
     """With the largest errors that a plan allows every rest is in its position; with twice as large ones it is not,
-    and the plan says so: a remark where the method does without a programme, a reason where it does not."""
+    and the plan refuses it too."""
     setup = Setup.of(sample_rate=10.0, rest=20.0, rate_deg_s=30.0)
     table, mounting = (times * error for error in largest_errors(setup))
     setup = replace(setup, table_error=table, mounting_error=mounting)
-    assert bool(plan(setup, terms="linear").remarks) is not accepted
+    assert bool(plan(setup, terms="linear").reasons) is not accepted
     assert bool(plan(setup, method="scalar").reasons) is not accepted
     for seed in range(3):
         folder = simulate_session(tmp_path / f"{seed}", setup, seed=seed)

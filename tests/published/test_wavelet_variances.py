@@ -13,7 +13,15 @@ import numpy as np
 import pytest
 
 from tumble.reduction.noise.allan_deviation import AllanDeviation
-from tumble.reduction.noise.wavelet_moments import NoiseParameters, _fitted, _Moments, _slopes, _Sum, _Weights, identify
+from tumble.reduction.noise.wavelet_moments import (
+    NoiseParameters,
+    _Fit,
+    _fitted,
+    _Moments,
+    _slopes,
+    _Weighting,
+    identify,
+)
 from tumble.units import Array
 
 LN200 = {
@@ -68,7 +76,7 @@ def named(variances: Array, rate: float, samples: int) -> NoiseParameters:
     return identify(of)[0]
 
 
-def fitted(variances: Array, samples: int, start: _Sum) -> tuple[_Sum, Array]:
+def fitted(variances: Array, samples: int, start: _Fit) -> tuple[_Fit, Array]:
     """The sum of the processes of another with its own covariance, in units of a sample; and Q of that other."""
     sizes = 2 ** np.arange(len(variances))
     tau, moments, q = sizes.astype(float), _Moments(sizes=sizes, counts=(samples,)), []
@@ -76,8 +84,8 @@ def fitted(variances: Array, samples: int, start: _Sum) -> tuple[_Sum, Array]:
     for _ in range(8):
         model = _slopes(tau, found.times) @ found.squares
         C = moments.covariance(found.squares, found.times)
-        weights = _Weights(root=np.asarray(np.linalg.cholesky(C)), freedom=2.0 * model**2 / np.diag(C), model=model)
-        g, _ = weights.away(variances, _slopes(tau, start.times) @ start.squares)
+        weights = _Weighting(root=np.asarray(np.linalg.cholesky(C)), freedom=2.0 * model**2 / np.diag(C), model=model)
+        g, _ = weights.residuals(variances, _slopes(tau, start.times) @ start.squares)
         q.append(float(np.sum(np.linalg.solve(weights.root, g) ** 2)))
         found = _fitted(variances, tau, found, weights)
     return found, np.array(q)
@@ -116,7 +124,7 @@ def test_a_gyro_of_a_navchip_has_the_published_quantisation_and_white_noise() ->
     of 11 degrees of freedom, and 770 of the published values."""
     published = NAVCHIP_ESTIMATES
     squares, times = gauss_markov(published["AR(1)"])  # type: ignore[arg-type]
-    other = _Sum(
+    other = _Fit(
         squares=np.array([published["Q²"], published["σ²"], 0.0, published["γ²"], 0.0, *squares], dtype=float),
         times=times,
         u=np.empty(0),

@@ -12,6 +12,7 @@ import sys
 import warnings
 from collections.abc import Callable
 from contextlib import closing, suppress
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ import numpy as np
 import polars as pl
 import pytest
 from mcap_ros2.writer import Writer as McapWriter
+from pyulog import ULog
 from rosbags.rosbag1 import Writer as Bag1Writer
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Bag2Writer
@@ -511,6 +513,17 @@ def test_times_that_are_said_to_be_floating_point_numbers_give_no_warning(record
         path.read_bytes().replace(b"uint64_t timestamp_sample;float x", b"double   timestamp_sample;float x")
     )
     with suppress(InputError):
+        new_session(tmp_path / "s", path)
+
+
+def test_a_flight_log_that_is_cut_in_a_damaged_message_is_not_read_for_ever(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, headers, read = tmp_path / "r.ulg", count(), ULog._unpack_ushort_byte
+    often = "the same message is read again and again"
+    monkeypatch.setattr(ULog, "_unpack_ushort_byte", lambda d: read(d) if next(headers) < 999 else pytest.fail(often))
+    path.write_bytes(b"ULog\x01\x12\x35\x01" + struct.pack("<QHB", 10, 20000, 0) + bytes(100))
+    with pytest.raises(InputError, match="no messages sensor_accel or sensor_combined"):
         new_session(tmp_path / "s", path)
 
 

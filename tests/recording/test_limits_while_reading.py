@@ -56,11 +56,20 @@ def write_bag(path: Path) -> None:
 PACKED: dict[str, Callable[[Path], object]] = {
     "a.parquet": write_parquet,
     "a.npz": lambda path: np.savez_compressed(path, *[np.zeros(4_000_000) for _ in COLUMNS]),
-    "a.npy": lambda path: path.write_bytes(np.lib.format.magic(1, 0) + struct.pack("<H", len(HUGE)) + HUGE),
     "a.mat": lambda path: savemat(path, {c: np.zeros(4_000_000) for c in COLUMNS}, do_compression=True),
     "a.mcap": write_mcap,
     "a.bag": write_bag,
 }
+
+
+def test_an_array_that_is_longer_than_its_file_is_damaged_and_takes_no_memory(tmp_path: Path) -> None:
+    (tmp_path / "a.npy").write_bytes(np.lib.format.magic(1, 0) + struct.pack("<H", len(HUGE)) + HUGE)
+    tracemalloc.start()
+    with pytest.raises(InputError, match=r"a\.npy: expected an intact recording, found it damaged"):
+        new_session(tmp_path / "session", tmp_path / "a.npy")
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 30_000_000
 
 
 @pytest.mark.parametrize("name", PACKED)

@@ -164,6 +164,7 @@ CSV_FAULTS: dict[str, tuple[Callable[[Lines], Lines], str]] = {
         ": row 20 (line 21): expected at most 2% of the rows and 3 to be left out, found 10 of 300, the first here",
     ),
     "nan as a time": (with_value(17, "t", "nan"), ": row 17 (line 18), column 't': expected a time, found nan"),
+    "-inf as the first time": (with_value(1, "t", "-inf"), ": row 1 (line 2), column 't': expected a time, found -inf"),
     "header only": (lambda table: table[:1], ": expected a log, found no rows; the file is empty"),
     "49 samples": (lambda table: table[:50], ": expected at least 50 samples, found 49"),
     "less than 2 s": (lambda table: table[:200], ": expected at least 2 s, found 1.99 s"),
@@ -838,6 +839,21 @@ def test_line_that_is_no_sample_is_left_out(change: Change, tmp_path: Path) -> N
     log = opened(tmp_path)
     check_ramp(whole(log))
     assert all(gap.samples == 0 for gap in log.gaps)
+
+
+@pytest.mark.parametrize(
+    ("rows", "gaps"), [((17,), 1), ((17, 40, 120), 3), (tuple(range(20, 280, 20)), 0)], ids=["one", "few", "layout"]
+)
+def test_a_blank_line_may_have_been_a_sample_where_no_time_says_so(
+    rows: tuple[int, ...], gaps: int, tmp_path: Path
+) -> None:
+    table = lines()
+    for row in reversed(rows):
+        table.insert(row, [""])
+    log = csv_log(tmp_path, table, time=None, rate_hz=100.0)
+    check_ramp(whole(log))
+    assert [(gap.samples, gap.integrable) for gap in log.gaps] == gaps * [(0, False)]
+    assert [gap.time for gap in log.gaps] == pytest.approx([0.01 * (row - 1) for row in rows[:gaps]])
 
 
 LONG_GAPS: dict[str, tuple[Change, int, float, str]] = {

@@ -167,7 +167,7 @@ FAULTS: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "time_unit": (
         {"log": {"time_unit": "usec"}},
-        "log.time_unit: expected one of s, ms, us, ns, iso8601, found \"usec\"; did you mean 'us'?",
+        "log.time_unit: expected one of s, ms, us, ns, min, h, iso8601, found \"usec\"; did you mean 'us'?",
     ),
     "time_unit with rate": (
         {"log": {"time": GONE, "rate_hz": 10, "time_unit": "ms"}},

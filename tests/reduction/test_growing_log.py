@@ -146,10 +146,10 @@ def test_rests_show_while_they_last(session: Recording) -> None:
             moving = rests_so_far(fed(chunks(session, [], stop=round((rest.stop + 1.0) * RATE))).now(), ACCEL, GYRO)
             assert moving is not None
             assert (moving.still, moving.lasting, len(moving.rests)) == (False, False, k + 1)
-    u = mean_so_far(reduction, found[-1].first, found[-1].last)
+    u = mean_so_far(reduction.files[-1], found[-1].first, found[-1].last)
     assert u.keys() == {"accel", "gyro"}
     assert u["accel"][1] == pytest.approx(u["accel"][0] / 2**0.5, rel=0.2)  # white noise
-    assert mean_so_far(reduction, 0, 5) == {}
+    assert mean_so_far(reduction.files[-1], 0, 5) == {}
 
 
 def starts(found: Sequence[Stretch], k: int) -> list[float]:

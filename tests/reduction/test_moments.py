@@ -25,6 +25,7 @@ from tumble.reduction.turns.moments import (
     delay_column,
     growing_moments,
     integrate,
+    integrate_in_parts,
     lever_columns,
     moments_of,
     single_delay_columns,
@@ -181,6 +182,31 @@ def test_a_number_that_is_not_one_spoils_its_own_turn_only() -> None:
     for f in fields(Moments):
         ours, theirs = (np.delete(getattr(x, f.name), 7, axis=0) for x in (found, clean))
         np.testing.assert_array_equal(ours, theirs)
+
+
+def test_a_session_without_turns_has_no_moments() -> None:
+    moments, C, V = integrate_in_parts([], np.zeros(0, dtype=np.int64), 32, nominal())
+    Phi, Psi = growing_moments([], np.zeros(0, dtype=np.int64), nominal())
+    assert (len(moments), C.shape, V.shape) == (0, (0, 33, 3, 3), (0, 33, 3))
+    assert (Phi.shape, Psi.shape) == ((0, 3, 3, 13), (0, 3, 3, 7))
+
+
+def test_parts_of_a_turn_make_the_turn() -> None:
+    """Rotation, velocity, Φ and Ψ, whatever the number of parts, of a turn that comes in two batches."""
+    rng = np.random.default_rng(8)
+    whole = pieces_of(wandering(rng, 700, largest=0.4), np.array([2]), np.array([699]))
+    halves = [replace(whole, stop=np.array([333])), replace(whole, start=np.array([333]))]
+    expected = moments_of(whole, nominal())
+    for parts in (1, 7, 32):
+        moments, C, V = integrate_in_parts(halves, np.array([697]), parts, nominal())
+        after = V[:, -1:] - V[:, 1:]
+        Phi = np.einsum("kpij,pjmb->pimb", C[:, :-1], moments.Phi)
+        Psi = np.einsum("kpij,pjmb->pimb", C[:, :-1], moments.Psi)
+        Psi = Psi + np.cross(Phi[..., :7], after[0, :, :, None, None], axis=1)
+        np.testing.assert_allclose(C[:, -1], expected.C, atol=1e-12)
+        np.testing.assert_allclose(V[:, -1], expected.V, rtol=1e-11)
+        np.testing.assert_allclose(Phi.sum(axis=0), expected.Phi[0], rtol=1e-10, atol=1e-11)
+        np.testing.assert_allclose(Psi.sum(axis=0), expected.Psi[0], rtol=1e-9, atol=1e-9)
 
 
 def test_growing_moments_are_what_a_bias_does_that_grows_within_a_turn() -> None:

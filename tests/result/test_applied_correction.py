@@ -13,8 +13,8 @@ from tests.support.calibrated import HEXAD, calibration, warmed
 from tests.use.test_applied_model import larger, read, truth
 from tumble.export import export_calibration
 from tumble.inference.estimate import Outcome
-from tumble.result.applied_correction import correction_content
 from tumble.result.calibration import Calibration
+from tumble.result.correction import correction_content
 from tumble.units import ZERO_CELSIUS, Array
 
 PRODUCTS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))

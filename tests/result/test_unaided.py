@@ -113,6 +113,14 @@ def test_before_is_what_readings_are_off_by_and_after_what_corrected_ones_are(ax
     np.testing.assert_allclose(np.array(found.groups(), dtype=float) * sizes, expected, rtol=0.06)
 
 
+def test_what_nothing_is_known_of_was_there_before() -> None:
+    """Six faces leave the axes to their usual size: more than what is corrected, and no improvement, but no harm."""
+    made = replace(calibration(), prediction=Prediction(force_u=1.0, rate_u=None, at_rate=None))
+    found = re.match(r"at rest off by (\S+) mg → (\S+) mg", improvement(made)[0])
+    assert found is not None
+    assert float(found[1]) >= float(found[2])
+
+
 def test_of_refused_sensors_no_improvement_is_stated() -> None:
     made = replace(calibration(), prediction=Prediction(force_u=4e-3, rate_u=3e-4, at_rate=1.0))
     refused = replace(made, outcome=Outcome(reasons=("gyros jump",), concerns={"gyros jump": ("gyro",)}))

@@ -601,6 +601,16 @@ def test_of_edges_alone_the_bad_one_is_named_with_the_opposite_one(tmp_path: Pat
     assert f"position {first + 1} (line {first + 2}) or {second + 1} (line {second + 2})" in found.stderr
 
 
+def test_a_number_that_no_sensor_reads_is_named_with_its_line(tmp_path: Path) -> None:
+    for wild in (9e3, 1e9, 1e25):
+        values = volts()
+        values[6, 2] = wild
+        refused = run(written(tmp_path, values), "--scale", NEGATIVE)
+        assert (refused.exit_code, refused.stdout) == (2, "")
+        assert re.search(r"readings\.csv: line 8: expected readings of one vector, .* correct the row", refused.stderr)
+        assert refused.stderr.count("\n") == 1
+
+
 def test_too_few_positions_are_refused_with_what_would_help(tmp_path: Path) -> None:
     found = run(written(tmp_path, readings(cube(3))), "--scale", NEGATIVE)
     assert found.exit_code == 1

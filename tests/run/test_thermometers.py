@@ -150,6 +150,13 @@ def test_the_calibration_names_the_thermometer_of_each_sensor(folder: Path, made
     assert (found.low, found.high) == (max(map(min, own)), min(map(max, own)))  # where both were
 
 
+def test_accelerometers_alone_are_calibrated_with_their_thermometer(folder: Path) -> None:
+    session = read_session(folder)
+    assert session.log.temperature is not None
+    alone = replace(session.log, gyro=None, temperature=replace(session.log.temperature, columns=("T_accel",)))
+    assert calibrate(replace(session, log=alone))["accel.bias.x"].u
+
+
 def test_a_session_with_one_thermometer_is_not_for_a_calibration_with_two(
     folder: Path, made: Calibration, tmp_path: Path
 ) -> None:

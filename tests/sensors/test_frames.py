@@ -136,11 +136,6 @@ def test_the_derivatives_of_a_model_are_right(frame: Frame, axes: Array) -> None
 
     jacobian = convention.jacobian(values)
     np.testing.assert_allclose(jacobian, derivative(model, values), atol=1e-8)
-    np.testing.assert_allclose(
-        convention.derivative(convention.model(values)) @ jacobian.reshape(4 * len(axes), -1),
-        np.eye(len(values)),
-        atol=1e-12,
-    )
 
 
 # -------------------- changes of frame --------------------

@@ -25,7 +25,7 @@ from tumble.simulation.session import read_truth, simulate_session
 from tumble.units import Array
 from tumble.views.calibration import calibration_blocks
 from tumble.views.render.terminal import text_of
-from tumble.views.report.write import write_report
+from tumble.views.report.document import write_report
 
 NAME = "accel.of_x"
 NAMES = tuple(f"{NAME}.{sensor}" for sensor in "xyz")

@@ -13,8 +13,7 @@ import numpy as np
 from tumble.inference.estimate import Outcome
 from tumble.recording.session_file import write_session
 from tumble.result.calibration import Calibration
-from tumble.result.evidence import Provenance
-from tumble.result.parts import CalibratedDevice, CalibratedTemperature, Parameter, RestResult
+from tumble.result.parts import CalibratedDevice, CalibratedTemperature, Parameter, Provenance, RestResult
 from tumble.sensors.frames import Frame
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import units_of

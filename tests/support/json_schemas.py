@@ -24,8 +24,8 @@ import numpy as np
 import tumble
 from tests.support import ROOT
 from tumble.result.calibration import Calibration
-from tumble.result.evidence import Evidence, Provenance
 from tumble.result.file import adapter_of, file_record
+from tumble.result.parts import Evidence, Provenance
 
 FOLDER = ROOT / "src/tumble/schemas"
 _RECORD = {

@@ -26,9 +26,8 @@ from tumble.planning.setup import Setup
 from tumble.programme.positions import programme
 from tumble.reduction.observations import Observations
 from tumble.result.calibration import Calibration, read_calibration
-from tumble.result.evidence import Evidence, Provenance
 from tumble.result.launch_variances import LaunchVariances, launch_variances
-from tumble.result.parts import CalibratedDevice, CalibratedTemperature, Launch, Parameter
+from tumble.result.parts import CalibratedDevice, CalibratedTemperature, Evidence, Launch, Parameter, Provenance
 from tumble.run.calibrate import calibrate
 from tumble.sensors.frames import FRAMES
 from tumble.sensors.grades import TURN_ON, spread_of

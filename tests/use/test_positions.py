@@ -18,8 +18,7 @@ from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.rests import Rests, rows_of
 from tumble.result.calibration import Calibration
-from tumble.result.evidence import Evidence, Provenance
-from tumble.result.parts import CalibratedDevice, Launch, Parameter, Readings
+from tumble.result.parts import CalibratedDevice, Evidence, Launch, Parameter, Provenance, Readings
 from tumble.rotation import rotation_matrix
 from tumble.run.from_readings import calibrate_readings
 from tumble.sensors.model import Block

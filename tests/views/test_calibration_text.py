@@ -37,7 +37,7 @@ from tumble.views.calibration import (
 )
 from tumble.views.numbers import cells, shown_units
 from tumble.views.render.terminal import print_blocks, text_of
-from tumble.views.report.write import write_report
+from tumble.views.report.document import write_report
 
 REQUEST = Setup.of(rest=10.0, sample_rate=50.0)
 
@@ -249,15 +249,6 @@ def test_the_tables_fit_a_terminal_of_100_columns(full: Calibration) -> None:
         assert len(rows) == len(shown) + every  # and the group accel.delay
         assert max(map(len, lines_of(report, 100))) <= 100
     assert any("truth: 25 parameters" in line for line in lines_of(report))
-
-
-def test_rows_of_tables_below_each_other_keep_all_that_names_them() -> None:
-    columns = ("method", "pass", "parameters", "estimator")
-    listed = (("ellipsoid", "1", "accelerometers", "lengths"), ("ellipsoid", "2", "gyros", "turns"))
-    shown = text_of([Table(columns=columns, rows=listed, text=(0, 1, 2, 3), named_by=2)], 31)
-    rows = [line.split() for line in shown.splitlines() if line.startswith("ellipsoid")]
-    expected = ("1 accelerometers", "2 gyros", "1 lengths", "2 turns")
-    assert rows == [["ellipsoid", *words.split()] for words in expected]
 
 
 def test_a_value_that_rounds_to_zero_has_no_sign() -> None:

@@ -35,7 +35,7 @@ from tumble.result.uncertainty_budget import shares_of_priors
 from tumble.run.calibrate import calibrate
 from tumble.run.observed import inspect_session
 from tumble.simulation.session import simulate_session
-from tumble.views.report.write import write_report
+from tumble.views.report.document import write_report
 
 LOGO = '<svg xmlns="http://www.w3.org/2000/svg" width="9" height="9"><rect width="9" height="9"/></svg>'
 LABORATORY = """

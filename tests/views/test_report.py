@@ -50,10 +50,9 @@ from tumble.views.render.characters import drawable, visible
 from tumble.views.render.pages import page as to_page
 from tumble.views.render.pages import pdf as to_pdf
 from tumble.views.render.pictures import drawn
-from tumble.views.report.document import ReportedFile, report_of
+from tumble.views.report.document import ReportedFile, report_of, sources_of, write_report
 from tumble.views.report.figures import farthest_from
 from tumble.views.report.result import compared
-from tumble.views.report.write import sources_of, write_report
 
 SHORT = Setup.of(grade="tactical", rest=10.0, rate_deg_s=45.0, sample_rate=50.0)
 SIZES = {
@@ -617,7 +616,7 @@ def test_what_cannot_be_used_is_said_in_one_line(
 def test_without_the_extra_one_line_says_what_to_install(
     file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name in [n for n in sys.modules if n.startswith("tumble.views.") and n != "tumble.views.report.write"]:
+    for name in [n for n in sys.modules if n.startswith("tumble.views.") and n != "tumble.views.report.document"]:
         monkeypatch.delitem(sys.modules, name)
     for name in [n for n in sys.modules if n.split(".")[0] == "matplotlib"]:
         monkeypatch.delitem(sys.modules, name)

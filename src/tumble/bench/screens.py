@@ -204,7 +204,6 @@ _GOING_ON = {
     "temperature": "nothing is left out; the change is one more unknown of the calibration",
     "clipped": "nothing is left out; such a log cannot be calibrated",
     "stuck": "nothing is left out; such a log cannot be calibrated",
-    "clock": "nothing is left out; such a log cannot be calibrated",
     "turning wrong": "this is the right way, the page is wrong",
 }
 _FIRST = {"gap": "go_on", "temperature": "go_on", "turning wrong": ""}

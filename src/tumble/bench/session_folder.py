@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Mapping
 from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
 from tumble.bench.follow.faults import Fault
+from tumble.bench.follow.progress import Progress
 from tumble.documents import text_of_document, toml_of, whole_number
 from tumble.errors import InputError, SessionError
 from tumble.files import plain_name, whole_file
@@ -33,6 +35,9 @@ MOTIONCAL_LOG: Mapping[str, Any] = {
     "magnetometer": {"columns": list(MOTIONCAL_COLUMNS[7:]), "unit": "uT"},
 }
 """The table [log] of what MotionCal's sketches send: 8192 a g, 16 a °/s, 10 a µT."""
+
+
+_FILE = re.compile(r"^file *= *(\[[^\]]*\]|.*)$", re.MULTILINE)
 
 
 def begin(folder: Path, *, log: Mapping[str, Any], serial: str, site: Mapping[str, Any], programme: str | None) -> None:
@@ -76,12 +81,14 @@ def session_to_record(folder: Path) -> Session:
 
     Raises SessionError for a session that is not recorded into one CSV file with commas."""
     try:
-        file = _content(folder).get("log", {}).get("file", "")
+        files = _files(_content(folder))
     except (OSError, ValueError, AttributeError, InputError):
         return read_session(folder)  # which says what is wrong
-    if not isinstance(file, str) or not file.endswith(".csv"):
-        raise SessionError(f"{folder / SESSION_FILE}: log.file: expected one .csv file to record into, found {file!r}")
-    (folder / file).touch()
+    if not files or not all(isinstance(file, str) and file.endswith(".csv") for file in files):
+        raise SessionError(
+            f"{folder / SESSION_FILE}: log.file: expected .csv files to record into, found {', '.join(map(str, files))}"
+        )
+    (folder / files[-1]).touch()
     session = read_session(folder)
     if not is_recorded(session.log):
         raise SessionError(
@@ -94,12 +101,32 @@ def begin_next(folder: Path, serial: str) -> Path:
     """Make the folder of the next unit beside `folder`: its session with another serial number, nothing left out."""
     content = _content(folder)
     content["device"] = {**content["device"], "serial": serial}
+    content["log"] = {**content["log"], "file": _files(content)[0]}
     content.pop("exclude", None)
     name = plain_name(serial)
     names = chain([name], (f"{name}-{number}" for number in count(2)))
     made = next(made for each in names if not (made := folder.parent / each).exists())
     write_session(made, content)
     return made
+
+
+def add_file(folder: Path, file: Path) -> None:
+    """Name another file of the log, in which the recording goes on. Whatever else is in session.toml stays as it is."""
+    path = folder / SESSION_FILE
+    text, content = text_of_document(path), _content(folder)
+    files = [*_files(content), file.name]
+    changed = _FILE.sub(lambda _: f"file = {json.dumps(files)}", text, count=1)
+    if _files(toml_of(changed, str(path))) != files:  # written in another way
+        write_session(folder, {**content, "log": {**content["log"], "file": files}})
+        return
+    with whole_file(path) as temporary:
+        temporary.write_text(changed, encoding="utf-8")
+
+
+def _files(content: Mapping[str, Any]) -> list[Any]:
+    """The files of the log."""
+    file = content.get("log", {}).get("file", "")
+    return file if isinstance(file, list) else [file]
 
 
 def set_unit(folder: Path, unit: str) -> None:
@@ -137,8 +164,9 @@ def _content(folder: Path) -> dict[str, Any]:
 
 
 def _table(one: Exclusion) -> str:
-    keys = f"start = {one.start!r}\nstop = {one.stop!r}\n" if one.rest is None else f"rest = {one.rest}\n"
-    return f"\n[[exclude]]\n{keys}reason = {json.dumps(one.reason, ensure_ascii=True)}\n"
+    keys = ((key, getattr(one, key)) for key in ("rest", "start", "stop", "file"))
+    lines = "".join(f"{key} = {value!r}\n" for key, value in keys if value is not None)
+    return f"\n[[exclude]]\n{lines}reason = {json.dumps(one.reason, ensure_ascii=True)}\n"
 
 
 # -------------------- what the operator has answered --------------------
@@ -171,36 +199,42 @@ class Answers:
         """Whether a fault is settled."""
         return any(fault.is_like(other) for other in self._answered)
 
-    def moved(self, now: float) -> None:
+    def moved(self, progress: Progress) -> None:
         """End what is left out until the unit is moved."""
         if self._open is None:
             return
-        ended = self._open.model_copy(update={"stop": now})
+        stops = {file: stop for file, _, stop in progress.blocks.in_files(-math.inf, progress.now)}
+        ended = self._open.model_copy(update={"stop": stops[(self._open.file or 1) - 1]})
         leave_out(self._folder, ended, instead_of=self._open)
         self._added = [ended if one == self._open else one for one in self._added]
         self._open = None
 
-    def again(self, fault: Fault | None, now: float) -> str:
-        """Leave out what a fault has spoilt, up to `now` or until the unit is moved."""
-        if fault is None:
+    def again(self, fault: Fault | None, progress: Progress | None) -> str:
+        """Leave out what a fault has spoilt, up to now or until the unit is moved."""
+        if fault is None or progress is None:
             return "nothing is wrong"
         here = fault.kind in _HERE
-        self._leave_out(fault, fault.start, now, until_moved=not here)
+        self._leave_out(fault, progress, fault.start, progress.now, until_moved=not here)
         return "left out; hold still, this rest begins anew" if here else "left out; take it again"
 
-    def passed(self, fault: Fault) -> str:
-        """Settle a fault that is over: a rest in a wrong position is left out, a gap is noted."""
+    def passed(self, fault: Fault, progress: Progress) -> str:
+        """Settle a fault that is over: a rest in a wrong position is left out, a gap is noted, and of a rest in which
+        the clock started anew one part is kept."""
         if fault.kind == "gap":
             self._answered.append(fault)
             return f"noted: {fault.said}; the turn with it tells nothing"
-        self._leave_out(fault, fault.start, fault.stop, until_moved=False)
+        if "keep_first" in fault.choices:
+            return f"{fault.said}; {self.keep_first(fault, progress)}"
+        self._leave_out(fault, progress, fault.start, fault.stop, until_moved=False)
+        if fault.kind == "restart":
+            return f"{fault.said}; hold still, this rest begins anew"
         return "the right position is taken; the wrong one is left out"
 
-    def keep_first(self, fault: Fault | None, now: float) -> str:
+    def keep_first(self, fault: Fault | None, progress: Progress | None) -> str:
         """Leave out what is wrong and what follows it, and keep what was before."""
-        if fault is None or "keep_first" not in fault.choices:
+        if fault is None or progress is None or "keep_first" not in fault.choices:
             return "there is no first part"
-        self._leave_out(fault, fault.stop, now, until_moved=True)
+        self._leave_out(fault, progress, fault.stop, progress.now, until_moved=True)
         return "the first part is kept; go on to the next position"
 
     def going_on(self, fault: Fault | None) -> str:
@@ -228,12 +262,12 @@ class Answers:
         self._open = None if self._open == one else self._open
         return "taken back"
 
-    def _leave_out(self, fault: Fault, start: float, now: float, *, until_moved: bool) -> None:
+    def _leave_out(self, fault: Fault, progress: Progress, start: float, stop: float, *, until_moved: bool) -> None:
         self._answered.append(fault)
-        one = Exclusion(start=start, stop=max(now, start + 1e-3), reason=fault.said)
-        self._add(one)
-        if until_moved:
-            self._open = one
+        for file, begin, end in progress.blocks.in_files(start, max(stop, start + 1e-3)):
+            one = Exclusion(start=begin, stop=end, file=file + 1 if file else None, reason=fault.said)
+            self._add(one)
+            self._open = one if until_moved else self._open
 
     def _add(self, one: Exclusion) -> None:
         leave_out(self._folder, one)

@@ -19,6 +19,7 @@ from tumble.bench import results, screens, session_folder
 from tumble.bench.follow.estimates import Estimates
 from tumble.bench.follow.faults import Fault, another_unit, faults_of_rests, is_over
 from tumble.bench.follow.live import Live
+from tumble.bench.follow.progress import Progress
 from tumble.bench.follow.wishes import Task, Wanted
 from tumble.bench.record.recorder import NOTHING_RECEIVED, Intake
 from tumble.bench.state import Received, State, Trace
@@ -129,17 +130,25 @@ class Station:
                 said = _said_of(error, "the page stands still; what is received is recorded")
                 self.state = {**self.state, "message": said}
 
+    def _add_files(self) -> None:
+        """Name in session.toml the files that were begun where the clock started anew."""
+        for file in [] if self.intake is None else self.intake.files[len(self._live.files) :]:
+            session_folder.add_file(self.folder, file)
+            self._live.files.append(file)
+
     def stop(self) -> None:
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join()
         if self.intake is not None:
             self.intake.stop()
+            self._add_files()
         self._worker.shutdown(wait=True)
 
     def step(self) -> None:
         """Read what has come and make the state anew."""
         with self._guard:
+            self._add_files()
             self._live.read(self._answers.excluded)
             self._estimates.take()
             self.state = self._state()
@@ -150,17 +159,17 @@ class Station:
         progress, shown = self._live.now, screens.WAITING
         if progress is not None and progress.so_far is not None:
             if not progress.still:
-                self._answers.moved(progress.now)
+                self._answers.moved(progress)
             fault, _ = self._present_fault()
             while fault is not None and is_over(fault, self.task, progress):
-                self._message = self._answers.passed(fault)
+                self._message = self._answers.passed(fault, progress)
                 fault, _ = self._present_fault()
             self._estimates.ask(progress, self._answers.excluded)
             shown = screens.screen(self.task, progress, fault, self._estimates.shown, go_on=self._answers.go_on)
             another = fault is not None and (self._wrong is None or not fault.is_like(self._wrong))
             if another or len(progress.groups) > self._taken > 0:
                 self._message = ""  # which was of what was wrong before, or of the position before
-            self._wrong, self._taken = fault, len(progress.groups)
+            self._wrong, self._taken = fault, max(self._taken, len(progress.groups))
         intake, live, device, programme = self.intake, self._live, self.task.session.device, self.task.programme
         source = "recording has stopped" if self._listen is not None else "the log of another program"
         received: Received = NOTHING_RECEIVED if intake is None else intake.received
@@ -200,15 +209,14 @@ class Station:
         state["answers"] = screens.answers(state)
         return state
 
-    def _present_fault(self) -> tuple[Fault | None, float]:
-        """The first fault of the log as it was read last that is not answered, and the time until which it was read,
-        s."""
+    def _present_fault(self) -> tuple[Fault | None, Progress | None]:
+        """The first fault of the log as it was read last that is not answered, and how far the log is."""
         progress = self._live.now
         if progress is None:
-            return None, 0.0
+            return None, None
         of_rests = faults_of_rests(self.task, progress)
         faults = (*another_unit(self.task, progress), *self._live.faults, *of_rests)
-        return next((fault for fault in faults if not self._answers.has_answered(fault)), None), progress.now
+        return next((fault for fault in faults if not self._answers.has_answered(fault)), None), progress
 
     # -------------------- the buttons --------------------
 
@@ -258,6 +266,7 @@ class Station:
         trouble = None
         if self.intake is not None:
             self.intake.stop()
+            self._add_files()
             trouble, self.intake = self.intake.recorder.trouble, None
         return "recording has stopped" + (f": {trouble}" if trouble else "")
 

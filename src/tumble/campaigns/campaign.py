@@ -34,27 +34,47 @@ from tumble.sensors.grades import GRADES
 from tumble.usual_setup import GRADE, INSTABILITY_TIME, LATITUDE_DEG, MOUNTING_ERROR_DEG, PROGRAMME, TABLE_ERROR_DEG
 
 MOST_TASKS = 10_000_000
-_NAMED: Mapping[str, tuple[str, Sequence[str]]] = {
-    "method": (DEFAULT_METHOD, (*METHODS, *ITERATED_METHODS)),
-    "grade": (GRADE, tuple(GRADES)),
-    "programme": (PROGRAMME, tuple(BUILT_IN)),
-    "terms": ("linear", ("linear", "full")),
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Axis:
+    """An axis of the grid: its `default`, None for the usual one on a table or by hand, and all `names` that it may
+    have, or the `limits` of its numbers, whole ones or any."""
+
+    default: str | float | None = None
+    names: tuple[str, ...] = ()
+    limits: tuple[float, float] = (0.0, 0.0)
+    whole: bool = False
+
+    def check(self, value: Any, where: str) -> None:
+        """Raise InputError for a value that it cannot have."""
+        if self.names:
+            if value not in self.names:
+                raise InputError(f"{where}: expected one of {', '.join(self.names)}, found {shown(value)}")
+            return
+        (least, most), is_number = self.limits, isinstance(value, int if self.whole else int | float)
+        if not is_number or isinstance(value, bool) or not least <= value <= most:
+            kind = "a whole number" if self.whole else "a number"
+            raise InputError(f"{where}: expected {kind} from {least:g} to {most:g}, found {shown(value)}")
+
+
+AXES: Mapping[str, Axis] = {
+    "grade": Axis(default=GRADE, names=tuple(GRADES)),
+    "programme": Axis(default=PROGRAMME, names=tuple(BUILT_IN)),
+    "positions": Axis(limits=(1, 1000), whole=True),
+    "table_error_deg": Axis(default=TABLE_ERROR_DEG, limits=(0.0, 10.0)),
+    "mounting_error_deg": Axis(default=MOUNTING_ERROR_DEG, limits=(0.0, 10.0)),
+    "rest": Axis(limits=(0.1, 86_400.0)),
+    "rate_deg_s": Axis(limits=(1e-3, 10_000.0)),
+    "sample_rate": Axis(limits=(0.1, 10_000.0)),
+    "latitude_deg": Axis(default=LATITUDE_DEG, limits=(-90.0, 90.0)),
+    "noise_factor": Axis(default=1.0, limits=(0.0, 1000.0)),
+    "instability_time": Axis(default=INSTABILITY_TIME, limits=(0.0, 86_400.0)),
+    "terms": Axis(default="linear", names=("linear", "full")),
 }
-"""Axes whose values are names: the default, and all."""
-_NUMBERED: Mapping[str, tuple[float | None, float, float]] = {
-    "positions": (None, 1, 1000),
-    "table_error_deg": (TABLE_ERROR_DEG, 0.0, 10.0),
-    "mounting_error_deg": (MOUNTING_ERROR_DEG, 0.0, 10.0),
-    "rest": (None, 0.1, 86_400.0),
-    "rate_deg_s": (None, 1e-3, 10_000.0),
-    "sample_rate": (None, 0.1, 10_000.0),
-    "latitude_deg": (LATITUDE_DEG, -90.0, 90.0),
-    "noise_factor": (1.0, 0.0, 1000.0),
-    "instability_time": (INSTABILITY_TIME, 0.0, 86_400.0),
-}
-"""Axes whose values are numbers: the default, None for the usual one on a table or by hand, the least and the most."""
-AXES = ("grade", "programme", *_NUMBERED, "terms")
 """The axes of the grid apart from the method, outermost first."""
+_METHOD = Axis(default=DEFAULT_METHOD, names=(*METHODS, *ITERATED_METHODS))
+_TRIALS, _SEED = Axis(limits=(1, MOST_TASKS), whole=True), Axis(limits=(0, 2**63), whole=True)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -76,8 +96,10 @@ class Campaign:
         """The campaign as a job of trials × cells tasks."""
         instruments = [instrument_of(Setup.of(**cell), gyros=True) for cell in self.cells]
         names = tuple(dict.fromkeys(name for instrument in instruments for name in instrument.names))
-        schema: dict[str, Any] = {axis: pl.Float64 if axis in _NUMBERED else pl.String for axis in AXES}
-        schema |= {"positions": pl.Int64, "method": pl.String, "accepted": pl.Boolean, "reasons": pl.String}
+        schema: dict[str, Any] = {
+            name: pl.String if axis.names else pl.Int64 if axis.whole else pl.Float64 for name, axis in AXES.items()
+        }
+        schema |= {"method": pl.String, "accepted": pl.Boolean, "reasons": pl.String}
         schema |= {f"{quantity}.{name}": pl.Float64 for quantity in ("error", "u", "bound") for name in names}
         return Job(
             definition={"campaign": asdict(self)},
@@ -115,39 +137,25 @@ def campaign_of(content: Mapping[str, Any], where: str = "campaign") -> Campaign
     intervals = content.get("intervals", False)
     if not isinstance(intervals, bool):
         raise InputError(f"{where}: intervals: expected true or false, found {shown(intervals)}")
-    campaign = Campaign(
-        trials=int(_number(content.get("trials", "none"), 1, MOST_TASKS, f"{where}: trials", whole=True)),
-        seed=int(_number(content.get("seed", 0), 0, 2**63, f"{where}: seed", whole=True)),
-        intervals=intervals,
-        grid={axis: _values(axis, grid, f"{where}: grid.{axis}") for axis in ("method", *AXES)},
-    )
-    if campaign.trials * len(campaign.cells) > MOST_TASKS:
+    trials, seed = content.get("trials", "none"), content.get("seed", 0)
+    _TRIALS.check(trials, f"{where}: trials")
+    _SEED.check(seed, f"{where}: seed")
+    campaign = Campaign(trials=trials, seed=seed, intervals=intervals, grid=_grid_of(grid, f"{where}: grid"))
+    if trials * len(campaign.cells) > MOST_TASKS:
         raise InputError(f"{where}: trials: expected at most {MOST_TASKS} over all points of the grid, found more")
     return campaign
 
 
-def _values(axis: str, grid: Mapping[str, Any], where: str) -> list[Any]:
-    """The values of an axis of the grid."""
-    default = _NAMED[axis][0] if axis in _NAMED else _NUMBERED[axis][0]
-    stated = grid.get(axis, default)
-    values = stated if isinstance(stated, list) else [stated]
-    if not values:
-        raise InputError(f"{where}: expected a value or more, found none")
-    if axis in _NUMBERED:
-        _, least, most = _NUMBERED[axis]
-        whole = axis == "positions"
-        return values if axis not in grid else [_number(value, least, most, where, whole=whole) for value in values]
-    names = _NAMED[axis][1]
-    for value in values:
-        if value not in names:
-            raise InputError(f"{where}: expected one of {', '.join(names)}, found {shown(value)}")
-    return values
-
-
-def _number(value: Any, least: float, most: float, where: str, *, whole: bool) -> float:
-    """A number of a document, if it is one from `least` to `most`. Raises InputError."""
-    is_number = isinstance(value, int if whole else int | float) and not isinstance(value, bool)
-    if not is_number or not least <= value <= most:
-        kind = "a whole number" if whole else "a number"
-        raise InputError(f"{where}: expected {kind} from {least:g} to {most:g}, found {shown(value)}")
-    return value if whole else float(value)
+def _grid_of(stated: Mapping[str, Any], where: str) -> dict[str, list[Any]]:
+    """The values of every axis of the grid, the defaults where none is stated."""
+    grid = dict[str, list[Any]]()
+    for name, axis in {"method": _METHOD, **AXES}.items():
+        values = stated.get(name, axis.default)
+        grid[name] = values if isinstance(values, list) else [values]
+        if not grid[name]:
+            raise InputError(f"{where}.{name}: expected a value or more, found none")
+        for value in grid[name] if name in stated else ():
+            axis.check(value, f"{where}.{name}")
+        if name in stated and not axis.names and not axis.whole:
+            grid[name] = [float(value) for value in grid[name]]
+    return grid

@@ -17,7 +17,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from functools import partial
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, TypedDict, Unpack, cast
 
 from tumble import __version__
 from tumble.campaigns.engine import Chunk, Done, Executor, Job, chunks, compute, failed, parquet_of, serially
@@ -46,14 +46,30 @@ _SETTINGS = {
 }
 
 
-def executor_for(
-    *, serial: bool = False, cluster: str | None = None, workers: int | None = None
-) -> AbstractContextManager[Executor]:
-    """Where to compute, to be used in a `with`: in this process, on the cluster whose scheduler is at an address such
-    as tcp://10.0.0.5:8786, or on a new one of so many processes, by default one a core.
+class Place(TypedDict, total=False):
+    """Where to compute, by default on a new cluster of one process a core.
+
+    Attributes
+    ----------
+    serial : bool
+        In this process.
+    cluster : str
+        On the cluster whose scheduler is at an address such as tcp://10.0.0.5:8786.
+    workers : int
+        On a new cluster of so many processes.
+    """
+
+    serial: bool
+    cluster: str | None
+    workers: int | None
+
+
+def executor_for(**place: Unpack[Place]) -> AbstractContextManager[Executor]:
+    """What computes at a place, to be used in a `with`.
 
     Raises InputError for a contradiction or an address at which nobody answers, MissingExtraError without
     distributed."""
+    serial, cluster, workers = place.get("serial", False), place.get("cluster"), place.get("workers")
     if serial and (cluster or workers):
         raise InputError("--in-process: expected neither --cluster nor --workers with it, found one; leave one out")
     if cluster and workers:

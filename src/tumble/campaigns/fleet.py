@@ -11,12 +11,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Unpack
 
 import polars as pl
 
 from tumble.arguments import checked
 from tumble.brief import Brief
-from tumble.campaigns.cluster import executor_for
+from tumble.campaigns.cluster import Place, executor_for
 from tumble.campaigns.engine import Job, Progress, Row, run
 from tumble.documents import text_of_document
 from tumble.errors import InputError
@@ -63,10 +64,8 @@ def fleet(
     out: FilePath,
     *,
     method: Method = "joint",
-    serial: bool = False,
-    cluster: str | None = None,
-    workers: int | None = None,
     progress: Progress = lambda _done, _all: None,
+    **place: Unpack[Place],
 ) -> FleetResult:
     """Calibrate many sessions, with a row for each. One that cannot be calibrated does not stop the others.
 
@@ -78,14 +77,10 @@ def fleet(
         Folder of the results; what it has already is not computed again.
     method
         See `calibrate`.
-    serial
-        Whether to compute in this process.
-    cluster
-        Address of the scheduler of a Dask cluster, such as tcp://10.0.0.5:8786.
-    workers
-        Number of processes of a new cluster on this machine; one a core by default.
     progress
         Function that is called with the number of tasks done and of all.
+    **place
+        Where to compute, see `tumble.types.Place`.
 
     Returns
     -------
@@ -107,7 +102,7 @@ def fleet(
     2
     """
     folders = sessions_of(str(sessions))
-    with executor_for(serial=serial, cluster=cluster, workers=workers) as executor:
+    with executor_for(**place) as executor:
         rows = run(job_of(folders, method), Path(out), executor=executor, progress=progress)
     return result_of(rows)
 

@@ -13,10 +13,10 @@ in the scatter, and the bias is what all devices have in common. With n trials, 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 import polars as pl
@@ -24,16 +24,14 @@ import polars as pl
 from tumble.arguments import checked
 from tumble.brief import Brief
 from tumble.campaigns.campaign import AXES, Campaign, read_campaign
-from tumble.campaigns.cluster import executor_for
+from tumble.campaigns.cluster import Place, executor_for
 from tumble.campaigns.engine import Progress, run
 from tumble.files import FilePath, whole_file
 from tumble.sensors.parameters import group_of, positions_by_group
-from tumble.units import Array
 
 COVERED_WITHIN = 1.96
 """Uncertainties in a 95 % interval."""
 SUMMARY_FILE = "summary.csv"
-_FIGURES = ("bias", "scatter", "rms", "to_bound", "coverage")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -51,11 +49,11 @@ class SummaryLine:
     trials: int
     accepted: int
     failed: int
-    bias: float | None
-    scatter: float | None
-    rms: float | None
-    to_bound: float | None
-    coverage: float | None
+    bias: float | None = None
+    scatter: float | None = None
+    rms: float | None = None
+    to_bound: float | None = None
+    coverage: float | None = None
     why: str = ""
 
 
@@ -73,10 +71,8 @@ def campaign(
     planned: Campaign | FilePath,
     out: FilePath,
     *,
-    serial: bool = False,
-    cluster: str | None = None,
-    workers: int | None = None,
     progress: Progress = lambda _done, _all: None,
+    **place: Unpack[Place],
 ) -> CampaignResult:
     """Simulate and calibrate many times over the grid of a campaign.
 
@@ -86,14 +82,10 @@ def campaign(
         The campaign, or its TOML file.
     out
         Folder of the results; what it has already is not computed again.
-    serial
-        Whether to compute in this process.
-    cluster
-        Address of the scheduler of a Dask cluster, such as tcp://10.0.0.5:8786.
-    workers
-        Number of processes of a new cluster on this machine; one a core by default.
     progress
         Function that is called with the number of tasks done and of all.
+    **place
+        Where to compute, see `tumble.types.Place`.
 
     Returns
     -------
@@ -115,7 +107,7 @@ def campaign(
     """
     definition = planned if isinstance(planned, Campaign) else read_campaign(Path(planned))
     folder = Path(out)
-    with executor_for(serial=serial, cluster=cluster, workers=workers) as executor:
+    with executor_for(**place) as executor:
         rows = run(definition.job(), folder, executor=executor, progress=progress)
     lines = summary(rows)
     write_summary(lines, folder / SUMMARY_FILE)
@@ -126,61 +118,49 @@ def summary(rows: Path) -> tuple[SummaryLine, ...]:
     """The lines of a campaign's rows (the path that `engine.run` returns)."""
     lines: list[SummaryLine] = []
     for values, part in pl.read_parquet(rows).group_by([*AXES, "method"], maintain_order=True):
-        point = dict(zip(AXES, values, strict=False))
-        lines += _lines(point, str(values[-1] or "every method"), part)
+        refused = part.filter(pl.col("accepted").not_())["reasons"].to_list() + part["error"].drop_nulls().to_list()
+        accepted = part.filter(pl.col("accepted"))
+        names = [column.removeprefix("error.") for column in part.columns if column.startswith("error.")]
+        for group, places in positions_by_group(names).items():
+            figures = _figures(accepted, [names[i] for i in places])
+            if figures or accepted.is_empty():
+                lines.append(
+                    SummaryLine(
+                        point=dict(zip(AXES, values, strict=False)),
+                        method=str(values[-1] or "every method"),
+                        group=group,
+                        unit=group_of(names[places[0]]).unit,
+                        trials=len(part),
+                        accepted=len(accepted),
+                        failed=int(part["error"].is_not_null().sum()),
+                        why=next(iter(refused), ""),
+                        **figures,
+                    )
+                )
     return tuple(lines)
 
 
-def _lines(point: Mapping[str, Any], method: str, part: pl.DataFrame) -> Iterator[SummaryLine]:
-    """The lines of one method at one point, by group."""
-    names = [column.removeprefix("error.") for column in part.columns if column.startswith("error.")]
-    refused = part.filter(pl.col("accepted").not_())["reasons"].to_list()
-    accepted = part.filter(pl.col("accepted"))
-    moments = {name: of_name for name in names if (of_name := _moments(accepted, name)) is not None}
-    for group, places in positions_by_group(names).items():
-        members = [moments[names[i]] for i in places if names[i] in moments]
-        if members or accepted.is_empty():
-            yield SummaryLine(
-                point=point,
-                method=method,
-                group=group,
-                unit=group_of(names[places[0]]).unit,
-                trials=len(part),
-                accepted=len(accepted),
-                failed=int(part["error"].is_not_null().sum()),
-                why=next(iter(refused + part["error"].drop_nulls().to_list()), ""),
-                **_figures(np.array(members)),
-            )
-
-
-def _moments(part: pl.DataFrame, name: str) -> tuple[float, float, float, float] | None:
-    """Mean of the errors of a parameter, of their squares and of the variances of the bound, and the part of the errors
-    that u covers, over the trials that have a value; NaN without bound or u, None without a value."""
-    error, u, bound = (
-        part[f"{quantity}.{name}"].cast(pl.Float64).fill_null(math.nan).to_numpy()
-        for quantity in ("error", "u", "bound")
-    )
-    present = np.isfinite(error)
-    if not present.any():
-        return None
-    error, u, bound = error[present], u[present], bound[present]
-    covered = float((np.abs(error) <= COVERED_WITHIN * u).mean()) if np.isfinite(u).all() else math.nan
-    return float(error.mean()), float((error**2).mean()), float((bound**2).mean()), covered
-
-
-def _figures(moments: Array) -> dict[str, float | None]:
-    """The figures of a group from the moments (n, 4) of its parameters."""
-    if not len(moments):
-        return dict.fromkeys(_FIGURES)
-    mean, square, bound, covered = moments.T
-    bias2, rms2, least, coverage = (float(x.mean()) for x in (mean**2, square, bound, covered))
-    rms = math.sqrt(rms2)
+def _figures(accepted: pl.DataFrame, names: Sequence[str]) -> dict[str, float | None]:
+    """The figures of the parameters of a group over the trials that have a value; none where no trial has one."""
+    moments = []  # of each parameter: mean error, mean squares of the error and of the bound, part that u covers
+    for name in names:
+        columns = (accepted[f"{what}.{name}"].cast(pl.Float64).fill_null(math.nan) for what in ("error", "u", "bound"))
+        error, u, bound = np.array([column.to_numpy() for column in columns])[
+            :, accepted[f"error.{name}"].is_not_null()
+        ]
+        if len(error):
+            covered = (np.abs(error) <= COVERED_WITHIN * u).mean() if np.isfinite(u).all() else math.nan
+            moments.append((error.mean(), (error**2).mean(), (bound**2).mean(), covered))
+    if not moments:
+        return {}
+    mean, square, least, coverage = np.array(moments).T
+    bias2, rms2, least2 = float((mean**2).mean()), float(square.mean()), float(least.mean())
     return {
         "bias": math.sqrt(bias2),
         "scatter": math.sqrt(max(rms2 - bias2, 0.0)),
-        "rms": rms,
-        "to_bound": rms / math.sqrt(least) if least > 0.0 else None,
-        "coverage": coverage if math.isfinite(coverage) else None,
+        "rms": math.sqrt(rms2),
+        "to_bound": math.sqrt(rms2 / least2) if least2 > 0.0 else None,
+        "coverage": float(coverage.mean()) if np.isfinite(coverage).all() else None,
     }
 
 
@@ -191,7 +171,7 @@ def varying(lines: Sequence[SummaryLine]) -> tuple[str, ...]:
 
 def write_summary(lines: Sequence[SummaryLine], path: Path) -> None:
     """Write the lines as CSV, SI, one row each."""
-    figures = ("trials", "accepted", "failed", "unit", *_FIGURES)
+    figures = ("trials", "accepted", "failed", "unit", "bias", "scatter", "rms", "to_bound", "coverage")
     rows = [
         {**line.point, "method": line.method, "group": line.group} | {name: getattr(line, name) for name in figures}
         for line in lines

@@ -7,13 +7,15 @@ Rests and turns are drawn directly from the truth (`simulate_observations`), wit
 detection of rests and the estimation of the noise may spoil shows where sampled logs are calibrated: `tumble simulate`
 and `tumble fleet`.
 
-A trial has the maximum of the likelihood alone, and a verdict by the size of the residuals: simulated devices have no
-faults, so that a search for causes would find false alarms only, in less than one of a hundred trials.
+A trial has the maximum of the likelihood alone, and a verdict by what is determined, by convergence, and by the rests
+and turns that do not fit. Simulated devices have no faults: a search for causes behind their residuals would find false
+alarms only, in less than one of a hundred trials.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -55,8 +57,8 @@ def session_rows(seed: int, methods: Sequence[Method], intervals: bool, number: 
     methods
         Names of methods, see `tumble.calibrate`.
     intervals
-        Whether the joint method integrates over its hyperparameters, as `tumble.calibrate` does; else its u is that at
-        the maximum of the likelihood.
+        Whether joint, and what other methods take from it, is integrated over its hyperparameters, as
+        `tumble.calibrate` does; else u is that at the maximum of the likelihood.
     number
         Of the trial.
     cell
@@ -80,7 +82,7 @@ def session_rows(seed: int, methods: Sequence[Method], intervals: bool, number: 
         except (InputError, np.linalg.LinAlgError) as error:
             rows.append({"method": method, "error": f"{type(error).__name__}: {error}"} | bounds)
             continue
-        reasons = verdict(estimate, observations, search=False).reasons
+        reasons = verdict(replace(estimate, linearised=None), observations).reasons
         row: dict[str, Any] = {"method": method, "accepted": not reasons, "reasons": "; ".join(reasons)} | bounds
         linear = len(estimate.names) if estimate.instrument is None else estimate.instrument.linear_count
         for i, name in enumerate(estimate.names):
@@ -95,7 +97,9 @@ def _estimate(observations: Observations, method: Method, intervals: bool) -> Es
     """The estimate of a method."""
     if method == "joint":
         return joint(observations, quick=not intervals)
-    return METHODS[method](observations) if method in METHODS else ITERATED_METHODS[method](observations, ITERATIONS)
+    if method in METHODS:
+        return METHODS[method](observations, intervals=intervals)
+    return ITERATED_METHODS[method](observations, ITERATIONS, intervals=intervals)
 
 
 def bound(scenario: Scenario, attitudes: Array, observations: Observations) -> dict[str, float]:

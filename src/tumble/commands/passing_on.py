@@ -31,7 +31,7 @@ def report(calibrations: tuple[Path, ...], out: Path, limits: Path | None, certi
     from types import FunctionType
 
     from tumble.plugins import load
-    from tumble.views.report.write import write_report
+    from tumble.views.report.document import write_report
 
     if limits is not None and certificate is not None:
         raise InputError("--limits: expected none with --certificate, whose file names the limits, found one")

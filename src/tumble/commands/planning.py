@@ -96,7 +96,7 @@ def plan(
     setup = ask.setup_of(options | {"programme": programme})
     if attitudes:
         setup = replace(setup, programme=from_attitudes(attitudes))
-    accuracies, table = wanted_accuracies(wanted), TurnTable.of(axes, step)
+    accuracies, table = wanted_accuracies(wanted), TurnTable.of(axes, step, setup.programme)
     with tell.working("planning") as progress:
         found = plan(
             setup,

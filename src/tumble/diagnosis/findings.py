@@ -37,6 +37,16 @@ class Finding:
         return tuple(kinds) if len(kinds) == 1 else ()
 
 
+def remark(sentence: str, *concerns: str) -> Finding:
+    """A finding that is said beside a result."""
+    return Finding(sentence=sentence, concerns=concerns)
+
+
+def refusal(sentence: str, *concerns: str) -> Finding:
+    """A finding by which what it concerns cannot be used."""
+    return Finding(sentence=sentence, concerns=concerns, refuses=True)
+
+
 def outcome_of(findings: Iterable[Finding], unobservable: tuple[str, ...] = ()) -> Outcome:
     """The outcome of findings, in their order, and of parameters that the data do not determine."""
     every = tuple(findings)

@@ -25,7 +25,8 @@ for any number of sensors.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import scipy
@@ -34,6 +35,7 @@ from tumble.diagnosis.undetermined import linear_names
 from tumble.inference.estimate import Estimate, GroupFinding
 from tumble.inference.joint import joint
 from tumble.inference.linearisation import Linearisation, linearise
+from tumble.inference.noise import SCATTER, VarianceComponents
 from tumble.inference.normal_equations import eliminate_rests, fold_sessions, mean_by_common, session_mean_bias
 from tumble.inference.prediction import prediction
 from tumble.inference.problem import Problem, instruments_of
@@ -42,7 +44,7 @@ from tumble.inference.start import start_of
 from tumble.inference.turns_about import TurnsAbout
 from tumble.reduction.observations import Observations
 from tumble.rotation import unit_vector
-from tumble.sensors.instrument import Instrument, functions
+from tumble.sensors.instrument import functions
 from tumble.sensors.model import beyond_body, beyond_turning
 from tumble.sensors.parameters import FORCE, ParameterGroup, group_of
 from tumble.units import Array
@@ -51,48 +53,27 @@ _NOTHING = 1e-9
 """Of the largest singular value: what rests do not determine is moved by nothing that they show."""
 
 
-def by_joint(observations: Observations) -> Estimate | None:
-    """What `joint` makes of observations; None where it does not converge or leaves a linear parameter open."""
+def by_joint(observations: Observations, intervals: bool = True) -> Estimate | None:
+    """What `joint` makes of observations, integrated for `intervals`; None where it does not converge or leaves a
+    linear parameter open."""
     try:
-        found = joint(observations)
+        found = joint(observations, intervals=intervals)
     except np.linalg.LinAlgError:
         return None
     return found if found.converged and not linear_names(found.unobservable) else None
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class LeftOut:
-    """The `instrument` with the groups that are left out, the `usual` standard deviations (k,) of these, how many times
-    too small they are (k,), and by how much one of each `moves` the parameters (m, k) of the linear model."""
-
-    instrument: Instrument
-    usual: Array
-    too_small: Array
-    moves: Array
-
-    @staticmethod
-    def of(problem: Problem, moves: Array, beside: Estimate | None) -> LeftOut:
-        """What a problem has beyond the linear model, its sizes widened as those of the estimate `beside`."""
-        instrument, first = problem.instrument, problem.instrument.linear_count
-        too_small = np.ones(len(instrument.names))
-        posterior = {} if beside is None else {h.name: h for h in beside.hyperparameters}
-        for group in () if beside is None else beside.groups:
-            if group.name in instrument.members:
-                size = posterior.get(group_of(group.name).sized_with or group.name)
-                widened = group.prior_widened if size is None else size.root_mean_square
-                too_small[instrument.members[group.name]] = max(group.prior_widened, widened)
-        usual = problem.prior_u[1 + first :]
-        return LeftOut(instrument=instrument, usual=usual, too_small=too_small[first:], moves=moves)
-
-    @property
-    def sizes(self) -> Array:
-        """The standard deviations (k,) that are counted with."""
-        return self.usual * self.too_small
-
-    @property
-    def moved(self) -> Array:
-        """What these move (m, k)."""
-        return self.moves * self.sizes
+def left_out_sizes(problem: Problem, beside: Estimate | None) -> Array:
+    """The standard deviations (k,) of what a problem has beyond the linear model: the usual ones, as many times larger
+    as the estimate `beside` says."""
+    sizes, posterior = problem.usual_u[1:].copy(), {}
+    if beside is not None:
+        posterior = {h.name: h.root_mean_square for h in beside.hyperparameters}
+    for group in () if beside is None else beside.groups:
+        if group.name in problem.instrument.members:
+            larger = posterior.get(group_of(group.name).sized_with or group.name, group.prior_widened)
+            sizes[problem.instrument.members[group.name]] *= larger
+    return np.asarray(sizes[problem.instrument.linear_count :])
 
 
 def whole_problem(observations: Observations) -> Problem:
@@ -109,11 +90,12 @@ def left_out(group: ParameterGroup) -> bool:
 
 
 def left_out_by_rests(
-    observations: Observations, linear: Array, sigma: Array | None = None, beside: Estimate | None = None
-) -> tuple[LeftOut, Array]:
-    """What a fit of the accelerometers to rests leaves out that has the parameters `linear` (m,), and what one of each
-    group leaves in its rows (r, k), in units of the standard deviations `sigma` (N,) of the rests, equal ones where
-    None. Powers are of the forces that the fit makes of the readings, which may have a zero of many g."""
+    observations: Observations, linear: Array, sigma: Array | None = None
+) -> tuple[Problem, Array, Array]:
+    """The likelihood with what a fit of the accelerometers to rests leaves out that has the parameters `linear` (m,),
+    by how much one of each group moves these (m, k), and what it leaves in its rows (r, k), in units of the standard
+    deviations `sigma` (N,) of the rests, equal ones where None. Powers are of the forces that the fit makes of the
+    readings, which may have a zero of many g."""
     seen = observations.of_accelerometers()
     problem = whole_problem(seen)
     instrument, block, g = problem.instrument, seen.accel_block, seen.site.gravity
@@ -129,7 +111,7 @@ def left_out_by_rests(
         rows = rows / np.repeat(sigma, block.size - 2)[:, None]
     A, B = np.split(rows, [instrument.linear_count], axis=1)
     moves = np.linalg.pinv(A, rcond=_NOTHING) @ B
-    return LeftOut.of(problem, moves, beside), B - A @ moves
+    return problem, moves, B - A @ moves
 
 
 def groups_in_data(observations: Observations) -> tuple[Problem, Array]:
@@ -151,21 +133,30 @@ def groups_in_data(observations: Observations) -> tuple[Problem, Array]:
     return problem, np.concatenate([*every, np.zeros((1, groups))])
 
 
-def with_left_out_by_joint(estimate: Estimate, observations: Observations) -> Estimate:
-    """An estimate by `joint` of the linear model with what it leaves out, by its likelihood, judged by that of all
-    groups where there is one."""
-    linear, problem = estimate.linearised, whole_problem(observations)
-    if linear is None:
-        return estimate
-    instrument = problem.instrument
+def linear_joint(observations: Observations) -> Estimate:
+    """The estimate by `joint` of the linear model, with what it leaves out. Scatter and in-run biases are those that
+    stand beside all groups, where there is an estimate with these: else the groups would count twice."""
+    beside, problem = by_joint(observations), whole_problem(observations)
+    estimate = joint(replace(observations, usual={}), components=None if beside is None else components_in(beside))
+    linear, instrument = estimate.linearised, problem.instrument
+    assert linear is not None
     values = np.append(linear.point.values, np.zeros(len(instrument.names) - instrument.linear_count))
     point = replace(linear.point, values=values)
     about = None if linear.about is None else TurnsAbout.of(observations, instrument, values)
     moves = moves_by_likelihood(replace(linearise(problem, point, about), noise=linear.noise))
-    beside = by_joint(observations)
     if beside is not None and estimate.converged:
-        estimate = replace(estimate, linearised=beside.linearised, hyperparameters=beside.hyperparameters)
-    return with_left_out(estimate, LeftOut.of(problem, moves, beside), observations.site.gravity)
+        degrees = None if beside.degrees is None else beside.degrees[: instrument.linear_count]
+        beside_it = replace(estimate, linearised=beside.linearised, hyperparameters=beside.hyperparameters)
+        estimate = replace(beside_it, degrees=degrees)
+    return with_left_out(estimate, problem, moves, left_out_sizes(problem, beside))
+
+
+def components_in(estimate: Estimate) -> VarianceComponents:
+    """Scatter and in-run biases of the sizes that count in the u of an estimate, the roots of their mean squares."""
+    assert estimate.linearised is not None
+    names = (*SCATTER, "accel_in_run", "gyro_in_run")
+    sizes: dict[str, Any] = {h.name: h.root_mean_square for h in estimate.hyperparameters if h.name in names}
+    return replace(estimate.linearised.components, **sizes)
 
 
 def moves_by_likelihood(rows: Linearisation) -> Array:
@@ -191,11 +182,23 @@ def moves_by_likelihood(rows: Linearisation) -> Array:
     return moves[1:]
 
 
-def with_left_out(estimate: Estimate, found: LeftOut, gravity: float) -> Estimate:
+def with_left_out(estimate: Estimate, problem: Problem, moves: Array, sizes: Array) -> Estimate:
     """An estimate with the groups it leaves out, which are nothing within their sizes, and their part in its
-    covariance."""
-    instrument, moved, sizes, first = found.instrument, found.moved, found.sizes, found.instrument.linear_count
-    k, crossed = len(sizes), -moved * sizes
+    covariance.
+
+    Parameters
+    ----------
+    estimate
+        Of the m parameters of the linear model.
+    problem
+        The likelihood with the groups.
+    moves : (m, k)
+        By how much one of each parameter of the groups moves those of the linear model.
+    sizes : (k,)
+        Standard deviations of the parameters of the groups, SI.
+    """
+    instrument, first, moved = problem.instrument, problem.instrument.linear_count, moves * sizes
+    k, crossed, usual = len(sizes), -moved * sizes, problem.usual_u[1 + first :]
     linear = estimate.covariance + moved @ moved.T
     covariance = np.block([[linear, crossed], [crossed.T, np.diag(sizes**2)]])
     values = np.append(estimate.values, np.zeros(k))
@@ -206,8 +209,8 @@ def with_left_out(estimate: Estimate, found: LeftOut, gravity: float) -> Estimat
         GroupFinding(
             name=name,
             kept=True,
-            prior=float(found.usual[members.start - first]),
-            prior_widened=float(found.too_small[members.start - first]),
+            prior=float(usual[members.start - first]),
+            prior_widened=float((sizes / usual)[members.start - first]),
             learned=(0.0,) * (members.stop - members.start),
         )
         for name, members in ((group.name, instrument.members[group.name]) for group in instrument.further)
@@ -235,7 +238,7 @@ def with_left_out(estimate: Estimate, found: LeftOut, gravity: float) -> Estimat
         instrument=instrument,
         groups=tuple(groups),
         degrees=degrees,
-        prediction=prediction(instrument, values, covariance, gravity=gravity, rate=rate),
+        prediction=prediction(instrument, values, covariance, gravity=problem.observations.site.gravity, rate=rate),
     )
 
 

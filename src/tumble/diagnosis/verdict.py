@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import scipy
 
-from tumble.diagnosis.findings import Finding, outcome_of
+from tumble.diagnosis.findings import Finding, outcome_of, refusal, remark
 from tumble.diagnosis.in_motion import in_motion
 from tumble.diagnosis.misfit import misfit
 from tumble.diagnosis.projection import FALSE_ALARMS
@@ -63,69 +63,74 @@ def verdict(
         are not judged alike. Reasons are in the order: what is not determined, what concerns both kinds of sensors,
         what concerns the accelerometers, the gyros.
     """
-    missing = linear_names(estimate.unobservable)
+    missing, site = linear_names(estimate.unobservable), observations.site
+    of_gravity = (*(() if gravity_confirmed else _impossible_gravity(site)), *gravity_wanted(site))
     if observations.links is not None:
-        of_gravity = () if gravity_confirmed else _impossible_gravity(observations.site)
-        every = *in_motion(estimate, observations, missing), *of_gravity, *gravity_wanted(observations.site)
-        return outcome_of(every, missing)
+        return outcome_of((*in_motion(estimate, observations, missing), *of_gravity), missing)
     faces = faces_alone(estimate, missing)
     weak = [] if estimate.reasons or faces else undetermined(estimate, observations, missing)
-    findings = [Finding(sentence=reason, refuses=True) for reason in estimate.reasons]
-    if (faces or not missing) and not estimate.converged:
-        sentence = (
-            "the estimate did not converge: the data contradict the model; look at the rests with `tumble inspect`"
-        )
-        findings.append(Finding(sentence=sentence, refuses=True))
-    if not gravity_confirmed:
-        findings += _impossible_gravity(observations.site)
-    findings += _beyond_scatter(estimate, observations)
-    findings += gravity_wanted(observations.site)
-    if faces:
-        findings.append(as_six_faces_give(estimate, observations, missing))
-    findings += (each for each in weak if not each.refuses)
-    findings += _not_fitting(estimate, observations)
-    findings += (Finding(sentence=remark) for remark in estimate.remarks)
-    findings += _judged(estimate, missing, search)
-    integral = estimate.integral
-    if integral is not None and rough(integral):
-        sentence = (
-            "u rests on a few points of the integral over what the model does not know of itself: it is a rough one"
-        )
-        findings.append(Finding(sentence=sentence))
+    findings = [
+        *(refusal(reason) for reason in estimate.reasons),
+        *([] if missing and not faces else _not_converged(estimate)),
+        *of_gravity,
+        *_beyond_scatter(estimate, observations),
+        *([as_six_faces_give(estimate, observations, missing)] if faces else []),
+        *(each for each in weak if not each.refuses),
+        *_not_fitting(estimate, observations),
+        *map(remark, estimate.remarks),
+        *_judged(estimate, missing, search),
+        *_few_points(estimate),
+    ]
     of_kinds = ((), ("accel",), ("gyro",))
     refusals = sorted((each for each in findings if each.refuses), key=lambda each: of_kinds.index(each.kinds))
     remarks = (each for each in findings if not each.refuses)
     return outcome_of([*(each for each in weak if each.refuses), *refusals, *remarks], missing)
 
 
+def _not_converged(estimate: Estimate) -> Iterator[Finding]:
+    """That the iteration ran out."""
+    if not estimate.converged:
+        yield refusal(
+            "the estimate did not converge: the data contradict the model; look at the rests with `tumble inspect`"
+        )
+
+
+def _few_points(estimate: Estimate) -> Iterator[Finding]:
+    """That the integral over the hyperparameters has an error that counts."""
+    if estimate.integral is not None and rough(estimate.integral):
+        yield remark(
+            "u rests on a few points of the integral over what the model does not know of itself: it is a rough one"
+        )
+
+
 def _impossible_gravity(site: Site) -> Iterator[Finding]:
     """Gravity that no place on Earth has."""
     difference = gravity_difference(site)
     if difference is not None and abs(difference) > GRAVITY_REFUSED:
-        sentence = (
+        yield refusal(
             f"{gravity_said(site)}, more than {GRAVITY_REFUSED / MILLIGAL:.0f}: every scale factor of the "
             "accelerometers would be wrong with it; correct gravity, latitude_deg or height_m in [site], or write "
-            "gravity_confirmed = true"
+            "gravity_confirmed = true",
+            "accel.scale",
         )
-        yield Finding(sentence=sentence, concerns=("accel.scale",), refuses=True)
 
 
 def _beyond_scatter(estimate: Estimate, observations: Observations) -> Iterator[Finding]:
     """Rests and turns that scatter by more than any model bears."""
     rests, turns = estimate.fits.get("accelerometers"), estimate.fits.get("gyro turns")
     if rests is not None and rests.scatter > SCATTER_LIMIT and estimate.left_out is None:
-        sentence = (
+        yield refusal(
             f"the rests scatter by {rests.scatter / G_STANDARD * 1e3:.2g} mg, more than 1 mg: the device moved at "
-            "rest, or the accelerometers do not follow the model"
+            "rest, or the accelerometers do not follow the model",
+            "accel",
         )
-        yield Finding(sentence=sentence, concerns=("accel",), refuses=True)
     if turns is not None and turns.scatter > TURN_SCATTER_LIMIT:
         worst = observations.turn_named(int(np.argmax(estimate.turn_sigmas)))
-        sentence = (
+        yield refusal(
             f"the turns scatter by {turns.scatter / DEGREE:.2g}°, more than {TURN_SCATTER_LIMIT / DEGREE:.0f}°: look "
-            f"for damaged or lost samples of the gyros, first in {worst}"
+            f"for damaged or lost samples of the gyros, first in {worst}",
+            "gyro",
         )
-        yield Finding(sentence=sentence, concerns=("gyro",), refuses=True)
 
 
 def _judged(estimate: Estimate, missing: tuple[str, ...], search: bool) -> Iterator[Finding]:
@@ -154,9 +159,11 @@ def _not_fitting(estimate: Estimate, observations: Observations) -> Iterator[Fin
         ("gyro", "turns", turn),
     ):
         if omitted.sum() > MOST_LEFT_OUT * len(omitted):
-            part = f"{omitted.sum()} of {len(omitted)} {what} do not fit, more than a third"
-            sentence = f"{part}: the data contradict the model; look at the rests with `tumble inspect`"
-            yield Finding(sentence=sentence, concerns=(kind,), refuses=True)
+            yield refusal(
+                f"{omitted.sum()} of {len(omitted)} {what} do not fit, more than a third: the data contradict the "
+                "model; look at the rests with `tumble inspect`",
+                kind,
+            )
     for i in np.flatnonzero((estimate.rest_sigmas > FIT_SIGMAS) | accel | gyro):
         left = accel[i] or gyro[i]
         gyros = bool(gyro[i] and not accel[i]) if left else bool(by_gyros[i])

@@ -15,16 +15,15 @@ import numpy as np
 import polars as pl
 
 from tumble.drafting.containers import NAMED, NoLogError, check_format, check_is_text
-from tumble.drafting.dialects import as_table
+from tumble.drafting.dialects import as_tables
 from tumble.drafting.foreign_log import LONGEST, SAMPLE_ROWS, ForeignLog, Stated, samples_in
 from tumble.drafting.repairs import nanoseconds_of, with_signs
 from tumble.drafting.sensors_apart import are_sensors_apart, of_sensors_apart
-from tumble.drafting.several_sensors import split_by_header, split_by_sensor
-from tumble.drafting.times import times_of_column
+from tumble.drafting.times import grows_mostly, times_of_column
 from tumble.errors import InputError
 from tumble.files import OutputFolder, whole_file
 from tumble.recording.columns.names import ACCEL, GYRO, columns_by_name, is_no_sensor, time_unit, unit_of_name
-from tumble.recording.columns.numbers import columns_by_data, time_by_data
+from tumble.recording.columns.numbers import columns_by_data, grows, time_by_data
 from tumble.recording.log_source import readable
 from tumble.recording.readers import ENDINGS, source_of
 from tumble.recording.text.dialect import LINE_BYTES, Dialect, dialect_of, is_clock
@@ -62,8 +61,9 @@ def identified_log(
     if not logs:
         raise without[0]
     logs = [_with_thermometers(_with_finest_time(log) if len(log.columns.times) > 1 else log) for log in logs]
-    if are_sensors_apart(logs):
-        apart = of_sensors_apart(logs, folder)
+    parts = _sensors_with_times_of_their_own(logs[0]) if len(logs) == 1 else []
+    if parts or are_sensors_apart(logs):
+        apart = of_sensors_apart(parts or logs, folder)
         return replace(apart, remarks=(*apart.remarks, *omitted))
     whole = [log for log in logs if ACCEL in log.columns.triads]
     beside = [log for log in logs if whole and log not in whole and not log.unnamed]
@@ -112,18 +112,14 @@ def _found(file: Path, folder: OutputFolder) -> list[ForeignLog]:
     if not seen:
         raise NoLogError(f"{file}: expected a log, found an empty file")
     check_is_text(file, seen)
-    if parts := split_by_header(file, seen, folder):
-        return [log for part in parts for log in _found(part, folder)]
-    if (copied := as_table(file, seen, folder)) is not None:
-        part, remark = copied
-        return [replace(log, remarks=(remark, *log.remarks)) for log in _found(part, folder)]
+    if (copied := as_tables(file, seen, folder)) is not None:
+        parts, remarks = copied
+        return [replace(log, remarks=(*remarks, *log.remarks)) for part in parts for log in _found(part, folder)]
     dialect_and_top = dialect_of(seen)
     if dialect_and_top is None and max(map(len, seen.split(b"\n"))) > LINE_BYTES // 2:
         raise InputError(f"{file}: expected a log of rows of numbers, found something else; is it a recording?")
     if dialect_and_top is not None:
         dialect, top = dialect_and_top
-        if parts := split_by_sensor(file, seen, dialect, top, folder):
-            return [log for part in parts for log in _found(part, folder)]
         lines = seen.decode(dialect.encoding, errors="replace").split("\n")[top.lines : top.lines + SAMPLE_ROWS]
         rows = [row for line in lines if len(row := dialect.cells(line)) == len(top.names)]
     if dialect_and_top is None or len(rows) < 2:
@@ -131,7 +127,7 @@ def _found(file: Path, folder: OutputFolder) -> list[ForeignLog]:
     cells = {name: [row[j] for row in rows] for j, name in enumerate(top.names) if name}
     filled = {name: [cell for cell in column if cell.strip()] for name, column in cells.items()}
     numbers = {name for name, column in filled.items() if any(dialect.is_number(c) or is_clock(c) for c in column)}
-    words = {name for name, column in filled.items() if column} - numbers  # as week and seconds, `2022:120847.300`
+    words = {name for name, column in filled.items() if column} - numbers
     how = [f"{_DELIMITER_WORDS[dialect.delimiter]} between the values"]
     how += ["decimal commas"] if dialect.decimal == "," else []
     how += [dialect.encoding] if dialect.encoding != "utf-8" else []
@@ -237,6 +233,21 @@ def _with_thermometers(log: ForeignLog) -> ForeignLog:
     anew = columns_by_name([n for n in (*sensors, *known.temperatures, *known.others) if n not in empty])
     remark = f"temperature: {', '.join(empty)} is left out, for it reads nothing or cannot be read"
     return _with_thermometers(log.with_columns([remark], temperatures=anew.temperatures, others=anew.others))
+
+
+def _sensors_with_times_of_their_own(log: ForeignLog) -> list[ForeignLog]:
+    """A log of each kind of sensors in a table where each has another time before its columns; none of other tables."""
+    names, triads = list(log.names), {k: s for k, s in log.columns.triads.items() if k in (ACCEL, GYRO)}
+    numeric, parts = _numeric(log), list[ForeignLog]()
+    for kind, sensors in triads.items():
+        first = min(map(names.index, sensors.columns))
+        before = names[first - 1] if first else ""
+        stamps = log.read([before])[:, 0] if before in numeric else np.empty(0)
+        if not grows(stamps) or not grows_mostly(stamps):
+            return []
+        unit = log.columns.time_unit if before.isdecimal() else time_unit(before)
+        parts.append(log.with_columns(time=before, time_unit=unit, triads={kind: sensors}))
+    return parts if len({part.columns.time for part in parts}) > 1 else []
 
 
 def _with_time(log: ForeignLog) -> ForeignLog:

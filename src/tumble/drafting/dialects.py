@@ -1,31 +1,86 @@
-"""Text logs that are no table of numbers, copied as one into the session's folder: a function for each dialect, which
+"""Text logs that are no table of numbers, copied as tables into the session's folder: a function for each form, which
 recognises it in the first lines of a log.
 
-Lines that name their values are in `named_values`; here are sentences with a checksum, rows in brackets or behind the
-clock of a serial monitor, and marks between thousands. A line that a dialect does not read is copied as it is, for the
-reader to report.
+Forms with the values of all columns in a line, or in several:
+
+* sentences with a checksum;
+* names before the values: `ax=0.01 ay=-0.02`, `acc: 0.1, 0.2, 9.8; gyro: …`, `Acc (mg) [ 12.2, …`, `Rotation X: 0.01,
+  Y: -0.02, Z: 0.00 rad/s`, `GYRO: X=0.01, Y=-0.02, Z=0.00, ACCEL: X=…`;
+* samples of several such lines, as `rostopic echo` prints messages: a name stands for what is above it too,
+  `angular_velocity:` and then `x: 0.1` further in, and a sample ends where a name comes again;
+* objects of JSON, `{"ts": 0.01, "acc": [0.1, 0.2, 9.8], "gyro": {"x": 0, …}}`: a list of three numbers is three
+  columns, an object within an object has its name before its own;
+* rows in brackets or behind the clock of a serial monitor, and marks between thousands.
+
+Forms with a line for each sensor, `ACC,1200,0.01,0.02,9.81` and then `GYRO,1202,…`, become a table for each. A line
+that a form does not read is copied as it is, for the reader to report.
 """
 
 from __future__ import annotations
 
+import json
 import re
 import zlib
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, field
 from functools import reduce
+from itertools import pairwise
 from operator import xor
 from pathlib import Path
+from typing import IO, Any
 
-from tumble.drafting.named_values import json_lines, named_values, several_lines
-from tumble.drafting.spelling import LEAST_NUMBERS, Row, Spelling, copied, spelt_alike
-from tumble.files import OutputFolder
-from tumble.recording.text.dialect import encoding_of
+from tumble.errors import InputError
+from tumble.files import OutputFolder, plain_name, whole_file
+from tumble.recording.columns.names import ACCEL, GYRO, SENSOR_WORDS, columns_by_name
+from tumble.recording.log_source import readable
+from tumble.recording.text.dialect import Dialect, dialect_of, encoding_of, is_clock
+from tumble.recording.text.pieces import opened
 
-_THOUSANDS = re.compile("(?<=\\d)['’\u00a0\u202f](?=\\d{3}(?!\\d))")
-_QUOTED_THOUSANDS = re.compile(r'"(-?\d{1,3}(?:,\d{3})+(?:\.\d*)?)"')
-_BRACKETED = re.compile(r"\s*[\[({][-+.\d\seE,;\[\](){}]*[\])}]\s*[,;]?\s*")
-_MONITORED = re.compile(r"\s*(\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?)\s*->\s*(.*)")
 _SEEN_LINES = 200
+_LEAST_NUMBERS = 3
+_LONGEST_LINE = 4096
+_MOST_SENSORS = 20
+_SHARE = 0.8
+"""Of the lines, that are written alike."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TextForm:
+    """How the lines of a text log are written: `row` gives the sensor of a line, "" for all together, and its values,
+    by the number and the text of the line: no values for a line that is no row, None for one that is left out. `names`
+    are those of the columns by sensor, `title` the form in words, "" where nothing is to be said."""
+
+    row: Callable[[int, str], tuple[str, Sequence[str]] | None]
+    names: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    title: str = ""
+
+
+NamedValues = tuple[tuple[str, ...], Sequence[str]]
+"""The names of the columns of a line, none where it names none, and its values."""
+
+
+def _alike(lines: Sequence[str], read: Callable[[str], NamedValues | None], title: str) -> TextForm | None:
+    """The form of lines of which most are read with the same names and as many values; None otherwise."""
+    lines = lines[:_SEEN_LINES]
+    rows = [named for line in lines if (named := read(line)) is not None]
+    counts = Counter((names, len(values)) for names, values in rows)
+    if not counts:
+        return None
+    (names, width), count = counts.most_common(1)[0]
+    filled = sum(bool(line.strip()) for line in lines)
+    if (width < _LEAST_NUMBERS and names) or count <= max(_SHARE * filled, 1):
+        return None
+
+    def row(_number: int, line: str) -> tuple[str, Sequence[str]]:
+        found = read(line)
+        return "", found[1] if found is not None and (found[0], len(found[1])) == (names, width) else []
+
+    return TextForm(title=f"{title} ({', '.join(names)})" if names else title, names={"": names}, row=row)
+
+
+# -------------------- sentences with a checksum --------------------
 
 _MAG = tuple(f"Mag{axis} [gauss]" for axis in "XYZ")
 _INERTIAL = (*(f"Accel{axis} [m/s^2]" for axis in "XYZ"), *(f"Gyro{axis} [rad/s]" for axis in "XYZ"))
@@ -42,12 +97,13 @@ _NOVATEL_RAW = re.compile("RAWIMUS?X?A")
 _RAW_INCREMENTS = ("GPS time [s]", *(f"{kind} {axis} [count]" for kind in ("accel", "gyro") for axis in "xyz"))
 
 
-def sentences(lines: Sequence[str]) -> Spelling | None:
+def sentences(lines: Sequence[str]) -> TextForm | None:
     """Sentences with a checksum, `$VNYMR,…*6D` or NovAtel's `%RAWIMUSXA,…;…*a5db8c7b`; a damaged one is no row."""
-    kinds = Counter(sentence.group(1, 3) for line in lines if (sentence := _SENTENCE.fullmatch(line)) is not None)
+    seen = (sentence for line in lines[:_SEEN_LINES] if (sentence := _SENTENCE.fullmatch(line)) is not None)
+    kinds = Counter(sentence.group(1, 3) for sentence in seen)
     mark, kind = max(kinds, key=lambda name: kinds[name], default=("", ""))
 
-    def row(line: str) -> Row | None:
+    def read(line: str) -> NamedValues | None:
         sentence = _SENTENCE.fullmatch(line)
         if sentence is None or sentence.group(1, 3) != (mark, kind):
             return None
@@ -61,24 +117,164 @@ def sentences(lines: Sequence[str]) -> Spelling | None:
             y = [value.removeprefix("-") if value.startswith("-") else f"-{value}" for value in minus_y]
             return _RAW_INCREMENTS, [seconds, *(value for three in zip(x, y, z, strict=True) for value in three)]
         fields = _FIELDS.get(kind, ())
-        return (fields, values) if len(values) >= LEAST_NUMBERS and len(fields) in (0, len(values)) else None
+        return (fields, values) if len(values) >= _LEAST_NUMBERS and len(fields) in (0, len(values)) else None
 
-    return spelt_alike(lines, row, f"sentences {mark}{kind}")
+    return _alike(lines, read, f"sentences {mark}{kind}")
 
 
-def in_brackets(lines: Sequence[str]) -> Spelling | None:
+# -------------------- names before the values --------------------
+
+# A word is looked at from its first letter, and once: a line of nothing but letters takes no longer than another one.
+_KEY = re.compile(
+    r"(?<![^\W\d])([^\W\d][\w.]*+)\s*(?:\(\s*([^()\d]+?)\s*\)\s*)?(?:[=:]\s*(?=[-+\d.\[(])|(?=\[\s*[-+]?\d+\.))"
+)
+_GROUP = re.compile(r"(?<![^\W\d])([^\W\d]\w*+)\s*(?:\([^()]*\))?\s*:\s*(?=[^\W\d]\w*\s*=)")
+_NUMBER = re.compile(r"(?<![\w^/.])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
+_WHEN = re.compile(r"[\s\[\]()>,;|:-]*$")
+_WORD = re.compile(r"([^\W\d]\w*)\s+$")
+_WORDS = re.compile(r"(?<!\w)([^\W\d]\w*(?:[ \t]+[^\W\d]\w*)*)\s+$")
+_UNITS = r"(?:m/s\^?2|rad/s|deg/s|m?dps|m?g)"
+_UNIT = re.compile(rf"(?<![^\W\d])\s*({_UNITS})\s*$")
+_BEHIND = re.compile(rf"^[-+.,\deE\s]*(?:{_UNITS}(?!\w))?")
+"""A number and its unit."""
+_ABOVE = re.compile(r"([ \t]*)([^\W\d][\w.]*)\s*:\s*")
+_LEAST_NAMES = 6
+_TIME = "time"
+_QUANTITIES = ("velocity", "acceleration", "rate", "field")
+
+
+def named_values(lines: Sequence[str]) -> TextForm | None:
+    """Lines most of which have the same names and numbers."""
+
+    def read(line: str) -> NamedValues | None:
+        named = cells(line)
+        return (tuple(named), list(named.values())) if named else None
+
+    return _alike(lines, read, "names before the numbers")
+
+
+def cells(line: str) -> dict[str, str]:
+    """Names and numbers of a line. A time before the first name is one, and a name before three numbers is three.
+
+    An axis has the name of the sensor before several, `GYRO: X=0.1, Y=…`, else the words before it, `Linear Accel X =
+    0.1, Y = …`, which also hold for the axes behind it."""
+    keys, groups = (list(pattern.finditer(line[:_LONGEST_LINE])) for pattern in (_KEY, _GROUP))
+    if not keys:
+        return {}
+    first = min(name.start() for name in (keys[0], *groups[:1]))
+    when = _WHEN.sub("", _WORDS.sub("", line[:first])).strip(" []")
+    values = {_TIME: when} if is_clock(when) or _NUMBER.fullmatch(when) else {}
+    words, end = "", 0
+    for key, after in zip(keys, [*keys[1:], None], strict=True):
+        of = [group[1] for group in groups if group.end() <= key.start() and key[0].rstrip().endswith("=")]
+        before = _WORDS.search(_BEHIND.sub("", line[end : key.start()]))
+        words, end = before[1] if before else words, key.end()
+        name = "_".join([*of[-1:], key[1]]) if of or len(key[1]) > 1 else f"{words} {key[1]}".strip()
+        numbers = _NUMBER.findall(line[end : after.start() if after else None])
+        unit = f" [{key[2]}]" if key[2] else ""
+        if len(numbers) == 1:
+            values[name + unit] = numbers[0]
+        elif len(numbers) == 3:
+            word = _WORD.search(line[: key.start()]) if name.lower() in _QUANTITIES else None  # `Angular Velocity: (…)`
+            name = f"{word[1]} {name}" if word else name
+            values |= {f"{name}_{axis}{unit}": number for axis, number in zip("xyz", numbers, strict=True)}
+    return values
+
+
+def several_lines(lines: Sequence[str]) -> TextForm | None:
+    """Samples that are several lines each."""
+    sample_before = _samples()
+    samples = [done for line in lines[:_SEEN_LINES] if (done := sample_before(line)) is not None]
+    kinds = Counter(tuple(values) for values, count in samples[1:] if count > 1)
+    names, count = kinds.most_common(1)[0] if kinds else ((), 0)
+    if len(names) < _LEAST_NAMES or count <= max(_SHARE * (len(samples) - 1), 1):
+        return None
+    reading = _samples()
+
+    def row(_number: int, line: str) -> tuple[str, Sequence[str]] | None:
+        done = reading(line)
+        return ("", [done[0].get(name, "") for name in names]) if done is not None else None
+
+    return TextForm(names={"": names}, row=row, title=f"several lines a sample ({', '.join(names)})")
+
+
+def _samples() -> Callable[[str], tuple[dict[str, str], int] | None]:
+    """A function that is fed line by line, and returns the sample before with its number of lines where a line begins
+    the next."""
+    sample: dict[str, str] = {}
+    above: list[tuple[int, str]] = []
+    count = 0
+
+    def fed(line: str) -> tuple[dict[str, str], int] | None:
+        nonlocal sample, count
+        inside = len(line) - len(line.lstrip())
+        above[:] = [(at, name) for at, name in above if at < inside]
+        title = _ABOVE.fullmatch(line.rstrip())
+        if title is not None:
+            above.append((inside, title[2]))
+            return None
+        unit = _UNIT.search(line[:_LONGEST_LINE])  # behind the last number, and so of all of them
+        before, behind = "".join(f"{name}_" for _, name in above), f" [{unit[1]}]" if unit else ""
+        values = {f"{before}{name}{behind}": number for name, number in cells(line).items()}
+        done = (sample, count) if values.keys() & sample.keys() else None
+        if done is not None:
+            sample, count = {}, 0
+        sample = sample | values
+        count += bool(values)
+        return done
+
+    return fed
+
+
+def json_lines(lines: Sequence[str]) -> TextForm | None:
+    """Lines most of which are objects of JSON, or as Python prints them."""
+
+    def read(line: str) -> NamedValues | None:
+        text = line.strip().removeprefix("[").removesuffix("]").strip().removesuffix(",")
+        for written in (text, text.replace("'", '"')) if text.startswith("{") and len(text) < _LONGEST_LINE else ():
+            with suppress(ValueError, RecursionError):
+                values = dict(_values(json.loads(written)))
+                return tuple(values), list(values.values())
+        return None
+
+    return _alike(lines, read, "objects of JSON")
+
+
+def _values(read: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, str]]:
+    """Names and values of an object and its parts: numbers, also as text, and times of day."""
+    for key, value in read.items():
+        name = before + re.sub('[,"\\s]+', " ", key)
+        if isinstance(value, dict):
+            yield from _values(value, f"{name}_")
+        elif isinstance(value, list) and len(value) == 3:
+            yield from _values(dict(zip("xyz", value, strict=True)), f"{name}_")
+        elif isinstance(value, int | float) and not isinstance(value, bool):
+            yield name, repr(value)
+        elif isinstance(value, str) and (is_clock(value) or Dialect().is_number(value)):
+            yield name, value
+
+
+# -------------------- rows with something about them --------------------
+
+_THOUSANDS = re.compile("(?<=\\d)['’\u00a0\u202f](?=\\d{3}(?!\\d))")
+_QUOTED_THOUSANDS = re.compile(r'"(-?\d{1,3}(?:,\d{3})+(?:\.\d*)?)"')
+_BRACKETED = re.compile(r"\s*[\[({][-+.\d\seE,;\[\](){}]*[\])}]\s*[,;]?\s*")
+_MONITORED = re.compile(r"\s*(\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?)\s*->\s*(.*)")
+
+
+def in_brackets(lines: Sequence[str]) -> TextForm | None:
     """Rows in brackets."""
 
-    def row(line: str) -> Row | None:
+    def read(line: str) -> NamedValues | None:
         return ((), [re.sub(r"[\[\](){}]", "", line).strip(" \t,;")]) if _BRACKETED.fullmatch(line) else None
 
-    return spelt_alike(lines, row, "rows in brackets")
+    return _alike(lines, read, "rows in brackets")
 
 
-def behind_a_clock(lines: Sequence[str]) -> Spelling | None:
+def behind_a_clock(lines: Sequence[str]) -> TextForm | None:
     """Rows behind the clock of a serial monitor, `13:02:11.345 -> 0.1,…`, which becomes the first column."""
 
-    def row(line: str) -> Row | None:
+    def read(line: str) -> NamedValues | None:
         monitored = _MONITORED.fullmatch(line)
         if monitored is None:
             return None
@@ -86,56 +282,135 @@ def behind_a_clock(lines: Sequence[str]) -> Spelling | None:
         delimiter = next((mark for mark in "\t;," if mark in rest), " ")
         return (), [f"{clock if rest[:1] in '+-.0123456789' else 'clock'}{delimiter}{rest}"]
 
-    return spelt_alike(lines, row, "rows behind the clock of a serial monitor")
+    return _alike(lines, read, "rows behind the clock of a serial monitor")
 
 
-def thousands(lines: Sequence[str]) -> Spelling | None:
+def thousands(lines: Sequence[str]) -> TextForm | None:
     """Numbers with marks between their thousands, 1'000 or "1,000"."""
 
     def plain(line: str) -> str:
         return _QUOTED_THOUSANDS.sub(lambda number: number[1].replace(",", ""), _THOUSANDS.sub("", line))
 
-    if sum(plain(line) != line for line in lines) <= 1:
+    if sum(plain(line) != line for line in lines[:_SEEN_LINES]) <= 1:
         return None
-    return Spelling(values=lambda line: [plain(line)], title="marks between thousands, as in 1'000")
+    return TextForm(row=lambda _, line: ("", [plain(line)]), title="marks between thousands, as in 1'000")
 
 
-DIALECTS: tuple[Callable[[Sequence[str]], Spelling | None], ...] = (
-    sentences, json_lines, several_lines, named_values, in_brackets, behind_a_clock, thousands,
+# -------------------- a line for each sensor --------------------
+
+_STATED = re.compile(r"^[#%\s]*(?:[^'#%]*')?")
+_UNNAMED = ("time", "x", "y", "z")
+_WHOLE = re.compile(r"imu\d?", re.IGNORECASE)
+
+
+def named_in_comments(lines: Sequence[str]) -> TextForm | None:
+    """Rows that begin with a word whose columns are named in a comment, `# UncalAccel,utcTimeMillis,…` or `% ACCE data:
+    'ACCE;AppTimestamp(s);…'`."""
+    stated = [_STATED.sub("", line).rstrip("' ") for line in lines if line.startswith(("#", "%"))]
+    rows = [line for line in lines if not line.startswith(("#", "%"))]
+    delimiter = max(",;", key=lambda mark: sum(mark in line for line in rows))
+    words = {line.partition(delimiter)[0] for line in rows}
+    named = {word: names for word, *names in (line.split(delimiter) for line in stated) if word in words}
+    kinds = {word: names for word, names in named.items() if {ACCEL, GYRO} & {*columns_by_name(names).triads}}
+
+    def row(_number: int, line: str) -> tuple[str, Sequence[str]] | None:
+        word, _, rest = line[:_LONGEST_LINE].partition(delimiter)
+        return (word, rest.split(delimiter)) if word in kinds else None
+
+    return TextForm(row=row, names=kinds) if len(kinds) >= 2 else None
+
+
+def rows_by_sensor(file: Path, start: bytes) -> TextForm | None:
+    """Rows with a column that names the sensor; of rows that begin with IMU only these are kept, as they are."""
+    dialect_and_top = dialect_of(start)
+    if dialect_and_top is None:
+        return None
+    dialect, top = dialect_and_top
+    lines = start.decode(dialect.encoding, errors="replace").split("\n")[top.lines : -1]
+    rows = [cells for line in lines if len(cells := dialect.cells(line)) == len(top.names)]
+    labels = (j for j in range(len(top.names)) if _are_sensors([cells[j] for cells in rows], dialect))
+    label = next(labels, None)
+    if label is None:
+        return None
+    words = {cells[label] for cells in rows}
+    whole = {word for word in words if _WHOLE.fullmatch(word)}
+    names = [name for j, name in enumerate(top.names) if whole or j != label] if dialect.header else []
+    if not (whole or names):
+        names = list(_UNNAMED)
+        if len(top.names) - 1 != len(names):
+            raise InputError(
+                f"{file}: expected a time and three readings behind the name of a sensor, found {len(top.names) - 1} "
+                "columns; give them names in a first line"
+            )
+
+    def row(number: int, line: str) -> tuple[str, Sequence[str]] | None:
+        cells = dialect.cells(line[:_LONGEST_LINE])
+        if number < top.lines or len(cells) != len(top.names) or (whole and cells[label] not in whole):
+            return None
+        word = cells[label] if whole else cells.pop(label)
+        return word, [cell.replace(",", ".") for cell in cells]
+
+    return TextForm(row=row, names=dict.fromkeys(words, names))
+
+
+def _are_sensors(words: Sequence[str], dialect: Dialect) -> bool:
+    """Whether cells are names of sensors that take turns: few words, one of them of accelerometers or an IMU."""
+    named, changes = Counter(words), sum(a != b for a, b in pairwise(words))
+    return (
+        2 <= len(named) <= _MOST_SENSORS
+        and 4 * changes > len(words)
+        and not any(not word or dialect.is_number(word) or is_clock(word) for word in named)
+        and any(SENSOR_WORDS[ACCEL].search(word) or _WHOLE.fullmatch(word) for word in named)
+    )
+
+
+# -------------------- copies --------------------
+
+FORMS: tuple[Callable[[Sequence[str]], TextForm | None], ...] = (
+    named_in_comments, sentences, json_lines, several_lines, named_values, in_brackets, behind_a_clock, thousands,
 )  # fmt: skip
 """In the order in which they are tried."""
 
 
-def as_table(file: Path, start: bytes, folder: OutputFolder) -> tuple[Path, str] | None:
-    """Copy a text log of one of the dialects into a folder as a table.
-
-    Parameters
-    ----------
-    file
-        The log.
-    start
-        Its first bytes.
-    folder
-        Where the copy is written.
-
-    Returns
-    -------
-    tuple or None
-        The copy and a sentence about it; None for a log that can be read as it is.
-    """
+def as_tables(file: Path, start: bytes, folder: OutputFolder) -> tuple[list[Path], tuple[str, ...]] | None:
+    """Copy a text log of one of the forms, of which these are the first bytes, into a folder: the table or one for each
+    sensor, and remarks; None for a log that can be read as it is. Raises InputError for rows of too many sensors."""
     encoding = encoding_of(start)
     text = start.decode(encoding, errors="replace")
-    lines = re.split("[\r\n]+", text)[:-1][:_SEEN_LINES]
-    spelling = next((spelling for dialect in DIALECTS if (spelling := dialect(lines)) is not None), None)
-    if spelling is None and text.count("\r") > 2 and "\n" not in text:
-        spelling = Spelling(values=lambda line: [line], title="lines that end in a carriage return")
-    if spelling is None:
+    lines = re.split("[\r\n]+", text)[:-1]
+    form = next((form for written in FORMS if (form := written(lines)) is not None), None)
+    if form is None and text.count("\r") > 2 and "\n" not in text:
+        form = TextForm(row=lambda _, line: ("", [line]), title="lines that end in a carriage return")
+    form = form or rows_by_sensor(file, start)
+    if form is None:
         return None
-    values_of_line, names = spelling.values, ",".join(spelling.names)
+    files: dict[str, Path] = {}
+    outs: dict[str, IO[bytes]] = {}
+    with ExitStack() as stack, readable(file), opened(file, encoding) as stream:
+        for number, line in enumerate(_lines(iter(lambda: stream.read(1 << 16), b""))):
+            row = form.row(number, line)
+            if row is None:
+                continue
+            sensor, values = row
+            word = plain_name(sensor) if sensor else ""
+            if word not in files:
+                if len(files) == _MOST_SENSORS:
+                    raise InputError(f"{file}: expected at most {_MOST_SENSORS} sensors, found more")
+                files[word] = folder.new_file(f"{file.name.partition('.')[0]}{f'-{word}' if word else ''}.csv")
+                outs[word] = stack.enter_context(stack.enter_context(whole_file(files[word])).open("wb"))
+                if header := ",".join(form.names.get(sensor, ())):
+                    outs[word].write(f"{header}\n".encode())
+            outs[word].write((",".join(values) or line.replace(",", " ")).encode() + b"\n")
+    tables = list(files.values())
+    return tables, (f"text: {form.title}: copied to {tables[0].name} as a table",) if form.title else ()
 
-    def row(_number: int, line: str) -> tuple[str, str] | None:
-        values = values_of_line(line)
-        return None if values is None else ("", ",".join(values) or line.replace(",", " "))
 
-    (table,) = copied(file, encoding, folder, lambda _: names, row)
-    return table, f"text: {spelling.title}: copied to {table.name} as a table"
+def _lines(pieces: Iterator[bytes]) -> Iterator[str]:
+    """Lines, whatever they end with."""
+    rest = b""
+    for piece in pieces:
+        *whole, rest = (rest + piece).replace(b"\r\n", b"\n").replace(b"\r", b"\n").split(b"\n")
+        yield from (line.decode(errors="replace") for line in whole)
+        rest = rest[:_LONGEST_LINE]
+    if rest.strip():
+        yield rest.decode(errors="replace")

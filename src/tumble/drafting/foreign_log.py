@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from tumble.drafting.times import Stamps, Times, times_of_column, times_without_column
+from tumble.drafting.times import Stamps, Times, past_midnight, times_of_column, times_without_column
 from tumble.errors import GyrosAloneError, InputError, LogError, did_you_mean
 from tumble.recording.columns.names import (
     ACCEL,
@@ -141,8 +141,7 @@ class ForeignLog:
             return None
         clock = self.clock is not None
         values = replace(self, files=self.files[:1]).read([column])[:, 0]
-        if clock:
-            values = values + 86400.0 * np.cumsum(np.diff(values, prepend=values[:1]) < -43200.0)
+        values = past_midnight(values) if clock else values
         return Stamps(column=column, values=values, unit=self.columns.time_unit, clock=clock)
 
     def times(self, rate: float | None) -> Times:

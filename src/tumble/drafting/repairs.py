@@ -15,7 +15,7 @@ import numpy as np
 import polars as pl
 
 from tumble.drafting.foreign_log import LONGEST, SAMPLE_ROWS, ForeignLog, samples_in
-from tumble.drafting.times import Stamps, overflow_of, recordings_of, times_of_column
+from tumble.drafting.times import Stamps, grows_mostly, overflow_of, past_midnight, recordings_of, times_of_column
 from tumble.errors import InputError
 from tumble.files import OutputFolder
 from tumble.recording.columns.names import ACCEL, GYRO, MAGNETOMETER, time_unit
@@ -68,6 +68,8 @@ def repaired(log: ForeignLog, folder: OutputFolder, rate: float | None) -> Forei
     for kind, sensors in triads.items():
         if kind != MAGNETOMETER and not np.isfinite(log.read(sensors.columns, rows=SAMPLE_ROWS)).any():
             raise InputError(f"{log.files[0]}: expected numbers in {', '.join(sensors.columns)[:200]}, found none")
+    if (turned := _newest_first(log)) is not None:
+        return repaired(_copy(log, folder, [log.columns.time or ""], [turned]), folder, rate)
     mends = _rows_that_are_samples(log)
     time, in_seconds, of_time = _time(log, rate)
     unsigned = [kind for kind in (ACCEL, GYRO) if kind in triads and _wrapped(log.read(triads[kind].columns))]
@@ -83,6 +85,22 @@ def repaired(log: ForeignLog, folder: OutputFolder, rate: float | None) -> Forei
     mends += of_time
     if not mends and parts is None:
         return log
+    return _copy(log, folder, time, mends, in_seconds=in_seconds, parts=parts, why=why)
+
+
+def _copy(
+    log: ForeignLog,
+    folder: OutputFolder,
+    time: list[str],
+    mends: list[Mend],
+    *,
+    in_seconds: bool = False,
+    parts: Edges | None = None,
+    why: str = "",
+) -> ForeignLog:
+    """The log of a mended copy: a file for each file or for each of the `parts`; with a column TIME in place of those
+    of the time where it is `in_seconds`, and the remark `why` there are parts."""
+    triads = log.columns.triads
     every = (*time, *(c for triad in triads.values() for c in triad.columns), *log.columns.temperatures)
     stamp = [TIME] if in_seconds else time
 
@@ -110,6 +128,20 @@ def repaired(log: ForeignLog, folder: OutputFolder, rate: float | None) -> Forei
     return ForeignLog(
         files=tuple(files), keys={}, columns=columns, preamble=log.preamble, remarks=every_remark, doubts=log.doubts
     )
+
+
+def _newest_first(log: ForeignLog) -> Mend | None:
+    """The step that turns a log round whose time falls from row to row; None for any other log."""
+    stamps = log.stamps()
+    if stamps is None or len(stamps.values) < _FEWEST_ROWS or not grows_mostly(-stamps.values):
+        return None
+
+    def turned(tables: Iterator[pl.DataFrame]) -> Iterator[pl.DataFrame]:
+        rows = pl.concat(tables).reverse()
+        time = rows[stamps.column].to_numpy()
+        yield rows.with_columns(pl.Series(stamps.column, past_midnight(time) if stamps.clock else time))
+
+    return f"time: column {stamps.column!r} falls from row to row: rows put in the order of time", turned
 
 
 def _recordings(log: ForeignLog) -> tuple[Edges | None, str]:

@@ -157,7 +157,7 @@ def of_sensors_apart(logs: Sequence[ForeignLog], folder: OutputFolder) -> Foreig
     joined = folder.new_file("log.parquet")
     first = next(iter(read.values()))
     as_log(joined, first, read.get(GYRO))
-    named = " and ".join(log.files[0].name for log in by_kind.values())
+    named = " and ".join(dict.fromkeys(log.files[0].name for log in by_kind.values()))
     columns = Columns(time=TIME, time_unit="s", triads={kind: m.triads[kind] for kind, m in read.items()})
     unused = [log.files[0].name for log in logs if log not in by_kind.values() and not (summed and log is gravity)]
     also = (f"also there, and not used: {', '.join(unused)}",) if unused else ()

@@ -42,7 +42,8 @@ UNUSUAL = 0.03
 """Share of logs at another rate."""
 _TICKS, _COUNTS = 0.02, 0.4
 """Share of whole numbers without a unit that are ticks of a clock, and of those growing by one that count samples."""
-_UNITS_IN_ORDER = {"s": 0.0, "ms": 0.5, "us": 1.0, "ns": 1.5}
+_UNITS_IN_ORDER = {"s": 0.0, "ms": 0.5, "us": 1.0, "ns": 1.5, "min": 6.0, "h": 8.0}
+_USUAL_BAND = 10.0, 2000.0  # Hz
 _UNLIKELY_RATE, _UNLIKELY_SPAN = 5.0, 8.0  # in a log that is shorter than any, or counts seconds
 _SHARE, _FREE = 2e-2, 3
 _PAUSES, _PAUSE = 2e-3, 10.0
@@ -181,6 +182,11 @@ def grows_mostly(values: Array) -> bool:
     return bool(steps[steps > 0.0].sum() > _SHORTEST and np.mean(steps < 0.0) <= _ANEW)
 
 
+def past_midnight(values: Array) -> Array:
+    """Times of day, s, that go on past midnight."""
+    return np.asarray(values + 86400.0 * np.cumsum(np.diff(values, prepend=values[:1]) < -43200.0))
+
+
 _OVERFLOWS = (3600.0, 65.536, 65536.0, 2.0**24, 2.0**32 / 1e6, 2.0**32 / 1e3, 2.0**32)
 _MOST_OVERFLOWS = 10_000
 _LATE = 50  # samples that may be lost where a counter starts anew
@@ -230,9 +236,13 @@ def _units(stamps: Stamps, step: float) -> tuple[dict[str, float], str, list[str
     low, high = float(np.nanmin(stamps.values)), float(np.nanmax(stamps.values))
     rates = {name: 1.0 / (step * size) for name, size in TIME_UNITS.items()}
     costs = {name: cost for name, cost in _UNITS_IN_ORDER.items() if _SLOWEST <= rates[name] <= RATES_OF_LOGS[1]}
-    for name in costs:
+    for name in list(costs):
+        usual = _USUAL_BAND[0] <= rates[name] <= _USUAL_BAND[1]
+        if TIME_UNITS[name] > 1.0 and not usual:  # nobody writes the times of a slow log in minutes
+            del costs[name]
+            continue
         unlikely = (high - low) * TIME_UNITS[name] < _SHORTEST_LOG or (counts and rates[name] < RATES_OF_LOGS[0])
-        costs[name] += _UNLIKELY_RATE * (not 10.0 <= rates[name] <= 2000.0) + _UNLIKELY_SPAN * unlikely
+        costs[name] += _UNLIKELY_RATE * (not usual) + _UNLIKELY_SPAN * unlikely
     dated = [name for name in costs if CENTURY[0] < low * TIME_UNITS[name] and high * TIME_UNITS[name] < CENTURY[1]]
     if dated and (rates[dated[0]] > _SLOW or min(costs.values()) >= _UNLIKELY_RATE):
         return {dated[0]: 0.0}, _BY_DATES, []

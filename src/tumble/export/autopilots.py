@@ -3,42 +3,16 @@
     acceleration = (reading − offset) · factor        rate = reading − offset
 
 in the sensor's axes, m/s² and rad/s, single precision; board rotations come afterwards. The offsets are the biases b.
-The factors are 1/Mᵢᵢ: what is left of the accelerometers' matrix then has a unit diagonal.
+The factors are 1/Mᵢᵢ: what is left of the accelerometers' matrix then has a unit diagonal. A magnetometer, in the units
+of the autopilot, Gauss or thousandths, has a symmetric matrix S: of M⁻¹ = R S, R a rotation, S is held; R, how the
+magnetometer is mounted, an autopilot has in other settings. What its own procedure refuses is not written, and that is
+said.
 
-PX4, a file as QGroundControl loads it: CAL_ACC0_XOFF, CAL_ACC0_XSCALE, CAL_GYRO0_XOFF of the topics sensor_accel and
-sensor_gyro, counted from 0. It uses the numbers for the sensor whose id is in CAL_ACC0_ID and CAL_GYRO0_ID. Over
-temperature, which PX4 finds by the ids in TC_A0_ID and TC_G0_ID,
-
-    offset(T) = X0 + X1 d + X2 d² + X3 d³ + CAL_ACC0_XOFF,   d = T − TREF, T kept within TMIN … TMAX, degC
-
-X0 is zero, as PX4's own procedure leaves it. The curves stand in the first place of TC_A and TC_G, or with --imu N in
-the N-th, so that files of several IMUs do not overwrite each other. Releases before 2021 had TC_A0_SCL_0 too, a scale
-without temperature.
-
-ArduPilot: INS_ACCOFFS_X, INS_ACCSCAL_X, INS_GYROFFS_X of readings before the board's orientation; the second and the
-third IMU have their number inside the names, INS_ACC2OFFS_X, the fourth and the fifth before, INS4_ACCOFFS_X. It takes
-calibrations of other ids than INS_ACC_ID and INS_GYR_ID for none. Over temperature, that of the IMU itself,
-
-    offset(T) = P(T) − P(CALTEMP) + INS_ACCOFFS_X,   P(T) = (C1 t + C2 t² + C3 t³) · 1e-6,   t = T − 35 degC
-
-with both temperatures kept within TMIN … TMAX; C1 is INS_TCAL1_ACC1_X. CALTEMP is the calibration's reference, so that
-a curve about T₀ is turned into one about 35 degC.
-
-A magnetometer, in the units of the autopilot, Gauss or thousandths, has a symmetric matrix:
-
-    PX4        field = S (reading − OFF),   S = (XSCALE, XODIAG, YODIAG; ·, YSCALE, ZODIAG; ·, ·, ZSCALE)
-    ArduPilot  field = SCALE · S (reading + OFS),   S likewise of DIA and ODI
-
-so that of M⁻¹ = R S, R a rotation, S is held; R, how the magnetometer is mounted, an autopilot has in other settings.
-What its own procedure refuses (PX4: offsets beyond 1.3 Gauss, scales beyond 0.1 to 3; ArduPilot: offsets beyond
-COMPASS_OFFS_MAX, 1800, DIA beyond 0.2 to 5, ODI beyond 1) is not written, and that is said.
+What each autopilot is, its formulas and limits with their source, and the names of its parameters stand in its layout,
+`layouts/px4.params.j2` and `layouts/ardupilot.parm.j2`.
 
 The biases of a calibration are polynomials of the third degree at most, so a cubic holds them whole; TMIN and TMAX are
 the ends of what was measured. Scale factors have one value each, that at the reference temperature.
-
-Source: PX4, parameter reference, libraries sensor_calibration and temperature_compensation, commander's
-mag_calibration.cpp; QGroundControl, "Parameters file format". ArduPilot, parameter reference, libraries
-AP_InertialSensor and AP_Compass (AP_Compass_Backend::correct_field, CompassCalibrator::fit_acceptable).
 """
 
 from __future__ import annotations
@@ -51,6 +25,7 @@ from itertools import chain
 from typing import Any
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict
 from scipy.linalg import polar
 
 from tumble.errors import InputError
@@ -64,9 +39,9 @@ from tumble.export.exported import (
     shown,
     triads,
 )
-from tumble.export.templates import laid_out
-from tumble.result.applied_correction import linear_example
+from tumble.export.templates import front_of, laid_out
 from tumble.result.calibration import Calibration
+from tumble.result.correction import linear_example
 from tumble.result.temperature_curves import Range, changing, measured_range, warm_rests
 from tumble.sensors.model import SensorKind, SensorModel
 from tumble.sensors.parameters import OVER_TEMPERATURE, group_name
@@ -81,19 +56,18 @@ _OVER_TEMPERATURE = frozenset(f"{kind}.bias.{t}" for kind in ("accel", "gyro") f
 """Groups that the targets over temperature hold."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Autopilot:
-    """What an autopilot can hold.
+class Autopilot(BaseModel):
+    """What an autopilot can hold, as its layout says.
 
     Attributes
     ----------
-    layout
-        The file in `layouts/` with the names of its parameters.
+    about, formula, source
+        What it is, what it computes, and where that is written.
     imus, compensated
         How many IMUs it calibrates, and how many over temperature.
     thermometers
         The kinds of sensors that have a thermometer together.
-    about, worth
+    centre, worth
         The temperature, °C, about which its polynomials are, None for the reference, and the unit of their
         coefficients, SI.
     unit, sign, longest, factors, most_across
@@ -101,43 +75,25 @@ class Autopilot:
         and elements beside it may be.
     """
 
-    layout: str
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    about: str
+    formula: str
+    source: str
     imus: int
     compensated: int
     thermometers: tuple[tuple[SensorKind, ...], ...]
-    about: float | None = None
+    centre: float | None = None
     worth: float = 1.0
     unit: str
     sign: float
     longest: float
     factors: tuple[float, float]
-    most_across: float
+    most_across: float = math.inf
 
 
-PX4 = Autopilot(
-    layout="px4.params.j2",
-    imus=4,
-    compensated=3,
-    thermometers=(("accel",), ("gyro",)),
-    unit="gauss",
-    sign=1.0,
-    longest=1.3,
-    factors=(0.1, 3.0),
-    most_across=math.inf,
-)
-ARDUPILOT = Autopilot(
-    layout="ardupilot.parm.j2",
-    imus=5,
-    compensated=5,
-    thermometers=(("accel", "gyro"),),
-    about=35.0,
-    worth=1e-6,
-    unit="mgauss",
-    sign=-1.0,
-    longest=1800.0,
-    factors=(0.2, 5.0),
-    most_across=1.0,
-)
+PX4, ARDUPILOT = "px4.params.j2", "ardupilot.parm.j2"
+"""The layouts."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -193,13 +149,13 @@ class Triad:
         return example_line(self.kind, worked.reading, worked.true, becomes, where)
 
 
-def _triads(pilot: Autopilot, target: str, calibration: Calibration, imu: int | None, *, thermal: bool) -> list[Triad]:
+def _triads(layout: str, target: str, calibration: Calibration, imu: int | None, *, thermal: bool) -> list[Triad]:
     """What an autopilot applies: to the sensors that were recorded, else to those of the first IMU, or of the number
     `imu`, from 1.
 
     Raises InputError unless every channel senses its own axis of the frame, X, Y, Z, positive, where other sensors than
     those of the number were recorded, and over temperature where nothing changes with it."""
-    models, out = triads(calibration, target, needed=()), []
+    pilot, models, out = Autopilot(**front_of(layout)), triads(calibration, target, needed=()), []
     for kind, model in models.items():
         if (np.argmax(model.matrix, axis=1) != np.arange(3)).any() or (np.diag(model.matrix) <= 0.5).any():
             raise InputError(
@@ -248,13 +204,13 @@ def _cubic(pilot: Autopilot, slopes: Array, reference: float) -> Array:
     """Coefficients (3, 3) of the first to the third power of the temperature, by axis: θ₁ (t − d) + θ₂ (t − d)² +
     θ₃ (t − d)³ with d = T₀ − `about`, without what does not depend on t."""
     linear, square, cube = slopes.T
-    d = 0.0 if pilot.about is None else reference - pilot.about
+    d = 0.0 if pilot.centre is None else reference - pilot.centre
     first = linear - (2.0 * square - 3.0 * cube * d) * d
     return np.stack([first, square - 3.0 * cube * d, cube], axis=1) / pilot.worth
 
 
 def _written(
-    pilot: Autopilot,
+    layout: str,
     calibration: Calibration,
     applied: Sequence[Triad],
     *,
@@ -263,6 +219,7 @@ def _written(
     **words: Any,
 ) -> Exported:
     """The file: remarks, examples and notes as comments, then the parameters."""
+    pilot = Autopilot(**front_of(layout))
     compass, about_it, lost = _compass(pilot, calibration)
     thermal = applied[0].measured is not None
     notes = notes_of(
@@ -275,7 +232,7 @@ def _written(
     )
     examples = (each.example(calibration) for each in applied)
     comments = [*origin(calibration), *remarks, *examples, *about_it, *notes]
-    text = laid_out(pilot.layout, comments=comments, triads=applied, compass=compass, **words)
+    text = laid_out(layout, comments=comments, triads=applied, compass=compass, **words)
     return Exported(content=text.encode(), losses=notes)
 
 

@@ -31,8 +31,8 @@ import numpy as np
 from tumble.export.exported import Exported, example_line, models, notes_of, numbers, origin, shown
 from tumble.export.templates import laid_out
 from tumble.reduction.rests.thermometer import followed
-from tumble.result.applied_correction import beyond_linear, examples, over_temperature
 from tumble.result.calibration import Calibration
+from tumble.result.correction import beyond_linear, examples, over_temperature
 from tumble.result.temperature_curves import changing, measured_range, own_thermometers
 from tumble.sensors.compensation import FIXED_POINT_STEPS, Compensator
 from tumble.sensors.model import UNITS, SensorKind, SensorModel

@@ -1,6 +1,6 @@
 """What every export is made of: the models of a calibration, worked examples, and notes on what a target cannot hold.
 
-A target that has matrix and bias alone gets those that fit the whole model best (`tumble.result.linear_fit`). An export
+A target that has matrix and bias alone gets those that fit the whole model best (`tumble.result.correction`). An export
 has at most three notes: by how much the target is off, what it has no place for, and what the user has to see to.
 Readings are those of the calibration file: SI, after nominal scale and offset.
 """
@@ -16,7 +16,7 @@ import numpy as np
 from tumble.brief import Brief
 from tumble.errors import InputError
 from tumble.result.calibration import Calibration
-from tumble.result.linear_fit import errors_left, linear_model, session_rate
+from tumble.result.correction import errors_left, linear_model, session_rate
 from tumble.sensors.model import UNITS, WORDS, SensorKind, SensorModel
 from tumble.sensors.parameters import (
     FORCE,

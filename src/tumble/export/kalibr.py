@@ -35,8 +35,8 @@ from tumble.files import FilePath
 from tumble.recording.session import Session
 from tumble.recording.session_file import session_from
 from tumble.reduction.noise.filter_values import Densities, densities
-from tumble.result.applied_correction import linear_example
 from tumble.result.calibration import Calibration
+from tumble.result.correction import linear_example
 from tumble.result.parts import SensorsAtRest
 from tumble.run.quiet_samples import longest_rest, noise_panels
 from tumble.sensors.model import UNITS

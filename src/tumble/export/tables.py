@@ -1,6 +1,6 @@
 """Tables for spreadsheets and scripts, and a file for MATLAB (version 5) and GNU Octave.
 
-`json` is the correction as it is applied, with its formula (`tumble.result.applied_correction`).
+`json` is the correction as it is applied, with its formula (`tumble.result.correction`).
 
 `csv` has one quantity a row: name, value, u, unit, and for a parameter its prior, learned fraction, k, degrees of
 freedom and its covariance with every parameter, in a column of that name. `accel.matrix.2.1` is row 2, column 1 of M,
@@ -37,8 +37,8 @@ from tumble.export.exported import (
     numbers,
     origin,
 )
-from tumble.result.applied_correction import linear_example
 from tumble.result.calibration import Calibration
+from tumble.result.correction import linear_example
 from tumble.result.file import content_of
 from tumble.result.temperature_curves import Range, changing, curve, own_thermometers
 from tumble.sensors.model import UNITS

@@ -69,14 +69,16 @@ from tumble.export.exported import (
     yaml_list,
     yaml_number,
 )
-from tumble.result.applied_correction import linear_example
 from tumble.result.calibration import Calibration
+from tumble.result.correction import linear_example
 from tumble.sensors.model import WORDS, SensorKind, SensorModel
 from tumble.units import DEGREE, G_STANDARD, Array
 
 if TYPE_CHECKING:
     from jinja2.sandbox import SandboxedEnvironment
 
+LAYOUTS = Path(__file__).with_name("layouts")
+"""Where the files are that need code."""
 _FENCE = "+++\n"
 _TEST_DIGITS = 1e-6
 """By how much what a formula gives may differ from a template's test vector, m/s² or rad/s."""
@@ -266,13 +268,19 @@ def read_template(file: Path, name: str | None = None) -> Template:
     """A template from its file, called by its path in messages or by the name of its target. Raises InputError, one
     line, for a file that is none and for a formula that does not give its test vector."""
     called, text = name or str(file), text_of_document(file)
+    front, body = _parts(text, called)
+    line = text.count("\n") - body.count("\n")
+    template = Template(name=called, front=validated(Front, front, called), body=body, line=line)
+    template.check()
+    return template
+
+
+def _parts(text: str, called: str) -> tuple[dict[str, Any], str]:
+    """The front matter of a template and its body."""
     front, fence, body = text.removeprefix(_FENCE).partition(f"\n{_FENCE}")
     if not text.startswith(_FENCE) or not fence:
         raise InputError(f"{called}: expected a front matter of TOML between two lines +++, found none")
-    content = validated(Front, toml_of(front, called), called)
-    template = Template(name=called, front=content, body=body, line=text.count("\n") - body.count("\n"))
-    template.check()
-    return template
+    return toml_of(front, called), body
 
 
 def counts_per_si(
@@ -347,9 +355,15 @@ FUNCTIONS: Mapping[str, Callable[..., Array]] = {
 """Functions of expressions."""
 
 
+def front_of(layout: str) -> dict[str, Any]:
+    """The front matter of a file of `layouts/`."""
+    return _parts(text_of_document(LAYOUTS / layout), layout)[0]
+
+
 def laid_out(layout: str, **names: Any) -> str:
-    """The text of a file of `layouts/` with these names."""
-    body = Path(__file__).with_name("layouts").joinpath(layout).read_text(encoding="utf-8")
+    """The text of a file of `layouts/`, below its front matter where it has one, with these names."""
+    text = text_of_document(LAYOUTS / layout)
+    body = _parts(text, layout)[1] if text.startswith(_FENCE) else text
     return str(_environment().from_string(body).render(names))
 
 

@@ -21,3 +21,15 @@ def carry_back(by_next: Array, own: Array, with_next: Array) -> None: ...
 def whiten(
     noise: Array, directions: Array, component: IntArray, variance: Array, work: Array, factors: Array
 ) -> bool: ...
+def residuals(
+    rows: Array,
+    reduced: Array,
+    first: IntArray,
+    own: Array,
+    with_next: Array,
+    root: Array,
+    shared: Array,
+    residual: Array,
+    covariance: Array,
+    work: Array,
+) -> None: ...

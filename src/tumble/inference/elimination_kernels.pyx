@@ -207,6 +207,71 @@ cdef for_each_processor _carry_back(const double[:, :, ::1] by_next, double[:, :
                 own[i, a, b] = own[i, b, a] = total
 
 
+def residuals(
+    const double[:, :, ::1] rows, const double[:, :, ::1] reduced, const int64_t[:] first, const double[:, :, ::1] own,
+    const double[:, :, ::1] with_next, const double[:, ::1] root, const double[::1] shared, double[:, ::1] residual,
+    double[:, :, ::1] covariance, double[:, ::1] work,
+):
+    """Residuals of rows (K, t, ·) and their covariances 1 - A S A' - (E U)(E U)'.
+
+    rows, reduced : [A | ...] (K, t, u + w) and with the unknowns of the stations as they follow from all others, E.
+    first (K,) : station of each, or the first of two.
+    own, with_next : S, covariances of the unknowns of a station with themselves and with those of the next.
+    root (w - 1, w - 1), shared (w,) : upper triangle U, and what the columns of E are multiplied with.
+    work (t, u + w) : memory.
+    """
+    with nogil:
+        _residuals(rows, reduced, first, own, with_next, root, shared, residual, covariance, work)
+
+
+cdef for_each_processor _residuals(
+    const double[:, :, ::1] rows, const double[:, :, ::1] reduced, const int64_t[:] first, const double[:, :, ::1] own,
+    const double[:, :, ::1] with_next, const double[:, ::1] root, const double[::1] shared, double[:, ::1] residual,
+    double[:, :, ::1] covariance, double[:, ::1] work,
+) noexcept nogil:
+    """The same; `work` has A S and E U."""
+    cdef double part
+    t, d, w = rows.shape[1], own.shape[1], reduced.shape[2]
+    u = rows.shape[2] - w
+    for k in range(rows.shape[0]):
+        i = first[k]
+        work[:, :] = 0.0
+        for a in range(t):
+            residual[k, a] = -_dot(&reduced[k, a, 0], &shared[0], w)
+            for b in range(u):
+                part = rows[k, a, b]
+                if part != 0.0:
+                    for c in range(d):
+                        work[a, c] += part * (own[i, b, c] if b < d else with_next[i, c, b - d])
+                    for c in range(u - d):
+                        work[a, d + c] += part * (with_next[i, b, c] if b < d else own[i + 1, b - d, c])
+            for b in range(w - 1):
+                part = reduced[k, a, b]
+                if part != 0.0:
+                    for c in range(b, w - 1):
+                        work[a, u + c] += part * root[b, c]
+            for b in range(a + 1):
+                part = _dot(&work[a, 0], &rows[k, b, 0], u) + _dot(&work[a, u], &work[b, u], w - 1)
+                covariance[k, a, b] = covariance[k, b, a] = (1.0 if a == b else 0.0) - part
+
+
+cdef double _dot(const double* x, const double* y, Py_ssize_t n) noexcept nogil:
+    """The sum of products of n numbers, eight sums side by side."""
+    cdef double[8] sums
+    cdef double total = 0.0
+    cdef Py_ssize_t lane, i, whole = n - n % 8
+    for lane in range(8):
+        sums[lane] = 0.0
+    for i in range(0, whole, 8):
+        for lane in range(8):
+            sums[lane] += x[i + lane] * y[i + lane]
+    for i in range(whole, n):
+        total += x[i] * y[i]
+    for lane in range(8):
+        total += sums[lane]
+    return total
+
+
 cpdef bint whiten(
     const double[:, :, :] noise, const double[:, :, :] directions, const int64_t[:] component,
     const double[:] variance, double[:, ::1] work, double[:, :, ::1] factors,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 import scipy
@@ -76,7 +76,7 @@ class Outcome(Judgement):
     do: good accelerometers are not lost to bad gyros, and good scale factors not to bad biases. Of a verdict those at
     fault come first."""
 
-    json_fields = ("accepted", "verdict", "reasons", "remarks", "unobservable", "accel", "gyro", "groups")
+    json_fields = ("accepted", "verdict", "reasons", "remarks", "unobservable", "concerns", "accel", "gyro", "groups")
 
     unobservable: tuple[str, ...] = ()
     concerns: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
@@ -106,28 +106,6 @@ class Outcome(Judgement):
         """The groups of the linear model that are judged otherwise than their kind of sensors."""
         judged = ((group.name, self.of(group.kind), self.of(group.name)) for group in LINEAR)
         return {name: of_group for name, of_kind, of_group in judged if of_group != of_kind}
-
-    @staticmethod
-    def from_content(content: Mapping[str, Any]) -> Outcome:
-        """The outcome that a calibration file has."""
-        reasons, remarks, judged = content["reasons"], content.get("remarks", ()), content.get("groups", {})
-        concerns = dict[str, tuple[str, ...]]()
-        for sentence in (*reasons, *remarks):
-            by_kind = dict[str, list[str]]()
-            for group in LINEAR:
-                of_group = judged.get(group.name, content[group.kind])
-                if sentence in (*of_group["reasons"], *of_group["remarks"]):
-                    by_kind.setdefault(group.kind, []).append(group.name)
-            whole = {kind for kind, names in by_kind.items() if len(names) == len(LINEAR) / 2}
-            if whole != {"accel", "gyro"}:
-                parts = ([kind] if kind in whole else names for kind, names in by_kind.items())
-                concerns[sentence] = tuple(part for each in parts for part in each)
-        return Outcome(
-            reasons=tuple(reasons),
-            remarks=tuple(remarks),
-            unobservable=tuple(content.get("unobservable", ())),
-            concerns=concerns,
-        )
 
 
 def chance_of(chi_square: float, degrees: float) -> float:

@@ -33,9 +33,9 @@ NU = 4.0
 """Degrees of freedom of the rows of a robust fit."""
 LEAST_WEIGHT = 0.1
 """A row of less weight is left out."""
-STANDS_OUT = 3.0
-"""Sigmas by the scale of the others: where none is further out the maximum is as good as a robust one. One of
-fourteen turns that spoils that scale is never beyond 3.9."""
+STANDS_OUT = 0.1
+"""Probability that of all rests and turns, by the scale of the others, one is so far out: where none is, the maximum is
+as good as a robust one. One of fourteen turns that spoils that scale is never beyond 3.9 sigmas."""
 LEFT_OUT = (1e-6, 1e-6, 1e-6, 1e-12, 1e-12)
 """The weights of what is left out, by group: near steel a magnetometer is thousands of sigmas off."""
 FREE = 0.01

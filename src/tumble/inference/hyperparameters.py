@@ -32,8 +32,8 @@ Adding a hyperparameter is adding a class of `Hyperparameter` and an entry in `h
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Container, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -54,7 +54,6 @@ from tumble.inference.noise import (
     typical_noise,
 )
 from tumble.inference.normal_equations import (
-    NormalEquations,
     Solution,
     add_priors,
     eliminate_rests,
@@ -83,242 +82,14 @@ LEAST_DEGREES = 0.5
 end by rounding, that its variance would be divided."""
 
 
-# -------------------- quadratic forms --------------------
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class QuadraticForms:
-    """What the score of a variance v is made of: `square` v rᵀPDPr, `trace` v tr PD, and `double` v² tr PDPD."""
-
-    square: Array
-    trace: Array
-    double: Array
-
-    def __add__(self, other: QuadraticForms) -> QuadraticForms:
-        return QuadraticForms(
-            square=self.square + other.square, trace=self.trace + other.trace, double=self.double + other.double
-        )
-
-    def sum(self, some: slice | IntArray) -> QuadraticForms:
-        """Of some of the variances together, as if each were seen by itself."""
-        return QuadraticForms(
-            square=self.square[..., some].sum(), trace=self.trace[..., some].sum(), double=self.double[..., some].sum()
-        )
-
-
-class Score:
-    """The quadratic forms of a solution, each made when it is first asked for."""
-
-    def __init__(self, solution: Solution) -> None:
-        self.solution = solution
-
-    @cached_property
-    def _by_direction(self) -> tuple[list[Array], list[Array], list[Array], list[Array]]:
-        """Of rests, turns and links squares and traces (q,) by direction of scatter, sums of the squares of all
-        products (q, q), and where directions stand in SCATTER."""
-        solution, noise = self.solution, self.solution.equations.noise
-        out = list[Array](), list[Array](), list[Array](), list[Array]()
-        for W, (r, C), (Z, place) in (
-            (solution.equations.rest_whitening, solution.rest_residuals, noise.scaled_rest_directions),
-            (solution.equations.turn_whitening, solution.turn_residuals, noise.turn_directions),
-            (solution.equations.link_whitening, solution.link_residuals, noise.scaled_link_directions),
-        ):
-            WZ = W @ Z
-            products = np.swapaxes(WZ, -1, -2) @ C @ WZ
-            out[0].append(((r[:, None, :] @ WZ)[:, 0, :] ** 2).sum(axis=0))
-            out[1].append(np.diagonal(products, axis1=1, axis2=2).sum(axis=0))
-            out[2].append((products**2).sum(axis=0))
-            out[3].append(np.eye(len(SCATTER))[place])
-        return out
-
-    @cached_property
-    def scatter(self) -> QuadraticForms:
-        """By component of scatter (c,), `double` (c, c) with that of two together. Raises LinAlgError where residuals
-        are beyond all measure."""
-        v = self.solution.components.variances
-        squares, traces, _, kinds = self._by_direction
-        square = v * sum(each @ kind for each, kind in zip(squares, kinds, strict=True))
-        trace = v * sum(each @ kind for each, kind in zip(traces, kinds, strict=True))
-        double = np.outer(v, v) * self.scatter_products
-        if not (np.isfinite(square - trace).all() and np.isfinite(double).all()):
-            raise np.linalg.LinAlgError("residuals are beyond all measure")
-        return QuadraticForms(square=square, trace=trace, double=double)
-
-    @cached_property
-    def scatter_products(self) -> Array:
-        """tr PD_aPD_b (c, c) of the components of scatter, by the parts within a rest and within a turn."""
-        _, _, doubles, kinds = self._by_direction
-        return np.asarray(sum(kind.T @ each @ kind for each, kind in zip(doubles, kinds, strict=True)))
-
-    @cached_property
-    def sensors(self) -> QuadraticForms:
-        """By sensor (n,), of its scatter at rest and of its in-run bias."""
-        v, (accelerometers, gyros) = self.solution.components.variances, self.solution.equations.noise.sensors
-        of_kind = np.repeat(v[:2], [accelerometers, gyros])
-        known = np.full(len(of_kind), 0.5 * SENSED * len(self.solution.problem.link))
-        scatter = QuadraticForms(
-            square=of_kind * self._by_direction[0][0][: len(of_kind)],
-            trace=of_kind * self._by_direction[1][0][: len(of_kind)],
-            double=known,
-        )
-        n, of_states = len(of_kind), self.states
-        return scatter + QuadraticForms(
-            square=of_states.square[:n], trace=of_states.trace[:n], double=of_states.double[:n]
-        )
-
-    @cached_property
-    def _steps(self) -> tuple[Array, Array, Array]:
-        """Squares of the steps of the states and of those that begin a chain, expected from their values (M, s), the
-        variances of both, and of each step that follows a station the slope by ln τ."""
-        solution, noise = self.solution, self.solution.equations.noise
-        states, follows = slice(noise.unknowns - noise.states, None), noise.follows
-        first, here = np.append(True, ~follows[:-1]), np.flatnonzero(follows)
-        b, root = solution.states, solution.along(states)
-        given, with_next = np.diagonal(solution.conditional_covariances, axis1=-2, axis2=-1)[..., states]
-        variance = given + (root**2).sum(axis=-1)
-        with_next = with_next[here] + (root[here] * root[here + 1]).sum(axis=-1)
-        rho, square = noise.state_rho[here], noise.state_step[here] ** 2
-        value = np.concatenate([(b[here + 1] - rho * b[here]) ** 2 / square, b[first] ** 2])
-        unknown = (variance[here + 1] - 2.0 * rho * with_next + rho**2 * variance[here]) / square
-        across = b[here] * b[here + 1] + with_next - rho * (b[here] ** 2 + variance[here])
-        lapse = noise.state_lapse[here]
-        growth = np.where(np.isfinite(lapse), lapse, 0.0) * rho
-        by_time = growth * (across + rho * (1.0 - value[: len(here)] - unknown)) / square
-        return value, np.concatenate([unknown, variance[first]]), by_time
-
-    @cached_property
-    def states(self) -> QuadraticForms:
-        """By state (s,), in-run biases of the sensors first; `double` takes a step for known or unknown."""
-        if not self.solution.equations.noise.states:
-            nothing = np.zeros(self.solution.problem.sensors)
-            return QuadraticForms(square=nothing, trace=nothing, double=nothing)
-        square, unknown, _ = self._steps
-        known = np.clip(1.0 - unknown, 0.0, 1.0).sum(axis=0)
-        return QuadraticForms(square=square.sum(axis=0), trace=(1.0 - unknown).sum(axis=0), double=known)
-
-    @cached_property
-    def times(self) -> Array:
-        """∂ℓ/∂ln τ by state (s,)."""
-        moves = self.solution.equations.noise.states > 0
-        return self._steps[2].sum(axis=0) if moves else np.zeros(len(self.states.square))
-
-    @cached_property
-    def priors(self) -> QuadraticForms:
-        """By parameter (m,), of its prior."""
-        solution, problem = self.solution, self.solution.problem
-        q = solution.local.shape[-1]
-        off = solution.linearisation.point.values + solution.parameters[1:] - problem.prior_mean[1:]
-        return _of_priors(off, (solution.roots[0, q + 1 :] ** 2).sum(axis=-1), problem.prior_u[1:])
-
-    @cached_property
-    def local_priors(self) -> QuadraticForms:
-        """By parameter that sessions have beside (S, q), of its prior."""
-        solution = self.solution
-        q, off = solution.local.shape[-1], solution.linearisation.point.local + solution.local
-        return _of_priors(off, (solution.roots[:, :q] ** 2).sum(axis=-1), solution.problem.local_u)
-
-
-def _of_priors(off: Array, variance: Array, size: Array) -> QuadraticForms:
-    """The forms of priors of standard deviations `size` by values and variances."""
-    square = np.where(size > 0.0, size, np.inf) ** 2
-    learned = 1.0 - variance / square
-    return QuadraticForms(square=off**2 / square, trace=learned, double=np.clip(learned, 0.0, 1.0))
-
-
 # -------------------- components --------------------
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Scales:
-    """What hyperparameters set: standard deviations and times of `VarianceComponents` by name, and factors of sensors
-    (n,), of parameters (m,) and of those that sessions have beside (q,)."""
-
-    components: dict[str, Any]
-    sensors: Array
-    groups: Array
-    local: Array
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class WorkingVariates:
-    """Working variates D P r of D hyperparameters (…, D), whitened: of rows of rests (N, r), turns (K, t) and links
-    (J, 9), of steps of the states (M, s) and of the first ones of each session (S, s), of priors (m,) and (S, q)."""
-
-    solution: Solution
-    rest: Array
-    turn: Array
-    link: Array
-    steps: Array
-    begins: Array
-    prior: Array
-    local: Array
-
-    @staticmethod
-    def of(solution: Solution, count: int) -> WorkingVariates:
-        """Zeros, of so many hyperparameters."""
-        equations, problem, n = solution.equations, solution.problem, solution.equations.noise.states
-        shapes = {
-            "rest": equations.rest_rows.shape[:2],
-            "turn": equations.turn_rows.shape[:2],
-            "link": equations.link_rows.shape[:2],
-            "steps": (len(problem.link), n),
-            "begins": (len(problem.parts), n),
-            "prior": problem.prior_u[1:].shape,
-            "local": solution.local.shape,
-        }
-        return WorkingVariates(solution=solution, **{name: np.zeros((*of, count)) for name, of in shapes.items()})
-
-    def add_scatter(self, column: int, rest: BoolArray, turn: BoolArray, link: BoolArray) -> None:
-        """Those of some directions of scatter: v Z Zᵀ W r."""
-        solution, noise = self.solution, self.solution.equations.noise
-        for out, W, (r, _), (Z, place), some in (
-            (self.rest, solution.equations.rest_whitening, solution.rest_residuals, noise.scaled_rest_directions, rest),
-            (self.turn, solution.equations.turn_whitening, solution.turn_residuals, noise.turn_directions, turn),
-            (self.link, solution.equations.link_whitening, solution.link_residuals, noise.scaled_link_directions, link),
-        ):
-            if some.any():
-                WZ = W @ Z[:, :, some]
-                along = (r[:, None, :] @ WZ)[:, 0] * solution.components.variances[place[some]]
-                out[..., column] += 2.0 * (WZ @ along[:, :, None])[:, :, 0]
-
-    def add_sizes(self, column: int, sensors: slice | IntArray) -> None:
-        """Those of the size of states: the residuals of the steps."""
-        if self.solution.equations.noise.states:
-            steps, begins = self._residual_steps
-            self.steps[:, sensors, column] += 2.0 * steps[:, sensors]
-            self.begins[:, sensors, column] += 2.0 * begins[:, sensors]
-
-    def add_times(self, column: int, sensors: slice | IntArray) -> None:
-        """Those of the correlation time. With S β the steps, of variances V, and w = V⁻¹ S β, it changes the covariance
-        S⁻¹ V S⁻ᵀ of the states so that the variate is −V^{−½} (−∂S β − V S⁻ᵀ ∂Sᵀ w + ∂V w)."""
-        noise, first = self.solution.equations.noise, [part.stations.start for part in self.solution.problem.parts]
-        b, follows = self.solution.states, noise.follows[:, None]
-        lapse = np.where(follows & np.isfinite(noise.state_lapse), noise.state_lapse, 0.0)
-        rho, step = np.where(follows, noise.state_rho, 0.0), np.where(follows, noise.state_step, 1.0)
-        slope, residual = rho * lapse, np.zeros_like(b)
-        residual[:-1] = (b[1:] - rho[:-1] * b[:-1]) / step[:-1] ** 2  # w of the step that follows a rest
-        back = np.ascontiguousarray(-slope * residual)
-        along_chains(rho[:, :, None] * np.eye(b.shape[1]), back[:, :, None])
-        after = np.append(back[1:], np.zeros((1, b.shape[1])), axis=0)
-        changed = slope * b - step**2 * after - 2.0 * rho * slope * residual
-        self.steps[:, sensors, column] -= np.where(follows, changed / step, 0.0)[:, sensors]
-        self.begins[:, sensors, column] += back[first][:, sensors]
-
-    @property
-    def _residual_steps(self) -> tuple[Array, Array]:
-        """Whitened residuals of the steps that follow stations (M, s) and of the first states of sessions (S, s)."""
-        noise, b = self.solution.equations.noise, self.solution.states
-        steps, here = np.zeros_like(b), np.flatnonzero(noise.follows)
-        steps[here] = -(b[here + 1] - noise.state_rho[here] * b[here]) / noise.state_step[here]
-        return steps, -b[[part.stations.start for part in self.solution.problem.parts]]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Hyperparameter:
     """An element of φ: its name, unit and words, its usual value, SI, about which its prior is, and the standard
-    deviation `within` of that in the logarithm; `members` are the sensors or parameters that it concerns.
-
-    Subclasses say where it enters, what it scales, its score, and its working variate."""
+    deviation `within` of that in the logarithm; `members` are the sensors or parameters that it concerns. Subclasses
+    say what it is."""
 
     bounded: ClassVar[bool] = False
     """Whether values below zero are those at zero: p of λ = exp(max(p, 0))."""
@@ -343,24 +114,7 @@ class Hyperparameter:
         """The logarithm of the prior density of φ less a constant, its derivative, and the curvature of its negative:
         normal."""
         z = (phi - self.centre) / self.within
-        return -0.5 * z * z, -z / self.within, np.broadcast_to(self.within**-2.0, z.shape)
-
-    def apply(self, value: Array, scales: Scales) -> None:
-        """Enter a value, or a stack of them."""
-        raise NotImplementedError
-
-    def forms(self, score: Score) -> QuadraticForms:
-        """The quadratic forms of its variance."""
-        raise NotImplementedError
-
-    def slope(self, score: Score) -> tuple[float, float]:
-        """∂ ln L/∂φ of the restricted likelihood, and its information as far as it is had in closed form."""
-        forms = self.forms(score)
-        return float(forms.square - forms.trace), 2.0 * float(forms.double)
-
-    def write_variate(self, column: int, variates: WorkingVariates) -> None:
-        """Enter its working variate."""
-        raise NotImplementedError
+        return -0.5 * z * z, -z / self.within, np.full_like(z, self.within**-2.0)
 
 
 class Scatter(Hyperparameter):
@@ -377,57 +131,17 @@ class Scatter(Hyperparameter):
             return z - 2.0 * np.log1p(x), (1.0 - x) / (1.0 + x), 2.0 * x / (1.0 + x) ** 2
         return z - x, 1.0 - x, x
 
-    def apply(self, value: Array, scales: Scales) -> None:
-        """Set the standard deviation."""
-        scales.components[self.name] = value
-
-    def forms(self, score: Score) -> QuadraticForms:
-        """Those of its directions."""
-        i, of = SCATTER.index(self.name), score.scatter
-        return QuadraticForms(square=of.square[i], trace=of.trace[i], double=of.double[i, i])
-
-    def write_variate(self, column: int, variates: WorkingVariates) -> None:
-        """Along its directions."""
-        noise = variates.solution.equations.noise
-        every = noise.rest_directions, noise.turn_directions, noise.link_directions
-        places = (place == SCATTER.index(self.name) for _, place in every)
-        variates.add_scatter(column, *places)
-
 
 class InRunSize(Hyperparameter):
     """ln σ_b of a kind of sensors."""
 
     __slots__ = ()
 
-    def apply(self, value: Array, scales: Scales) -> None:
-        """Set the standard deviation."""
-        scales.components[self.name] = value
-
-    def forms(self, score: Score) -> QuadraticForms:
-        """Those of its steps."""
-        return score.states.sum(self.members)
-
-    def write_variate(self, column: int, variates: WorkingVariates) -> None:
-        """In the steps of the states."""
-        variates.add_sizes(column, self.members)
-
 
 class CorrelationTime(Hyperparameter):
     """ln τ_b of a kind of sensors."""
 
     __slots__ = ()
-
-    def apply(self, value: Array, scales: Scales) -> None:
-        """Set the time."""
-        scales.components[self.name] = value
-
-    def slope(self, score: Score) -> tuple[float, float]:
-        """Eq. (25)."""
-        return float(score.times[self.members].sum()), 0.5 * float(score.states.double[self.members].sum())
-
-    def write_variate(self, column: int, variates: WorkingVariates) -> None:
-        """In the steps of the states."""
-        variates.add_times(column, self.members)
 
 
 class SensorFactor(Hyperparameter):
@@ -436,43 +150,12 @@ class SensorFactor(Hyperparameter):
     __slots__ = ()
     bounded = True
 
-    def apply(self, value: Array, scales: Scales) -> None:
-        """Multiply them."""
-        scales.sensors[..., self.members] *= value[..., None]
-
-    def forms(self, score: Score) -> QuadraticForms:
-        """Those of its scatter and of its steps."""
-        return score.sensors.sum(self.members)
-
-    def write_variate(self, column: int, variates: WorkingVariates) -> None:
-        """Along its direction at rest, and in the steps of its state."""
-        noise = variates.solution.equations.noise
-        rest = np.zeros(len(noise.rest_directions[1]), dtype=bool)
-        rest[self.members] = True
-        none = (np.zeros(len(place), dtype=bool) for _, place in (noise.turn_directions, noise.link_directions))
-        variates.add_scatter(column, rest, *none)
-        variates.add_sizes(column, self.members)
-
 
 class GroupSize(Hyperparameter):
     """p of the size of a group of parameters."""
 
     __slots__ = ()
     bounded = True
-
-    def apply(self, value: Array, scales: Scales) -> None:
-        """Multiply the standard deviations of the priors."""
-        scales.groups[..., self.members] *= value[..., None]
-
-    def forms(self, score: Score) -> QuadraticForms:
-        """Those of its priors (26)."""
-        return score.priors.sum(self.members)
-
-    def write_variate(self, column: int, variates: WorkingVariates) -> None:
-        """In its priors."""
-        problem, solution = variates.solution.problem, variates.solution
-        off = solution.linearisation.point.values + solution.parameters[1:] - problem.prior_mean[1:]
-        variates.prior[self.members, column] = -2.0 * (off / problem.prior_u[1:])[self.members]
 
 
 class LocalGroupSize(Hyperparameter):
@@ -481,19 +164,207 @@ class LocalGroupSize(Hyperparameter):
     __slots__ = ()
     bounded = True
 
-    def apply(self, value: Array, scales: Scales) -> None:
-        """Multiply the standard deviations of the priors."""
-        scales.local[..., self.members] *= value[..., None]
 
-    def forms(self, score: Score) -> QuadraticForms:
-        """Those of its priors in all sessions."""
-        return score.local_priors.sum(self.members)
+class Hyperparameters(tuple[Hyperparameter, ...]):
+    """φ, with what its elements have as arrays."""
 
-    def write_variate(self, column: int, variates: WorkingVariates) -> None:
-        """In its priors."""
-        solution = variates.solution
-        off = (solution.linearisation.point.local + solution.local) / solution.problem.local_u
-        variates.local[:, self.members, column] = -2.0 * off[:, self.members]
+    @cached_property
+    def bounded(self) -> BoolArray:
+        """Which elements (D,) are p of λ = exp(max(p, 0))."""
+        return np.array([h.bounded for h in self], dtype=bool)
+
+    @cached_property
+    def centre(self) -> Array:
+        """The most likely φ (D,) by the prior alone."""
+        return np.array([h.centre for h in self])
+
+    @cached_property
+    def _normal(self) -> tuple[Array, list[int]]:
+        """1/within (D,), 0 where the prior is not normal, and these elements."""
+        others = [i for i, h in enumerate(self) if isinstance(h, Scatter)]
+        return np.array([0.0 if isinstance(h, Scatter) else 1.0 / h.within for h in self]), others
+
+    def log_prior(self, phi: Array) -> Array:
+        """Of every element the logarithm of the prior density of φ (D,), less a constant, its derivative, and the
+        curvature of its negative (3, D)."""
+        narrow, others = self._normal
+        out, z = np.empty((3, *phi.shape)), (phi - self.centre) * narrow
+        out[0], out[1], out[2] = -0.5 * z * z, -z * narrow, narrow * narrow
+        for i in others:
+            out[..., i] = self[i].log_prior(phi[..., i])
+        return out
+
+    @cached_property
+    def _members(self) -> dict[tuple[type[Hyperparameter], int], Array]:
+        return {}
+
+    def members(self, kind: type[Hyperparameter], count: int) -> Array:
+        """Which of so many components, sensors, states or parameters the elements of a kind concern (D, count)."""
+        if (kind, count) not in self._members:
+            out = self._members[kind, count] = np.zeros((len(self), count))
+            for i, h in enumerate(self):
+                if isinstance(h, kind):
+                    out[i, h.members] = 1.0
+        return self._members[kind, count]
+
+
+# -------------------- score --------------------
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class QuadraticForms:
+    """What the score of a variance v is made of: `square` v rᵀPDPr, `trace` v tr PD, and `double` v² tr PDPD."""
+
+    square: Array
+    trace: Array
+    double: Array
+
+
+class Score:
+    """The quadratic forms of a solution, each made when it is first asked for."""
+
+    def __init__(self, solution: Solution) -> None:
+        self.solution, self.noise, self.variances = (
+            solution,
+            solution.equations.noise,
+            solution.equations.noise.variances,
+        )
+
+    @cached_property
+    def directions(self) -> tuple[tuple[Array, Array, IntArray], ...]:
+        """Of rests, turns and links the whitened directions W Z (N, r, q) of scatter, what residuals have along them
+        (N, q), and where these stand in SCATTER."""
+        equations, noise = self.solution.equations, self.noise
+        out = list[tuple[Array, Array, IntArray]]()
+        rest, turn, link = noise.seen_directions
+        for W, (r, _), (Z, place) in (
+            (equations.rest_whitening, self.solution.rest_residuals, rest),
+            (equations.turn_whitening, self.solution.turn_residuals, turn),
+            (equations.link_whitening, self.solution.link_residuals, link),
+        ):
+            WZ = W @ Z
+            out.append((WZ, (r[:, None] @ WZ)[:, 0], place))
+        return tuple(out)
+
+    @cached_property
+    def _products(self) -> list[Array]:
+        """Zᵀ P Z (N, q, q) of the directions within a rest, a turn or a link."""
+        solution = self.solution
+        every = solution.rest_residuals, solution.turn_residuals, solution.link_residuals
+        return [np.swapaxes(WZ, -1, -2) @ (C @ WZ) for (WZ, _, _), (_, C) in zip(self.directions, every, strict=True)]
+
+    @cached_property
+    def scatter(self) -> QuadraticForms:
+        """By component of scatter (c,). Raises LinAlgError where residuals are beyond all measure."""
+        square, trace = np.zeros(len(SCATTER)), np.zeros(len(SCATTER))
+        for (_, along, place), products in zip(self.directions, self._products, strict=True):
+            square += np.bincount(place, (along**2).sum(axis=0), len(SCATTER))
+            trace += np.bincount(place, np.einsum("kqq->q", products), len(SCATTER))
+        v, double = self.variances, self.scatter_products.diagonal()
+        if not np.isfinite(square.sum() + trace.sum() + double.sum()):
+            raise np.linalg.LinAlgError("residuals are beyond all measure")
+        return QuadraticForms(square=v * square, trace=v * trace, double=v * v * double)
+
+    @cached_property
+    def scatter_products(self) -> Array:
+        """tr PD_aPD_b (c, c) of the components of scatter, by the parts within a rest and within a turn."""
+        out = np.zeros((len(SCATTER), len(SCATTER)))
+        for (_, _, place), products in zip(self.directions, self._products, strict=True):
+            kind = np.eye(len(SCATTER))[place]
+            out += kind.T @ (products**2).sum(axis=0) @ kind
+        return out
+
+    @cached_property
+    def sensors(self) -> QuadraticForms:
+        """By sensor (n,), of its scatter at rest and of its in-run bias."""
+        of_states, (_, along, place) = self.states, self.directions[0]
+        n = self.solution.problem.sensors
+        v = self.variances[place[:n]]
+        return QuadraticForms(
+            square=v * (along[:, :n] ** 2).sum(axis=0) + of_states.square[:n],
+            trace=v * np.einsum("kqq->q", self._products[0])[:n] + of_states.trace[:n],
+            double=0.5 * SENSED * len(self.solution.problem.link) + of_states.double[:n],
+        )
+
+    @cached_property
+    def _steps(self) -> tuple[Array, Array, Array]:
+        """Squares of the steps of the states and of those that begin a chain, expected from their values (M, s), the
+        variances of both, and of each step that follows a station the slope by ln τ."""
+        solution, noise = self.solution, self.noise
+        states, here = slice(noise.unknowns - noise.states, None), np.flatnonzero(noise.follows)
+        first = np.append(True, ~noise.follows[:-1])
+        b, root = solution.states, solution.along(states)
+        given, with_next = np.diagonal(solution.conditional_covariances, axis1=-2, axis2=-1)[..., states]
+        variance = given + (root**2).sum(axis=-1)
+        with_next = (with_next[:-1] + (root[:-1] * root[1:]).sum(axis=-1))[here]
+        rho, square, now, after = noise.state_rho[here], noise.state_step[here] ** 2, b[here], b[here + 1]
+        step, known = after - rho * now, variance[here]
+        value = step**2 / square
+        unknown = (variance[here + 1] - rho * (2.0 * with_next - rho * known)) / square
+        lapse = noise.state_lapse[here]
+        growth = np.where(np.isfinite(lapse), lapse, 0.0) * rho
+        by_time = growth * (step * now + with_next - rho * known + rho * (1.0 - value - unknown)) / square
+        return np.concatenate([value, b[first] ** 2]), np.concatenate([unknown, variance[first]]), by_time
+
+    @cached_property
+    def states(self) -> QuadraticForms:
+        """By state (s,), in-run biases of the sensors first; `double` takes a step for known or unknown."""
+        if not self.noise.states:
+            nothing = np.zeros(self.solution.problem.sensors)
+            return QuadraticForms(square=nothing, trace=nothing, double=nothing)
+        square, unknown, _ = self._steps
+        known = 1.0 - unknown
+        return QuadraticForms(
+            square=square.sum(axis=0), trace=known.sum(axis=0), double=np.clip(known, 0.0, 1.0).sum(axis=0)
+        )
+
+    @cached_property
+    def times(self) -> QuadraticForms:
+        """Those of which ∂ℓ/∂ln τ by state (s,) is as if of a variance."""
+        slope = self._steps[2].sum(axis=0) if self.noise.states else np.zeros(len(self.states.square))
+        return QuadraticForms(square=slope, trace=np.zeros_like(slope), double=0.25 * self.states.double)
+
+    @cached_property
+    def priors(self) -> QuadraticForms:
+        """By parameter (m,), of its prior."""
+        solution, problem = self.solution, self.solution.problem
+        q = solution.local.shape[-1]
+        off = solution.linearisation.point.values + solution.parameters[1:] - problem.prior_mean[1:]
+        return _of_priors(off, (solution.roots[0, q + 1 :] ** 2).sum(axis=-1), problem.prior_u[1:])
+
+    @cached_property
+    def local_priors(self) -> QuadraticForms:
+        """By parameter that sessions have beside (q,), of its prior in all of them."""
+        solution = self.solution
+        q, off = solution.local.shape[-1], solution.linearisation.point.local + solution.local
+        each = _of_priors(off, (solution.roots[:, :q] ** 2).sum(axis=-1), solution.problem.local_u)
+        return QuadraticForms(
+            square=each.square.sum(axis=0), trace=each.trace.sum(axis=0), double=each.double.sum(axis=0)
+        )
+
+    def of(self, hyperparameters: Hyperparameters) -> QuadraticForms:
+        """By element of φ (D,)."""
+        every = {
+            Scatter: self.scatter,
+            InRunSize: self.states,
+            CorrelationTime: self.times,
+            SensorFactor: self.sensors,
+            GroupSize: self.priors,
+            LocalGroupSize: self.local_priors,
+        }
+        some = np.hstack([hyperparameters.members(kind, len(of.square)) for kind, of in every.items()])
+        square, trace, double = (
+            some @ np.concatenate([getattr(of, name) for of in every.values()])
+            for name in ("square", "trace", "double")
+        )
+        return QuadraticForms(square=square, trace=trace, double=double)
+
+
+def _of_priors(off: Array, variance: Array, size: Array) -> QuadraticForms:
+    """The forms of priors of standard deviations `size` by values and variances."""
+    square = np.where(size > 0.0, size, np.inf) ** 2
+    learned = 1.0 - variance / square
+    return QuadraticForms(square=off**2 / square, trace=learned, double=np.clip(learned, 0.0, 1.0))
 
 
 def size_factors(
@@ -509,7 +380,7 @@ def size_factors(
     }
 
 
-def hyperparameters_of(problem: Problem, noise: NoiseModel, seen: BoolArray) -> tuple[Hyperparameter, ...]:
+def hyperparameters_of(problem: Problem, noise: NoiseModel, seen: BoolArray) -> Hyperparameters:
     """The hyperparameters of a problem: the components of scatter (c,) that are `seen`, the in-run biases, and the
     groups whose size is by a prior."""
     observations, blocks, out = problem.observations, problem.instrument.blocks, list[Hyperparameter]()
@@ -529,7 +400,7 @@ def hyperparameters_of(problem: Problem, noise: NoiseModel, seen: BoolArray) -> 
             beside.append(size[length > 0.0] / length[length > 0.0] ** 2)
         if len(every := np.concatenate(beside)):
             usual = 1.0 if name in LINK_SCATTER else float(np.sqrt(np.median(every)))
-            out.append(Scatter(name=name, unit=unit, words=words, usual=usual))
+            out.append(Scatter(name=name, unit=unit, words=words, usual=usual, members=slice(number, number + 1)))
 
     # in-run biases of both kinds, and sensors whose bias wanders more than that of the others
     rests, first = observations.rests, 0
@@ -566,7 +437,7 @@ def hyperparameters_of(problem: Problem, noise: NoiseModel, seen: BoolArray) -> 
             members = np.concatenate([np.arange(each.start, each.stop) for each in with_it])
             too_small = observations.too_small.get(name, STATED)
             out.append(kind_of_size(**_factor(name, f"size of {name} over the usual one", too_small, members)))
-    return tuple(out)
+    return Hyperparameters(out)
 
 
 def _displacement(first: int) -> tuple[Hyperparameter, Hyperparameter]:
@@ -594,120 +465,122 @@ def _factor(name: str, words: str, too_small: float, members: slice | IntArray) 
 # -------------------- likelihood --------------------
 
 
-def scaled(
-    problem: Problem, hyperparameters: Sequence[Hyperparameter], phi: Array
-) -> tuple[Problem, VarianceComponents]:
+def scaled(problem: Problem, hyperparameters: Hyperparameters, phi: Array) -> tuple[Problem, VarianceComponents]:
     """The problem with the priors of its groups as large as φ (D,) says, and the components of variance; or stacks."""
-    stack, m = phi.shape[:-1], len(problem.usual_u) - 1
-    scales = Scales(
-        components=dict.fromkeys(SCATTER, np.zeros(stack)[()]),
-        sensors=np.ones((*stack, problem.sensors)),
-        groups=np.ones((*stack, m)),
-        local=np.ones((*stack, len(problem.usual_local_u))),
-    )
-    for i, h in enumerate(hyperparameters):
-        h.apply(np.asarray(h.value(phi[..., i])), scales)
-    known = np.broadcast_to(problem.usual_u, (*stack, 1 + m)).copy()
-    known[..., 1:] *= scales.groups
-    components = VarianceComponents(**scales.components, unlike=scales.sensors)
-    return replace(problem, prior_u=known, local_u=problem.usual_local_u * scales.local), components
+    p, values = np.maximum(phi, 0.0), np.exp(phi)
+
+    def factors(kind: type[Hyperparameter], count: int) -> Array:
+        return np.exp(p @ hyperparameters.members(kind, count))
+
+    components: dict[str, Any] = {h.name: values[..., i] for i, h in enumerate(hyperparameters) if not h.bounded}
+    prior_u = np.broadcast_to(problem.usual_u, (*phi.shape[:-1], len(problem.usual_u))).copy()
+    prior_u[..., 1:] *= factors(GroupSize, len(problem.usual_u) - 1)
+    local_u = problem.usual_local_u * factors(LocalGroupSize, len(problem.usual_local_u))
+    unlike = factors(SensorFactor, problem.sensors)
+    none = dict.fromkeys(SCATTER, np.zeros(phi.shape[:-1])[()])
+    return problem.with_sizes(prior_u, local_u), VarianceComponents(**(none | components), unlike=unlike)
 
 
-def log_prior(hyperparameters: Sequence[Hyperparameter], phi: Array) -> Array:
+def log_prior(hyperparameters: Hyperparameters, phi: Array) -> Array:
     """Of every element the logarithm of the prior density of φ (D,), less a constant, its derivative, and the curvature
     of its negative (3, D)."""
-    every = [h.log_prior(phi[..., i]) for i, h in enumerate(hyperparameters)]
-    return np.stack([np.stack(each, axis=-1) for each in zip(*every, strict=True)]) if every else np.zeros((3, 0))
+    return hyperparameters.log_prior(phi)
 
 
-def restricted_likelihood(
-    linearisation: Linearisation,
-    hyperparameters: Sequence[Hyperparameter],
-    phi: Array,
-    equations: NormalEquations | None = None,
-) -> Solution:
-    """The solution, with ℓ, at φ (D,) or at a stack (P, D) of them.
-
-    Parameters
-    ----------
-    linearisation
-        The rows, with priors of any size.
-    hyperparameters, phi
-        The elements of φ, and their values.
-    equations
-        The normal equations, where these are known: no component of variance differs from those that they have.
-    """
+def restricted_likelihood(linearisation: Linearisation, hyperparameters: Hyperparameters, phi: Array) -> Solution:
+    """The solution, with ℓ, at φ (D,) or at a stack (P, D) of them; the linearisation has priors of any size."""
     problem, components = scaled(linearisation.problem, hyperparameters, phi)
     here = linearisation.with_priors(problem).with_components(components)
-    prior = log_prior(hyperparameters, phi)[0].sum(axis=-1)
-    return add_priors(here, equations or eliminate_rests(here), phi, prior)
+    return add_priors(here, eliminate_rests(here), phi, hyperparameters.log_prior(phi)[0].sum(axis=-1))
 
 
-def score(hyperparameters: Sequence[Hyperparameter], solution: Solution) -> tuple[Array, Array]:
+def score(hyperparameters: Hyperparameters, solution: Solution) -> tuple[Array, Array]:
     """Gradient (D,) of ℓ, and its information (D, D) as far as it is had in closed form: of components of scatter that
     of two together, else each for itself."""
-    forms, prior = Score(solution), log_prior(hyperparameters, solution.phi)
-    slopes = np.array([h.slope(forms) for h in hyperparameters]).reshape(-1, 2).T
-    information = np.diag(slopes[1] + prior[2])
-    scatter = [i for i, h in enumerate(hyperparameters) if isinstance(h, Scatter)]
-    places = [SCATTER.index(hyperparameters[i].name) for i in scatter]
-    information[np.ix_(scatter, scatter)] = 2.0 * forms.scatter.double[np.ix_(places, places)] + np.diag(
-        prior[2, scatter]
-    )
-    return slopes[0] + prior[1], information
+    score, prior = Score(solution), hyperparameters.log_prior(solution.phi)
+    forms, some = score.of(hyperparameters), hyperparameters.members(Scatter, len(SCATTER))
+    along = some * score.variances
+    together = along @ score.scatter_products @ along.T
+    information = 2.0 * together + np.diag(2.0 * (forms.double - together.diagonal()) + prior[2])
+    return forms.square - forms.trace + prior[1], information
 
 
-def average_information(hyperparameters: Sequence[Hyperparameter], solution: Solution) -> Array:
+def average_information(hyperparameters: Hyperparameters, solution: Solution) -> Array:
     """The average of observed and expected information (D, D) of ℓ, with the curvature of the prior.
 
     With the working variates Q = [∂V/∂φ_a P r] of all rows it is ½ QᵀPQ (Gilmour, Thompson and Cullis 1995): Q are
     further right-hand sides of the elimination, of which its triangle has what no unknown explains.
     """
     linearisation, equations, problem = solution.linearisation, solution.equations, solution.problem
-    D, point = len(hyperparameters), solution.linearisation.point
-    variates = WorkingVariates.of(solution, D)
-    for column, h in enumerate(hyperparameters):
-        h.write_variate(column, variates)
+    noise, point, D = equations.noise, solution.linearisation.point, len(hyperparameters)
+    d, q, sides, states = equations.unknowns, solution.local.shape[-1], slice(-1 - D, -1), equations.noise.states
+
+    # working variates, whitened: along the directions of scatter v Z Zᵀ W r, of priors their residuals
+    of_scatter = hyperparameters.members(Scatter, len(SCATTER))
+    of_sensors = hyperparameters.members(SensorFactor, problem.sensors)
+    variates = list[Array]()
+    for number, (WZ, along, place) in enumerate(Score(solution).directions):
+        some = of_scatter[:, place]
+        some[:, : problem.sensors] += of_sensors if number == 0 else 0.0
+        variates.append((2.0 * noise.variances[place] * along[:, None] * WZ) @ some.T)
+    off = point.values + solution.parameters[1:] - problem.prior_mean[1:]
+    of_prior = -2.0 * (off / problem.prior_u[1:])[:, None] * hyperparameters.members(GroupSize, len(off)).T
+    off_local = (point.local + solution.local) / problem.local_u
+    of_local = -2.0 * off_local[..., None] * hyperparameters.members(LocalGroupSize, q).T
 
     def beside(rows: Array, columns: Array) -> Array:
         return np.concatenate([rows[..., :-1], columns, rows[..., -1:]], axis=-1)
 
-    d, q, sides = equations.unknowns, solution.local.shape[-1], slice(-1 - D, -1)
-    rest, turn, link = (
-        beside(rows, columns)
-        for rows, columns in (
-            (equations.rest_rows, variates.rest),
-            (equations.turn_rows, variates.turn),
-            (equations.link_rows, variates.link),
-        )
-    )
-    states = equations.noise.states
-    rest, joints = station_rows(problem, rest), turn
+    every = equations.rest_rows, equations.turn_rows, equations.link_rows
+    rest, turn, link = (beside(rows, columns) for rows, columns in zip(every, variates, strict=True))
+    rest, joints, of_begins = station_rows(problem, rest), turn, np.zeros((len(problem.parts), 0, D))
     if states:
         joints = joint_rows(linearisation, turn, link)
-        joints[:, -states:, sides] = variates.steps
+        joints[:, -states:, sides], of_begins = _variates_of_states(hyperparameters, solution)
     width, p = rest.shape[2] - d, len(problem.prior_u)
     common = np.zeros((p + D + 1, p + D + 1), order="F")
-    u, expected = problem.prior_u, problem.prior_mean - np.append(point.gravity, point.values)
     rows = np.zeros((p, p + D + 1))
-    np.fill_diagonal(rows, np.divide(1.0, u, out=np.zeros(p), where=u > 0.0))
-    rows[:, -1] = rows.diagonal() * expected
-    rows[1:, p:-1] = variates.prior
+    np.fill_diagonal(rows, np.divide(1.0, problem.prior_u, out=np.zeros(p), where=problem.prior_u > 0.0))
+    rows[:, -1] = rows.diagonal() * (problem.prior_mean - np.append(point.gravity, point.values))
+    rows[1:, p:-1] = of_prior
     fold(rows, common)
-    for array in () if linearisation.about is None else linearisation.about.arrays:
-        in_motion = array.rows(problem.instrument, point.values)
-        fold(np.hstack([np.zeros((len(in_motion), 1)), beside(in_motion, np.zeros((len(in_motion), D)))]), common)
+    fold(beside(linearisation.array, np.zeros((len(linearisation.array), D))), common)
     for s, part in enumerate(problem.parts):
         begins, triangle = np.zeros((d, d + rest.shape[2])), np.zeros((width, width), order="F")
         begins[d - states :, d - states : d] = np.eye(states)
-        begins[d - states :, sides] = variates.begins[s]
+        begins[d - states :, sides] = of_begins[s]
         between, links = joints[part.stations if states else part.turns], session_links(part, chained=states > 0)
         eliminate(rest[part.stations], between, links, np.empty((len(part.link), *begins.shape)), triangle, begins)
         if q:
             local = np.zeros((q, width))
-            local[:, :q], local[:, sides] = np.diag(1.0 / problem.local_u), variates.local[s]
+            local[:, :q], local[:, sides] = np.diag(1.0 / problem.local_u), of_local[s]
             local[:, -1] = linearisation.local_prior[s]
             fold(local, triangle)
         fold(triangle[q:, q:].copy(order="F"), common)
     R = np.triu(common)[p : p + D, p : p + D]
-    return np.asarray(0.5 * R.T @ R + np.diag(log_prior(hyperparameters, solution.phi)[2]))
+    return np.asarray(0.5 * R.T @ R + np.diag(hyperparameters.log_prior(solution.phi)[2]))
+
+
+def _variates_of_states(hyperparameters: Hyperparameters, solution: Solution) -> tuple[Array, Array]:
+    """Working variates of the steps of the states that follow stations (M, s, D), and of the first states of sessions
+    (S, s, D): of sizes the whitened residuals. With S β the steps, of variances V, and w = V⁻¹ S β, a correlation time
+    changes the covariance S⁻¹ V S⁻ᵀ of the states so that its variate is −V^{−½} (−∂S β − V S⁻ᵀ ∂Sᵀ w + ∂V w)."""
+    noise, b, first = (
+        solution.equations.noise,
+        solution.states,
+        [part.stations.start for part in solution.problem.parts],
+    )
+    follows, s, n = noise.follows[:, None], b.shape[1], solution.problem.sensors
+    lapse = np.where(follows & np.isfinite(noise.state_lapse), noise.state_lapse, 0.0)
+    rho, step = np.where(follows, noise.state_rho, 0.0), np.where(follows, noise.state_step, 1.0)
+    residual, slope = np.zeros_like(b), rho * lapse
+    residual[:-1] = np.where(follows[:-1], b[1:] - rho[:-1] * b[:-1], 0.0) / step[:-1] ** 2  # w
+    back = np.ascontiguousarray(-slope * residual)
+    along_chains(rho[:, :, None] * np.eye(s), back[:, :, None])
+    after = np.append(back[1:], np.zeros((1, s)), axis=0)
+    by_time = np.where(follows, (slope * b - step**2 * after) / step - 2.0 * rho * slope * residual / step, 0.0)
+    sizes = hyperparameters.members(InRunSize, s).T.copy()
+    sizes[:n] += hyperparameters.members(SensorFactor, n).T
+    times = hyperparameters.members(CorrelationTime, s).T
+    of_steps = -2.0 * (residual * step)[:, :, None] * sizes - by_time[:, :, None] * times
+    return of_steps, -2.0 * b[first][:, :, None] * sizes + back[first][:, :, None] * times

@@ -41,9 +41,9 @@ until there are MOST_POINTS.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property, partial
 
 import numpy as np
 import scipy
@@ -53,8 +53,8 @@ from tumble.inference.hyperparameters import (
     CorrelationTime,
     GroupSize,
     Hyperparameter,
+    Hyperparameters,
     InRunSize,
-    QuadraticForms,
     Score,
     log_prior,
     restricted_likelihood,
@@ -64,7 +64,6 @@ from tumble.inference.linearisation import Linearisation
 from tumble.inference.maximum import Maximum
 from tumble.inference.noise import NoiseModel
 from tumble.inference.normal_equations import (
-    NormalEquations,
     Solution,
     eliminate_rests,
     fold_sessions,
@@ -110,6 +109,10 @@ MIXED = 128
 """Draws of the mixture of Gaussians of which coverage factors are taken."""
 SHIFT = 0.6180339887498949
 """Of a sequence of points to the next, in the unit cube."""
+NUMBERS_AT_ONCE = 60_000
+"""Numbers of matrices whose roots are taken at once: half a megabyte."""
+NOTHING = 1e-4
+"""Of the weight of a point of ψ: sizes of less are left out of the moments there."""
 COVERAGE = 0.9545
 MOST_DEGREES = 1e6
 
@@ -155,36 +158,33 @@ def posterior(fitted: Maximum, *, integrate: bool = True) -> Posterior:
     if proposal is None or not (len(proposal.outer) or len(proposal.inner)):
         return _at_maximum(fitted)
     np.empty(KEPT_MEMORY, dtype=np.uint8)
-    count = max(POINTS if len(proposal.inner) else 2 * POINTS, 2 * (len(proposal.outer) + SPARE))
-    drawn = [_drawn(fitted, proposal, count // 2, sequence) for sequence in (0, 1)]
-    while count < MOST_POINTS and _u_error(drawn) > SETTLED:
-        count *= 2
-        drawn = [_drawn(fitted, proposal, count // 2, sequence) for sequence in (0, 1)]
+    count = max(POINTS if len(proposal.inner) else 2 * POINTS, 2 * (len(proposal.outer) + SPARE)) // 2
+    drawn, sets = [_drawn(fitted, proposal, count, sequence) for sequence in (0, 1)], 1
+    while (error := _u_error(drawn)) > SETTLED and 2 * count * sets < MOST_POINTS:  # twice as many
+        for sequence in range(2 * sets, 4 * sets):
+            more = _drawn(fitted, proposal, count, sequence)
+            drawn[sequence % 2] = Draws.joined([drawn[sequence % 2], more])
+        sets *= 2
     both = Draws.joined(drawn)
-    weight, pareto = smoothed(both.log_weight)
-    mean, within, between = both.moments(weight)
-    sources = contributions(_typical(fitted, both.phi, weight)) if integrate else {}
-    sources = scaled_to(sources, within) | {"hyperparameters": between}
+    mean, within, between = both.moments()
+    sources = scaled_to(contributions(_typical(fitted, both)), within) | {"hyperparameters": between}
     covariance = np.sum(list(sources.values()), axis=0)
-    u = np.sqrt(np.diag(covariance))
-    some = np.searchsorted(np.cumsum(weight), (np.arange(MIXED) + 0.5) / MIXED)
-    some = np.minimum(some, len(weight) - 1)
-    factor = coverage_factors(both.steps[some] - mean, both.deviations(some), np.full(MIXED, 1.0 / MIXED), u)
+    means, deviations, share = both.mixture()
+    factor = coverage_factors(means - mean, deviations, share, np.sqrt(np.diag(covariance)))
     shorter = np.where(factor > 0.0, np.minimum(0.5 * factor, 1.0), 1.0)
-    biases = 1 + fitted.problem.biases
-    process_mean, process_within, process_between = both.moments(weight, process=True)
+    process_mean, process_within, process_between = both.moments(process=True)
     return Posterior(
         step=mean,
         covariance=covariance * np.outer(shorter, shorter),
         sources={name: each * np.outer(shorter, shorter) for name, each in sources.items()},
         degrees=degrees_of(factor[1:]),
-        process_step=process_mean[biases],
-        process_covariance=(process_within + process_between)[np.ix_(biases, biases)],
-        points=count,
-        effective=float(1.0 / (both.by_point(weight) ** 2).sum()),
-        pareto=pareto,
-        u_error=_u_error(drawn),
-        hyperparameters=_summary(fitted, both.phi, weight),
+        process_step=process_mean,
+        process_covariance=process_within + process_between,
+        points=len(both.triangles.right),
+        effective=float(1.0 / (both.smoothed[0] ** 2).sum()),
+        pareto=both.smoothed[1],
+        u_error=error,
+        hyperparameters=_summary(fitted, both.phi.reshape(both.weight.size, -1), both.weight.ravel()),
     )
 
 
@@ -258,7 +258,7 @@ class Proposal:
     def about(fitted: Maximum) -> Proposal:
         """The proposal by the score and the average information at the maximum."""
         hyperparameters, solution, phi, B = fitted.hyperparameters, fitted.solution, fitted.phi, fitted.curvature
-        score, densities = Score(solution), dict[int, Density]()
+        forms, densities = Score(solution).of(hyperparameters), dict[int, Density]()
         sizes = [i for i, h in enumerate(hyperparameters) if isinstance(h, GroupSize)]
         if sizes:
             densities |= _densities_of_sizes(fitted, sizes)
@@ -281,7 +281,7 @@ class Proposal:
         densities |= _densities_of_times(fitted, spread)
         for i in (each for each in outer if each not in densities):
             h = hyperparameters[i]
-            density = partial(_size_density, h, phi[i], h.forms(score), curvature[i])
+            density = partial(_size_density, h, phi[i], (forms.square[i], forms.trace[i]), curvature[i])
             if i in times:
                 in_run[i] = times[i], density
             else:
@@ -318,7 +318,7 @@ class Proposal:
         return phi, log_q
 
 
-def _times_of(hyperparameters: Sequence[Hyperparameter]) -> dict[int, int]:
+def _times_of(hyperparameters: Hyperparameters) -> dict[int, int]:
     """Of every size of in-run biases the element that is their correlation time."""
     sizes, times = (
         [i for i, h in enumerate(hyperparameters) if isinstance(h, kind)] for kind in (InRunSize, CorrelationTime)
@@ -336,11 +336,11 @@ def _spread_in_session(noise: NoiseModel, log_time: Array) -> Array:
 
 
 def _size_density(
-    h: Hyperparameter, phi: float, forms: QuadraticForms, curvature: float, shift: float | Array = 0.0
+    h: Hyperparameter, phi: float, forms: tuple[float, float], curvature: float, shift: float | Array = 0.0
 ) -> Density:
     """The density along a standard deviation by the quadratic forms of its variance and the curvature of −ℓ at the
     maximum; a stack of them where the data see it exp(shift) times as large as there."""
-    square, trace = max(float(forms.square), 1e-6), max(float(forms.trace), 1e-6)
+    square, trace = max(forms[0], 1e-6), max(forms[1], 1e-6)
     informed = curvature - float(h.log_prior(np.array(phi))[2])
     share = float(np.clip(informed / (2.0 * square), 1e-3, 1.0 - 1e-6))  # 1/(u + 1)
     half = REACH * float(np.clip(curvature**-0.5, 0.5, 1.5))
@@ -381,25 +381,25 @@ def _densities_of_times(fitted: Maximum, spread: Callable[[Array], Array]) -> di
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Triangle:
-    """What is known at a ψ, with the sizes of some groups yet to be folded in.
+class Triangles:
+    """What is known at K points of ψ, with the sizes of some groups yet to be folded in.
 
     Parameters
     ----------
-    information, right : (g, g) and (g,)
+    information, right : (K, g, g) and (K, g)
         Λ and h of the parameters c of these groups, about their expected values.
-    deviance
+    deviance : (K,)
         −2 ln L where all of them are zero.
-    alpha, gamma, omega : (1 + m,), (1 + m, g) and (1 + m, 1 + m)
+    alpha, gamma, omega : (K, 1 + m), (K, 1 + m, g) and (K, 1 + m, 1 + m)
         The step of gravity and the parameters, biases being the means over the session, is α + Γ c, of covariance Ω at
         given c.
-    process_alpha, process_gamma, process_omega
-        The same with the biases as the means of their processes.
+    process_alpha, process_gamma, process_omega : (K, n), (K, n, g) and (K, n, n)
+        The same of the biases as the means of their processes.
     """
 
     information: Array
     right: Array
-    deviance: float
+    deviance: Array
     alpha: Array
     gamma: Array
     omega: Array
@@ -407,63 +407,99 @@ class Triangle:
     process_gamma: Array
     process_omega: Array
 
+    @staticmethod
+    def joined(parts: Sequence[Triangles]) -> Triangles:
+        """Several sets of points as one."""
+        return Triangles(
+            **{f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Triangles)}
+        )
+
+    def log_likelihood(self, sizes: Array) -> Array:
+        """ln L (K, L), less a constant, of priors of standard deviations `sizes` (K, L, g) of the parameters of the
+        groups. With B = U Uᵀ and b = S h the last row of the root of [[B, b], [bᵀ, 1 + bᵀb]] is U⁻¹ b."""
+        out, g = np.empty(sizes.shape[:2]), sizes.shape[2]
+        many, i = max(1, NUMBERS_AT_ONCE // (sizes.shape[1] * (g + 1) ** 2)), np.arange(g)
+        for first in range(0, len(sizes), many):
+            some = slice(first, first + many)
+            S = sizes[some]
+            B = np.empty((*S.shape[:2], g + 1, g + 1))
+            B[..., :g, :g] = S[..., None] * self.information[some, None] * S[..., None, :]
+            B[..., i, i] += 1.0
+            B[..., g, :g] = b = S * self.right[some, None]
+            B[..., g, g] = 1.0 + (b**2).sum(axis=-1)
+            root = np.linalg.cholesky(B)
+            pivots = np.log(np.diagonal(root, axis1=-2, axis2=-1)[..., :g]).sum(axis=-1)
+            out[some] = 0.5 * (root[..., g, :g] ** 2).sum(axis=-1) - pivots - 0.5 * self.deviance[some, None]
+        return out
+
+    def of_groups(self, point: IntArray, sizes: Array) -> tuple[Array, Array]:
+        """The values (P, g) and covariances (P, g, g) of the parameters of the groups, with priors of these standard
+        deviations (P, g), each at one of the points (P,)."""
+        B = sizes[:, :, None] * self.information[point] * sizes[:, None, :] + np.eye(sizes.shape[1])
+        covariances = sizes[:, :, None] * np.linalg.inv(B) * sizes[:, None, :]
+        return (covariances @ self.right[point][:, :, None])[:, :, 0], covariances
+
 
 def triangles(
-    linearisation: Linearisation, hyperparameters: Sequence[Hyperparameter], phi: Array, members: IntArray
-) -> Iterator[Triangle]:
+    linearisation: Linearisation, hyperparameters: Hyperparameters, phi: Array, members: IntArray
+) -> Triangles:
     """The triangles at φ (K, D), whatever this has for the groups whose parameters are `members` (g,) of those of the
     instrument."""
-    many, places = max(1, RESTS_AT_ONCE // len(linearisation.problem.link)), 1 + members
+    many, out = max(1, RESTS_AT_ONCE // len(linearisation.problem.link)), list[Triangles]()
     for first in range(0, len(phi), many):
         problem, components = scaled(linearisation.problem, hyperparameters, phi[first : first + many])
         open_u = problem.prior_u.copy()
-        open_u[:, places] = np.inf
-        here = linearisation.with_priors(replace(problem, prior_u=open_u)).with_components(components)
-        equations = eliminate_rests(here)
-        deviances, mean = rests_deviance(equations), None
-        if equations.wanders and len(problem.parts) == 1:
-            mean = session_mean_bias(equations)
-        for k in range(len(open_u)):
-            yield _triangle(here, equations, places, k, float(deviances[k]), mean)
+        open_u[:, 1 + members] = np.inf
+        here = linearisation.with_priors(problem.with_sizes(open_u, problem.local_u)).with_components(components)
+        out.append(_triangles(here, 1 + members))
+    return Triangles.joined(out)
 
 
-def _triangle(
-    here: Linearisation,
-    equations: NormalEquations,
-    places: IntArray,
-    k: int,
-    deviance: float,
-    mean: tuple[Array, Array] | None,
-) -> Triangle:
-    """The triangle at one point of a stack, by the deviance of the rests and the mean of the biases over them."""
-    problem, point, p = here.problem, here.point, here.prior.shape[-1] - 1
-    factors, local_u = equations.session_factors[k], problem.local_u[k]
-    triangle, heads = fold_sessions(here.prior[k], factors, local_u, here.local_prior[k])
-    exact = int(triangle[0, 0] == 0.0)  # gravity
+def _triangles(here: Linearisation, places: IntArray) -> Triangles:
+    """The triangles at a stack of components of variance and of priors, which parameters at some places have not."""
+    problem, point, equations, p = here.problem, here.point, eliminate_rests(here), here.prior.shape[-1] - 1
+    exact, deviance = int(problem.prior_u[0, 0] == 0.0), rests_deviance(equations)  # gravity
     others = np.setdiff1d(np.arange(exact, p), places)
-    R = np.asarray(np.linalg.qr(triangle[exact:, np.concatenate([others, places, [p]])], mode="r"))
-    o, g = slice(len(others)), slice(len(others), -1)
-    off = (problem.prior_mean - np.append(point.gravity, point.values))[places]
-    r, inverse = R[g, -1] - R[g, g] @ off, inverse_of(R[o, o])
-    alpha, gamma, omega = np.zeros(p), np.zeros((p, len(places))), np.zeros((p, p))
-    alpha[places], gamma[places, np.arange(len(places))] = off, 1.0
-    alpha[others], gamma[others] = inverse @ (R[o, -1] - R[o, g] @ off), -inverse @ R[o, g]
-    omega[np.ix_(others, others)] = inverse @ inverse.T
+    order, K, o = np.concatenate([others, places, [p]]), len(deviance), slice(len(others))
+    heads, R, inverse = list[list[Array]](), np.empty((K, len(order), len(order))), np.empty((K, o.stop, o.stop))
+    for k, factors in enumerate(equations.session_factors):
+        triangle, of_sessions = fold_sessions(here.prior[k], factors, problem.local_u[k], here.local_prior[k])
+        heads.append(of_sessions)
+        R[k] = triangle[exact:, order]
+    moved = np.flatnonzero(order != np.arange(exact, p + 1))
+    if len(moved):
+        R[:, moved[0] :, moved[0] :] = np.linalg.qr(R[:, moved[0] :, moved[0] :], mode="r")
+    for k in range(K):
+        inverse[k] = inverse_of(R[k, o, o])
+    g, off = slice(o.stop, -1), (problem.prior_mean - np.append(point.gravity, point.values))[places]
+    G = R[:, g, g]
+    r = R[:, g, -1] - G @ off
+    alpha, gamma, omega = np.zeros((K, p)), np.zeros((K, p, len(places))), np.zeros((K, p, p))
+    alpha[:, places], gamma[:, places, np.arange(len(places))] = off, 1.0
+    alpha[:, others] = (inverse @ (R[:, o, -1] - R[:, o, g] @ off)[:, :, None])[:, :, 0]
+    gamma[:, others] = -inverse @ R[:, o, g]
+    omega[:, others[:, None], others] = inverse @ np.swapaxes(inverse, 1, 2)
     kept = np.setdiff1d(np.arange(1 + problem.instrument.linear_count, p), places)
-    pivots = np.concatenate([R[o, o].diagonal(), *(head.diagonal() for head in heads)])
-    sizes = np.log(problem.prior_u[k][kept]).sum() + len(heads) * np.log(local_u).sum()
-    process, b = (alpha, gamma, omega), 1 + problem.biases
-    if mean is not None:
-        Y, by_noise = np.eye(p), mean[1][k]
-        by_common, by_local = mean_by_common(mean[0][k], heads[0])
-        Y[b] += by_common[:, :-1]
-        alpha, gamma, omega = Y @ alpha, Y @ gamma, Y @ omega @ Y.T
-        alpha[b] -= by_common[:, -1]
-        omega[np.ix_(b, b)] += np.einsum("ibd,icd->bc", by_noise, by_noise) + by_local @ by_local.T
-    return Triangle(
-        information=R[g, g].T @ R[g, g],
-        right=R[g, g].T @ r,
-        deviance=deviance + 2.0 * float(np.log(np.abs(pivots)).sum() + sizes) + float(r @ r + R[-1, -1] ** 2),
+    sizes = np.log(problem.prior_u[:, kept]).sum(axis=1) + len(problem.parts) * np.log(problem.local_u).sum(axis=1)
+    pivots = np.log(np.abs(np.diagonal(R[:, o, o], axis1=1, axis2=2))).sum(axis=1)
+    pivots += [sum(np.log(np.abs(head.diagonal())).sum() for head in of_sessions) for of_sessions in heads]
+    biases = 1 + problem.biases
+    process = alpha[:, biases], gamma[:, biases], omega[:, biases[:, None], biases]
+    if equations.wanders and len(problem.parts) == 1:
+        by_shared, by_noise = session_mean_bias(equations)
+        pairs = (mean_by_common(each, head) for each, (head,) in zip(by_shared, heads, strict=True))
+        by_common, by_local = (np.array(each) for each in zip(*pairs, strict=True))
+        by = by_common[:, :, :-1]
+        alpha[:, biases] += (by @ alpha[:, :, None])[:, :, 0] - by_common[:, :, -1]
+        gamma[:, biases] += by @ gamma
+        omega[:, biases] += by @ omega
+        omega[:, :, biases] += omega @ np.swapaxes(by, 1, 2)
+        noise = np.concatenate([np.swapaxes(by_noise, 1, 2).reshape(K, len(biases), -1), by_local], axis=2)
+        omega[:, biases[:, None], biases] += noise @ np.swapaxes(noise, 1, 2)
+    return Triangles(
+        information=np.swapaxes(G, 1, 2) @ G,
+        right=(r[:, None] @ G)[:, 0],
+        deviance=deviance + 2.0 * (pivots + sizes) + (r**2).sum(axis=1) + R[:, -1, -1] ** 2,
         alpha=alpha,
         gamma=gamma,
         omega=omega,
@@ -471,17 +507,6 @@ def _triangle(
         process_gamma=process[1],
         process_omega=process[2],
     )
-
-
-def with_sizes(triangle: Triangle, sizes: Array) -> tuple[Array, Array, Array]:
-    """ln L (L,), less a constant, of priors of standard deviations `sizes` (L, g) of the parameters of the groups, and
-    their values (L, g) and covariances (L, g, g)."""
-    B = sizes[:, :, None] * triangle.information * sizes[:, None, :] + np.eye(sizes.shape[1])
-    scaled_right, inverse = sizes * triangle.right, np.linalg.inv(B)
-    along = (inverse @ scaled_right[:, :, None])[:, :, 0]
-    determinants = np.log(np.diagonal(np.linalg.cholesky(B), axis1=1, axis2=2)).sum(axis=1)
-    likelihood = -0.5 * triangle.deviance - determinants + 0.5 * (scaled_right * along).sum(axis=1)
-    return likelihood, sizes * along, sizes[:, :, None] * inverse * sizes[:, None, :]
 
 
 def members_of(fitted: Maximum, elements: IntArray) -> tuple[IntArray, IntArray]:
@@ -497,23 +522,25 @@ def _densities_of_sizes(fitted: Maximum, sizes: list[int]) -> dict[int, Density]
     """The densities along those sizes of groups of which the session shows something, through the maximum."""
     hyperparameters, phi = fitted.hyperparameters, fitted.phi
     members, element = members_of(fitted, np.array(sizes))
-    (triangle,) = triangles(fitted.linearisation, hyperparameters, phi[None], members)
+    triangle = triangles(fitted.linearisation, hyperparameters, phi[None], members)
     usual, out = fitted.usual_problem.usual_u[1 + members], dict[int, Density]()
-    score = Score(fitted.solution)
+    double, one = Score(fitted.solution).of(hyperparameters).double, int(np.argmin(np.abs(KNOTS - 1.0)))
     for i in sizes:
         h, at_bound = hyperparameters[i], phi[i] <= 0.0
-        curvature = 2.0 * float(h.forms(score).double) + h.within**-2 if at_bound else fitted.curvature[i, i]
+        curvature = 2.0 * float(double[i]) + h.within**-2 if at_bound else fitted.curvature[i, i]
         size = max(curvature, h.within**-2) ** -0.5
         p = max(phi[i], 0.0) + KNOTS * size if at_bound else np.linspace(0.0, phi[i] + KNOTS[-1] * size, 2 * len(KNOTS))
         every = np.tile(phi, (len(p), 1))
         every[:, i] = p
-        likelihood, _, covariance = with_sizes(triangle, usual * np.exp(np.maximum(every[:, element], 0.0)))
+        S = usual * np.exp(np.maximum(every[:, element], 0.0))
         if at_bound:
-            one, place = int(np.argmin(np.abs(KNOTS - 1.0))), np.flatnonzero(element == i)
-            variance = np.diagonal(covariance[one])[place] / (usual[place] * np.exp(p[one])) ** 2
+            place = np.flatnonzero(element == i)
+            variance = (
+                np.diagonal(triangle.of_groups(np.zeros(1, dtype=int), S[[one]])[1][0])[place] / S[one, place] ** 2
+            )
             if 2.0 * np.clip(1.0 - variance, 0.0, 1.0).sum() <= SHOWN:
                 continue
-        grid = np.linspace(-3.0 * h.within, p[-1], FINE)
+        likelihood, grid = triangle.log_likelihood(S[None])[0], np.linspace(-3.0 * h.within, p[-1], FINE)
         out[i] = Density.of(grid, np.interp(grid, p, likelihood - likelihood[0]) + h.log_prior(grid)[0])
     return out
 
@@ -521,124 +548,123 @@ def _densities_of_sizes(fitted: Maximum, sizes: list[int]) -> dict[int, Density]
 # -------------------- draws --------------------
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Draws:
-    """Points of ψ, sizes of groups at each, and the posterior there.
+    """K points of ψ, L sizes of groups at each, and the posterior there.
 
     Parameters
     ----------
-    phi, log_weight : (P, D) and (P,)
+    phi, log_weight : (K, L, D) and (K, L)
         φ, and the logarithms of the weights.
-    point : (P,)
-        Which of the triangles each belongs to.
-    values, covariances : (P, g) and (P, g, g)
-        Of the parameters of the groups.
+    sizes : (K, L, g)
+        Standard deviations of the priors of the parameters of the groups.
     triangles
-        The triangles.
+        What is known at the points of ψ.
+    value, within, between : (K, g), (K, g, g) and (K, g, g)
+        At each point the mean of the parameters of the groups over the sizes, the mean of their covariances, and the
+        covariance of their values.
     """
 
     phi: Array
     log_weight: Array
-    point: IntArray
-    values: Array
-    covariances: Array
-    triangles: tuple[Triangle, ...]
+    sizes: Array
+    triangles: Triangles
+    value: Array
+    within: Array
+    between: Array
 
     @staticmethod
     def joined(parts: Sequence[Draws]) -> Draws:
-        """Several sets of draws as one."""
-        first = np.cumsum([0, *(len(part.triangles) for part in parts)])
-        return Draws(
-            phi=np.concatenate([part.phi for part in parts]),
-            log_weight=np.concatenate([part.log_weight for part in parts]),
-            point=np.concatenate([part.point + offset for part, offset in zip(parts, first, strict=False)]),
-            values=np.concatenate([part.values for part in parts]),
-            covariances=np.concatenate([part.covariances for part in parts]),
-            triangles=tuple(triangle for part in parts for triangle in part.triangles),
-        )
+        """Several sets of points as one."""
+        names = [each.name for each in fields(Draws) if each.name != "triangles"]
+        arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+        return Draws(triangles=Triangles.joined([part.triangles for part in parts]), **arrays)
+
+    @cached_property
+    def smoothed(self) -> tuple[Array, float]:
+        """The weights (K,) of the points, and their shape."""
+        return smoothed(scipy.special.logsumexp(self.log_weight, axis=1))
 
     @property
-    def steps(self) -> Array:
-        """The steps (P, 1 + m) of gravity and the parameters."""
-        return self._steps(process=False)
+    def weight(self) -> Array:
+        """The weights (K, L) of all draws."""
+        return np.asarray(self.smoothed[0][:, None] * scipy.special.softmax(self.log_weight, axis=1))
 
-    def _steps(self, *, process: bool) -> Array:
-        out = list[Array]()
-        for k, triangle in enumerate(self.triangles):
-            c = self.values[self.point == k]
-            alpha = triangle.process_alpha if process else triangle.alpha
-            out.append(alpha + c @ (triangle.process_gamma if process else triangle.gamma).T)
-        return np.concatenate(out)
-
-    def by_point(self, weight: Array) -> Array:
-        """The weights (K,) of the points of ψ, of those of the draws."""
-        return np.asarray(np.bincount(self.point, weight, len(self.triangles)), dtype=np.float64)
-
-    def moments(self, weight: Array, *, process: bool = False) -> tuple[Array, Array, Array]:
+    def moments(self, *, process: bool = False) -> tuple[Array, Array, Array]:
         """The mean step (1 + m,), the mean of the covariances at the draws (1 + m, 1 + m), and the covariance of the
-        steps; of the means of the processes of biases where `process`."""
-        steps, within = self._steps(process=process), 0.0
-        for k, (triangle, share) in enumerate(zip(self.triangles, self.by_point(weight), strict=True)):
-            some = self.point == k
-            of_groups = np.tensordot(weight[some], self.covariances[some], axes=1)
-            gamma = triangle.process_gamma if process else triangle.gamma
-            omega = triangle.process_omega if process else triangle.omega
-            within = within + share * omega + gamma @ of_groups @ gamma.T
+        steps; where `process`, of the biases (n,) as the means of their processes."""
+        prefix, weight = "process_" if process else "", self.smoothed[0]
+        alpha, gamma, omega = (getattr(self.triangles, prefix + name) for name in ("alpha", "gamma", "omega"))
+
+        def carried(of_groups: Array) -> Array:
+            """Σ w Γ (…) Γᵀ."""
+            by = np.swapaxes(weight[:, None, None] * (gamma @ of_groups), 0, 1).reshape(gamma.shape[1], -1)
+            return np.asarray(by @ np.swapaxes(gamma, 0, 1).reshape(gamma.shape[1], -1).T)
+
+        steps = alpha + (gamma @ self.value[:, :, None])[:, :, 0]
         mean = weight @ steps
         off = steps - mean
-        return mean, np.asarray(within), (off.T * weight) @ off
+        within = np.tensordot(weight, omega, axes=1) + carried(self.within)
+        return mean, within, (off.T * weight) @ off + carried(self.between)
 
-    def deviations(self, some: IntArray) -> Array:
-        """The standard deviations (·, 1 + m) of gravity and the parameters at some of the draws."""
-        out = np.empty((len(some), len(self.triangles[0].alpha)))
-        for row, i in enumerate(some.tolist()):
-            triangle = self.triangles[self.point[i]]
-            by_groups = ((triangle.gamma @ self.covariances[i]) * triangle.gamma).sum(axis=1)
-            out[row] = np.sqrt(triangle.omega.diagonal() + by_groups)
-        return out
+    def mixture(self) -> tuple[Array, Array, Array]:
+        """Of the mixture of Gaussians, of which MIXED are drawn, their means and standard deviations (·, 1 + m), and
+        their weights (·,)."""
+        weight, every = np.cumsum(self.weight.ravel()), self.triangles
+        drawn, count = np.unique(np.searchsorted(weight, (np.arange(MIXED) + 0.5) / MIXED), return_counts=True)
+        point, size = np.divmod(np.minimum(drawn, len(weight) - 1), self.sizes.shape[1])
+        values, covariances = every.of_groups(point, self.sizes[point, size])
+        means, variance = every.alpha[point], np.diagonal(every.omega, axis1=1, axis2=2)[point]
+        for row, k in enumerate(point.tolist()):
+            gamma = every.gamma[k]
+            means[row] += gamma @ values[row]
+            variance[row] += ((gamma @ covariances[row]) * gamma).sum(axis=1)
+        return means, np.sqrt(variance), count / MIXED
 
 
 def _drawn(fitted: Maximum, proposal: Proposal, count: int, sequence: int) -> Draws:
     """So many points of ψ of a sequence, with sizes at each."""
-    hyperparameters, linearisation = fitted.hyperparameters, fitted.linearisation
-    members, element = members_of(fitted, proposal.inner)
+    hyperparameters, (members, element) = fitted.hyperparameters, members_of(fitted, proposal.inner)
     phi, log_q = proposal.points(fitted.phi, count, sequence)
     sizes = fitted.usual_problem.usual_u[1 + members] * np.exp(np.maximum(phi[:, :, element], 0.0))
-    every = tuple(triangles(linearisation, hyperparameters, phi[:, 0], members))
-    likelihood, values, covariances = (
-        np.concatenate(each)
-        for each in zip(*(with_sizes(triangle, S) for triangle, S in zip(every, sizes, strict=True)), strict=True)
-    )
-    flat = phi.reshape(-1, phi.shape[-1])
+    every = triangles(fitted.linearisation, hyperparameters, phi[:, 0], members)
+    log_weight = every.log_likelihood(sizes) + hyperparameters.log_prior(phi)[0].sum(axis=-1) - log_q
+    share = scipy.special.softmax(log_weight, axis=1)
+    value, (within, between) = np.zeros_like(every.right), np.zeros((2, *every.information.shape))
+    for k, weight in enumerate(share):
+        some = np.flatnonzero(weight > NOTHING)
+        w = weight[some] / weight[some].sum()
+        values, covariances = every.of_groups(np.full(len(some), k), sizes[k, some])
+        value[k], within[k] = w @ values, np.tensordot(w, covariances, axes=1)
+        off = values - value[k]
+        between[k] = (off.T * w) @ off
     return Draws(
-        phi=flat,
-        log_weight=likelihood + log_prior(hyperparameters, flat)[0].sum(axis=-1) - log_q.ravel(),
-        point=np.repeat(np.arange(count), phi.shape[1]),
-        values=values,
-        covariances=covariances,
+        phi=phi,
+        log_weight=log_weight,
+        sizes=sizes,
         triangles=every,
+        value=value,
+        within=within,
+        between=between,
     )
 
 
 def _u_error(drawn: Sequence[Draws]) -> float:
     """Half the difference of u by two sets of draws, relative, of the parameter of which it is largest."""
-    first, second = (np.sqrt(np.diag(within + between)) for _, within, between in map(_moments, drawn))
+    first, second = (np.sqrt(np.diag(within + between)) for _, within, between in (each.moments() for each in drawn))
     return float(np.max(np.abs(first - second) / np.maximum(first + second, 1e-300)))
 
 
-def _moments(draws: Draws) -> tuple[Array, Array, Array]:
-    return draws.moments(smoothed(draws.log_weight)[0])
-
-
-def _typical(fitted: Maximum, phi: Array, weight: Array) -> Solution:
+def _typical(fitted: Maximum, draws: Draws) -> Solution:
     """The solution with every standard deviation as its root mean square over the draws, and every time as the mean of
     its logarithm."""
     typical = fitted.phi.copy()
     for i, h in enumerate(fitted.hyperparameters):
+        phi = draws.phi[..., i]
         if isinstance(h, CorrelationTime):
-            typical[i] = weight @ phi[:, i]
+            typical[i] = (draws.weight * phi).sum()
         else:
-            typical[i] = 0.5 * np.log(weight @ h.value(phi[:, i]) ** 2)
+            typical[i] = 0.5 * np.log((draws.weight * h.value(phi) ** 2).sum())
     return restricted_likelihood(fitted.linearisation, fitted.hyperparameters, typical)
 
 

@@ -29,12 +29,13 @@ from tumble.inference.estimate import (
     ProcessBias,
 )
 from tumble.inference.fits import MAGNETOMETER, TOTAL, chi_squares, left_out, sigmas
+from tumble.inference.hyperparameters import Hyperparameters
 from tumble.inference.integral import Posterior, posterior
 from tumble.inference.lag import maximum_with_lags
 from tumble.inference.linearisation import at_reference
 from tumble.inference.magnetic_estimate import magnetometer_estimate, with_magnetometer
 from tumble.inference.maximum import MAX_ITERATIONS, Maximum, without_outliers
-from tumble.inference.noise import NO_COMPONENTS, SCATTER, typical_noise
+from tumble.inference.noise import NO_COMPONENTS, SCATTER, VarianceComponents, typical_noise
 from tumble.inference.normal_equations import solve
 from tumble.inference.prediction import prediction
 from tumble.inference.problem import NO_PRIOR, Prior, Problem, instruments_of
@@ -55,13 +56,15 @@ def joint(
     *,
     prior: Prior = NO_PRIOR,
     instrument: Instrument | None = None,
+    components: VarianceComponents | None = None,
     intervals: bool = True,
     quick: bool = False,
 ) -> Estimate:
     """All parameters of a session by maximum likelihood, with covariance and outcome. The `instrument` says which;
     where None, the groups whose usual size the observations know. Rests and turns that do not fit are left out; their
-    sigmas say which they are. Without `intervals` the covariance is that at the maximum, not integrated over what the
-    model does not know of itself. A `quick` one is the maximum alone, settled or not: it is for a page that follows a
+    sigmas say which they are. With `components` of variance the solution is that beside these, known from elsewhere.
+    Without `intervals` the covariance is that at the maximum, not integrated over what the model does not know of
+    itself. A `quick` one is the maximum alone, settled or not: it is for a page that follows a
     session and cannot wait for one that contradicts itself."""
     usual, local = instruments_of(observations)
     problem = Problem.of(observations, prior, instrument=instrument or usual, local=local, usual=observations.usual)
@@ -70,11 +73,15 @@ def joint(
     fitted, by_lag = maximum_with_lags(start, QUICK_STEPS if quick else MAX_ITERATIONS)
     if fitted.converged and not quick:
         fitted = without_outliers(fitted)
-    shown = posterior(fitted, integrate=intervals and not quick)
+    if components is not None:
+        fitted = replace(fitted, hyperparameters=Hyperparameters(()), solution=solve(fitted.linearisation, components))
+    shown = posterior(fitted, integrate=intervals and not quick and components is None)
     magnetometer = magnetometer_estimate(fitted, shown.step)
     if magnetometer is not None and magnetometer.refused:  # which all others must not suffer from
         alone = observations.without_magnetometer()
-        estimate = joint(alone, prior=prior, instrument=instrument, intervals=intervals, quick=quick)
+        estimate = joint(
+            alone, prior=prior, instrument=instrument, intervals=intervals, quick=quick, components=components
+        )
         return replace(estimate, magnetometer=magnetometer)
     estimate = _estimate(fitted, shown, (*first, *fitted.increments[:-1], shown.step[1:]), by_lag)
     return replace(estimate, magnetometer=magnetometer or refused or None)

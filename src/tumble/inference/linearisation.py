@@ -6,7 +6,10 @@ Jacobians in closed form.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -39,7 +42,7 @@ ROUNDED = 1e-9
 """Added to correlations of noise, so that they have a Cholesky factor."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Linearisation:
     """Residuals and Jacobians of a problem at a point, SI, not whitened.
 
@@ -65,6 +68,8 @@ class Linearisation:
         The prior of gravity and the parameters, whitened: a triangle, and the residual in the last column.
     local_prior : (S, q)
         Whitened residuals of the priors of what each session has beside.
+    array : (R, p + 1)
+        Whitened rows of what arrays say of themselves in motion; they are in `prior`, too.
     noise
         The noise of the rows, at components of variance.
     """
@@ -80,6 +85,7 @@ class Linearisation:
     gained: Array
     prior: Array
     local_prior: Array
+    array: Array
     noise: NoiseModel
 
     @property
@@ -104,16 +110,53 @@ class Linearisation:
         assert about is not None
         return about.rotations(self.problem.instrument, self.point.values, 0.0 if changes is None else changes)
 
+    @cached_property
+    def ordered(self) -> tuple[Array, Array, Array]:
+        """Rows of rests, turns and links with their columns as the elimination has them: the unknowns of the station,
+        or of both, these being angles, velocities of a device that moves, biases, SI, and displacements; then what a
+        session has beside, gravity and the common parameters, and the residual."""
+        problem, q, n = self.problem, self.local_prior.shape[-1], self.bias.shape[2]
+        v = 3 if problem.moves else 0
+
+        def none(rows: Array, count: int) -> Array:
+            """Zero columns, of unknowns that these rows do not have."""
+            return np.zeros((*rows.shape[:2], count))
+
+        def common(rows: Array, first: int) -> tuple[Array, Array, Array]:
+            last = rows.shape[2] - 1 - q
+            return rows[:, :, last:-1], rows[:, :, first:last], rows[:, :, -1:]
+
+        rest, turn, link = self.rest, self.turn, self.link
+        biases = np.broadcast_to(np.eye(rest.shape[1], n), (*rest.shape[:2], n))
+        rest = np.concatenate([rest[:, :, :3], none(rest, v), biases, none(rest, v), *common(rest, 3)], axis=2)
+        parts = list[Array]()
+        for angles, share in ((turn[:, :, :3], 1.0 - problem.bias_after), (turn[:, :, 3:6], problem.bias_after)):
+            parts += [angles, none(turn, v), share * self.bias, none(turn, v)]
+        turn = np.concatenate([*parts, *common(turn, 6)], axis=2)
+        if not problem.moves:
+            return rest, turn, np.zeros((0, 9, turn.shape[2]))
+        bias = 0.5 * self.link_bias
+        before, after = (
+            [link[:, :, first : first + 6], bias, link[:, :, 12 + first // 2 : 15 + first // 2]] for first in (0, 6)
+        )
+        return rest, turn, np.concatenate([*before, *after, *common(link, 18)], axis=2)
+
+    def _changed(self, **fields: Any) -> Linearisation:
+        """The same rows with other fields, and with what does not depend on these, which is made but once."""
+        self.ordered  # noqa: B018
+        out = copy(self)
+        vars(out).update(fields)
+        return out
+
     def with_components(self, components: VarianceComponents) -> Linearisation:
         """The same with other components of variance."""
-        return replace(self, noise=self.noise.at(components))
+        return self._changed(noise=self.noise.at(components))
 
     def with_priors(self, problem: Problem) -> Linearisation:
         """The same rows with the priors of a problem."""
-        return replace(
-            self,
+        return self._changed(
             problem=problem,
-            prior=prior_rows(problem, self.point, self.about),
+            prior=prior_rows(problem, self.point, self.array),
             local_prior=-self.point.local / problem.local_u[..., None, :],
         )
 
@@ -130,7 +173,8 @@ class Linearisation:
         prior = np.zeros((p + c + 1, p + c + 1))
         keep = np.append(np.arange(p), p + c)
         prior[np.ix_(keep, keep)] = self.prior
-        return replace(self, rest=wide_rest, turn=wide_turn, link=wide_link, prior=prior)
+        array = np.concatenate([self.array[:, :p], np.zeros((len(self.array), c)), self.array[:, p:]], axis=1)
+        return replace(self, rest=wide_rest, turn=wide_turn, link=wide_link, prior=prior, array=array)
 
 
 def linearise(
@@ -158,6 +202,9 @@ def linearise(
         turn, bias = _turn_rows(warmed, point, about, model)
         if about.links is not None:
             link, link_bias, noise = _link_rows(warmed, point, about.links, model)
+    arrays = [each.rows(problem.instrument, point.values) for each in (() if about is None else about.arrays)]
+    array = np.concatenate([np.zeros((0, 1 + len(point.values))), *arrays])
+    array = np.insert(array, 0, 0.0, axis=1)
     if (turns := problem.observations.turns) is not None:
         gained = point.gravity * turns.duration[:, None] * (UP @ point.attitudes[problem.before_turn])
     return Linearisation(
@@ -170,8 +217,9 @@ def linearise(
         link=link,
         link_bias=link_bias,
         gained=gained,
-        prior=prior_rows(problem, point, about),
+        prior=prior_rows(problem, point, array),
         local_prior=-point.local / problem.local_u[..., None, :],
+        array=array,
         noise=noise_model(problem, noise, gained).at(components),
     )
 
@@ -474,21 +522,20 @@ def _attitude_rows(problem: Problem, point: Point) -> Array:
     return rows
 
 
-def prior_rows(problem: Problem, point: Point, about: TurnsAbout | None) -> Array:
+def prior_rows(problem: Problem, point: Point, array: Array) -> Array:
     """Measured gravity and the prior of the parameters, whitened: a triangle, of a diagonal and a right-hand side; with
-    what arrays say of themselves in motion."""
-    expected, u = problem.prior_mean, problem.prior_u
-    rows = np.swapaxes(np.zeros((*u.shape[:-1], u.shape[-1] + 1, u.shape[-1] + 1)), -1, -2)
+    the rows (R, p + 1) of what arrays say of themselves in motion."""
+    expected, u = problem.prior_mean - np.append(point.gravity, point.values), problem.prior_u
+    rows, i = np.swapaxes(np.zeros((*u.shape[:-1], u.shape[-1] + 1, u.shape[-1] + 1)), -1, -2), np.arange(u.shape[-1])
     if problem.prior.covariance is None:
-        i = np.arange(u.shape[-1])
-        rows[..., i, i] = np.where(u > 0.0, 1.0 / np.where(u > 0.0, u, 1.0), 0.0)
+        rows[..., i, i] = np.divide(1.0, u, out=np.zeros_like(u), where=u > 0.0)
+        rows[..., :-1, -1] = rows[..., i, i] * expected
     else:
         rows[..., :-1, :-1] = root_of_inverse(problem.prior.covariance)
-    rows[..., :-1, -1] = rows[..., :-1, :-1] @ (expected - np.append(point.gravity, point.values))
-    for array in () if about is None else about.arrays:
-        in_motion = np.insert(array.rows(problem.instrument, point.values), 0, 0.0, axis=1)
+        rows[..., :-1, -1] = rows[..., :-1, :-1] @ expected
+    if len(array):
         for at in np.ndindex(u.shape[:-1]):
-            fold(in_motion.copy(), rows[at])
+            fold(array.copy(), rows[at])
     return rows
 
 

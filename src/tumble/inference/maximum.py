@@ -28,6 +28,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
+import scipy
 
 from tumble.inference.fits import (
     LEAST_WEIGHT,
@@ -42,7 +43,7 @@ from tumble.inference.hyperparameters import (
     LEAST_DEGREES,
     CorrelationTime,
     GroupSize,
-    Hyperparameter,
+    Hyperparameters,
     InRunSize,
     Scatter,
     average_information,
@@ -121,7 +122,7 @@ class Maximum:
     """
 
     linearisation: Linearisation
-    hyperparameters: tuple[Hyperparameter, ...]
+    hyperparameters: Hyperparameters
     solution: Solution
     point: Point
     curvature: Array
@@ -173,8 +174,8 @@ def maximum(
     problem, linearisation = start.problem, start
     hyperparameters = hyperparameters_of(problem, start.noise, _seen(solve(start, NO_COMPONENTS)))
     if phi is None or len(phi) != len(hyperparameters):
-        phi = np.array([h.centre for h in hyperparameters])
-    bounded = np.array([h.bounded for h in hyperparameters], dtype=bool)
+        phi = hyperparameters.centre
+    bounded = hyperparameters.bounded
     increments, near, gain, enough = list[Array](), False, np.inf, GAIN * max(1, len(phi))
     radius, B = FURTHEST, np.zeros((0, 0))
     while True:
@@ -277,8 +278,9 @@ def likeliest(start: Linearisation, iterations: int = MAX_ITERATIONS) -> Maximum
 
 def without_outliers(fitted: Maximum, iterations: int = MAX_ITERATIONS) -> Maximum:
     """The maximum without the rests and turns that do not fit; the same where all do."""
+    every = np.concatenate(sigmas(fitted.solution)[: 3 if fitted.problem.magnetometer is None else 5])
     whole = all(np.all(each == 1.0) for each in fitted.linearisation.noise.weights)
-    if whole and max(float(each.max(initial=0.0)) for each in sigmas(fitted.solution)) < STANDS_OUT:
+    if whole and 2.0 * scipy.special.ndtr(-every.max()) * len(every) > STANDS_OUT:
         return fitted
     robust = maximum(fitted.linearisation, fitted.phi, iterations, robust=True)
     dropped = [w < LEAST_WEIGHT for w in student_weights(chi_square_falls(robust.solution))]

@@ -57,6 +57,9 @@ CORRELATION_TIME = 300.0
 DISPLACEMENT, DISPLACEMENT_TIME = 0.02, 0.5
 """m and s: the usual displacement of a device in the hand or on a pivot, and its correlation time."""
 
+OMITTED = 2e-3
+"""A row whose weight has a root below it is left out."""
+
 
 def typical_noise(covariance: Array) -> float:
     """Standard deviation of a component of the median row, of covariances (N, n, n); 0 of none."""
@@ -128,9 +131,9 @@ class VarianceComponents:
 
     def in_run(self, accelerometers: int, gyros: int) -> tuple[Array, Array]:
         """Standard deviations and correlation times (n,) of the in-run biases of sensors, accelerometers first."""
-        kind = np.repeat([0, 1], [accelerometers, gyros])
-        sigma = _stacked([self.accel_in_run, self.gyro_in_run])[..., kind]
-        tau = _stacked([self.accel_time, self.gyro_time])[..., kind]
+        size, time = [self.accel_in_run] * accelerometers, [self.accel_time] * accelerometers
+        sigma = _stacked(size + [self.gyro_in_run] * gyros)
+        tau = _stacked(time + [self.gyro_time] * gyros)
         return sigma * self.unlike if self.unlike.size else sigma, tau
 
 
@@ -147,10 +150,8 @@ def _without_ignored(Z: Array, weights: Array) -> Array:
 
 def _stacked(numbers: list[Any]) -> Array:
     """Numbers, some of which may be arrays (...), as one array (..., n)."""
-    out = np.empty((*max((np.shape(each) for each in numbers), key=len), len(numbers)))
-    for i, each in enumerate(numbers):
-        out[..., i] = each
-    return out
+    stack = max((each.shape for each in numbers if isinstance(each, np.ndarray)), key=len, default=())
+    return np.stack([np.broadcast_to(each, stack) for each in numbers], axis=-1) if stack else np.array(numbers)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -206,7 +207,12 @@ class NoiseModel:
         """The same with other square roots of the weights of single rows."""
         return replace(self, rest_weights=rest, turn_weights=turn, link_weights=link)
 
-    @property
+    @cached_property
+    def variances(self) -> Array:
+        """The variances (c,) of the components of SCATTER."""
+        return self.components.variances
+
+    @cached_property
     def scaled_rest_directions(self) -> tuple[Array, IntArray]:
         """The directions of the scatter at rest, those of sensors unlike others longer, and their places in SCATTER;
         none of what is left out, whose readings say nothing of it."""
@@ -223,16 +229,30 @@ class NoiseModel:
         return _without_ignored(self.link_directions[0], self.link_weights), self.link_directions[1]
 
     @property
+    def seen_directions(self) -> tuple[tuple[Array, IntArray], ...]:
+        """The directions of the scatter of rests, turns and links, longer where rows count less: their whitening has
+        the weights in it. What is left out shows nothing of scatter."""
+        (rest, of_rest), (turn, of_turn) = self.scaled_rest_directions, self.turn_directions
+        link, of_link = self.scaled_link_directions
+        if all(np.all(w == 1.0) for w in self.weights):
+            return (rest, of_rest), (turn, of_turn), (link, of_link)
+        rest, turn, link = (
+            Z * np.where(w > OMITTED, 1.0 / w, 0.0)[:, :, None]
+            for Z, w in zip((rest, turn, link), self.weights, strict=True)
+        )
+        return (rest, of_rest), (turn, of_turn), (link, of_link)
+
+    @cached_property
     def biases(self) -> int:
         """How many biases are states of the stations: n, or none where they do not wander."""
         return sum(self.sensors) if self.components.wanders else 0
 
-    @property
+    @cached_property
     def states(self) -> int:
         """How many states a station has: biases, then three displacements of a device that is moved."""
         return self.biases + (0 if self.displaced is None else 3)
 
-    @property
+    @cached_property
     def unknowns(self) -> int:
         """d, the unknowns of a station: three angles, three velocities of a device that is moved, and the states."""
         return 3 + self.states + (0 if self.displaced is None else 3)
@@ -240,7 +260,7 @@ class NoiseModel:
     def whitening(self) -> tuple[Array, Array, Array]:
         """Inverses of the Cholesky factors of the covariances of the rows of rests (N, r, r), turns (K, t, t) and links
         (J, 9, 9)."""
-        variances = self.components.variances
+        variances = self.variances
         rest = whitening(self.rest, *self.scaled_rest_directions, variances) * self.rest_weights[:, None]
         turn = whitening(self.turn, *self.turn_directions, variances) * self.turn_weights[:, None]
         link = whitening(self.link, *self.scaled_link_directions, variances) * self.link_weights[:, None]
@@ -248,21 +268,26 @@ class NoiseModel:
 
     def _of_states(self, of_biases: Array, of_displacements: Array | float) -> Array:
         """Values of all states, of those of the biases and of the displacements."""
-        parts = [of_biases] if self.biases else []
-        if self.displaced is not None:
-            stack = of_biases.shape[:-1]
-            parts.append(np.broadcast_to(np.asarray(of_displacements)[..., None], (*stack, 3)))
-        return np.concatenate(parts, axis=-1) if parts else of_biases[..., :0]
+        own = of_biases if self.biases else of_biases[..., :0]
+        if self.displaced is None:
+            return own
+        displaced = np.broadcast_to(np.asarray(of_displacements)[..., None], (*of_biases.shape[:-1], 3))
+        return np.concatenate([own, displaced], axis=-1)
+
+    @cached_property
+    def _in_run(self) -> tuple[Array, Array]:
+        """Standard deviations and correlation times (n,) of the in-run biases."""
+        return self.components.in_run(*self.sensors)
 
     @cached_property
     def state_sigma(self) -> Array:
         """σ (s,) of every state, SI."""
-        return self._of_states(self.components.in_run(*self.sensors)[0], self.components.displacement)
+        return self._of_states(self._in_run[0], self.components.displacement)
 
     @cached_property
     def state_lapse(self) -> Array:
         """Δt/τ (M, s) of every state from every station to the next one."""
-        tau = self.components.in_run(*self.sensors)[1]
+        tau = self._in_run[1]
         of_biases = np.asarray(self.interval[:, None] / tau[..., None, :])
         if self.displaced is None:
             return self._of_states(of_biases, 0.0)

@@ -25,8 +25,9 @@ import numpy as np
 import scipy
 
 from tumble.inference.elimination import along_chains, eliminate, fold, given_parameters, given_unknowns, put_back
+from tumble.inference.elimination_kernels import residuals
 from tumble.inference.linearisation import Linearisation
-from tumble.inference.noise import NoiseModel, VarianceComponents
+from tumble.inference.noise import OMITTED, NoiseModel, VarianceComponents
 from tumble.inference.problem import Problem, SessionSpan
 from tumble.units import Array, IntArray
 
@@ -215,35 +216,20 @@ class Solution:
         others, and E what the others, of covariance U Uᵀ, do to a row directly and by these, the covariance is
 
             1 − A S Aᵀ − (E U)(E U)ᵀ"""
-        problem, equations = self.problem, self.equations
-        (own, with_next), out = self.conditional_covariances, list[tuple[Array, Array]]()
-
-        def of_both(i: IntArray) -> Array:
-            """Covariances of the unknowns of stations and of those after them."""
-            across = with_next[i]
-            upper, lower = (
-                np.concatenate(pair, axis=-1) for pair in ((own[i], across), (np.swapaxes(across, -1, -2), own[i + 1]))
-            )
-            return np.concatenate([upper, lower], axis=-2)
-
+        problem, equations, out = self.problem, self.equations, list[tuple[Array, Array]]()
+        own, with_next = self.conditional_covariances
         kinds = (
-            (equations.rest_rows, own[problem.station]),
-            (equations.turn_rows, of_both(problem.before_turn)),
-            (equations.link_rows, of_both(problem.before_link)),
+            (equations.rest_rows, problem.station, [part.rests for part in problem.parts]),
+            (equations.turn_rows, problem.before_turn, [part.turns for part in problem.parts]),
+            (equations.link_rows, problem.before_link, [slice(None)] * problem.moves),
         )
-        places = (
-            [part.rests for part in problem.parts],
-            [part.turns for part in problem.parts],
-            [slice(None)] if problem.moves else [slice(0)] * len(problem.parts),
-        )
-        for (rows, S), E, parts in zip(kinds, equations.reduced_rows(problem), places, strict=True):
-            A = rows[..., : S.shape[-1]]
-            residual, EU = np.empty(E.shape[:-1]), np.empty((*E.shape[:-1], E.shape[-1] - 1))
-            for s, part in enumerate(parts):
-                residual[part] = -times(E[part], self.shared[s, :, None])[..., 0]
-                EU[part] = times(E[part, :, :-1], self.roots[s])
-            fitted = A @ S @ np.swapaxes(A, -1, -2) + EU @ np.swapaxes(EU, -1, -2)
-            out.append((residual, np.eye(fitted.shape[-1]) - fitted))
+        for (rows, before, parts), E in zip(kinds, equations.reduced_rows(problem), strict=True):
+            K, t = rows.shape[:2]
+            residual, covariance, work = np.zeros((K, t)), np.zeros((K, t, t)), np.empty((t, rows.shape[2]))
+            for part, root, shared in zip(parts, self.roots, self.shared, strict=False):
+                of = rows[part], E[part], before[part]
+                residuals(*of, own, with_next, root, shared, residual[part], covariance[part], work)
+            out.append((residual, covariance))
         return out
 
 
@@ -292,38 +278,15 @@ def whiten(
 ) -> tuple[Array, Array, Array]:
     """The whitened rows of rests, turns and links as the elimination has them: after the unknowns of the stations what
     a session has beside, then gravity and the common parameters."""
-    problem, noise, q = linearisation.problem, linearisation.noise, len(linearisation.problem.usual_local_u)
-    n, s, v = noise.biases, noise.states, 3 if problem.moves else 0
-
-    def whitened(W: Array, *columns: Array) -> Array:
-        last = columns[-1].shape[2] - 1 - q
-        others = columns[-1][:, :, last:-1], columns[-1][:, :, :last], columns[-1][:, :, -1:]
-        return np.asarray(W @ np.concatenate([*columns[:-1], *others], axis=2))
-
-    def none(rows: Array, count: int) -> Array:
-        """Zero columns, of unknowns that these rows do not have."""
-        return np.zeros((*rows.shape[:2], count))
-
-    rest, turn, link = linearisation.rest, linearisation.turn, linearisation.link
-    states = np.broadcast_to(np.eye(rest.shape[1], n), (*rest.shape[:2], n))
-    shares = 1.0 - problem.bias_after, problem.bias_after
-    here, after = (np.concatenate([x * linearisation.bias[:, :, :n], none(turn, s - n)], axis=2) for x in shares)
-    rest = whitened(rest_whitening, rest[:, :, :3], none(rest, v), states, none(rest, s - n), rest[:, :, 3:])
-    turn = whitened(
-        turn_whitening, turn[:, :, :3], none(turn, v), here, turn[:, :, 3:6], none(turn, v), after, turn[:, :, 6:]
-    )
-    if problem.moves:
-        bias = 0.5 * linearisation.link_bias[:, :, :n]
-        moved, displaced = link[:, :, :12], link[:, :, 12:18]
-        link = whitened(
-            link_whitening,
-            *(moved[:, :, :6], bias, displaced[:, :, :3]),
-            *(moved[:, :, 6:], bias, displaced[:, :, 3:], link[:, :, 18:]),
-        )
-    else:
-        link = np.zeros((*turn.shape[:-3], 0, 9, turn.shape[-1]))
+    noise, s = linearisation.noise, linearisation.noise.states
+    n, d = sum(noise.sensors), noise.unknowns - noise.states
+    rows = linearisation.ordered
+    if noise.biases == 0:  # without their columns
+        one, both = np.arange(d, d + n), np.r_[d : d + n, 2 * d + n + s : 2 * (d + n) + s]
+        rows = np.delete(rows[0], one, axis=2), np.delete(rows[1], both, axis=2), np.delete(rows[2], both, axis=2)
+    rest, turn, link = (W @ x for W, x in zip((rest_whitening, turn_whitening, link_whitening), rows, strict=True))
     if s:
-        d = 3 + v + s
+        d = noise.unknowns
         for by_states in (rest[..., d - s : d], *(x[..., k * d - s : k * d] for x in (turn, link) for k in (1, 2))):
             by_states *= noise.state_sigma[..., None, None, :]
     return rest, turn, link
@@ -440,9 +403,14 @@ def _local_solution(head: Array, parameters: Array, root: Array) -> tuple[Array,
 
 
 def rests_deviance(equations: NormalEquations) -> Array:
-    """ln |V| + 2 Σ ln |diag R| of the rows and of the unknowns of the rests."""
-    noise, every = equations.noise, (equations.rest_whitening, equations.turn_whitening, equations.link_whitening)
-    whitened = sum(np.log(W.diagonal(0, -2, -1)).sum(axis=(-2, -1)) for W in every)
+    """ln |V| + 2 Σ ln |diag R| of the rows that are not left out and of the unknowns of the rests."""
+    noise = equations.noise
+    every = (
+        (equations.rest_whitening, noise.rest_weights),
+        (equations.turn_whitening, noise.turn_weights),
+        (equations.link_whitening, noise.link_weights),
+    )
+    whitened = sum(np.log(W.diagonal(0, -2, -1)).sum(axis=(-2, -1), where=w > OMITTED) for W, w in every)
     steps = np.log(noise.state_step[..., noise.follows, :]).sum(axis=(-2, -1)) if noise.states else 0.0
     return np.asarray(2.0 * (_logarithms(equations.rest_factors.diagonal(0, -2, -1)).sum(axis=-1) + steps - whitened))
 

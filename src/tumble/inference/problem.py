@@ -35,6 +35,7 @@ Earth's rate is noise, Ω/√3 an axis.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -344,6 +345,13 @@ class Problem:
         """The problem with the readings of a magnetometer, whose unknowns come first of those that a session has."""
         u = np.concatenate([magnetometer.u, self.local_u])
         return replace(self, magnetometer=magnetometer, local_u=u, usual_local_u=u)
+
+    def with_sizes(self, prior_u: Array, local_u: Array) -> Problem:
+        """The problem with priors of other standard deviations (1 + m,) and (q,), and all that does not depend on
+        them."""
+        out = copy(self)
+        vars(out).update(prior_u=prior_u, local_u=local_u)
+        return out
 
     def with_lags(self, values: Array) -> Problem:
         """The problem in which the lags are known to have the values they have among those of the parameters (m,)."""

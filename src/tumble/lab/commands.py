@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import sys
+from contextlib import AbstractContextManager
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,8 +15,6 @@ from tumble.commands import ask, tell
 from tumble.errors import InputError
 
 if TYPE_CHECKING:
-    from datetime import datetime
-
     from tumble.lab.registry.records import Record
     from tumble.lab.registry.registry import Registry
     from tumble.views.blocks import Block
@@ -29,6 +29,13 @@ def _number(ctx: click.Context, parameter: click.Parameter, text: str | None) ->
         expected = "expected the number of a record as `tumble registry list` shows it"
         raise click.BadParameter(f"{expected}, found {text!r}", ctx, parameter)
     return None if text is None else int(text)
+
+
+def _opened(place: str, *, create: bool = False) -> AbstractContextManager[Registry]:
+    """The registry at a place, whose code is imported when a command asks for it."""
+    from tumble.lab.registry.registry import open_registry
+
+    return open_registry(place, create=create)
 
 
 def _new_file(out: Path | None, what: str) -> None:
@@ -60,12 +67,9 @@ def registry() -> None:
 @ask.EVERY
 def add(calibration: Path, day: datetime | None, every: bool, place: str, **particulars: Any) -> None:
     """Add a CALIBRATION file, judge it by the limits in force, and say so. Exit status 1 if it does not pass."""
-    from datetime import UTC, datetime
-
-    from tumble.lab.registry.registry import open_registry
 
     begun, performed = datetime.now(UTC), None if day is None else day.replace(tzinfo=UTC)
-    with open_registry(place, create=True) as opened:
+    with _opened(place, create=True) as opened:
         record = opened.add_calibration(calibration, performed=performed, **particulars)
         said = "added as" if record.added >= begun else "the same calibration is there already:"
         tell.say(f"{said} record {record.number} in {opened.name}")
@@ -76,7 +80,7 @@ def add(calibration: Path, day: datetime | None, every: bool, place: str, **part
 def _show_record(opened: Registry, record: Record, every: bool) -> bool:
     """Print a record with the verdict on it. Returns whether it passes."""
     from tumble.lab.registry.registry import logs_of
-    from tumble.lab.views.registry import record_blocks
+    from tumble.lab.registry.views import record_blocks
 
     verdict, calibration = opened.verdict(record), opened.calibration(record)
     logs = [{"session": session, "log_sha256": log} for session, log in logs_of(calibration)]
@@ -95,10 +99,9 @@ def _show_record(opened: Registry, record: Record, every: bool) -> bool:
 @ask.JSON
 def list_(serial: str | None, place: str) -> None:
     """All devices with their latest record, or the records of the device SERIAL."""
-    from tumble.lab.registry.registry import open_registry
-    from tumble.lab.views.registry import device_table, record_table
+    from tumble.lab.registry.views import device_table, record_table
 
-    with open_registry(place) as opened:
+    with _opened(place) as opened:
         records = opened.records(serial)
     tell.show({"records": records}, lambda: [device_table(records) if serial is None else record_table(records)])
 
@@ -115,11 +118,10 @@ def show(number: int | None, model: str | None, out: Path | None, every: bool, p
 
     Exit status 1 if the record does not pass."""
     from tumble.files import whole_file
-    from tumble.lab.registry.registry import open_registry
 
     if (number is None) == (model is None):
         raise click.UsageError("show: expected the NUMBER of a record or --type MODEL, found none of them or both")
-    with open_registry(place) as opened:
+    with _opened(place) as opened:
         if model is not None:
             _show_datasheet(opened, model, out)
             return
@@ -134,9 +136,7 @@ def show(number: int | None, model: str | None, out: Path | None, every: bool, p
 
 
 def _show_datasheet(opened: Registry, model: str, out: Path | None) -> None:
-    from datetime import UTC, datetime
-
-    from tumble.lab.views.datasheet import datasheet_blocks, write_datasheet
+    from tumble.lab.datasheet import datasheet_blocks, write_datasheet
 
     sheet = opened.datasheet(model)
     if out is not None:
@@ -157,10 +157,9 @@ def trend(serial: str, parameter: str | None, every: bool, place: str) -> None:
     Exit status 1 if the device has changed since the calibration before by more than chance makes, in a parameter or
     in all together, as `tumble compare` says it of both.
     """
-    from tumble.lab.registry.registry import open_registry
-    from tumble.lab.views.registry import history_blocks, trend_blocks
+    from tumble.lab.registry.views import history_blocks, trend_blocks
 
-    with open_registry(place) as opened:
+    with _opened(place) as opened:
         found = opened.trend(serial, parameter)
     tell.show(found, lambda: trend_blocks(found, every=every) if parameter is None else history_blocks(found))
     if found.changed:
@@ -178,13 +177,10 @@ def limits(model: str | None, file: Path | None, place: str) -> None:
 
     Without FILE those of MODEL are shown, without MODEL those of all types are listed.
     """
-    from datetime import UTC, datetime
-
-    from tumble.lab.registry.registry import open_registry
-    from tumble.lab.views.registry import limits_blocks, limits_table
+    from tumble.lab.registry.views import limits_blocks, limits_table
 
     begun = datetime.now(UTC)
-    with open_registry(place, create=file is not None) as opened:
+    with _opened(place, create=file is not None) as opened:
         if model is not None and file is not None:
             record = opened.set_limits(model, file)
             said = "in force for" if record.added >= begun else "were in force already for"
@@ -211,10 +207,9 @@ def due(day: datetime | None, place: str) -> None:
     A device that failed its latest check is withdrawn until it is calibrated again. The most urgent first. Exit status
     1 if anything is withdrawn or overdue.
     """
-    from tumble.lab.registry.registry import open_registry
-    from tumble.lab.views.registry import due_table
+    from tumble.lab.registry.views import due_table
 
-    with open_registry(place) as opened:
+    with _opened(place) as opened:
         items = opened.due(None if day is None else day.date())
     tell.show({"devices": items}, lambda: [due_table(items)])
     for word, of in (("withdrawn", [i for i in items if i.withdrawn]), ("overdue", [i for i in items if i.overdue])):
@@ -229,8 +224,7 @@ def due(day: datetime | None, place: str) -> None:
 @ask.JSON
 def selftest(out: Path | None, by: str | None) -> None:
     """Run the reference cases on this machine and compare them with published values, closed forms and truth."""
-    from tumble.lab.selftest import run_selftest
-    from tumble.lab.views.selftest import selftest_blocks
+    from tumble.lab.selftest import run_selftest, selftest_blocks
 
     _new_file(out, "record")
     record = run_selftest(by=by, progress=lambda name: tell.say(f"running: {name}"))

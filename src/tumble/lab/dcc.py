@@ -6,7 +6,7 @@ them has their covariance matrix, the matrices and biases of the model equation 
 
     reading = matrix · true + bias,    true = matrix⁻¹ (reading − bias)
 
-The file is neither signed nor sealed.
+The document is `templates/dcc.xml.j2`; what is computed for it is here. The file is neither signed nor sealed.
 
 Source: PTB, DCC schema 3.3.0 and D-SI schema 2.2.1.
 """
@@ -14,13 +14,12 @@ Source: PTB, DCC schema 3.3.0 and D-SI schema 2.2.1.
 from __future__ import annotations
 
 import re
-import xml.etree.ElementTree as ET
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from math import floor, log10, sqrt
+from collections.abc import Sequence
+from functools import cache
+from math import floor, inf, log10, sqrt
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy
@@ -30,11 +29,11 @@ from tumble.errors import InputError
 from tumble.export import Target
 from tumble.export.exported import Exported, models, not_held, origin, shown
 from tumble.files import FilePath
-from tumble.lab.certificate import RELATES, STATES, Certificate, Party, check_certificate, judged_by, read_certificate
+from tumble.lab.certificate import RELATES, STATES, Certificate, check_certificate, judged_by, read_certificate
 from tumble.lab.conformity import RISK, RULE, Verdict, verdicts
 from tumble.lab.scope import statement_of_scope, within_scope
-from tumble.result.applied_correction import linear_example
 from tumble.result.calibration import Calibration, read_calibration
+from tumble.result.correction import linear_example
 from tumble.result.coverage import PROBABILITY, degrees_of_freedom
 from tumble.result.further import described
 from tumble.result.parts import FEWEST_DEGREES, Parameter, stated_factor
@@ -42,9 +41,9 @@ from tumble.sensors.model import UNITS, SensorKind, SensorModel
 from tumble.sensors.parameters import sensor_kind, shown_in
 from tumble.units import Array
 
-VERSION = "3.3.0"
-_DCC, _XSI = "https://ptb.de/dcc", "http://www.w3.org/2001/XMLSchema-instance"
-_NAMESPACES = {"dcc": _DCC, "si": "https://ptb.de/si"}
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
 REGION_PROBABILITY = 0.95
 """What the ellipsoid of all parameters covers."""
 
@@ -89,184 +88,94 @@ def dcc(calibration: Calibration, *, certificate: Certificate | FilePath) -> Exp
         certificate = read_certificate(Path(certificate))
     by_kind = models(calibration)
     calibration, scope = within_scope(calibration, certificate.laboratory.scope)
-    check_certificate(
-        certificate, calibration, None if certificate.as_found is None else read_calibration(certificate.as_found)
-    )
+    as_found = None if certificate.as_found is None else read_calibration(certificate.as_found)
+    check_certificate(certificate, calibration, as_found)
     limits = judged_by(certificate)
     judged = () if limits is None else tuple(verdicts(calibration, limits))
     losses = (*LOSSES, *not_held(calibration))
     inertial = [i for i, p in enumerate(calibration.parameters) if sensor_kind(p.name) != "mag"]
-    calibration = replace(
-        calibration,
-        parameters=tuple(calibration.parameters[i] for i in inertial),
-        covariance=None if calibration.covariance is None else calibration.covariance[np.ix_(inertial, inertial)],
+    parameters, covariance = [calibration.parameters[i] for i in inertial], calibration.covariance
+    provenance, circumstances = calibration.provenance, calibration.provenance.circumstances
+    name, _, release = (provenance.software or "tumble 0").partition(" ")
+    alike = [verdict for verdict in judged if verdict.frame == calibration.frame]
+    within = [statement_of_scope(scope)] if certificate.laboratory.scope else []
+    content = (
+        _environment()
+        .get_template("dcc.xml.j2")
+        .render(
+            certificate=certificate,
+            software=(name, release or "unknown"),
+            days=certificate.days(calibration),
+            state=STATES[certificate.state],
+            device=calibration.device,
+            declarations=[RELATES, *within, *certificate.remarks],
+            traced="; ".join((*certificate.traceability, *circumstances.equipment)),
+            origin="; ".join(origin(calibration)),
+            method=calibration.method,
+            equipment=circumstances.equipment,
+            conditions=_conditions(calibration),
+            probability=f"{PROBABILITY:g}",
+            parameters=[_parameter(p, alike, scope.get(p.name, "")) for p in parameters],
+            covariance=None if covariance is None else _covariance(parameters, covariance[np.ix_(inertial, inertial)]),
+            models={_TITLES[kind]: _model(kind, model) for kind, model in by_kind.items()},
+            statements=[_conformity(verdict, certificate.agreed) for verdict in judged],
+        )
     )
-    for prefix, address in _NAMESPACES.items():
-        ET.register_namespace(prefix, address)
-    root = ET.Element(f"{{{_DCC}}}digitalCalibrationCertificate", {"schemaVersion": VERSION})
-    root.set(f"{{{_XSI}}}schemaLocation", f"{_DCC} {_DCC}/v{VERSION}/dcc.xsd")
-    _add(root, "administrativeData", _administrative(calibration, certificate, scope))
-    _add(root, "measurementResults", {"measurementResult": _results(calibration, certificate, by_kind, judged, scope)})
-    ET.indent(root)
-    return Exported(content=ET.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n", losses=losses)
+    lines = (line.strip() for line in content.splitlines())
+    return Exported(content="\n".join(filter(None, lines)).encode() + b"\n", losses=losses)
 
 
 TARGET = Target(write=dcc, takes=("certificate",), needs=("certificate",), ending=".xml")
 """What `tumble export --to dcc` writes."""
 
 
-def _add(parent: ET.Element, name: str, content: Any) -> None:
-    """Add an element with its content: a text; by name what is in it, "@name" an attribute, "si:name" of D-SI; one
-    element for each of a list; none at all for None."""
-    if content is None:
-        return
-    for each in content if isinstance(content, list) else [content]:
-        prefix, _, local = name.rpartition(":")
-        element = ET.SubElement(parent, f"{{{_NAMESPACES[prefix or 'dcc']}}}{local}")
-        if isinstance(each, str):
-            element.text = each
-            continue
-        for part, value in each.items():
-            if part.startswith("@"):
-                element.attrib.update({} if value is None else {part[1:]: value})
-            elif part == "":
-                element.text = value
-            else:
-                _add(element, part, value)
+@cache
+def _environment() -> Environment:
+    """What fills in the document: text is escaped, and on one line where it is free."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("tumble.lab"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["line"] = lambda text: " ".join(plain(text).split())
+    return environment
 
 
-def _line(text: str) -> str:
-    """A text on one line, without characters that XML does not have."""
-    return " ".join(plain(text).split())
-
-
-def _text(text: str | None) -> dict[str, Any] | None:
-    """A text in English; nothing where there is none."""
-    return None if text is None else {"content": {"@lang": "en", "": _line(text)}}
-
-
-# -------------------- who, what, when --------------------
-
-
-def _administrative(calibration: Calibration, certificate: Certificate, scope: Mapping[str, str]) -> dict[str, Any]:
-    name, _, release = (calibration.provenance.software or "tumble 0").partition(" ")
-    begin, end = certificate.days(calibration)
-    replaced = {"typeOfChange": "substituted", "replacedUniqueIdentifier": certificate.replaces}
-    core = {
-        "countryCodeISO3166_1": certificate.country,
-        "usedLangCodeISO639_1": "en",
-        "mandatoryLangCodeISO639_1": "en",
-        "uniqueIdentifier": certificate.number,
-        "receiptDate": None if certificate.received is None else certificate.received.isoformat(),
-        "beginPerformanceDate": begin.isoformat(),
-        "endPerformanceDate": end.isoformat(),
-        "performanceLocation": certificate.place,
-        "issueDate": None if certificate.issued is None else certificate.issued.isoformat(),
-        "reportAmendedSubstituted": None if certificate.replaces is None else replaced,
-    }
-    serial = {"issuer": "manufacturer", "value": _line(calibration.serial), "name": _text("serial number")}
-    item = {
-        "name": _text("inertial measurement unit"),
-        "description": _text(STATES[certificate.state]),
-        "model": None if calibration.model is None else _line(calibration.model),
-        "identifications": {"identification": serial},
-    }
-    code, contact = certificate.laboratory.code, _contact(certificate.laboratory)
-    persons = [
-        {"person": {"name": _text(one.name)}, "role": one.role, "mainSigner": "false" if i else "true"}
-        for i, one in enumerate(certificate.person)
-    ]
-    said = (RELATES, *([statement_of_scope(scope)] if certificate.laboratory.scope else []), *certificate.remarks)
-    statements: list[dict[str, Any]] = [{"declaration": _text(each)} for each in said]
-    if traced := (*certificate.traceability, *calibration.provenance.circumstances.equipment):
-        kind = {"@refType": "basic_metrologicallyTraceableToSI", "name": _text("metrological traceability")}
-        statements.append(kind | {"declaration": _text("; ".join(traced))})
-    return {
-        "dccSoftware": {"software": {"name": _text(name), "release": release or "unknown"}},
-        "coreData": core,
-        "items": {"item": item},
-        "calibrationLaboratory": {"calibrationLaboratoryCode": code, "contact": contact},
-        "respPersons": {"respPerson": persons},
-        "customer": _contact(certificate.customer),
-        "statements": {"statement": statements},
-    }
-
-
-def _contact(party: Party) -> dict[str, Any]:
-    place = {"street": party.street, "postCode": party.postcode, "city": party.city, "countryCode": party.country}
-    return {"name": _text(party.name), "eMail": party.email, "location": place}
-
-
-# -------------------- results --------------------
-
-
-def _results(
-    calibration: Calibration,
-    certificate: Certificate,
-    known: Mapping[SensorKind, SensorModel],
-    judged: Sequence[Verdict],
-    scope: Mapping[str, str],
-) -> dict[str, Any]:
-    methods: list[dict[str, Any]] = [
-        {
-            "@refType": "basic_calibrationMethod",
-            "name": _text(f"method {calibration.method} of tumble"),
-            "description": _text(certificate.procedure),
-        },
-        {
-            "@refType": "basic_methodMeasurementUncertainty",
-            "name": _text("expanded uncertainty"),
-            "description": _text("U = k u covers 95.45 %; k = 2, or Student's t where u was estimated"),
-            "norm": "JCGM 100:2008",
-        },
-    ]
-    equipment = [
-        {"@refType": "basic_measurementStandard", "name": _text(each)}
-        for each in calibration.provenance.circumstances.equipment
-    ]
+def _conditions(calibration: Calibration) -> list[dict[str, Any]]:
+    """Gravity and the air."""
     air, site = calibration.provenance.circumstances.conditions, calibration.provenance.site
-    stated: list[tuple[str, str | None, float | None, float | None, str]] = [
+    stated: list[tuple[str, str, float | None, float | None, str]] = [
         ("temperature", "basic_temperature", air.temperature_degC, air.temperature_u, "degC"),
         ("relative humidity", "basic_humidityRelative", air.humidity_percent, None, "%"),
-        ("air pressure", None, air.pressure_hPa, None, "hPa"),
+        ("air pressure", "", air.pressure_hPa, None, "hPa"),
     ]
     if site is not None:
         name = "gravity at the place, the unit of the result" if site.gravity_is_unit else "local gravity"
-        stated.insert(0, (name, None, site.gravity, site.gravity_u or None, "m/s^2"))
-    conditions = [
-        {"@refType": kind, "name": _text(name), "data": {"quantity": {"si:real": _real(value, u, unit, np.inf)}}}
+        stated.insert(0, (name, "", site.gravity, site.gravity_u or None, "m/s^2"))
+    return [
+        {"kind": kind, "name": name, "quantity": _real(value, u, unit, inf)}
         for name, kind, value, u, unit in stated
         if value is not None
     ]
-    alike = [verdict for verdict in judged if verdict.frame == calibration.frame]
-    quantities = [_parameter(p, alike, scope.get(p.name, "")) for p in calibration.parameters]
-    data: dict[str, Any] = {"parameters": {"quantity": quantities}}
-    if calibration.covariance is not None:
-        data["parameters with covariance"] = {"quantity": _covariance(calibration, calibration.covariance)}
-    data |= {f"model of the {_TITLES[kind]}": _model(kind, model) for kind, model in known.items()}
-    statements = [  # of conformity for each check, by the decision rule
-        {
-            "@refType": "basic_conformity",
-            "name": _text(f"{verdict.occasion} check against acceptance limits"),
-            "description": _text(certificate.agreed and f"limits and decision rule as agreed: {certificate.agreed}"),
-            "norm": "ILAC-G8:09/2019",
-            "declaration": _text(f"{RULE}. {RISK}.{verdict.whole_risk}"),
-            "conformity": _CONFORMITY.get(verdict.result),
-        }
-        for verdict in judged
-    ]
+
+
+def _conformity(verdict: Verdict, agreed: str | None) -> dict[str, Any]:
+    """The statement of conformity for a check, by the decision rule."""
     return {
-        "name": _text("calibration parameters of the inertial measurement unit"),
-        "description": _text("; ".join(origin(calibration))),
-        "usedMethods": {"usedMethod": methods},
-        "measuringEquipments": {"measuringEquipment": equipment} if equipment else None,
-        "influenceConditions": {"influenceCondition": conditions} if conditions else None,
-        "results": {"result": [{"name": _text(name), "data": each} for name, each in data.items()]},
-        "measurementMetaData": {"metaData": statements} if statements else None,
+        "name": f"{verdict.occasion} check against acceptance limits",
+        "agreed": agreed and f"limits and decision rule as agreed: {agreed}",
+        "norm": "ILAC-G8:09/2019",
+        "declaration": f"{RULE}. {RISK}.{verdict.whole_risk}",
+        "conformity": _CONFORMITY.get(verdict.result),
     }
 
 
 def _parameter(parameter: Parameter, judged: Sequence[Verdict], scope: str) -> dict[str, Any]:
+    """A parameter with U, in words, and the verdicts by limits in its frame."""
     statements = []
     for verdict, judgement in ((check, each) for check in judged for each in check.judgements):
         if judgement.name == parameter.name and judgement.result in _CONFORMITY:
@@ -275,40 +184,33 @@ def _parameter(parameter: Parameter, judged: Sequence[Verdict], scope: str) -> d
             size, unit = shown_in(judgement.name, judgement.unit, largest)
             low, high = (f"{limit / size:.6g}" for limit in between)
             over = "" if judgement.at is None else f", worst at {judgement.at:.1f} degC: {judgement.value:g}"
-            statement = {"@refType": "basic_conformity", "name": _text(f"{verdict.occasion} check")}
-            statement |= {"declaration": _text(f"limits {low} to {high} {unit}{over}")}
+            statement = {"name": f"{verdict.occasion} check", "agreed": None, "norm": None}
+            statement |= {"declaration": f"limits {low} to {high} {unit}{over}"}
             statements.append(statement | {"conformity": _CONFORMITY[judgement.result]})
     behind = "no uncertainty is stated"
     if parameter.u is not None:
         known, dof = "u is known (infinite degrees of freedom)", parameter.dof
         behind = known if dof is None else f"u was estimated with {dof:.3g} degrees of freedom"
     return {
-        "@refType": "basic_measuredValue",
-        "@id": parameter.name,
-        "name": _text(parameter.name),
-        "description": _text("; ".join(filter(None, (described(parameter.name), behind, scope)))),
-        "si:real": _real(parameter.value, parameter.u, parameter.unit, degrees_of_freedom(parameter)),
-        "measurementMetaData": {"metaData": statements} if statements else None,
+        "name": parameter.name,
+        "words": "; ".join(filter(None, (described(parameter.name), behind, scope))),
+        "quantity": _real(parameter.value, parameter.u, parameter.unit, degrees_of_freedom(parameter)),
+        "statements": statements,
     }
 
 
 def _real(value: float, u: float | None, unit: str, degrees: float) -> dict[str, Any]:
     """A value with its expanded uncertainty, where it has one, of a u with so many degrees of freedom; with u where
     these are too few."""
-    k, uncertainty = stated_factor(degrees), dict[str, Any]()
-    if u is not None and k is None:
-        uncertainty = {"si:standardMU": {"si:valueStandardMU": f"{u:.{U_DIGITS}g}"}}
-    elif u is not None and k is not None:
-        uncertainty = {
-            "si:expandedMU": {
-                "si:valueExpandedMU": f"{k * u:.{U_DIGITS}g}",
-                "si:coverageFactor": f"{k:.{U_DIGITS}g}",
-                "si:coverageProbability": f"{PROBABILITY:g}",
-                "si:distribution": "normal" if np.isinf(degrees) else "Student's t",
-            }
-        }
-    value_and_unit = {"si:value": to_digits(value, u), "si:unit": d_si(unit)}
-    return value_and_unit | {"si:measurementUncertaintyUnivariate": uncertainty or None}
+    k = stated_factor(degrees)
+    return {
+        "value": to_digits(value, u),
+        "unit": d_si(unit),
+        "u": None if u is None else f"{u:.{U_DIGITS}g}",
+        "U": None if u is None or k is None else f"{k * u:.{U_DIGITS}g}",
+        "k": None if k is None else f"{k:.{U_DIGITS}g}",
+        "distribution": "normal" if np.isinf(degrees) else "Student's t",
+    }
 
 
 def to_digits(value: float, u: float | None) -> str:
@@ -319,60 +221,41 @@ def to_digits(value: float, u: float | None) -> str:
     return f"{value:.{min(max(digits, 1), 12)}g}"
 
 
-def _covariance(calibration: Calibration, covariance: Array) -> dict[str, Any] | None:
-    """All parameters in one list with the matrix of their covariances, column by column; nothing where too few degrees
-    of freedom stand behind it for a region of 95 %."""
-    parameters, units = calibration.parameters, [p.unit for p in calibration.parameters]
+def _covariance(parameters: Sequence[Parameter], covariance: Array) -> dict[str, Any]:
+    """All parameters in one list with the matrix of their covariances, column by column; without a `region` where too
+    few degrees of freedom stand behind one of 95 %."""
     fewest = min(degrees_of_freedom(p) for p in parameters)
-    if fewest < FEWEST_DEGREES:
-        return None
-    columns = []
+    units, columns = [p.unit for p in parameters], []
     for unit, column in zip(units, covariance.T.tolist(), strict=True):
-        values = " ".join(f"{each:.{_COVARIANCE_DIGITS}g}" for each in column)
-        of_unit = " ".join(d_si(other, unit) for other in units)
-        columns.append({"si:covarianceXMLList": {"si:valueXMLList": values, "si:unitXMLList": of_unit}})
+        numbers = " ".join(f"{each:.{_COVARIANCE_DIGITS}g}" for each in column)
+        columns.append({"numbers": numbers, "units": " ".join(d_si(other, unit) for other in units)})
     n, exact = len(units), np.isinf(fewest)  # how many standard deviations the ellipsoid is large
     square = (
         scipy.special.chdtri(n, 1.0 - REGION_PROBABILITY)
         if exact
         else n * scipy.special.fdtri(n, fewest, REGION_PROBABILITY)
     )
-    region = {
-        "si:covarianceMatrixXMLList": {"si:columnXMLList": columns},
-        "si:coverageFactorXMLList": f"{sqrt(square):.6f}",
-        "si:coverageProbabilityXMLList": str(REGION_PROBABILITY),
-    }
-    values = " ".join(to_digits(p.value, p.u) for p in parameters)
-    entries = _list([p.name for p in parameters], values, units)
-    entries["si:measurementUncertaintyMultivariateXMLList"] = {"si:ellipsoidalRegionMUXMLList": region}
-    return {"name": _text("all parameters"), "si:realListXMLList": entries}
+    entries = _list([p.name for p in parameters], " ".join(to_digits(p.value, p.u) for p in parameters), units)
+    region = None if fewest < FEWEST_DEGREES else f"{sqrt(square):.6f}"
+    return entries | {"columns": columns, "region": region, "probability": REGION_PROBABILITY}
 
 
-def _model(kind: SensorKind, model: SensorModel) -> dict[str, Any]:
-    """Model equation, matrix, bias and an example."""
-    unit, worked = UNITS[kind], linear_example(kind, model)
-    n = len(model.bias)
-    rows = [f"matrix.{p + 1}.{q + 1}" for p in range(n) for q in range(3)]
-    lists: list[tuple[str, list[str], Array, str]] = [
-        ("matrix M, row by row", rows, model.matrix, "1"),
-        ("bias b", [f"bias.{p + 1}" for p in range(n)], model.bias, unit),
-        ("example: reading r", [f"reading.{p + 1}" for p in range(n)], worked.reading, unit),
-        ("example: true vector t", ["true.x", "true.y", "true.z"], worked.true, unit),
-    ]
-    quantities = [
-        {
-            "name": _text(f"{_TITLES[kind]}: {name}"),
-            "si:realListXMLList": _list(labels, shown(numbers), [unit] * len(labels)),
-        }
-        for name, labels, numbers, unit in lists
-    ]
-    return {"formula": {"latex": r"r = M t + b, \quad t = M^{+} (r - b)"}, "quantity": quantities}
+def _model(kind: SensorKind, model: SensorModel) -> dict[str, dict[str, str]]:
+    """Matrix, bias and an example, by name."""
+    unit, worked, n = UNITS[kind], linear_example(kind, model), len(model.bias)
 
+    def listed(label: str, vector: Array, axes: Sequence[Any] = range(1, n + 1)) -> dict[str, str]:
+        return _list([f"{label}.{each}" for each in axes], shown(vector), [unit] * len(vector))
 
-def _list(labels: Sequence[str], values: str, units: Sequence[str]) -> dict[str, Any]:
-    """Values, as words, with a label and a unit each."""
+    entries = [f"matrix.{p}.{q}" for p in range(1, n + 1) for q in (1, 2, 3)]
     return {
-        "si:labelXMLList": " ".join(labels),
-        "si:valueXMLList": values,
-        "si:unitXMLList": " ".join(map(d_si, units)),
+        "matrix M, row by row": _list(entries, shown(model.matrix), ["1"] * len(entries)),
+        "bias b": listed("bias", model.bias),
+        "example: reading r": listed("reading", worked.reading),
+        "example: true vector t": listed("true", worked.true, "xyz"),
     }
+
+
+def _list(labels: Sequence[str], numbers: str, units: Sequence[str]) -> dict[str, Any]:
+    """Numbers, as words, with a label and a unit each."""
+    return {"labels": " ".join(labels), "numbers": numbers, "units": " ".join(map(d_si, units))}

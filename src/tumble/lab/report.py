@@ -19,8 +19,8 @@ from tumble.files import FilePath, ending_in
 from tumble.lab.certificate import RELATES, Certificate, Party, check_certificate, judged_by, read_certificate
 from tumble.lab.conformity import RESULTS, RISK, RULE, LimitJudgement, Result, Verdict, in_percent, verdicts
 from tumble.lab.limits import Limits, limits_of
+from tumble.lab.registry.views import TONES
 from tumble.lab.scope import statement_of_scope, within_scope
-from tumble.lab.views.registry import TONES
 from tumble.result.calibration import Calibration, read_calibration
 from tumble.result.coverage import expanded
 from tumble.result.further import remarks
@@ -47,10 +47,11 @@ from tumble.views.report.document import (
     provenance,
     reasons_of,
     report_of,
+    sources_of,
     verdict_on,
+    write_document,
 )
 from tumble.views.report.result import Cells, value_blocks, verdict_blocks
-from tumble.views.report.write import sources_of, write_document
 from tumble.views.uncertainty_budget import SHOWN
 
 OVER_TEMPERATURE = (

@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, ClassVar
 
 import numpy as np
@@ -33,11 +32,12 @@ from tumble.methods.quadric import fit_many
 from tumble.planning.setup import Setup
 from tumble.recording.session import Session
 from tumble.reduction.noise.allan_deviation import allan_deviation
-from tumble.result.calibration import Calibration, read_calibration
+from tumble.result.calibration import Calibration, calibration_of
 from tumble.run.calibrate import calibrate
 from tumble.simulation.scenario import Scenario, scenario_of
 from tumble.simulation.session import session_in_memory
 from tumble.units import DEGREE, G_STANDARD
+from tumble.views.blocks import Block, table
 
 LIBRARIES = ("numpy", "scipy", "polars", "pydantic")
 
@@ -132,34 +132,44 @@ def _source_hashes() -> dict[str, str]:
     return {path.relative_to(package).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
 
 
+def selftest_blocks(record: SelftestRecord) -> list[Block]:
+    """The cases, on which machine they ran, and whether all passed."""
+    rows = []
+    for case in record.cases:
+        allowed = f"{case.low:g} … {case.high:g}" if case.low > 0.0 else f"≤ {case.high:g}"
+        row = {"case": case.name, "compared with": case.source, "found": f"{case.figure:.3g}"}
+        row |= {"allowed": f"{allowed} {case.unit}".removesuffix(" 1"), "": "passed" if case.passed else "FAILED"}
+        rows.append(row)
+    return [
+        table(rows, words=("case", "compared with", "")),
+        f"{record.software} on {record.machine['system']}, {record.date}, run by {record.by}\n"
+        f"{'passed' if record.passed else 'FAILED'}",
+    ]
+
+
 # -------------------- the cases --------------------
 
 
 def _gravity() -> Iterator[SelftestCase]:
     """normal gravity at the equator and at the pole"""
+    source, high = "WGS 84 (NIMA TR8350.2), derived constants", 1e-9
     for place, latitude, published in (("equator", 0.0, 9.7803253359), ("pole", 90.0, 9.8321849379)):
-        yield SelftestCase(
-            name=f"normal gravity at the {place}",
-            source="WGS 84 (NIMA TR8350.2), derived constants",
-            figure=abs(normal_gravity(latitude * DEGREE, 0.0) - published),
-            high=1e-9,
-            unit="m/s^2",
-        )
+        off, name = abs(normal_gravity(latitude * DEGREE, 0.0) - published), f"normal gravity at the {place}"
+        yield SelftestCase(name=name, source=source, figure=off, high=high, unit="m/s^2")
 
 
 def _allan_deviation() -> Iterator[SelftestCase]:
     """Allan deviation of a published set of 1000 numbers"""
-    numbers = [1234567890]
+    numbers, source = [1234567890], "Riley, NIST SP 1065 (2008), 1000-point test suite"
     for _ in range(999):
         numbers.append(16807 * numbers[-1] % 2147483647)
     curve = allan_deviation(np.array(numbers)[:, None] / 2147483647, 1.0)
     for tau, published in ((1.0, 2.922319e-01), (10.0, 9.159953e-02)):
-        yield SelftestCase(
-            name=f"overlapping Allan deviation at τ = {tau:g}",
-            source="Riley, NIST SP 1065 (2008), 1000-point test suite",
-            figure=abs(float(curve.deviation[curve.tau == tau, 0][0]) - published),
-            high=1e-7,
+        off, name = (
+            abs(curve.deviation[curve.tau == tau, 0][0] - published),
+            f"overlapping Allan deviation at τ = {tau:g}",
         )
+        yield SelftestCase(name=name, source=source, figure=float(off), high=1e-7)
 
 
 def _cube() -> Iterator[SelftestCase]:
@@ -167,15 +177,10 @@ def _cube() -> Iterator[SelftestCase]:
     matrix = np.diag([-1.45, -1.43, -1.47]) @ np.array([[1.0, 6e-3, -2e-3], [0.0, 1.0, 4e-3], [0.0, 0.0, 1.0]])
     bias = np.array([0.003, -0.002, 0.001])
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / np.sqrt(3.0)
-    readings = np.vstack([np.eye(3), -np.eye(3), corners]) @ matrix.T + bias
-    fitted = fit_many(readings[None])
-    shape = np.linalg.inv(matrix @ matrix.T)
-    yield SelftestCase(
-        name="ellipsoid through 14 positions: centre and quadratic form",
-        source="closed form",
-        figure=float(max(np.abs(fitted.centre[0] - bias).max(), np.abs(fitted.shape[0] - shape).max())),
-        high=1e-12,
-    )
+    fitted = fit_many((np.vstack([np.eye(3), -np.eye(3), corners]) @ matrix.T + bias)[None])
+    off = [np.abs(fitted.centre[0] - bias).max(), np.abs(fitted.shape[0] - np.linalg.inv(matrix @ matrix.T)).max()]
+    name = "ellipsoid through 14 positions: centre and quadratic form"
+    yield SelftestCase(name=name, source="closed form", figure=float(max(off)), high=1e-12)
 
 
 def _noiseless() -> Iterator[SelftestCase]:
@@ -186,27 +191,20 @@ def _noiseless() -> Iterator[SelftestCase]:
     ):
         calibration, truth = _simulated(setup)
         worst = max((abs(p.value - truth[p.name]) for p in calibration.parameters), default=np.inf)
-        count = len(calibration.parameters)
-        yield SelftestCase(
-            name=f"{name}, no noise: worst of {count} parameters", source="truth", figure=worst, high=1e-9, unit="SI"
-        )
+        name = f"{name}, no noise: worst of {len(calibration.parameters)} parameters"
+        yield SelftestCase(name=name, source="truth", figure=worst, high=1e-9, unit="SI")
 
 
 def _noisy_table() -> Iterator[SelftestCase]:
     """a simulated device on a rough table, with noise, and the file of its calibration"""
     calibration, truth = _simulated(Setup.of(rest=20.0, terms="full"))
     z = np.array([(p.value - truth[p.name]) / p.u for p in calibration.parameters if p.u])
-    yield SelftestCase(
-        name=f"rough table: rms of (value − truth)/u of {len(z)} parameters",
-        source="truth; chi-square, 1 of 10 000 either way",
-        figure=float(np.sqrt(np.mean(z**2))),
-        low=0.5,
-        high=1.6,
+    name, source = (
+        f"rough table: rms of (value − truth)/u of {len(z)} parameters",
+        "truth; chi-square, 1 of 10 000 either way",
     )
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "calibration.json"
-        calibration.write(path)
-        again = read_calibration(path)
+    yield SelftestCase(name=name, source=source, figure=float(np.sqrt(np.mean(z**2))), low=0.5, high=1.6)
+    again = calibration_of(calibration.text(), "self-test")
     worst = max(abs(again[p.name].value - p.value) for p in calibration.parameters)
     name = "calibration file written and read: worst difference"
     yield SelftestCase(name=name, source="identity", figure=worst, high=0.0, unit="SI")
@@ -225,10 +223,8 @@ def _exchanged_columns() -> Iterator[SelftestCase]:
     assert gyro is not None
     x, y, z = gyro.columns
     exchanged = replace(session, log=replace(session.log, gyro=replace(gyro, columns=(y, x, z))))
-    refused = not calibrate(exchanged, terms="linear").outcome.accepted
-    yield SelftestCase(
-        name="exchanged gyro columns are refused", source="must be 1", figure=float(refused), low=1.0, high=1.0
-    )
+    refused, name = not calibrate(exchanged, terms="linear").outcome.accepted, "exchanged gyro columns are refused"
+    yield SelftestCase(name=name, source="must be 1", figure=float(refused), low=1.0, high=1.0)
 
 
 def _simulated(setup: Setup) -> tuple[Calibration, dict[str, float]]:

@@ -17,7 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tumble.diagnosis.linear_model import by_joint, left_out_by_rests, with_left_out
+from tumble.diagnosis.linear_model import by_joint, left_out_by_rests, left_out_sizes, with_left_out
 from tumble.diagnosis.observability import Refusal
 from tumble.errors import InputError
 from tumble.inference.estimate import Estimate, Fit
@@ -29,8 +29,9 @@ from tumble.sensors.parameters import units_of
 from tumble.units import Array
 
 
-def ellipsoid(observations: Observations) -> Estimate:
-    """The accelerometer parameters of a session with covariance.
+def ellipsoid(observations: Observations, *, intervals: bool = True) -> Estimate:
+    """The accelerometer parameters of a session with covariance. How large groups are is the maximum of `joint`, with
+    `intervals` integrated.
 
     Raises InputError for more than three accelerometers, and LinAlgError where the rests lie on no ellipsoid."""
     block, rests, site = observations.accel_block, observations.rests, observations.site
@@ -49,8 +50,8 @@ def ellipsoid(observations: Observations) -> Estimate:
     if not isinstance(found, Refusal):
         beside, sizes = None, None
         if observations.usual and found.converged:
-            beside = by_joint(observations.of_accelerometers())
-            sizes = beside if observations.turns is None else by_joint(observations)
+            beside = by_joint(observations.of_accelerometers(), intervals)
+            sizes = beside if observations.turns is None else by_joint(observations, intervals)
         return estimate_of(found, observations, beside, sizes or beside)
     if not len(found.null):
         raise np.linalg.LinAlgError(found.reason)
@@ -84,7 +85,7 @@ def estimate_of(
     """The estimate of a fit to the rests of observations, its covariance zero where the fit has none. Rests are judged
     by the estimate of the method joint `beside` it, of the same rests; how large groups of parameters are is told by
     that of everything the session has, its turns included (`sizes`)."""
-    block, gravity = observations.accel_block, observations.site.gravity
+    block = observations.accel_block
     covariance = np.zeros((9, 9)) if found.covariance is None else found.covariance
     variance = np.diag(covariance)
     by_noise = variance - found.by_modulus**2
@@ -111,8 +112,8 @@ def estimate_of(
     if not observations.usual:
         return estimate
     estimate = replace(estimate, linearised=None if beside is None else beside.linearised)
-    found_groups = left_out_by_rests(observations, found.values, deviations(found, observations), sizes)[0]
-    return with_left_out(estimate, found_groups, gravity)
+    problem, moves, _ = left_out_by_rests(observations, found.values, deviations(found, observations))
+    return with_left_out(estimate, problem, moves, left_out_sizes(problem, sizes))
 
 
 def deviations(found: EllipsoidFit, observations: Observations) -> Array:

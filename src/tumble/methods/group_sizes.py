@@ -30,7 +30,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tumble.diagnosis.linear_model import left_out_by_rests, with_left_out
+from tumble.diagnosis.linear_model import left_out_by_rests, left_out_sizes, with_left_out
 from tumble.inference.estimate import Estimate
 from tumble.inference.hyperparameters import STATED
 from tumble.inference.integral import coverage_factors, degrees_of, normal_points
@@ -80,9 +80,9 @@ def with_groups(
     names = dict.fromkeys(name for sizes in grades for name in sizes)
     usual = {name: float(np.sqrt(np.mean([sizes.get(name, 0.0) ** 2 for sizes in grades]))) for name in names}
     rests, sigma = replace(observations, usual=usual), deviations(fit, observations)
-    found, L = left_out_by_rests(rests, fit.values, sigma)
-    made = with_left_out(estimate, found, observations.site.gravity)
-    instrument, first, k = found.instrument, len(fit.values), len(found.usual)
+    problem, moves, L = left_out_by_rests(rests, fit.values, sigma)
+    made = with_left_out(estimate, problem, moves, left_out_sizes(problem, None))
+    instrument, first, k = problem.instrument, len(fit.values), L.shape[1]
     groups = {group.name: instrument.members[group.name] for group in instrument.further}
     number = np.repeat(np.arange(len(groups)), [members.stop - members.start for members in groups.values()])
     times = np.exp(np.maximum(normal_points(POINTS, len(groups)), 0.0) * np.log(STATED))
@@ -111,7 +111,7 @@ def with_groups(
     c, d, V, S, SL = c[noise], d[point, noise], V[point], S[point], SL[point]
 
     # mean and covariance of the error at each point, and by source
-    T = np.vstack([found.moves, -np.eye(k)])
+    T = np.vstack([moves, -np.eye(k)])
     K = np.zeros((len(c), first + k, len(q)))
     if by_residuals:
         K = (T * S[:, None]) @ SL @ (V / d[:, None]) @ np.swapaxes(V, 1, 2)

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from tumble.brief import Brief
-from tumble.diagnosis.linear_model import LeftOut, left_out, moves_by_likelihood
+from tumble.diagnosis.linear_model import left_out, moves_by_likelihood
 from tumble.earth import earth_rate
 from tumble.errors import InputError
 from tumble.inference.hyperparameters import size_factors
@@ -129,29 +129,32 @@ def stated(setup: Setup, *, gyros: bool = True, terms: Terms = "full", motion: M
 
 def _stated(course: Itinerary | MotionCourse, setup: Setup, *, gyros: bool, terms: Terms) -> Bound:
     """What `calibrate` will state of a course."""
-    if terms == "linear":
-        return _stated_linear(course, setup, gyros)
     seen = view(course, setup, gyros=gyros)
     seen = expected(seen.with_components(_with_drifts(seen, setup.further)))
+    if terms == "linear":
+        return _stated_linear(course, setup, seen)
     return bound_by(seen, setup.turn_rate, setup.clock_u)
 
 
-def _stated_linear(course: Itinerary | MotionCourse, setup: Setup, gyros: bool) -> Bound:
-    """What an estimate of the linear model states, with what it leaves out."""
-    seen = view(course, replace(setup, further={}), gyros=gyros)
-    seen = expected(seen.with_components(_with_drifts(seen, setup.further)))
-    found = bound_by(seen, setup.turn_rate, setup.clock_u)
-    groups = {group.name: setup.further[group.name] for group in instrument_of(setup, gyros).further if left_out(group)}
+def _stated_linear(course: Itinerary | MotionCourse, setup: Setup, whole: Linearisation) -> Bound:
+    """What an estimate of the linear model states, with what it leaves out, of sizes, and beside scatter, as the
+    `whole` likelihood expects them."""
+    gyros, components = whole.problem.observations.gyro_block is not None, whole.components
+    linear = view(course, replace(setup, further={}), gyros=gyros).with_components(components)
+    found = bound_by(linear, setup.turn_rate, setup.clock_u)
+    groups = {g.name: setup.further[g.name] for g in whole.problem.instrument.further if left_out(g)}
     if not groups:
         return found
-    whole = view(course, replace(setup, further=groups), gyros=gyros)
-    moves = moves_by_likelihood(whole.with_components(seen.components))
-    moved, instrument = LeftOut.of(whole.problem, moves, None).moved, whole.problem.instrument
-    by_group = {
-        name: slice(own.start - found.linear, own.stop - found.linear) for name, own in instrument.members.items()
-    }
-    sources = {name: (moved[:, own] ** 2).sum(axis=1) for name, own in by_group.items()}
-    return replace(found, covariance=found.covariance + moved @ moved.T, sources={**found.sources, **sources})
+    seen = view(course, replace(setup, further=groups), gyros=gyros).with_components(components)
+    instrument, sizes = seen.problem.instrument, whole.problem.prior_u[1:]
+    sources, covariance, moves = dict(found.sources), found.covariance, moves_by_likelihood(seen)
+    for name in groups:
+        own = instrument.members[name]
+        moved = (
+            moves[:, own.start - found.linear : own.stop - found.linear] * sizes[whole.problem.instrument.members[name]]
+        )
+        covariance, sources[name] = covariance + moved @ moved.T, (moved**2).sum(axis=1)
+    return replace(found, covariance=covariance, sources=sources)
 
 
 ORDERS = 8

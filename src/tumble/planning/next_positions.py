@@ -21,7 +21,7 @@ from tumble.inference.elimination import eliminate
 from tumble.planning.bounds import instrument_of, view, whitened
 from tumble.planning.itinerary import Itinerary, itinerary_of
 from tumble.planning.setup import Setup
-from tumble.programme.positions import ANY_MOVE, TRIPLES, Move, Position, from_attitudes
+from tumble.programme.positions import ANY_MOVE, TRIPLES, Move, Position, Programme, from_attitudes
 from tumble.rotation import rotation_vector
 from tumble.sensors.parameters import group_name, limits_of
 from tumble.units import DEGREE, Array, BoolArray, IntArray
@@ -43,13 +43,16 @@ class TurnTable:
     by_hand: bool = True
 
     @staticmethod
-    def of(axes: str | None, step_deg: float) -> TurnTable:
-        """The table of axes such as "N,U", on which the device stays as it is mounted, or of None, where any move will
-        do. Raises InputError."""
+    def of(axes: str | None, step_deg: float, programme: Programme | None = None) -> TurnTable:
+        """The table of axes such as "N,U", on which the device stays as it is mounted, or of None, that of a programme:
+        it turns about the axes that the programme's turns are about, and the device is mounted by hand in any of 24
+        ways; without such turns it is held by hand throughout. Raises InputError."""
         if not step_deg >= SMALLEST_STEP or abs(90.0 / step_deg - round(90.0 / step_deg)) > 1e-9:
             raise InputError(f"step: expected a part of 90 degrees, at least {SMALLEST_STEP:g}, found {step_deg:g}")
         if axes is None:
-            return TurnTable(step=step_deg * DEGREE)
+            turned = [] if programme is None else [move.axis for move in programme.moves if move.axis is not None]
+            own = "".join(letter for i, letter in enumerate(_AXES) if any(axis[i] for axis in turned))
+            return TurnTable(axes=own or _AXES, step=step_deg * DEGREE)
         letters = [letter.strip().upper() for letter in axes.split(",")]
         if not set(letters) <= set(_AXES) or len(set(letters)) < len(letters):
             raise InputError(f"axes: expected some of N, U, E, as in N,U, found {axes!r}")
@@ -57,9 +60,10 @@ class TurnTable:
 
     def positions(self, last: Position) -> tuple[Position, ...]:
         """Where the device can be set to: in any of the 24 ways along north, up and east, turned from there once about
-        one of them by a multiple of the step, and where a turn of the table leads from the last position."""
+        an axis of the table by a multiple of the step, and where such a turn leads from the last position."""
         quarter = round(90.0 * DEGREE / self.step)
-        codes = [f"{letters}{turn}" for turn in ("", *self._turns(_AXES, range(1, quarter))) for letters in TRIPLES]
+        ways = ("", *self._turns(self.axes, range(1, quarter)))
+        codes = [f"{letters}{turn}" for turn in ways for letters in TRIPLES]
         codes += [f"{last.attitude}{turn}" for turn in self._turns(self.axes, range(-2 * quarter, 2 * quarter + 1))]
         positions = from_attitudes(codes).positions
         matrices = np.round([position.matrix for position in positions], 9) + 0.0
@@ -85,10 +89,6 @@ class TurnTable:
         return places, moves, np.arange(len(moves)) < len(one) + len(two)
 
 
-ANY = TurnTable()
-"""Whatever the table, the device can be taken in hand."""
-
-
 @dataclass(frozen=True, kw_only=True, slots=True)
 class NextPosition:
     """A position to add to a programme: the move that leads there, how many others are `as_good`, the criterion over
@@ -108,13 +108,13 @@ class NextPosition:
 
 
 def next_positions(
-    setup: Setup, *, wanted: Mapping[str, float] | None = None, gyros: bool = True, table: TurnTable = ANY
+    setup: Setup, *, wanted: Mapping[str, float] | None = None, gyros: bool = True, table: TurnTable | None = None
 ) -> tuple[NextPosition, ...]:
     """The positions that a set-up's programme gains most by, the best first; of equally good ones the first.
 
     `wanted` are accuracies by group, SI, as weights in place of the spreads of the linear parameters; without `gyros`
-    accelerometers alone are calibrated. Raises InputError for values that make no sense, where there is no noise, and
-    where nothing that is calibrated is wanted.
+    accelerometers alone are calibrated. Without a `table` it is that of the programme. Raises InputError for values
+    that make no sense, where there is no noise, and where nothing that is calibrated is wanted.
     """
     timeless = (group for group in instrument_of(setup, gyros=True).further if group.variable is None)
     setup = replace(setup, further={group.name: setup.further[group.name] for group in timeless})
@@ -143,7 +143,7 @@ def next_positions(
     closed = np.asarray(np.linalg.qr(np.concatenate([shown, ended]), mode="r"))
     before = float(criterion(closed[None])[0])
 
-    end = setup.programme.positions[-1]
+    end, table = setup.programme.positions[-1], table or TurnTable.of(None, 45.0, setup.programme)
     positions = table.positions(end)
     places, moves, turned = table.moves(end.matrix, np.array([position.matrix for position in positions]))
     if not len(places):

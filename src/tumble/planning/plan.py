@@ -25,7 +25,7 @@ from tumble.errors import InputError
 from tumble.planning.bounds import CLOCK, GRAVITY, Bound, stated
 from tumble.planning.error_propagation import MethodOfPaper
 from tumble.planning.in_motion import Motion
-from tumble.planning.next_positions import ANY, NextPosition, TurnTable, next_positions
+from tumble.planning.next_positions import NextPosition, TurnTable, next_positions
 from tumble.planning.pass_errors import ESTIMATORS, REST_NOISE, PassErrors, remarks
 from tumble.planning.setup import MEMBERS, NAMES, UNITS, Setup, check_setup, expect, with_all_groups
 from tumble.recording.session import USUAL_RATE_U
@@ -100,20 +100,8 @@ class Plan(Brief):
     has otherwise where a session does not state it. `motion` is what is recorded in place of the programme."""
 
     json_fields: ClassVar[tuple[str, ...]] = (
-        *(
-            "verdict",
-            "reasons",
-            "remarks",
-            "assumptions",
-            "setup",
-            "method",
-            "motion",
-            "rank",
-            "condition",
-            "groups",
-            "following",
-        ),
-        "requirements",
+        *("verdict", "reasons", "remarks", "assumptions", "setup", "method", "motion", "rank", "condition", "groups"),
+        *("following", "requirements"),
     )
     setup: Setup
     method: PlannedMethod
@@ -160,7 +148,7 @@ def plan(
     iterations: int = 2,
     wanted: Mapping[str, float] | None = None,
     gyros: bool = True,
-    table: TurnTable = ANY,
+    table: TurnTable | None = None,
     motion: Motion | None = None,
     progress: Progress = lambda _added, _most: None,
 ) -> Plan:
@@ -184,7 +172,7 @@ def plan(
     gyros
         Of joint: with False, accelerometers alone.
     table
-        How the device can be turned to a next position.
+        How the device can be turned to a next position; by default as the programme turns it.
     motion
         A recording of a device that is turned without rests, in place of the programme; of joint with gyros, without
         wanted accuracies.
@@ -244,10 +232,7 @@ def plan(
         ),
         requirements=needs,
         motion=motion,
-        reasons=(*missing, *(row.reason for row in needs if row.reason)),
-        remarks=()
-        if motion
-        else tuple(f"{s}; the method joint needs none: leave [programme] out" for s in _tilted(setup)),
+        reasons=(*missing, *(() if motion else _tilted(setup)), *(row.reason for row in needs if row.reason)),
     )
 
 
@@ -271,7 +256,8 @@ def _tilted(setup: Setup) -> tuple[str, ...]:
     return (
         f"errors of table and mounting of up to {setup.table_error / DEGREE:.3g}° and "
         f"{setup.mounting_error / DEGREE:.3g}° may tilt a position by {_tilt(setup) / DEGREE:.2g}°, and `calibrate` "
-        f"takes rests within {POSITION_LIMIT / DEGREE:.0f}° of the positions of a programme",
+        f"takes rests within {POSITION_LIMIT / DEGREE:.0f}° of the positions of a programme; the method joint needs "
+        "none: leave [programme] out of the session",
     )
 
 

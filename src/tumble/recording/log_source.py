@@ -16,6 +16,7 @@ import polars as pl
 from tumble.errors import LogError
 from tumble.units import Array
 
+BLANK_LINE = "a blank line"
 _SHOWN = 40
 _Part = TypeVar("_Part")
 
@@ -48,7 +49,7 @@ class Unread:
             return "the last line is cut"
         if self.column is not None:
             return f"{repr(shown) if shown.strip() else 'an empty value'} in '{self.column[:_SHOWN]}'"
-        return shown if self.kind is Kind.ROW or shown == "a blank line" else repr(shown)
+        return shown if self.kind is Kind.ROW or shown == BLANK_LINE else repr(shown)
 
 
 class LogSource(Protocol):

@@ -23,7 +23,7 @@ import numpy as np
 
 from tumble.recording.log import Chunk
 from tumble.recording.session import Exclusion, Site
-from tumble.reduction.blocks.reducer import Reducer, Reduction
+from tumble.reduction.blocks.reducer import FileBlocks, Reducer, Reduction
 from tumble.reduction.noise.coloured_noise import fit_coloured_noise
 from tumble.reduction.observations import Observations, observe
 from tumble.reduction.rests.blemishes import without_blemishes
@@ -80,15 +80,15 @@ def rests_so_far(
     return replace(found, rests=tuple(each for each in found.rests if each.lasts or each.stop - each.start >= shortest))
 
 
-def mean_so_far(reduction: Reduction, first: int, last: int) -> dict[str, tuple[float, float]]:
+def mean_so_far(file: FileBlocks, first: int, last: int) -> dict[str, tuple[float, float]]:
     """Estimate how well the mean of a rest is known, from the noise in this rest alone.
 
     Parameters
     ----------
-    reduction
-        The reduction of the log so far.
+    file
+        The blocks of its file so far.
     first, last
-        Blocks first … last − 1 of its last file.
+        Blocks first … last − 1 of these.
 
     Returns
     -------
@@ -96,7 +96,7 @@ def mean_so_far(reduction: Reduction, first: int, last: int) -> dict[str, tuple[
         For "accel" and "gyro" the standard uncertainty of the mean, m/s² or rad/s, the largest of the channels, and the
         same after twice the time. Without what does not exist, and while the rest is shorter than FEWEST_OF_MEAN.
     """
-    out, file = dict[str, tuple[float, float]](), reduction.files[-1]
+    out = dict[str, tuple[float, float]]()
     for kind, series in (("accel", file.accel), ("gyro", file.gyro)):
         means = series.means[first:last]
         if len(means) >= FEWEST_OF_MEAN and means.shape[1]:

@@ -13,8 +13,7 @@ import numpy as np
 
 from tumble.errors import CalibrationError
 from tumble.inference.estimate import Fit, Judgement, Outcome
-from tumble.result.evidence import Evidence
-from tumble.result.parts import Launch
+from tumble.result.parts import Evidence, Launch
 from tumble.result.record import AnyCalibration, CalibrationData
 from tumble.sensors.model import WORDS, SensorKind, SensorModel
 from tumble.sensors.parameters import sensor_kind
@@ -49,18 +48,6 @@ def accepted_kinds(calibration: CalibrationData) -> tuple[SensorKind, ...]:
         ("gyro", calibration.gyro, outcome.gyro),
     )
     return tuple(kind for kind, model, judgement in judged if model is not None and judgement.accepted)
-
-
-def accepted_accelerometers(calibration: AnyCalibration, wanted_by: str) -> AnyCalibration:
-    """The accepted part of a calibration, which has accelerometers. Raises CalibrationError otherwise, for what they
-    are `wanted_by`."""
-    part = accepted_part(calibration)
-    if part.accel is None:
-        why = "; ".join(part.provenance.absent) or "none of accelerometers"
-        raise CalibrationError(
-            f"calibration of {part.serial!r}: expected accepted accelerometers, by which {wanted_by}, found {why}"
-        )
-    return part
 
 
 def _alone(calibration: AnyCalibration, kind: SensorKind) -> AnyCalibration:

@@ -21,7 +21,6 @@ from tumble.errors import InputError, MissingExtraError
 from tumble.files import FilePath
 from tumble.result.correction import corrected_readings
 from tumble.result.coverage import with_degrees
-from tumble.result.evidence import Evidence, Provenance
 from tumble.result.file import (
     KEYS,
     adapter_of,
@@ -34,6 +33,8 @@ from tumble.result.file import (
 )
 from tumble.result.frames import calibration_in
 from tumble.result.parts import (
+    Evidence,
+    Provenance,
     checked_result,
 )
 from tumble.result.record import CalibrationData

@@ -23,7 +23,7 @@ from tumble.documents import as_json, dotted, faults_of, is_plain, json_of, show
 from tumble.errors import CalibrationError, InputError
 from tumble.files import FilePath, whole_file
 from tumble.recording.session import Circumstances, sensors_content
-from tumble.result.applied_correction import correction_content
+from tumble.result.correction import correction_content
 from tumble.result.parts import LARGEST, Parameter
 from tumble.result.record import AnyCalibration, CalibrationData
 from tumble.sensors.model import UNITS, SensorModel

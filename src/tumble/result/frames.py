@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -101,10 +100,21 @@ def calibration_in(calibration: AnyCalibration, frame: str) -> AnyCalibration:
         mean, launches = in_frame(calibration), [in_frame(launch) for launch in evidence.launches]
     except InputError as error:
         raise CalibrationError(str(error)) from error
+    parameters = mean.parameters
+    if launches:  # with the standard deviation from launch to launch
+        by_launch = [{p.name: p.value for p in launch.parameters} for launch in launches]
+        spread = {p.name: float(np.std([values[p.name] for values in by_launch], ddof=1)) for p in parameters}
+        parameters = tuple(replace(p, run_to_run=spread[p.name]) for p in parameters)
+    names, iterations = list(calibration), []
+    for step in evidence.iterations:
+        before = np.array([step.get(name, 0.0) for name in names])
+        linear = len(before) - len(mean.carry)
+        after = np.concatenate([mean.framed.jacobian @ before[:linear], mean.carry @ before[linear:]])
+        iterations.append(dict(zip((p.name for p in parameters), after.tolist(), strict=True)))
     return replace(
         calibration,
         frame=frame,
-        parameters=_with_spread(mean, launches),
+        parameters=parameters,
         covariance=mean.covariance,
         accel=mean.framed.accel,
         gyro=mean.framed.gyro,
@@ -112,28 +122,10 @@ def calibration_in(calibration: AnyCalibration, frame: str) -> AnyCalibration:
             evidence,
             process_bias=(),
             budget=(),
-            iterations=tuple(_increments_in(mean, list(calibration), step) for step in evidence.iterations),
+            iterations=tuple(iterations),
             launches=tuple(
                 replace(launch, parameters=each.parameters, covariance=each.covariance)
                 for launch, each in zip(evidence.launches, launches, strict=True)
             ),
         ),
     )
-
-
-def _with_spread(mean: Turned, launches: list[Turned]) -> tuple[Parameter, ...]:
-    """The parameters of the mean with the standard deviation from launch to launch."""
-    if not launches:
-        return mean.parameters
-    by_launch = [{p.name: p.value for p in launch.parameters} for launch in launches]
-    return tuple(
-        replace(p, run_to_run=float(np.std([values[p.name] for values in by_launch], ddof=1))) for p in mean.parameters
-    )
-
-
-def _increments_in(mean: Turned, names: Sequence[str], step: Mapping[str, float]) -> dict[str, float]:
-    """The increments of an iteration of the parameters of these names, in the new frame."""
-    before = np.array([step.get(name, 0.0) for name in names])
-    linear = len(before) - len(mean.carry)
-    after = np.concatenate([mean.framed.jacobian @ before[:linear], mean.carry @ before[linear:]])
-    return dict(zip((p.name for p in mean.parameters), after.tolist(), strict=True))

@@ -15,10 +15,9 @@ import scipy
 from tumble.inference.estimate import Fit
 from tumble.inference.prediction import Prediction
 from tumble.result.calibration import Calibration
+from tumble.result.correction import errors_left
 from tumble.result.coverage import without_expanded
-from tumble.result.evidence import Evidence
-from tumble.result.linear_fit import errors_left
-from tumble.result.parts import Launch, Parameter
+from tumble.result.parts import Evidence, Launch, Parameter
 from tumble.sensors.model import WORDS
 from tumble.sensors.parameters import beyond_linear, group_name, named_group, sensor_kind, shown_in
 from tumble.units import Array, engineering, two_digits

@@ -87,13 +87,6 @@ def own_variance(calibration: Calibration, name: str) -> float:
     return sum(source.contributions.get(name, 0.0) ** 2 for source in sources)
 
 
-def stands_alone(calibration: Calibration) -> bool:
-    """Whether a calibration is of one launch and rests on no other calibration."""
-    provenance, evidence = calibration.provenance, calibration.evidence
-    several = evidence.launches or evidence.together
-    return not several and provenance.prior is None
-
-
 def variances_between(calibrations: Sequence[Calibration]) -> LaunchVariances | None:
     """The variances of calibrations of one launch each, at the reference temperatures of the last; None of fewer than
     two. Those that are far apart in time contain what drifts in between."""

@@ -1,4 +1,5 @@
-"""What a calibration consists of: parameters, sensor models, rests, turns, readings, launches, sessions together.
+"""What a calibration consists of: parameters, sensor models, rests, turns, readings, launches, sessions together; and
+the records of these that are the evidence behind the parameters, and their provenance.
 
 Each is a plain dataclass; the annotations beyond the types are what a calibration file is held to, and how what is no
 plain dataclass is read from it (`FromTable`); `tumble.result.file` writes it.
@@ -8,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, fields
 from itertools import pairwise
 from math import erfc, inf, isfinite, sqrt
 from typing import Annotated, Any, Protocol
@@ -19,7 +20,7 @@ from pydantic import AfterValidator, Field, GetCoreSchemaHandler
 from pydantic_core import core_schema
 
 from tumble.documents import shown
-from tumble.inference.estimate import Fit, Outcome
+from tumble.inference.estimate import Fit, HyperparameterEstimate, Integral, Outcome, ProcessBias
 from tumble.inference.sources import Source
 from tumble.recording.session import (
     UNKNOWN,
@@ -260,25 +261,23 @@ class JudgementTable:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class OutcomeTable:
-    """Whether the values can be used, and if not, why; of the accelerometers and the gyros too, and of the groups of
-    their parameters that are judged otherwise than they."""
+    """Whether the values can be used, and if not, why, and which kinds of sensors and groups of parameters a sentence
+    concerns. By these the accelerometers, the gyros and groups of parameters are judged, which the file has for others
+    to read."""
 
     accepted: Any = None
     verdict: str | None = None
     reasons: tuple[str, ...]
     remarks: tuple[str, ...] = ()
     unobservable: tuple[str, ...] = ()
+    concerns: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     accel: JudgementTable | None = None
     gyro: JudgementTable | None = None
     groups: Mapping[str, JudgementTable] = field(default_factory=dict)
 
 
 def _outcome_of(table: OutcomeTable) -> Outcome:
-    if table.verdict is None:
-        return Outcome(reasons=table.reasons, unobservable=table.unobservable)
-    if table.accel is None or table.gyro is None:
-        raise ValueError("expected outcomes of accelerometers and of gyros beside the verdict, found none")
-    return Outcome.from_content(asdict(table))
+    return Outcome(**{each.name: getattr(table, each.name) for each in fields(Outcome)})
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -421,3 +420,108 @@ class Member:
     parameters: Parameters = ()
     date: IsoDate | None = None
     """When it was recorded, ISO 8601."""
+
+
+# -------------------- evidence and provenance --------------------
+
+
+def _check_scales(readings: Readings) -> Readings:
+    nonzero = all(abs(scale) >= LEAST for scale in readings.scale)
+    if not len(readings.columns) == len(readings.scale) == len(readings.offset) or not nonzero:
+        raise ValueError("expected a scale, not zero, and an offset for every column, found others")
+    if len(readings.row_u) not in (0, len(readings.columns)):
+        raise ValueError("expected row_u for every column or none, found others")
+    return readings
+
+
+_PerParameter, _PerSession = Field(max_length=MOST_PARAMETERS), Field(max_length=MOST_LAUNCHES)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Evidence:
+    """Data and fit behind the parameters of a calibration.
+
+    Attributes
+    ----------
+    rests, turns : tuple
+        Rests and turns that were used, with their residuals.
+    fits : mapping of str to Fit
+        Chi-square, degrees of freedom and estimated scatter by group of residuals.
+    hyperparameters : tuple
+        Quantities of the noise model that were estimated: scatter, in-run biases, sizes of groups of parameters.
+    integral : Integral or None
+        How the posterior was integrated over the hyperparameters.
+    process_bias : tuple
+        Biases as the means of their processes, about which those of the next minutes vary; the parameters are those of
+        the session. Empty unless the frame is that of the accelerometers.
+    budget : tuple
+        Contributions to the u of every parameter by source; empty in a frame other than that of the estimate.
+    iterations : tuple of mapping
+        Increment of every parameter in each iteration.
+    launches : tuple of Launch
+        Sessions whose calibrations were averaged.
+    together : tuple of Member
+        Sessions that were estimated together.
+    """
+
+    rests: Rests = ()
+    turns: Turns = ()
+    fits: Fits = field(default_factory=dict)
+    hyperparameters: Annotated[
+        tuple[Annotated[HyperparameterEstimate, checked_sizes("value", "low", "high", "usual")], ...], _PerParameter
+    ] = ()
+    integral: Integral | None = None
+    process_bias: Annotated[tuple[Annotated[ProcessBias, checked_sizes("u", "next_u")], ...], _PerParameter] = ()
+    budget: Annotated[tuple[Annotated[SourceContributions, checked_sizes("u")], ...], _PerParameter] = ()
+    iterations: tuple[Increments, ...] = ()
+    launches: Annotated[tuple[Annotated[Launch, AfterValidator(checked_result)], ...], _PerSession] = ()
+    together: Annotated[tuple[Member, ...], _PerSession] = ()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Provenance:
+    """Recording, circumstances and software that a calibration comes from.
+
+    Attributes
+    ----------
+    log_sha256 : str or None
+        SHA-256 of the log; of several logs, of the list of theirs.
+    software : str or None
+        Program and version.
+    created : str or None
+        Time of computing, ISO 8601.
+    prior : str or None
+        Devices of the same type whose calibrations served as prior.
+    site : Site or None
+        Place of the recording.
+    sample_rate : float or None
+        Samples per second of the recording.
+    clock_u : float
+        Relative standard uncertainty of the time base, as it is in the scale factors of the gyros.
+    circumstances : Circumstances
+        Date, operator, equipment and air of the recording.
+    programme : str or None
+        Name of the programme.
+    readings : mapping of str to Readings
+        Columns, unit and nominal scale of "accel", "gyro" and "mag".
+    notes : tuple of str
+        Remarks on the recording and the estimate.
+    assumptions : tuple of str
+        What was taken for granted of the log and the place, and what to state instead.
+    absent : tuple of str
+        Sensors of the device that the calibration does not have, and why.
+    """
+
+    log_sha256: str | None = None
+    software: str | None = None
+    created: str | None = None
+    prior: str | None = None
+    site: Place | None = None
+    sample_rate: Positive | None = None
+    clock_u: Size = 0.0
+    circumstances: Annotated[Circumstances, Field(alias="session")] = UNKNOWN
+    programme: str | None = None
+    readings: Mapping[str, Annotated[Readings, AfterValidator(_check_scales)]] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    assumptions: tuple[str, ...] = ()
+    absent: tuple[str, ...] = ()

@@ -18,17 +18,18 @@ from tumble.errors import CalibrationError, InputError
 from tumble.inference.estimate import GroupFinding
 from tumble.inference.prediction import Prediction
 from tumble.recording.session import AutopilotSensor
-from tumble.result.evidence import Evidence, Provenance
 from tumble.result.parts import (
     MOST_PARAMETERS,
     CalibratedDevice,
     CalibratedTemperature,
     Covariance,
+    Evidence,
     Judged,
     Launch,
     Name,
     Parameter,
     Parameters,
+    Provenance,
     Sensors,
     checked_sizes,
 )

@@ -40,9 +40,9 @@ def shared_errors(first: Calibration, second: Calibration) -> dict[str, tuple[Ar
             by_gravity(each.parameters, each.covariance, each.provenance.site)[:, None] for each in (first, second)
         )
         changes_by_source[GRAVITY] = (ours, theirs)
-    if first.serial == second.serial and shared_time_base(first.provenance.clock_u, second.provenance.clock_u):
-        changes_by_source[TIME_BASE] = (of_time_base(first)[:, None], of_time_base(second)[:, None])
     if first.serial == second.serial:
+        if first.provenance.clock_u == second.provenance.clock_u > 0.0:
+            changes_by_source[TIME_BASE] = (of_time_base(first)[:, None], of_time_base(second)[:, None])
         by_ours, by_theirs = (
             by_priors(each.parameters, each.covariance, each.evidence.budget) for each in (first, second)
         )
@@ -80,11 +80,6 @@ def by_priors(
 def is_of_device(parameter: str) -> bool:
     """Whether a parameter or group is a property of the device and not of one session."""
     return variable_of(parameter) not in _OF_A_SESSION
-
-
-def shared_time_base(first: float, second: float) -> bool:
-    """Whether two calibrations of a device, with these relative uncertainties of the time base, share its error."""
-    return first == second > 0.0
 
 
 def of_time_base(calibration: Calibration) -> Array:

@@ -31,7 +31,7 @@ import numpy as np
 
 from tumble.result.accepted import accepted_kinds
 from tumble.result.calibration import Calibration
-from tumble.result.linear_fit import errors_left
+from tumble.result.correction import errors_left
 from tumble.rotation import left_inverse
 from tumble.sensors.model import SensorKind
 from tumble.sensors.parameters import beyond_linear, group_name
@@ -103,8 +103,9 @@ def improvement(calibration: Calibration) -> tuple[str, ...]:
     """What the calibration improves, in up to two sentences, as far as it is known: by how much readings are off, and
     a vehicle after SECONDS without aid.
 
-    Before calibration readings are off by the root mean square over all attitudes at rest, and over all axes at the
-    rate of the session's turns; afterwards by their standard uncertainty. Only of sensors that are accepted."""
+    After calibration readings are off by their standard uncertainty; before it also by what is corrected, the root mean
+    square over all attitudes at rest, and over all axes at the rate of the session's turns. Only of sensors that are
+    accepted."""
     prediction, accepted, parts = calibration.prediction, accepted_kinds(calibration), list[str]()
     if prediction is not None and "accel" in accepted:
         before, after = _as_read(calibration, "accel"), _of_vector(calibration, "accel", prediction.force_u)
@@ -130,9 +131,10 @@ _ANGLES = ((DEGREE / 3600.0, "″"), (DEGREE / 60.0, "′"), (DEGREE, "°"))
 _LENGTHS = ((1e-2, " cm"), (1.0, " m"), (1e3, " km"))
 
 
-def _change(before: float, after: float, units: Sequence[tuple[float, str]], limit: float = 1.0) -> str:
-    """Two sizes with an arrow, each in the largest unit of which it is at least `limit`."""
-    shown = ((value, *coarsest(units, value, limit=limit)) for value in (before, after))
+def _change(corrected: float, left: float, units: Sequence[tuple[float, str]], limit: float = 1.0) -> str:
+    """Errors before and after with an arrow, each in the largest unit of which it is at least `limit`: what is left
+    afterwards was there before, beside what is corrected."""
+    shown = ((value, *coarsest(units, value, limit=limit)) for value in (hypot(corrected, left), left))
     return " → ".join(f"{two_digits(value / size)}{name}" for value, size, name in shown)
 
 

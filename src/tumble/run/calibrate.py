@@ -9,12 +9,14 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
 from importlib import import_module
-from typing import Any, Literal, Unpack, get_args
+from types import MappingProxyType
+from typing import Literal, Unpack, get_args
 
 import numpy as np
 
 from tumble import __version__
 from tumble.arguments import checked
+from tumble.diagnosis import linear_model
 from tumble.diagnosis.in_motion import motion_note
 from tumble.diagnosis.level_faces import with_common_tilt
 from tumble.diagnosis.misfit import ClockByEarth, clock_by_earth
@@ -33,7 +35,7 @@ from tumble.recording.session import LogSpec, Session
 from tumble.recording.session_file import session_from
 from tumble.reduction.observations import Observations
 from tumble.result.calibration import Calibration, calibration_from, read_calibration
-from tumble.result.evidence import Provenance
+from tumble.result.parts import Provenance
 from tumble.run.from_estimate import bridged_in, reference_of, result_of, without_result
 from tumble.run.observed import Progress, inspected, observations_for_calibration
 from tumble.run.warming import calibrate_warming, lies_still
@@ -57,7 +59,7 @@ def _imported(module: str, name: str) -> Callable[..., Estimate]:
     return lambda *args, **words: getattr(import_module(f"tumble.methods.{module}"), name)(*args, **words)
 
 
-METHODS: Mapping[str, Estimator] = {
+METHODS: Mapping[str, Callable[..., Estimate]] = {
     "joint": joint,
     "ellipsoid": _imported("ellipsoid", "ellipsoid"),
 }
@@ -159,7 +161,7 @@ def calibrate(
     at_one = None if base is None else calibration_from(base)
     calibration = _calibrated(recording, method, estimator, frame, terms, progress, prior, at_one)
     if recording.log.gyro is not stated.log.gyro:
-        calibration = _with_provenance(calibration, notes=(*calibration.provenance.notes, UNSCALED))
+        calibration = _with(calibration, notes=(UNSCALED,))
     if not recording.excluded:
         return calibration
 
@@ -172,13 +174,11 @@ def calibrate(
     except InputError as error:  # a rest too many for the programme, such as a knocked one
         of_all = Outcome(reasons=(str(error),))
     of_whole = f"with what was left out: {': '.join(filter(None, [of_all.verdict, '; '.join(of_all.reasons)]))}"
-    outcome = calibration.outcome
     chosen = tuple(kind for kind in accepted_kinds(calibration) if not of_all.of(kind))
     if not chosen:
-        return _with_provenance(calibration, notes=(*calibration.provenance.notes, of_whole))
+        return _with(calibration, notes=(of_whole,))
     remark = f"accepted without what was left out only, a choice of which u contains nothing; {of_whole}"
-    concerns = {**outcome.concerns, remark: chosen}
-    return replace(calibration, outcome=replace(outcome, remarks=(*outcome.remarks, remark), concerns=concerns))
+    return _with(calibration, remarks={remark: chosen})
 
 
 def _calibrated(
@@ -207,9 +207,15 @@ def _calibrated(
         made = _calibrated(replace(session, log=log), method, estimator, frame, terms, progress, prior, base, clock)
         said = clock.sentence(" and ".join(clocked(clock.u, log.increments)) or "no parameter")
         if abs(clock.rate - 1.0) > CLOCK_CONTRADICTED * session.log.time_base_u:
-            return _with_remarks(made, (said,), ())
-        return _with_provenance(made, notes=(*made.provenance.notes, said))
-    provenance, bridged = provenance_of(observed.sha256), (*bridged_in(observed.gaps), *observed.segmentation.unused())
+            return _with(made, remarks={said: ()})
+        return _with(made, notes=(said,))
+    bridged = (*bridged_in(observed.gaps), *observed.segmentation.unused())
+    provenance = replace(
+        provenance_of(observed.sha256),
+        sample_rate=observed.rate,
+        circumstances=observed.circumstances,
+        assumptions=assumptions(session),
+    )
     if isinstance(estimate, Outcome):
         calibration = without_result(session, method, estimate, provenance, bridged)
     else:
@@ -227,21 +233,19 @@ def _calibrated(
                     of_gyros = calibration.outcome.gyro.reasons
                     because = (f"{why}; the accelerometers are estimated alone" for why in of_gyros)
                     estimate, calibration, faults = alone, made_alone, (*because, *faults)
-        if estimate[1].links is None:
-            calibration = _with_remarks(calibration, little_used(observed.segmentation), ())
-        notes = (*calibration.provenance.notes, *motion_note(estimate[0], estimate[1]))
-        calibration = _with_provenance(calibration, notes=notes)
+        remarks: dict[str, tuple[str, ...]] = dict.fromkeys(
+            little_used(observed.segmentation) if estimate[1].links is None else (), ()
+        )
         if estimate[0].gyro is not None and not session.log.increments["gyro"]:
-            grade, _ = _ruled_out(session, estimate[1]) or grade_of(session, estimate[1])
-            doubts = time_base_doubted(estimate[0], grade_named(grade).gyro.scale)
-            calibration = _with_remarks(calibration, doubts, ("gyro.scale",))
+            grade, _ = grade_of(session, estimate[1])
+            remarks |= dict.fromkeys(time_base_doubted(estimate[0], grade_named(grade).gyro.scale), ("gyro.scale",))
+        calibration = _with(calibration, notes=motion_note(estimate[0], estimate[1]), remarks=remarks)
         if session.log.magnetometer is not None:
             from tumble.run.magnetometer import with_magnetometer
 
             calibration = with_magnetometer(calibration, estimate[0], session.log.magnetometer, estimate[1])
-        calibration = _with_provenance(calibration, sample_rate=observed.rate)
         if prior is not None and estimate[0].of_type:
-            calibration = _with_provenance(calibration, prior=prior.words)
+            calibration = replace(calibration, provenance=replace(calibration.provenance, prior=prior.words))
         if faults:
             without = session.gyro_block is not None and estimate[0].gyro is None
             part = "gyro" if without else "gyro.bias"
@@ -256,19 +260,24 @@ def _calibrated(
             calibration = replace(calibration, outcome=outcome)
     for sentence in (*calibration.provenance.notes, *calibration.outcome.remarks, *calibration.outcome.reasons):
         _LOG.info("%s: %s", session.name, sentence)
-    return _with_provenance(calibration, circumstances=observed.circumstances, assumptions=assumptions(session))
+    return calibration
 
 
-def _with_remarks(calibration: Calibration, remarks: tuple[str, ...], concerned: tuple[str, ...]) -> Calibration:
-    """The calibration with further remarks, which concern groups of parameters, or all where none is given."""
-    outcome = calibration.outcome
-    concerns = {**outcome.concerns, **(dict.fromkeys(remarks, concerned) if concerned else {})}
-    return replace(calibration, outcome=replace(outcome, remarks=(*outcome.remarks, *remarks), concerns=concerns))
-
-
-def _with_provenance(calibration: Calibration, **changed: Any) -> Calibration:
-    """The calibration with changed fields of its provenance."""
-    return replace(calibration, provenance=replace(calibration.provenance, **changed))
+def _with(
+    calibration: Calibration,
+    *,
+    notes: Iterable[str] = (),
+    remarks: Mapping[str, tuple[str, ...]] = MappingProxyType({}),
+) -> Calibration:
+    """The calibration with further notes, and with further remarks, each with the kinds of sensors or groups of
+    parameters that it concerns, all where there are none."""
+    outcome, provenance = calibration.outcome, calibration.provenance
+    concerns = {**outcome.concerns, **{remark: concerned for remark, concerned in remarks.items() if concerned}}
+    return replace(
+        calibration,
+        outcome=replace(outcome, remarks=(*outcome.remarks, *remarks), concerns=concerns),
+        provenance=replace(provenance, notes=(*provenance.notes, *notes)),
+    )
 
 
 def systematic_of(session: Session) -> Mapping[str, float]:
@@ -286,9 +295,8 @@ def systematic_of(session: Session) -> Mapping[str, float]:
 
 def with_grade(session: Session, observations: Observations) -> Observations:
     """The observations with what is usual for instruments of the grade of a session's device, sizes of the groups
-    beyond the linear model and of in-run biases, with a note of the grade. A stated grade that the recording rules out
-    gives way to a guessed one."""
-    grade, guessed_from = _ruled_out(session, observations) or grade_of(session, observations)
+    beyond the linear model and of in-run biases, with a note of the grade."""
+    grade, guessed_from = grade_of(session, observations)
     sheet, noise = session.device.prior, grade_named(grade).noise
     usual = prior_sizes(grade, sheet)
     note = f"what is not bias, scale or axis angle is taken to be of the size usual for the grade {grade}"
@@ -305,40 +313,28 @@ def with_grade(session: Session, observations: Observations) -> Observations:
 
 
 def grade_of(session: Session, observations: Observations) -> tuple[str, str]:
-    """The grade of a session's device, and what it had to be guessed from in words, nothing where it is stated."""
-    return _guessed(observations) if session.device.grade is None else (session.device.grade, "")
+    """The grade of a session's device, and in words what it had to be guessed from, nothing where it is the stated one.
 
-
-def _guessed(observations: Observations) -> tuple[str, str]:
-    """The grade by the rests alone, and what it is guessed from in words."""
-    white = _white_noise(observations)
-    if len(white) == 1:
-        return guessed_grade(white["accel"], None)
-    rates = observations.rests.gyro
-    bias = float(np.abs(np.median(rates, axis=0)).max()) if len(rates) else 0.0
-    return guessed_grade(white["accel"], white["gyro"], bias)
-
-
-def _white_noise(observations: Observations) -> dict[str, float]:
-    """Typical densities of the noise, SI/√Hz, by kind of sensors: at rest, or in motion where there is no rest."""
-    links = observations.links
-    if links is not None and not len(observations.rests):
-        return {"accel": links.accel_density**0.5, "gyro": links.gyro_density**0.5}
-    noises = {"accel": observations.rests.accel_noise, "gyro": observations.rests.gyro_noise}
-    return {kind: float(np.median(noise)) for kind, noise in noises.items() if noise.size}
-
-
-def _ruled_out(session: Session, observations: Observations) -> tuple[str, str] | None:
-    """The guess in place of a stated grade that the recording rules out: a poorer one, where gyros, or accelerometers
-    without any, are NOISIER than those of the stated grade or gyros have biases that none of it has. None where the
-    grade may be right."""
-    stated, (guess, because) = session.device.grade, _guessed(observations)
-    order, white = list(GRADES), _white_noise(observations)
-    if stated is None or order.index(guess) <= order.index(stated):
-        return None
+    It is guessed by the rests alone where none is stated, and where the recording rules the stated one out: where a
+    poorer one is guessed, and gyros, or accelerometers without any, are NOISIER than those of the stated grade, or
+    gyros have biases that none of it has."""
+    rests, links = observations.rests, observations.links
+    white = {  # typical densities of the noise, SI/√Hz: at rest, or in motion where there is no rest
+        kind: float(np.median(noise))
+        for kind, noise in (("accel", rests.accel_noise), ("gyro", rests.gyro_noise))
+        if noise.size
+    }
+    if links is not None and not len(rests):
+        white = {"accel": links.accel_density**0.5, "gyro": links.gyro_density**0.5}
+    bias = float(np.abs(np.median(rests.gyro, axis=0)).max()) if "gyro" in white and len(rests) else 0.0
+    guess, because = guessed_grade(white["accel"], white.get("gyro"), bias)
+    stated, order = session.device.grade, list(GRADES)
+    if stated is None:
+        return guess, because
     kind = "gyro" if "gyro" in white else "accel"
     noisier = white[kind] > NOISIER * getattr(grade_named(stated).noise, f"{kind}_white")
-    return (guess, because) if noisier or because != "the noise" else None
+    poorer = order.index(guess) > order.index(stated)
+    return (guess, because) if poorer and (noisier or because != "the noise") else (stated, "")
 
 
 def estimated(
@@ -360,27 +356,24 @@ def estimated(
     unstamped = session.log.unstamped
     observations = replace(observations, start=start, notes=notes, by_clock=by_clock, unstamped=unstamped)
     try:
-        with np.errstate(over="ignore", invalid="ignore"):  # damaged samples, of which it breaks down
-            estimate = method(replace(observations, usual={}) if linear_joint else observations)
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # damaged samples, of which it breaks down
+            estimate = linear_model.linear_joint(observations) if linear_joint else method(observations)
         if estimate.method != "joint":  # which counts the time base itself
             change, relative = by_time_base(estimate.names, by_clock), max(map(abs, by_clock.values()), default=0.0)
             of_clock, budget = np.outer(change, change), estimate.budget
             budget = None if budget is None else budget.beside(source("clock", relative, "1"), of_clock)
             estimate = replace(estimate, covariance=estimate.covariance + of_clock, budget=budget)
         if linear_joint or estimate.method != "joint":
-            from tumble.diagnosis import linear_model
-
-            if linear_joint:
-                estimate = linear_model.with_left_out_by_joint(estimate, observations)
             notes += linear_model.taken_as_nothing(estimate)
             estimate = linear_model.linear_part(estimate) if terms == "linear" else estimate
         elif prior is not None:
             estimate, of_type = with_prior(estimate, observations, prior, reference_of(observations))
             notes += of_type
-        if guess := _ruled_out(session, observations):
+        grade, guessed_from = grade_of(session, observations)
+        if session.device.grade is not None and guessed_from:
             remark = (
-                f"[device] grade is {session.device.grade!r}, but by {guess[1]} the device is of the grade {guess[0]}, "
-                "whose usual sizes are taken: state its grade, or look for what disturbed the recording"
+                f"[device] grade is {session.device.grade!r}, but by {guessed_from} the device is of the grade "
+                f"{grade}, whose usual sizes are taken: state its grade, or look for what disturbed the recording"
             )
             estimate = replace(estimate, remarks=(*estimate.remarks, remark))
         estimate = with_common_tilt(estimate, observations)

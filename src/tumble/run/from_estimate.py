@@ -21,11 +21,12 @@ from tumble.reduction.rests.matching import left_out
 from tumble.reduction.rests.warming import OVER_TEMPERATURE
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import MANY_DEGREES, with_degrees
-from tumble.result.evidence import Evidence, Provenance
 from tumble.result.parts import (
     CalibratedDevice,
     CalibratedTemperature,
+    Evidence,
     Parameter,
+    Provenance,
     Readings,
     RestResult,
     SensorsAtRest,

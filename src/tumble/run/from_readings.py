@@ -27,7 +27,7 @@ import scipy
 from tumble.arguments import checked
 from tumble.brief import Brief
 from tumble.diagnosis.level_faces import UPRIGHT, with_common_tilt
-from tumble.diagnosis.linear_model import left_out_by_rests
+from tumble.diagnosis.linear_model import left_out_by_rests, left_out_sizes
 from tumble.diagnosis.observability import Refusal, rough_directions, undetermined
 from tumble.diagnosis.verdict import verdict
 from tumble.errors import InputError
@@ -41,8 +41,7 @@ from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.rests import Rests
 from tumble.result.calibration import Calibration
-from tumble.result.evidence import Evidence
-from tumble.result.parts import CalibratedDevice, Parameter, Readings
+from tumble.result.parts import CalibratedDevice, Evidence, Parameter, Readings
 from tumble.run.calibrate import provenance_of
 from tumble.run.case import estimate_in
 from tumble.run.from_estimate import learned_in, parameters_of
@@ -76,6 +75,8 @@ motion, which makes the vector longer by its square, 4e-4."""
 
 FACES = 6
 """Positions at least that bias and scale factors of a triad need."""
+WILD = 30.0
+"""Times as long as the median of all readings: no sensor reads one vector so differently."""
 LEAST_NOISE = 1e-6
 """Noise, in parts of the modulus, at least of a reading that nothing checks."""
 
@@ -181,6 +182,7 @@ def calibrate_readings(
         rows = readings if isinstance(readings, ReadingsTable) else table_of(np.asarray(readings))
     table = positions_of(rows, rows_per_position)
     nominal = nominal_of(table, **described)
+    _check_lengths(table, nominal)
     if grade is not None:
         grade_named(grade)
     fitted, noise = _fitted(table, nominal, _sigmas(BAD_CHANCE, table))
@@ -252,6 +254,18 @@ def calibrate_readings(
     )
 
 
+def _check_lengths(table: ReadingsTable, nominal: Nominal) -> None:
+    """Raises InputError for a reading that is another number than a sensor gave."""
+    lengths = np.linalg.norm(nominal.to_si(table.values), axis=1)
+    longest, usual = int(np.argmax(lengths)), float(np.median(lengths))
+    if lengths[longest] > WILD * usual > 0.0:
+        found = ", ".join(f"{value:.6g}" for value in table.values[longest])
+        raise InputError(
+            f"{table.path}: line {table.lines[longest]}: expected readings of one vector, all about as long, found "
+            f"{found}, {lengths[longest] / usual:.3g} times as long as the median; correct the row or leave it out"
+        )
+
+
 def _site(nominal: Nominal) -> Site:
     """A place where the modulus is gravity."""
     return Site(latitude=None, height=0.0, gravity=nominal.modulus, gravity_u=nominal.modulus_u or 0.0)
@@ -301,8 +315,8 @@ def _estimated(
     bad[list(fit.doubtful)] = True
     if bad.any():  # by how much a residual may be off by what is left out
         largest = {name: max(sizes.get(name, 0.0) for sizes in grades) for sizes in grades for name in sizes}
-        beyond, leaves = left_out_by_rests(replace(rests, usual=largest), fit.values)
-        allowed = _sigmas(BAD_CHANCE, table) * np.linalg.norm(leaves * beyond.usual, axis=1)
+        problem, _, leaves = left_out_by_rests(replace(rests, usual=largest), fit.values)
+        allowed = _sigmas(BAD_CHANCE, table) * np.linalg.norm(leaves * left_out_sizes(problem, None), axis=1)
         of_all, noise = _fitted(table, nominal, np.inf)
         if isinstance(of_all, EllipsoidFit) and np.all(np.abs(of_all.residual) <= np.where(bad, allowed, np.inf)):
             fit, rests = of_all, _rests(table, nominal, noise)
@@ -330,7 +344,8 @@ def _by_faces(
         start=dict(zip(TRIAD.names, middle.tolist(), strict=False)),
     )
     try:
-        estimate = with_common_tilt(joint(observations), observations)
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # of readings of which it breaks down
+            estimate = with_common_tilt(joint(observations), observations)
     except np.linalg.LinAlgError:
         return None
     of_rows = "" if table.covariance is None else " and the scatter within positions"

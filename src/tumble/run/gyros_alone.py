@@ -30,8 +30,7 @@ from tumble.reduction.blocks.reducer import Reduction, reduce_log
 from tumble.reduction.noise.coloured_noise import fit_coloured_noise
 from tumble.reduction.rests.segmentation import Segmentation, find_rests
 from tumble.result.calibration import Calibration
-from tumble.result.evidence import Evidence
-from tumble.result.parts import Parameter, Readings
+from tumble.result.parts import Evidence, Parameter, Readings
 from tumble.result.uncertainty_budget import contributions_of
 from tumble.rotation import UP, rotation_matrix, rotation_vector
 from tumble.run.calibrate import provenance_of
@@ -109,8 +108,8 @@ def calibrate_gyros(found: GyroRests) -> Calibration:
     session, N = found.session, len(found.mean)
     if not session.log.accel.scale_stated:
         raise InputError(
-            f"{session.device.serial}: expected gyros in a unit, found counts whose worth nothing tells; state "
-            "--gyro-unit, or log the accelerometers too; `tumble noise` tells the noise in counts"
+            f"{session.device.serial}: expected the unit of the gyros, found none, and nothing tells it without "
+            "accelerometers; state --gyro-unit deg/s or another; `tumble noise` tells the noise of counts as it is"
         )
     block = replace(session.accel_block, kind="gyro")
     seconds = np.array([rest.stop - rest.start for rest in found.segmentation.rests])

@@ -30,9 +30,8 @@ from tumble.recording.session import AirConditions, Circumstances, Session
 from tumble.recording.session_file import session_from
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import by_gravity, degrees_of_mean, shared_gravity, welch_satterthwaite
-from tumble.result.evidence import Evidence
 from tumble.result.launch_variances import LaunchVariances, at_temperature, own_variance, pooled, variance_of_type
-from tumble.result.parts import CalibratedTemperature, Parameter, SourceContributions, learned_fraction
+from tumble.result.parts import CalibratedTemperature, Evidence, Parameter, SourceContributions, learned_fraction
 from tumble.result.shared_errors import by_priors, is_of_device
 from tumble.result.uncertainty_budget import contributions_of
 from tumble.run.calibrate import DEFAULT_METHOD, Method, calibrate, provenance_of
@@ -134,7 +133,14 @@ def mean_of_launches(runs: Sequence[Run], *, alike: Sequence[LaunchVariances] = 
             )
     check_recordings([(r.session.name, d, _means(r.calibration)) for r, d in zip(runs, digests, strict=True)])
     names = [name for name in first if all(name in launch for launch in launches)]
-    temperature = _mean_temperature(launches)
+    references = [launch.temperature.references for launch in launches]
+    sizes = [{kind: len(celsius) for kind, celsius in each.items()} for each in references]
+    kinds = sizes[0] if all(each == sizes[0] for each in sizes) else ()
+    temperature = CalibratedTemperature(
+        reference=_mean_where_known([launch.reference_temperature for launch in launches]),
+        thermometers=_common_items([launch.temperature.thermometers for launch in launches]),
+        references={kind: tuple(np.mean([each[kind] for each in references], axis=0).tolist()) for kind in kinds},
+    )
     values, covariances = at_temperature(launches, names, temperature)
     clock_u = min(run.session.log.time_base_u for run in runs)
     common = _common_errors(launches, names, covariances, by_time_base(names, clocked(clock_u, session.log.increments)))
@@ -190,18 +196,6 @@ def mean_of_launches(runs: Sequence[Run], *, alike: Sequence[LaunchVariances] = 
 
 
 # -------------------- the statistics of the mean (see `tumble.result.coverage`) --------------------
-
-
-def _mean_temperature(launches: Sequence[Calibration]) -> CalibratedTemperature:
-    """The reference temperatures of the mean: the means of those of the launches."""
-    references = [launch.temperature.references for launch in launches]
-    sizes = [{kind: len(celsius) for kind, celsius in each.items()} for each in references]
-    kinds = sizes[0] if all(each == sizes[0] for each in sizes) else ()
-    return CalibratedTemperature(
-        reference=_mean_where_known([launch.reference_temperature for launch in launches]),
-        thermometers=_common_items([launch.temperature.thermometers for launch in launches]),
-        references={kind: tuple(np.mean([each[kind] for each in references], axis=0).tolist()) for kind in kinds},
-    )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

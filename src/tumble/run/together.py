@@ -16,7 +16,7 @@ import numpy as np
 from tumble.arguments import checked
 from tumble.errors import InputError
 from tumble.files import FilePath
-from tumble.inference.estimate import Estimate, Outcome, OwnEstimate
+from tumble.inference.estimate import Estimate, Outcome
 from tumble.inference.joint import joint
 from tumble.inference.sources import clocked
 from tumble.recording.log import Log
@@ -124,15 +124,23 @@ def calibrate_together(
     if isinstance(estimate, Outcome):
         return without_result(first, "joint", estimate, provenance)
     calibration, of_sessions = result_of(first, *estimate, systematic, frame, provenance), estimate[0].own
+    if of_sessions is not None:
+        by_session = zip(of_sessions.values.tolist(), of_sessions.u.tolist(), strict=True)
+        named = list(zip(of_sessions.names, of_sessions.units, of_sessions.priors.tolist(), strict=True))
+        members = [
+            replace(
+                member,
+                parameters=tuple(
+                    Parameter(name=name, value=x, u=u, unit=unit, prior=prior, learned=learned_fraction(u, prior))
+                    for (name, unit, prior), x, u in zip(named, *own, strict=True)
+                ),
+            )
+            for member, own in zip(members, by_session, strict=True)
+        ]
     return replace(
         calibration,
         outcome=_with_scatter(calibration.outcome, estimate[0]),
-        evidence=replace(
-            calibration.evidence,
-            together=tuple(members)
-            if of_sessions is None
-            else tuple(replace(member, parameters=_of_its_own(of_sessions, s)) for s, member in enumerate(members)),
-        ),
+        evidence=replace(calibration.evidence, together=tuple(members)),
         provenance=replace(
             calibration.provenance,
             circumstances=circumstances_of_all(circumstances),
@@ -220,15 +228,6 @@ def _means(observations: Observations) -> Means:
     rests = observations.rests
     variances = [np.diagonal(C, axis1=1, axis2=2) for C in (rests.accel_covariance, rests.gyro_covariance)]
     return np.hstack([rests.accel, rests.gyro]), np.sqrt(np.hstack(variances))
-
-
-def _of_its_own(own: OwnEstimate, s: int) -> tuple[Parameter, ...]:
-    """What the session number s has of its own."""
-    numbers = np.column_stack([own.values[s], own.u[s], own.priors]).tolist()
-    return tuple(
-        Parameter(name=name, value=value, u=u, unit=unit, prior=prior, learned=learned_fraction(u, prior))
-        for name, unit, (value, u, prior) in zip(own.names, own.units, numbers, strict=True)
-    )
 
 
 def _with_scatter(outcome: Outcome, estimate: Estimate) -> Outcome:

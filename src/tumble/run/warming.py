@@ -51,8 +51,14 @@ from tumble.reduction.rests.warming import OVER_TEMPERATURE as WIDE
 from tumble.result.accepted import accepted_part
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import degrees_through, welch_satterthwaite
-from tumble.result.evidence import Evidence, Provenance
-from tumble.result.parts import CalibratedTemperature, Parameter, SourceContributions, learned_fraction
+from tumble.result.parts import (
+    CalibratedTemperature,
+    Evidence,
+    Parameter,
+    Provenance,
+    SourceContributions,
+    learned_fraction,
+)
 from tumble.result.record import reference_of_parameter
 from tumble.result.uncertainty_budget import contributions_of
 from tumble.run.from_estimate import (
@@ -171,7 +177,7 @@ def _at_rest(observed: Observed) -> Observed:
     rests = find_rests(observed.reduction, observed.session.accel_block, None).rests
     files, limit = observed.reduction.by_file, observed.segmentation.rate_limit
     second = max(1, round(1.0 / observed.reduction.block_seconds))
-    for rest in rests:
+    for rest in rests if observed.session.gyro_block is not None else ():
         means = files[rest.file].gyro.means[rest.first : rest.last]
         seconds = means[: len(means) // second * second].reshape(-1, second, means.shape[1]).mean(axis=1)
         if limit is not None and len(seconds) > 1 and np.linalg.norm(np.diff(seconds, axis=0), axis=1).max() > limit:

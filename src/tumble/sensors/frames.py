@@ -19,9 +19,12 @@ For channels in another order or of the other sign, rows and columns are those o
 nominal axes. Gyros have all six angles of Eq. (1) in every frame. The parameters of `accelerometer` and `case` exist
 for more than three sensors too; `paper` and `symmetric` are for triads.
 
-The Jacobian of a change of frame: with δQ = Q [φ×] and the three conditions c(M′) = 0 that fix the frame,
+The Jacobian of a change of frame: with δQ = Q [φ×] and D′ = ∂M′/∂θ′, which the accelerometers have three columns too
+few of for any change of M′,
 
-    δM′ = δM Q + M′[φ×],   c(δM Q) + c(M′[φ×]) = 0   gives φ,   δθ′ = (∂θ′/∂M′) δM′.
+    D′ δθ′ = δM′ = δM Q + M′[φ×]
+
+determines δθ′ and φ together; in the case φ is that of the alignment, and for gyros D′ is square.
 
 Source of Eq. (1): the turntable paper (docs/reference/equations.md).
 """
@@ -38,14 +41,13 @@ from tumble.rotation import skew
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block, SensorModel, to_accelerometer_frame
 from tumble.sensors.parameters import units_of
-from tumble.units import Array, IntArray
+from tumble.units import Array
 
 Frame = Literal["accelerometer", "case", "paper", "symmetric"]
 FRAMES: tuple[Frame, ...] = get_args(Frame)
 
 _UPPER = ((0, 1), (0, 2), (1, 2))
 _UPPER_PAIRS = ("xy", "xz", "yz")
-_EACH = np.arange(3)
 
 
 def frame_of(name: str) -> Frame:
@@ -100,27 +102,28 @@ class Convention:
     @property
     def names(self) -> tuple[str, ...]:
         """Parameter names as in the calibration file: biases, scale-factor errors, axis angles."""
-        if self._own:
+        if self._of_block:
             return self.block.names
-        angles = (f"{self.block.kind}.axis.{angle}" for angle in self._angles)
-        return (*self.block.names[: 2 * self.block.size], *angles)
+        angles = self._all_angles.angles if self.frame == "case" else _UPPER_PAIRS
+        return (*self.block.names[: 2 * self.block.size], *(f"{self.block.kind}.axis.{angle}" for angle in angles))
 
     def parameters(self, model: SensorModel) -> Array:
         """Parameter values of a sensor model given in this frame, in the order of `names`."""
-        if self._own:
+        if self._of_block:
             return self.block.parameters(model)
+        values = self._all_angles.parameters(model)
         if self.frame == "paper":
-            rows = self._rows(model)
-            angles = [rows[p, q] / rows[p, p] for p, q in _UPPER]
-            return np.concatenate([self._free.parameters(model)[:3], np.diag(rows) - 1.0, angles])
-        return np.asarray(self._free.parameters(model)[self._chosen])
+            rows = self.block.axes.T @ model.matrix
+            return np.concatenate([values[:3], np.diag(rows) - 1.0, [rows[p, q] / rows[p, p] for p, q in _UPPER]])
+        by_name = dict(zip(self._all_angles.names, values, strict=True))
+        return np.array([by_name[name.replace("accel", "gyro", 1)] for name in self.names])
 
     def model(self, values: Array) -> SensorModel:
         """The sensor model of parameter values given in the order of `names`."""
-        if self._own:
+        if self._of_block:
             return self.block.model(values)
         if self.frame == "case":
-            return self._free.model(values)
+            return self._all_angles.model(values)
         k, angles = 1.0 + values[3:6], values[6:]
         if self.frame == "paper":
             rows = np.eye(3, dtype=values.dtype)
@@ -137,72 +140,25 @@ class Convention:
     def jacobian(self, values: Array) -> Array:
         """Derivative of the matrix (n, 3) and of the bias (as a fourth column) with respect to the parameters:
         shape (n, 4, m), as `Block.jacobian`."""
-        if self._own:
+        if self._of_block:
             return self.block.jacobian(values)
         if self.frame == "case":
-            return self._free.jacobian(values)
+            return self._all_angles.jacobian(values)
         out = np.empty((3, 4, len(values)))
         for i in range(len(values)):  # a complex step, exact to rounding
             stepped = self.model(values + 1e-20j * (np.arange(len(values)) == i))
             out[:, :3, i], out[:, 3, i] = stepped.matrix.imag / 1e-20, stepped.bias.imag / 1e-20
         return out
 
-    def derivative(self, model: SensorModel) -> Array:
-        """Derivative (m, 4n) of the parameters with respect to matrix and bias, (n, 4) row by row, of a model given
-        in this frame."""
-        free = self._free.jacobian(self._free.parameters(model))
-        inverse = np.linalg.inv(free.reshape(4 * self.block.size, -1))
-        if self.frame != "paper" or self.block.kind == "gyro":
-            return np.asarray(inverse[self._chosen])
-        rows, by_rows = self._rows(model), np.zeros((6, 3, 3))  # of k and angles, with the entries of the rows
-        by_rows[_EACH, _EACH, _EACH] = 1.0
-        for i, (p, q) in enumerate(_UPPER, start=3):
-            by_rows[i, p, q], by_rows[i, p, p] = 1.0 / rows[p, p], -rows[p, q] / rows[p, p] ** 2
-        return np.concatenate([inverse[:3], by_rows.reshape(6, 9) @ self._to_rows()])
-
-    def conditions(self, model: SensorModel) -> Array:
-        """The conditions (3, 4n) on a change of matrix and bias under which an accelerometer model stays in this
-        frame; not of the case, which no reading fixes."""
-        if self.frame == "accelerometer":
-            free = self._free.jacobian(self._free.parameters(model))
-            others = np.setdiff1d(np.arange(4 * self.block.size), self._chosen)
-            return np.asarray(np.linalg.inv(free.reshape(4 * self.block.size, -1))[others])
-        entries = self._to_rows().reshape(3, 3, -1)
-        below = np.array([entries[q, p] for p, q in _UPPER])
-        return below if self.frame == "paper" else below - np.array([entries[p, q] for p, q in _UPPER])
-
     @property
-    def _own(self) -> bool:
+    def _of_block(self) -> bool:
         """Whether the parameters are those of the block itself."""
         return self.block.kind == "gyro" or self.frame == "accelerometer"
 
     @property
-    def _free(self) -> Block:
+    def _all_angles(self) -> Block:
         """The same sensors with every axis angle as a parameter."""
         return Block(kind="gyro", axes=self.block.axes)
-
-    @property
-    def _angles(self) -> tuple[str, ...]:
-        """What the axis angles are called that are parameters here."""
-        if self._own:
-            return self.block.angles
-        return self._free.angles if self.frame == "case" else _UPPER_PAIRS
-
-    @property
-    def _chosen(self) -> IntArray:
-        """Which of the parameters of `_free` are parameters here."""
-        n, own = 2 * self.block.size, self._angles
-        angles = [i for i, angle in enumerate(self._free.angles, n) if angle in own]
-        return np.array([*range(n), *angles])
-
-    def _rows(self, model: SensorModel) -> Array:
-        """Matrix of a triad with its rows in the order and with the signs of the body axes."""
-        return np.asarray(self.block.axes.T @ model.matrix)
-
-    def _to_rows(self) -> Array:
-        """`_rows` as a linear map (9, 12) of matrix and bias."""
-        identity = np.eye(12).reshape(12, 3, 4)[:, :, :3]
-        return np.asarray((self.block.axes.T @ identity).reshape(12, 9).T)
 
 
 def rotation_to(frame: Frame, block: Block, accel: SensorModel) -> Array:
@@ -241,47 +197,61 @@ def convert(
     target: Frame,
     alignment: Alignment | None = None,
 ) -> Framed:
-    """Parameters of accelerometers and gyros (without gyros: of the accelerometers alone) taken from the frame
-    `source` to `target`, with their covariance. The case needs its `alignment` with the frame `source`.
+    """Take parameters from one frame to another, with their covariance.
 
-    Raises InputError for a frame these sensors do not have, and for the case without an alignment."""
+    Parameters
+    ----------
+    accel, gyro : Block, Block or None
+        The accelerometers and the gyros.
+    source, target : Frame
+        The frame of `values`, and the one that is wanted.
+    values : Array (m,)
+        Parameters of the accelerometers, then of the gyros, SI.
+    covariance : Array (m, m) or None
+        Their covariance.
+    alignment : Alignment, optional
+        The case seen from `source`, where `target` is the case.
+
+    Raises
+    ------
+    InputError
+        For a frame that these sensors do not have, and for the case without an alignment.
+    """
     old, new = Convention(frame=source, block=accel), Convention(frame=target, block=accel)
     count = len(old.names)
     before = old.model(values[:count])
-    gyro_before = None if gyro is None else gyro.model(values[count:])
-    if target == source:
-        Q = np.eye(3)
-    else:
+    Q = np.eye(3)
+    if target != source:
         Q = alignment.mat_cb.T if target == "case" and alignment is not None else rotation_to(target, accel, before)
     after = _turned(before, Q)
-    gyro_after = None if gyro_before is None else _turned(gyro_before, Q)
-    phi = np.zeros((3, len(values)))  # of δQ = Q [φ×], with the parameters
-    change = _carried(old.jacobian(values[:count]), Q)
-    if target not in (source, "case"):
-        conditions = new.conditions(after)
-        phi[:, :count] = -np.linalg.solve(conditions @ _turning(after), conditions @ change)
-    elif alignment is not None and target != source:
-        phi[:, :count] = -alignment.by_parameters
-    blocks = [(new, after, slice(0, count), change)]
-    if gyro is not None and gyro_after is not None:
-        own = Convention(frame=target, block=gyro)
-        blocks.append((own, gyro_after, slice(count, None), _carried(gyro.jacobian(values[count:]), Q)))
-    by_turning = np.concatenate([convention.derivative(model) @ _turning(model) for convention, model, _, _ in blocks])
-    jacobian = by_turning @ phi  # the change of the frame, and that of each block itself
-    rows = 0
-    for convention, model, part, change in blocks:
-        own_rows = slice(rows, rows := rows + len(convention.names))
-        jacobian[own_rows, part] += convention.derivative(model) @ change
+    accel_values, turning = new.parameters(after), _turning(after)
+    derivative = new.jacobian(accel_values).reshape(4 * accel.size, -1)
+    change, phi = _carried(old.jacobian(values[:count]), Q), np.zeros((3, count))
+    if target == "case":
+        if alignment is not None and source != "case":
+            phi = -alignment.by_parameters
+        of_accels = np.linalg.solve(derivative, change + turning @ phi)
+    else:
+        of_accels, phi = np.split(np.linalg.solve(np.hstack([derivative, -turning]), change), [len(new.names)])
+    jacobian, blocks = np.hstack([of_accels, np.zeros((len(of_accels), len(values) - count))]), [(derivative, turning)]
+    names, framed_values, gyro_after = new.names, accel_values, None
+    if gyro is not None:
+        gyro_after = _turned(gyro.model(values[count:]), Q)
+        gyro_values, turning = gyro.parameters(gyro_after), _turning(gyro_after)
+        derivative = gyro.jacobian(gyro_values).reshape(4 * gyro.size, -1)
+        change = np.hstack([turning @ phi, _carried(gyro.jacobian(values[count:]), Q)])
+        jacobian, blocks = np.vstack([jacobian, np.linalg.solve(derivative, change)]), [*blocks, (derivative, turning)]
+        names, framed_values = (*names, *gyro.names), np.concatenate([accel_values, gyro_values])
     if covariance is not None:
         covariance = jacobian @ covariance @ jacobian.T
         if alignment is not None and target == "case" and source != "case":
+            by_turning = np.concatenate([np.linalg.solve(derivative, turning) for derivative, turning in blocks])
             covariance = covariance + by_turning @ alignment.covariance @ by_turning.T
-    names = tuple(name for convention, *_ in blocks for name in convention.names)
     return Framed(
         frame=target,
         names=names,
         units=units_of(names),
-        values=np.concatenate([convention.parameters(model) for convention, model, *_ in blocks]),
+        values=framed_values,
         covariance=covariance,
         accel=after,
         gyro=gyro_after,

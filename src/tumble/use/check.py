@@ -52,7 +52,7 @@ from tumble.planning.bounds import components_of
 from tumble.recording.session import Session
 from tumble.recording.session_file import session_from
 from tumble.reduction.observations import Observations
-from tumble.result.accepted import accepted_accelerometers
+from tumble.result.accepted import accepted_part
 from tumble.result.calibration import Calibration, calibration_from
 from tumble.result.coverage import by_gravity, shared_gravity
 from tumble.result.launch_variances import LaunchVariances, launch_variances
@@ -333,7 +333,13 @@ def _assumptions(
 
 def accepted_for_check(calibration: Calibration | FilePath) -> Calibration:
     """The accepted part of a calibration; raise CalibrationError without accelerometers or uncertainties."""
-    accepted = accepted_accelerometers(calibration_from(calibration), "a check has its attitudes")
+    accepted = accepted_part(calibration_from(calibration))
+    if accepted.accel is None:
+        why = "; ".join(accepted.provenance.absent) or "none of accelerometers"
+        raise CalibrationError(
+            f"calibration of {accepted.serial!r}: expected accepted accelerometers, by which a check has its "
+            f"attitudes, found {why}"
+        )
     if accepted.covariance is None:
         raise CalibrationError(f"calibration of {accepted.serial!r}: expected one with uncertainties, found none")
     return accepted

@@ -44,9 +44,8 @@ class Facts:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Table:
-    """Rows of cells. Columns in `text` are words, set to the left; all others are numbers, set to the right, never
-    broken. The first `named_by` columns together name a row. A long table may stand on a page in `halves` beside each
-    other."""
+    """Rows of cells, named by their first column. Columns in `text` are words, set to the left; all others are numbers,
+    set to the right, never broken. A long table may stand on a page in `halves` beside each other."""
 
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
@@ -54,7 +53,6 @@ class Table:
     caption: str = ""
     dense: bool = False
     halves: bool = False
-    named_by: int = 1
     kind: Literal["table"] = "table"
 
 
@@ -66,7 +64,6 @@ def table(
     caption: str = "",
     dense: bool = False,
     halves: bool = False,
-    named_by: int = 1,
 ) -> Table:
     """A table of rows that are cells by their headings; `words` are the headings of columns of words, `columns` all
     headings, where there may be no row."""
@@ -79,7 +76,6 @@ def table(
         caption=caption,
         dense=dense,
         halves=halves,
-        named_by=named_by,
     )
 
 

@@ -65,6 +65,18 @@ WHAT_AN_INCREMENT_SAYS = (
 """Explanation below the increments of iterations."""
 
 
+def _over_temperature(calibration: Calibration) -> list[Block]:
+    """That there are coefficients of temperature, which only the whole table shows."""
+    count = sum(p.name[-3:-1] == ".t" for p in calibration.parameters)
+    measured = calibration.temperature_range
+    if not count or measured is None:
+        return []
+    low, high = measured
+    return [
+        f"over temperature, {low:.0f} to {high:.0f} °C: {count} coefficients with their u, in the file and by --all"
+    ]
+
+
 def calibration_blocks(
     calibration: Calibration,
     truth: Mapping[str, float] | None = None,
@@ -97,7 +109,10 @@ def calibration_blocks(
         Where the calibration is written and what it is of, for the next command.
     """
     parameters, evidence = calibration.parameters, calibration.evidence
-    parameters = parameters if every else _usable(calibration, linear_parameters(parameters))
+    if not every:
+        outcome = calibration.outcome
+        linear = linear_parameters(parameters)
+        parameters = tuple(p for p in linear if outcome.of(group_name(p.name)).accepted or "mag" in p.name)
     several, passport = bool(evidence.launches), any(p.deviation is not None for p in parameters)
     compared = every or passport or bool(truth)
     by_kind = [*verdicts(calibration)]
@@ -110,13 +125,19 @@ def calibration_blocks(
         *improvement(calibration),
         *(note for note in calibration.provenance.notes if not every and note.startswith(IN_MOTION)),
         parameter_table(calibration, parameters, truth) if compared else compact_table(parameters),
+        *([] if every else _over_temperature(calibration)),
     ]
     blocks += [group_table(calibration), *unknown_blocks(calibration)] if every else []
     if budget:
         from tumble.views.uncertainty_budget import budget_blocks
 
         blocks += budget_blocks(calibration, every=every)
-    blocks.append(_session_table(calibration))
+    sessions = []  # that are one estimate together
+    for member in evidence.together:
+        low, high = (f"{celsius:z.1f}" for celsius in member.temperatures)
+        counts = {"rests": str(member.rests), "turns": str(member.turns)}
+        sessions.append({"session": member.session, **counts, "from °C": low, "to °C": high})
+    blocks.append(table(sessions, words=("session",)))
     iterated = [c for c in (calibration, *others) if c.method in ITERATED_METHODS and c.evidence.iterations]
     if every:
         if several:
@@ -126,7 +147,12 @@ def calibration_blocks(
             blocks.append(iteration_table(each, [p for p in each.parameters if p.name in calibration]))
         blocks += [WHAT_AN_INCREMENT_SAYS] if iterated else []
         blocks += [method_table(calibration, other, parameters) for other in others]
-    lines = [] if truth is None else [_against_truth(calibration, truth)]
+    lines = list[str]()
+    if truth is not None:
+        z = np.array([(p.value - truth[p.name]) / p.u for p in calibration.parameters if p.u and p.name in truth])
+        rms = float(np.sqrt(np.mean(z**2))) if len(z) else 0.0
+        compared_with = f"{len(z)} parameters, rms of (value − truth)/u {rms:.2f}, expected about 1"
+        lines.append(f"truth: {compared_with if len(z) else 'no parameter was estimated that it has'}")
     if every:
         if not several:
             from tumble.views.report.recording import recordings, tables_of
@@ -138,15 +164,25 @@ def calibration_blocks(
         site = calibration.provenance.site
         lines += [gravity_said(site)] if site is not None and not site.gravity_is_unit else []
         return [*blocks, Items(items=(*lines, *without_expanded(parameters), *calibration.provenance.notes))]
-    lines += [_run_to_run(parameters)] if several else []
-    lines += [
-        f"{c.method}: the last of {len(c.evidence.iterations)} iterations added {_last_step(c)}" for c in iterated
-    ]
-    lines += [f"{c.method} differs from {calibration.method} by {_largest_difference(calibration, c)}" for c in others]
+    units, spreads = shown_units(parameters), list[str]()
+    for name, members in by_group(parameters).items() if several else ():
+        size, unit = units[members[0].name]
+        rms = math.sqrt(sum((p.run_to_run or 0.0) ** 2 for p in members) / len(members))
+        spreads.append(f"{name} {significant(rms / size, 2)} {unit}")
+    lines += [f"from launch to launch: {', '.join(spreads)}"] if several else []
+    for each in iterated:
+        steps = each.evidence.iterations
+        lines.append(f"{each.method}: the last of {len(steps)} iterations added {_largest(each, steps[-1])}")
+    for other in others:
+        changes = {p.name: other[p.name].value - p.value for p in calibration.parameters if p.name in other}
+        lines.append(f"{other.method} differs from {calibration.method} by {_largest(calibration, changes)}")
     lines += without_expanded(parameters)
-    following = next_commands(calibration, file, session)
-    height = len(text_of([*blocks, Items(items=(*lines, "")), *following], WIDTH).splitlines())
-    return [*blocks, Items(items=(*lines, *_fitting(calibration, MOST_LINES - height))), *following]
+    if accepted_kinds(calibration):
+        following = f"next: tumble export {shlex.quote(str(file))} --to json -o imu.json (others: --help)"
+    else:
+        following = f"next: tumble inspect {shlex.quote(str(session))} (the rests and turns that were found)"
+    height = len(text_of([*blocks, Items(items=(*lines, "")), following], WIDTH).splitlines())
+    return [*blocks, Items(items=(*lines, *_fitting(calibration, MOST_LINES - height))), following]
 
 
 MOST_LINES, WIDTH, MOST_REMARKS = 24, 100, 3
@@ -162,14 +198,6 @@ def remarks_of(calibration: Calibration) -> tuple[str, ...]:
     return (*calibration.outcome.remarks, *assumed, *([decided] if decided is not None else []))
 
 
-def next_commands(calibration: Calibration, file: FilePath, session: FilePath) -> list[str]:
-    """The commands that a calibration is for, or that show why it is none."""
-    name, recording = shlex.quote(str(file)), shlex.quote(str(session))
-    if accepted_kinds(calibration):
-        return [f"next: tumble export {name} --to json -o imu.json (others: --help)"]
-    return [f"next: tumble inspect {recording} (the rests and turns that were found)"]
-
-
 def _fitting(calibration: Calibration, room: int) -> list[str]:
     """The first remarks, at most MOST_REMARKS and at least one, that fit on so many lines, and in a further line what
     else --all shows."""
@@ -183,45 +211,11 @@ def _fitting(calibration: Calibration, room: int) -> list[str]:
     return [*shown, f"more with --all: {', '.join([*counted, 'all tables'])}"]
 
 
-def _usable(calibration: Calibration, parameters: Iterable[Parameter]) -> tuple[Parameter, ...]:
-    """The parameters of the groups that are accepted, alone or with their sensors."""
-    outcome = calibration.outcome
-    return tuple(p for p in parameters if outcome.of(group_name(p.name)).accepted or "mag" in p.name)
-
-
-def _run_to_run(parameters: Sequence[Parameter]) -> str:
-    """The standard deviation from launch to launch in each group, root mean square over its parameters."""
-    units, shown = shown_units(parameters), []
-    for name, members in by_group(parameters).items():
-        size, unit = units[members[0].name]
-        rms = math.sqrt(sum((p.run_to_run or 0.0) ** 2 for p in members) / len(members))
-        shown.append(f"{name} {significant(rms / size, 2)} {unit}")
-    return f"from launch to launch: {', '.join(shown)}"
-
-
-def _last_step(calibration: Calibration) -> str:
-    """The largest increment of the last iteration, in units of u."""
-    step = calibration.evidence.iterations[-1]
-    return _largest({p.name: step[p.name] / p.u for p in calibration.parameters if p.u and p.name in step})
-
-
-def _largest_difference(calibration: Calibration, other: Calibration) -> str:
-    """The largest difference of another method, in units of u."""
-    both = [p for p in calibration.parameters if p.u and p.name in other]
-    return _largest({p.name: (other[p.name].value - p.value) / p.u for p in both if p.u})
-
-
-def _largest(sigmas: Mapping[str, float]) -> str:
-    name = max(sigmas, key=lambda name: abs(sigmas[name]), default="")
-    return f"at most {significant(abs(sigmas[name]), 2)} u ({name})" if name else "what no u says"
-
-
-def _against_truth(calibration: Calibration, truth: Mapping[str, float]) -> str:
-    """How far the values are from true ones, in a line."""
-    z = [(p.value - truth[p.name]) / p.u for p in calibration.parameters if p.u and p.name in truth]
-    rms = math.sqrt(sum(v * v for v in z) / max(len(z), 1))
-    sentence = f"{len(z)} parameters, rms of (value − truth)/u {rms:.2f}, expected about 1"
-    return f"truth: {sentence if z else 'no parameter was estimated that it has'}"
+def _largest(calibration: Calibration, changes: Mapping[str, float]) -> str:
+    """The largest of changes of parameters, in units of u."""
+    sigmas = {p.name: abs(changes[p.name]) / p.u for p in calibration.parameters if p.u and p.name in changes}
+    name = max(sigmas, key=sigmas.__getitem__, default="")
+    return f"at most {significant(sigmas[name], 2)} u ({name})" if name else "what no u says"
 
 
 # -------------------- tables --------------------
@@ -388,16 +382,6 @@ def method_table(calibration: Calibration, other: Calibration, parameters: Seque
 
     both = [p for p in parameters if p.name in other]
     return quantity_table(both, shown_units(calibration.parameters), row)
-
-
-def _session_table(calibration: Calibration) -> Table:
-    """Sessions that are one estimate together."""
-    sessions = []
-    for member in calibration.evidence.together:
-        low, high = (f"{celsius:z.1f}" for celsius in member.temperatures)
-        counts = {"rests": str(member.rests), "turns": str(member.turns)}
-        sessions.append({"session": member.session, **counts, "from °C": low, "to °C": high})
-    return table(sessions, words=("session",))
 
 
 def difference_percent(value: Array | float, reference: Array | float) -> Array:

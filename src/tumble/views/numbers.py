@@ -111,11 +111,10 @@ def quantity_table(
     return table(rows, words={name, "unit", *words}, caption=caption, dense=dense, halves=halves)
 
 
-def in_engineering(unit: str, value: float, digits: int = 3, none: str = "–") -> str:
-    """A quantity of an SI unit to so many digits, with the engineering unit of its size; `none` where it is
-    infinite."""
+def in_engineering(unit: str, value: float, digits: int = 3) -> str:
+    """A quantity of an SI unit to so many digits, with the engineering unit of its size; a dash if infinite."""
     size, shown = engineering(unit, value)
-    return f"{value / size:.{digits}g} {shown}" if math.isfinite(value) else none
+    return f"{value / size:.{digits}g} {shown}" if math.isfinite(value) else "–"
 
 
 def probability_text(probability: float) -> str:

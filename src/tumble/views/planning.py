@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from tumble.planning.plan import Plan, PlannedGroup, Requirement, largest_errors
+from tumble.planning.plan import Plan, Requirement, largest_errors
 from tumble.planning.setup import GROUPS, Setup, time_of
 from tumble.programme.sheet_words import clock, move_text, short_code
 from tumble.sensors.parameters import group_of, shown_in
@@ -63,15 +63,11 @@ def _groups_table(plan: Plan, *, sources: bool) -> Table:
         if plan.method != "joint":
             cells = {"pass": str(row.iteration), **cells, "by": row.estimator}
         rows.append(cells | {"mostly from": row.largest if math.isfinite(row.u) else "not determined"})
-        rows += _source_rows(row, cells) if sources else ()
+        for name, u in row.sources.items() if sources else ():
+            if u**2 >= SHOWN * row.u**2:
+                blank = dict.fromkeys(cells, "")
+                rows.append({**blank, "u (rms)": in_unit(row.group, u), "mostly from": name})
     return table(rows, words=("parameters", "by", "mostly from"))
-
-
-def _source_rows(row: PlannedGroup, cells: Mapping[str, str]) -> list[Mapping[str, str]]:
-    """A row for each source of a group."""
-    shown = ((name, u) for name, u in row.sources.items() if u**2 >= SHOWN * row.u**2)
-    blank = dict.fromkeys(cells, "")
-    return [{**blank, "u (rms)": in_unit(row.group, u), "mostly from": name} for name, u in shown]
 
 
 def _following_table(plan: Plan) -> Table:

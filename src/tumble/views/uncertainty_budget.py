@@ -49,7 +49,10 @@ def share_table(calibration: Calibration) -> Table:
     standards = {name for names in REFERENCES.values() for name in names}
     small = [s for s in order if every[:, s].max() < SHOWN and budget[s].name not in standards]
     for s in (s for s in order if s not in small):
-        row = {"source": _words(budget[s]), "type": budget[s].type, **_size(budget[s]), "dof": _degrees(budget[s].dof)}
+        row, (size, unit) = {"source": _words(budget[s]), "type": budget[s].type}, _unit_of(budget[s])
+        u = budget[s].u  # that of its group where it is the prior of one; none where it is of several quantities
+        row |= {"u": "", "unit": ""} if u is None else {"u": _two(u / size), "unit": unit}
+        row |= {"dof": _degrees(budget[s].dof)}
         rows.append(row | {group: percent(float(share[s])) for group, share in shares.items()})
     if small:
         together = {group: percent(float(share[small].sum())) for group, share in shares.items()}
@@ -110,15 +113,6 @@ def _two(value: float) -> str:
 
 def _degrees(dof: float | None) -> str:
     return "∞" if dof is None else _two(dof)
-
-
-def _size(source: Source) -> dict[str, str]:
-    """The standard uncertainty of a source in its unit, that of its group where it is the prior of one; nothing where
-    it is of several quantities."""
-    if source.u is None:
-        return {"u": "", "unit": ""}
-    size, shown = _unit_of(source)
-    return {"u": _two(source.u / size), "unit": shown}
 
 
 def _unit_of(source: Source) -> tuple[float, str]:

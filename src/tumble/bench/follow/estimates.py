@@ -76,16 +76,19 @@ class Estimates:
         if made_of == self._made_of or len(settled) < 2:
             return
         self._made_of = made_of
-        until = np.inf if unfinished is None else unfinished.start
+        until = math.inf, math.inf
+        if unfinished is not None:
+            file = progress.blocks.file_of(unfinished.first)
+            until = file.number, unfinished.start - file.shift
         self._future = self._worker.submit(_shown, self._task, progress.reduction, until, excluded)
 
 
 def settled_rests(
-    session: Session, reduction: Reduction, until: float, excluded: tuple[Exclusion, ...]
+    session: Session, reduction: Reduction, until: tuple[float, float], excluded: tuple[Exclusion, ...]
 ) -> Segmentation:
-    """Find the rests that a calibration would use, of those that begin before the time `until`, s."""
+    """Find the rests that a calibration would use, of those that begin before a file and a time in it, s."""
     found = without_times(reduction, find_rests(reduction, session.accel_block, session.gyro_block), excluded)
-    return replace(found, rests=tuple(rest for rest in found.rests if rest.start < until))
+    return replace(found, rests=tuple(rest for rest in found.rests if (rest.file, rest.start) < until))
 
 
 def estimate_so_far(
@@ -107,8 +110,10 @@ def estimate_so_far(
 # -------------------- what the page shows of it --------------------
 
 
-def _shown(task: Task, reduction: Reduction, until: float, excluded: tuple[Exclusion, ...]) -> EstimateShown:
-    """Compute an estimate for the page from the rests that begin before the time `until`, s."""
+def _shown(
+    task: Task, reduction: Reduction, until: tuple[float, float], excluded: tuple[Exclusion, ...]
+) -> EstimateShown:
+    """Compute an estimate for the page from the rests that begin before a file and a time in it, s."""
     began = time.thread_time()
     session, wanted = task.session, task.wanted
     reduction = without_blemishes(reduction)

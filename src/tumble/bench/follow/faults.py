@@ -196,6 +196,8 @@ def is_over(fault: Fault, task: Task, progress: Progress) -> bool:
     if fault.kind == "gap":
         last = groups[-1][-1] if groups else None
         return last is not None and last.start > fault.start and progress.judged[-1].enough
+    if fault.kind == "restart":
+        return True
     if fault.kind not in LEFT_BY_THE_NEXT or programme is None:
         return False
     later = [group[-1] for group in groups if group[0].start > fault.stop]

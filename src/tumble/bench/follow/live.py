@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import replace
 
 from tumble.bench.follow.faults import Fault, SampleWatch
-from tumble.bench.follow.progress import Blocks, Judged, Progress, Rest, grouped
+from tumble.bench.follow.progress import Blocks, File, Judged, Progress, Rest, grouped
 from tumble.bench.follow.wishes import Task
-from tumble.bench.record.recorder import growing_file
+from tumble.bench.record.recorder import NEXT_SECONDS, recorded_files
 from tumble.errors import LogError
 from tumble.recording.live.lines import Lines
 from tumble.recording.live.samples import StreamedSamples
@@ -24,8 +25,8 @@ _SEARCH_GROWTH = 2e-4
 """Rests are searched for again when the log has grown by this part, which takes a tenth of a processor."""
 _GROWN = 0.01
 """Part of its length by which a rest grows before it is judged again."""
-_BACK_SECONDS = 5.0
-"""A clock that goes back by more has started anew, or had gone wrong before."""
+_LATELY = 50
+"""Blocks, 5 s."""
 _MOST_FAULTS = 64
 """Faults of samples that are kept: nobody answers more, and a source that stutters for hours has one a second."""
 
@@ -42,7 +43,9 @@ class Live:
     samples, lost : int
         Samples that were read, and that are missing between them.
     at : int
-        Bytes of the log that were read.
+        Bytes of the present file of the log that were read.
+    files : list of Path
+        Files of the log. Another may be added once the last has ended.
     trouble : str
         Why the log cannot be followed; empty while it can.
     """
@@ -51,19 +54,27 @@ class Live:
         self._task = task
         self._judged: dict[int, tuple[int, Judged]] = {}
         self._enough: list[tuple[int, int]] = []
+        self.files = recorded_files(task.session.log)
         self._begin(StreamedSamples(task.session.log))
 
     def _begin(self, streamed: StreamedSamples) -> None:
         self.now: Progress | None = None
         self.faults: deque[Fault] = deque(maxlen=_MOST_FAULTS)
         self.samples = self.lost = 0
-        self.trouble, self._unreadable = "", False
-        spec = self._task.session.log
-        self.at, self._path, self._streamed = 0, growing_file(spec), streamed
-        self._lines = Lines(columns=spec.columns, clock=spec.time, refuse=lambda _: None)  # counted by who records it
         self._reducer: Reducer | None = None
-        self._gaps, self._latest = 0, 0.0
         self._watches: list[SampleWatch] = []
+        self._gaps, self._number = 0, -1
+        self._ended: Progress | None = None
+        """Of the file before, where that the clock started anew is not reported yet."""
+        self._begin_file(streamed)
+
+    def _begin_file(self, streamed: StreamedSamples) -> None:
+        """Go on with the next file of the log."""
+        spec = self._task.session.log
+        self.at, self._number, self._streamed = 0, self._number + 1, streamed
+        self.trouble, self._unreadable = "", False
+        self._lines = Lines(columns=spec.columns, clock=spec.time, refuse=lambda _: None)  # counted by who records it
+        self._latest, self._shift = -math.inf, 0.0 if self.now is None else math.nan
         self._searched: tuple[int, tuple[Exclusion, ...]] = 0, ()
 
     @property
@@ -79,20 +90,56 @@ class Live:
         try:
             for _ in range(_PIECES):
                 if self._unreadable or not self._read_piece():
-                    break
-                if self._streamed.head < HEAD_ROWS <= self.samples:
+                    if self._number == len(self.files) - 1:
+                        break
+                    self._go_on(excluded)
+                elif self._number == 0 and self._streamed.head < HEAD_ROWS <= self.samples:
                     self._begin(StreamedSamples(self._task.session.log, head=HEAD_ROWS))
         except LogError as error:
             self._unreadable = True
             self.trouble = f"the log cannot be followed any further, what is received is recorded: {error}"
+        self._look(excluded)
+
+    def _look(self, excluded: tuple[Exclusion, ...]) -> None:
+        """Find what the samples so far say."""
         if self._reducer is not None:
             reduction = replace(self._reducer.now(), gaps=tuple(self._streamed.gaps))
             if reduction.files and len(reduction.files[-1]):
                 self.now = self._progress(reduction, excluded)
+                self._report_restart(self.now)
+
+    def _report_restart(self, progress: Progress) -> None:
+        """Report that the clock started anew, once there is something of the next file.
+
+        A rest of a programme that lasted ends there: it is kept if it was long enough, and begins anew otherwise. Where
+        the log goes on for long already, this was settled before the page was opened."""
+        file = progress.blocks.files[-1]
+        if self._ended is None or file.number < self._number:
+            return
+        before, self._ended = self._ended, None
+        current = before.current
+        said = (
+            f"the sensor's clock starts anew after {before.now:.0f} s, as when it is unplugged or reset; the recording "
+            f"goes on in {self.files[self._number].name}"
+        )
+        fault = Fault(kind="gap", said=said, start=before.now, stop=before.now)
+        if current is not None and self._task.programme is not None and len(progress.blocks) - file.first < _LATELY:
+            enough = before.judged[-1].enough
+            start, choices = (fault.start, ("keep_first",)) if enough else (current.start, ("again",))
+            fault = replace(fault, kind="restart", start=start, choices=choices)
+        self.faults.append(fault)
+
+    def _go_on(self, excluded: tuple[Exclusion, ...]) -> None:
+        """Go on with the next file, which was begun where the clock started anew."""
+        self._look(excluded)
+        self._ended = self.now
+        streamed = StreamedSamples(self._task.session.log, interval=self.interval, file=self._number + 1)
+        streamed.gaps = self._streamed.gaps
+        self._begin_file(streamed)
 
     def _read_piece(self) -> bool:
         """Read the next lines of the log; whether there were any rows in them."""
-        with self._path.open("rb") as file:
+        with self.files[self._number].open("rb") as file:
             file.seek(self.at)
             data = file.read(PIECE_BYTES)
         data = data[: data.rfind(b"\n") + 1]
@@ -107,22 +154,17 @@ class Live:
         return True
 
     def _look_at_clock(self, rows: Array) -> None:
-        """Report a clock that goes back: until it is where it was, the reader of the log takes no sample."""
+        """Say that the clock has gone back in a log of another program: until it is where it was, no sample is
+        taken."""
         spec = self._task.session.log
-        if spec.time is None or not self.samples:
-            return
-        time = float(rows[-1, spec.columns.index(spec.time)]) * spec.time_factor
-        if time >= self._latest - _BACK_SECONDS:
-            self.trouble = ""
-            return
-        if not self.trouble:
-            at = self._latest
-            said = (
-                f"the clock goes back from {at:.1f} s to {time:.1f} s: another power-on, or wrong times before; what "
-                "follows is recorded, but such a log cannot be calibrated: record anew"
+        if spec.time is not None:
+            behind = self._latest - float(rows[-1, spec.columns.index(spec.time)]) * spec.time_factor
+            self.trouble = (
+                f"the clock has gone back by {behind:.0f} s, and the page waits for it: such a log cannot be "
+                f"calibrated, but --listen file:{self.files[-1].name} into another folder records a file for each clock"
+                if behind > NEXT_SECONDS
+                else ""
             )
-            self.faults.appendleft(Fault(kind="clock", said=said, start=at, stop=at, choices=("anew", "go_on")))
-        self.trouble = f"the clock is {self._latest - time:.0f} s behind: the page waits for it"
 
     def _take(self, chunk: Chunk, interval: float) -> None:
         """Find the faults of samples, and feed them to the reduction."""
@@ -136,18 +178,20 @@ class Live:
             )
             kinds = [log.accel] if log.gyro is None else [log.accel, log.gyro]
             self._watches = [SampleWatch(channels.columns, channels.range, interval) for channels in kinds]
+        if math.isnan(self._shift) and self.now is not None:
+            self._shift = self.now.now - float(chunk.time[0] - chunk.dt[0])
         for watch, readings in zip(self._watches, (chunk.accel, chunk.gyro), strict=False):
             if readings is not None:
-                self.faults += watch.look(chunk.time, readings)
+                self.faults += watch.look(chunk.time + self._shift, readings)
         self._reducer.feed(chunk)
         self.samples += len(chunk.time)
         self._latest = float(chunk.time[-1])
         for gap in self._streamed.gaps[self._gaps :]:
             self.lost += gap.samples
             if not gap.integrable:
-                start = gap.time - interval
-                said = f"gap of {gap.stop - start:.1f} s at {start:.1f} s: {gap.samples} samples did not arrive"
-                self.faults.append(Fault(kind="gap", said=said, start=start, stop=gap.stop))
+                start, stop = gap.time - interval + self._shift, gap.stop + self._shift
+                said = f"gap of {stop - start:.1f} s at {start:.1f} s: {gap.samples} samples did not arrive"
+                self.faults.append(Fault(kind="gap", said=said, start=start, stop=stop))
         self._gaps = len(self._streamed.gaps)
 
     def _progress(self, reduction: Reduction, excluded: tuple[Exclusion, ...]) -> Progress:
@@ -164,7 +208,9 @@ class Live:
         if without != excluded or has_ended or longer > _SEARCH_GROWTH * len(blocks):
             so_far = rests_so_far(reduction, session.accel_block, session.gyro_block, excluded)
             self._searched = len(blocks), excluded
-        rests = [] if so_far is None else [Rest.of(blocks, span.first, span.last) for span in so_far.rests]
+        before_file = {file.number: file.first for file in blocks.files}
+        spans = () if so_far is None else so_far.rests
+        rests = [Rest.of(blocks, *(before_file[s.file] + block for block in (s.first, s.last))) for s in spans]
         if so_far is not None and so_far.lasting:
             rests[-1] = Rest.of(blocks, rests[-1].first, len(blocks))
         groups = grouped(blocks, rests)
@@ -173,17 +219,19 @@ class Live:
             blocks=blocks,
             so_far=so_far,
             groups=groups,
-            judged=tuple(self._judge(reduction, rest) for rest in (groups[-1][-2:] if groups else ())),
+            judged=tuple(
+                self._judge(reduction, blocks.file_of(rest.first), rest) for rest in (groups[-1][-2:] if groups else ())
+            ),
         )
 
-    def _judge(self, reduction: Reduction, rest: Rest) -> Judged:
+    def _judge(self, reduction: Reduction, file: File, rest: Rest) -> Judged:
         """Judge a rest; one that lasts again every half second, and later as it grows by a hundredth.
 
         A rest that was enough stays so: its uncertainty is known to some percent, and would cross the wanted one more
         than once."""
         last, judged = self._judged.get(rest.first, (0, None))
         if judged is None or not 0 <= rest.last - last < max(5.0, _GROWN * (rest.last - rest.first)):
-            judged = Judged.of(reduction, rest, self._task.wanted)
+            judged = Judged.of(reduction, file, rest, self._task.wanted)
             if judged.enough:
                 self._enough.append((rest.first, rest.last))
             elif any(first < rest.last and rest.first < last for first, last in self._enough):

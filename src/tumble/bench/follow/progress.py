@@ -23,6 +23,8 @@ from tumble.units import Array
 
 LATEST_BLOCKS = 5
 """Half a second: what reads now is the mean of these."""
+TELLING_BLOCKS = 10
+"""In a second a rest is found."""
 SHORTEST_REST = 4.0
 """s."""
 KNOWN_SECONDS = 300.0
@@ -33,11 +35,21 @@ NOTHING_MORE = 0.93
 """Where twice the time leaves more than this of u, longer gives nothing."""
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class File:
+    """A file of the log: its number, from 0, its first block, and by how much times are later on the page, s."""
+
+    number: int
+    first: int
+    shift: float
+
+
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Blocks:
     """The blocks so far, in the body: their `edges` (K + 1,), s; specific force (K, 3), m/s²; angular rate (K, 3),
-    rad/s, and temperature (K,), K, where there are any."""
+    rad/s, and temperature (K,), K, where there are any. The times of a further file go on where those before it end."""
 
+    files: tuple[File, ...]
     edges: Array
     force: Array
     rate: Array | None
@@ -49,18 +61,43 @@ class Blocks:
     @staticmethod
     def of(reduction: Reduction, session: Session) -> Blocks:
         """The blocks of a reduction."""
-        file, gyro = reduction.files[-1], session.gyro_block
-        return Blocks(
-            edges=file.edges,
-            force=file.accel.means @ onto_body(session.accel_block.axes).T,
-            rate=None if gyro is None else file.gyro.means @ onto_body(gyro.axes).T,
-            temperature=None if file.temperature is None else file.temperature.mean(axis=1),
+        parts, gyro, files, edges = (
+            [f for f in reduction.files if len(f)],
+            session.gyro_block,
+            list[File](),
+            np.empty(0),
         )
+        for part in parts:
+            shift = float(edges[-1] - part.edges[0]) if len(edges) else 0.0
+            files.append(File(number=part.file, first=max(len(edges) - 1, 0), shift=shift))
+            edges = np.concatenate([edges[:-1], part.edges + shift])
+        warmth = [part.temperature.mean(axis=1) for part in parts if part.temperature is not None]
+        return Blocks(
+            files=tuple(files),
+            edges=edges,
+            force=np.concatenate([part.accel.means for part in parts]) @ onto_body(session.accel_block.axes).T,
+            rate=None if gyro is None else np.concatenate([part.gyro.means for part in parts]) @ onto_body(gyro.axes).T,
+            temperature=np.concatenate(warmth) if warmth else None,
+        )
+
+    def file_of(self, block: int) -> File:
+        """The file of a block."""
+        return next(file for file in reversed(self.files) if file.first <= block)
+
+    def in_files(self, start: float, stop: float) -> list[tuple[int, float, float]]:
+        """The number of each file between two times of the page, s, and these by the clock of the file."""
+        begins = [-np.inf, *(float(self.edges[file.first]) for file in self.files[1:]), np.inf]
+        spans = zip(self.files, begins, begins[1:], strict=False)
+        return [
+            (file.number, max(start, begin) - file.shift, min(stop, end) - file.shift)
+            for file, begin, end in spans
+            if start < end and begin < stop
+        ]
 
     def turned(self, first: int, last: int, level: Array | None) -> Array | None:
         """The gyro increments (K, 3) of blocks first … last − 1, rad, less what the gyros read at rest, the `level`;
-        None without gyros."""
-        if self.rate is None or level is None:
+        None without gyros, and where another file begins on the way."""
+        if self.rate is None or level is None or any(first <= file.first <= last for file in self.files[1:]):
             return None
         return np.asarray((self.rate[first:last] - level) * np.diff(self.edges[first : last + 1])[:, None])
 
@@ -122,9 +159,10 @@ class Judged:
     nothing_more: bool
 
     @staticmethod
-    def of(reduction: Reduction, rest: Rest, wanted: Wanted) -> Judged:
-        """Compare the uncertainty of the mean of a rest with the wanted one."""
-        mean, seconds = mean_so_far(reduction, rest.first, rest.last), rest.stop - rest.start
+    def of(reduction: Reduction, file: File, rest: Rest, wanted: Wanted) -> Judged:
+        """Compare the uncertainty of the mean of a rest, which is in this file, with the wanted one."""
+        mean = mean_so_far(reduction.by_file[file.number], rest.first - file.first, rest.last - file.first)
+        seconds = rest.stop - rest.start
         levels = {"accel": wanted.accel, "gyro": wanted.gyro}
         kinds = [(max(u, 1e-12), twice, levels[kind]) for kind, (u, twice) in mean.items()]
         left, flat = None, False
@@ -167,8 +205,9 @@ class Progress:
 
     @property
     def still(self) -> bool:
-        """Whether nothing moves now."""
-        return self.so_far is not None and self.so_far.still
+        """Whether nothing moves now, or a file has begun so lately that nobody can tell."""
+        lately = len(self.blocks) - self.blocks.files[-1].first < TELLING_BLOCKS
+        return lately or (self.so_far is not None and self.so_far.still)
 
     @property
     def current(self) -> Rest | None:
@@ -184,7 +223,8 @@ class Progress:
 
 
 def grouped(blocks: Blocks, rests: list[Rest]) -> list[list[Rest]]:
-    """Group the rests between which nothing was turned: one position. Without gyros, those of one vertical."""
+    """Group the rests between which nothing was turned: one position. Without gyros, those of one vertical. What was
+    turned before another file began is not known, and its rests are of another position."""
     groups: list[list[Rest]] = []
     for rest in rests:
         apart = np.inf
@@ -193,8 +233,8 @@ def grouped(blocks: Blocks, rests: list[Rest]) -> list[list[Rest]]:
             apart = float(np.arccos(np.clip(before.vertical @ rest.vertical, -1.0, 1.0)))
             if apart < SAME_ATTITUDE and before.rate is not None and rest.rate is not None:
                 increments = blocks.turned(before.last, rest.first, 0.5 * (before.rate + rest.rate))
-                assert increments is not None
-                apart = float(np.linalg.norm(rotation_vector(attitude_after(increments))))
+                turned = np.inf if increments is None else rotation_vector(attitude_after(increments))
+                apart = float(np.linalg.norm(turned))
         if apart < SAME_ATTITUDE:
             groups[-1].append(rest)
         else:

@@ -5,6 +5,9 @@ are: whoever reads the log decides which of them are wrong (`tumble.recording.ro
 write without a buffer, so that a process that is killed leaves all it has received, and are forced to the disk once a
 second, so that a machine that loses its power leaves all but the last second. Where the disk takes no more, lines are
 kept in memory and written when it does again; what is lost is whole lines.
+
+Where the clock of the sensor starts anew, since it was reset or unplugged, another file of the log begins: so many rows
+as agree on earlier times are no single wrong ones.
 """
 
 from __future__ import annotations
@@ -14,15 +17,19 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from itertools import count
 from pathlib import Path
+
+import numpy as np
 
 from tumble.bench.state import Received
 from tumble.errors import InputError
 from tumble.recording.live.lines import Lines, numbers_in
 from tumble.recording.live.sources import Ended, LineSource
 from tumble.recording.session import LogSpec, Session
+from tumble.units import Array
 
 log = logging.getLogger(__name__)
 
@@ -34,6 +41,10 @@ KEPT_BYTES = 1 << 26
 """What is kept in memory while the disk takes nothing, at most."""
 REFUSED_BYTES = 1 << 22
 """What is kept of what is no row, at most."""
+NEXT_SECONDS = 1.0
+"""A time that is farther from the one before belongs to another clock, or is wrong."""
+AGREEING_ROWS = 20
+"""So many rows whose times follow each other are right, wherever they are."""
 _WRITE_BYTES = 1 << 20
 _LINE_BYTES = 1 << 16
 _LOCKED = 1 << 40
@@ -129,11 +140,15 @@ class Recorder:
         except OSError as error:
             self.trouble = f"the disk takes nothing: {error.strerror}"
 
-    def rows(self) -> Iterator[bytes]:
-        """The rows of the log as it is now, from the first."""
-        with self.path.open("rb") as file:
-            file.readline()
-            yield from file
+    def take_back(self, lines: bytes) -> None:
+        """Cut the last lines off the log, which were appended as these."""
+        os.ftruncate(self._descriptor, os.fstat(self._descriptor).st_size - len(lines))
+
+    def last_line(self) -> bytes:
+        """The last line of the log as it is now."""
+        size = os.fstat(self._descriptor).st_size
+        start = max(0, size - _LINE_BYTES)
+        return self._at(size - start, start).rstrip(b"\n").rpartition(b"\n")[2]
 
     def sync_if_due(self) -> None:
         """Force the log to the disk if that was not done for a second."""
@@ -159,22 +174,47 @@ class Recorder:
         os.close(self._descriptor)
 
 
-def growing_file(spec: LogSpec) -> Path:
-    """The last file of a log, which is the one that grows."""
-    path = spec.files[-1]
-    assert isinstance(path, Path)
-    return path
+def recorded_files(spec: LogSpec) -> list[Path]:
+    """The files of a log, of which the last grows."""
+    return [file for file in spec.files if isinstance(file, Path)]
+
+
+def _rows_of(files: Sequence[Path]) -> Iterator[bytes]:
+    """The rows of a log as it is now, from the first."""
+    for path in files:
+        with path.open("rb") as file:
+            file.readline()
+            yield from file
 
 
 class Intake:
-    """Records a source into the log of a session until it is stopped. `rows` are recorded; `ended` says whether the
-    source has."""
+    """Records a source into the log of a session until it is stopped.
+
+    Attributes
+    ----------
+    files : list of Path
+        The files of the log; those behind the session's own were begun where the clock started anew.
+    rows : int
+        Rows that were recorded.
+    ended : bool
+        Whether the source has ended.
+    """
 
     def __init__(self, source: LineSource, session: Session, *, now: Callable[[], float] = time.monotonic) -> None:
         spec = session.log
         self.source = source
-        self.recorder = Recorder(growing_file(spec), ",".join(spec.columns))
-        self.lines = Lines(columns=spec.columns, clock=spec.time, refuse=self.recorder.refuse)
+        self.files = recorded_files(spec)
+        self.recorder = Recorder(self.files[-1], ",".join(spec.columns))
+        self.lines = Lines(columns=spec.columns, clock=spec.time, refuse=lambda raw: self.recorder.refuse(raw))
+        self._clock = None if spec.time is None or spec.regular else spec.columns.index(spec.time)
+        self._second = spec.time_factor
+        self._last: float | None = None
+        """Time of the last row in its place, s."""
+        self._apart = list[tuple[bytes, float]]()
+        """The last rows, with their times, where these follow each other and not that one."""
+        if self._clock is not None:
+            with suppress(ValueError, IndexError):
+                self._last = float(self.recorder.last_line().split(b",")[self._clock]) * self._second
         self._now, self._heard = now, now()
         self.rows, self.ended = 0, False
         self._failure = ""
@@ -183,8 +223,8 @@ class Intake:
         self._recorded: Iterator[bytes] | None = None
         """Rows that are in the log already and that the source, which begins anew, sends again."""
         if source.begins_anew:
-            self._recorded = self.recorder.rows()
-            source.hurry(sum(1 for _ in self.recorder.rows()))
+            self._recorded = _rows_of(self.files)
+            source.hurry(sum(1 for _ in _rows_of(self.files)))
 
     def start(self) -> None:
         """Begin to record."""
@@ -215,14 +255,62 @@ class Intake:
         """Append the rows in what was received."""
         whole = self.lines.cut(data)
         plain = self.lines.in_order and self._recorded is None
-        if not plain or numbers_in(whole, len(self.lines.columns)) is None:
-            rows = (row.text.encode() + b"\n" for row in self.lines.rows(whole))
-            whole = b"".join(row for row in rows if self._is_new(row))
+        numbers = numbers_in(whole, len(self.lines.columns)) if plain else None
+        if numbers is not None:
+            times = None if self._clock is None else numbers[:, self._clock]
+        else:
+            rows = [(row.text.encode() + b"\n", row.time) for row in self.lines.rows(whole)]
+            rows = [each for each in rows if self._is_new(each[0])]
+            whole = b"".join(row for row, _ in rows)
+            times = None if self._clock is None else np.array([time for _, time in rows], dtype=float)
         if whole:
-            self.recorder.append(whole)
-            self.rows += whole.count(b"\n")
             self._heard = self._now()
+            if times is None:
+                self._append(whole)
+            else:
+                self._sort(whole, times * self._second)
         self.recorder.sync_if_due()
+
+    def _append(self, rows: bytes) -> None:
+        self.recorder.append(rows)
+        self.rows += rows.count(b"\n")
+
+    def _sort(self, whole: bytes, times: Array) -> None:
+        """Append rows of these times, s, which may be wrong. Where as many as agree are earlier than those before, the
+        clock has started anew, and they are the first of another file."""
+        steps = np.diff(times, prepend=times[0] if self._last is None else self._last)
+        if not self._apart and np.abs(steps).max() <= NEXT_SECONDS:
+            self._append(whole)
+            self._last = float(times[-1])
+            return
+        for row, at in zip(whole.splitlines(keepends=True), times.tolist(), strict=True):
+            self._append(row)
+            if self._last is None or abs(at - self._last) <= NEXT_SECONDS:
+                self._last, self._apart = at, []
+                continue
+            if self._apart and not 0.0 <= at - self._apart[-1][1] <= NEXT_SECONDS:
+                self._apart = []
+            self._apart.append((row, at))
+            if len(self._apart) >= AGREEING_ROWS and at > self._apart[0][1]:
+                if at < self._last:
+                    self._begin_file(b"".join(row for row, _ in self._apart))
+                self._last, self._apart = at, []
+
+    def _begin_file(self, rows: bytes) -> None:
+        """Go on in another file, log-2.csv behind log.csv, with the last rows of the present one. In that where the
+        disk takes nothing."""
+        first = self.files[0]
+        names = (first.with_stem(f"{first.stem}-{number}") for number in count(2))
+        path = next(each for each in names if not each.exists())
+        if self.recorder.trouble:
+            return
+        with suppress(OSError, InputError):
+            begun = Recorder(path, ",".join(self.lines.columns))
+            begun.append(rows)
+            self.recorder.take_back(rows)
+            self.recorder.close()
+            self.recorder = begun
+            self.files.append(path)
 
     def _is_new(self, row: bytes) -> bool:
         """Whether a row is not in the log yet; from the first new one on all are."""

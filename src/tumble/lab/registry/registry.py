@@ -25,7 +25,7 @@ from tumble.lab.limits import Limits, Occasion, read_limits
 from tumble.lab.registry.records import Due, Forecast, LimitsRecord, Record, State
 from tumble.result.accepted import accepted_part
 from tumble.result.calibration import Calibration, calibration_of, text_and_name
-from tumble.result.launch_variances import LaunchVariances, launch_variances, stands_alone, variances_between
+from tumble.result.launch_variances import LaunchVariances, launch_variances, variances_between
 
 if TYPE_CHECKING:
     from tumble.inference.prior import Prior
@@ -337,7 +337,8 @@ class Registry:
             if serial is None and record.model != model:
                 continue
             for calibration in self._in_frame((record,), frame):
-                if stands_alone(calibration):
+                evidence = calibration.evidence
+                if not (evidence.launches or evidence.together or calibration.provenance.prior):
                     stretch = (record.serial, adjusted[record.serial], record.method)
                     single.setdefault(stretch, []).append(calibration)
                 of_means.append(launch_variances(calibration))

@@ -30,7 +30,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.linalg import block_diag
 
-from tumble.diagnosis.linear_model import LeftOut, by_joint, groups_in_data, with_left_out
+from tumble.diagnosis.linear_model import by_joint, groups_in_data, left_out_sizes, with_left_out
 from tumble.earth import earth_rate
 from tumble.errors import InputError, ProgrammeError, SessionError
 from tumble.inference.estimate import Estimate, Fit
@@ -89,20 +89,20 @@ SCALAR = PaperMethod(name="scalar", accelerometers=by_modulus, check=check_for_m
 SCALAR_NOMINAL = PaperMethod(name="scalar-nominal", accelerometers=by_modulus_nominal, check=check_for_modulus)
 
 
-def sequential(observations: Observations, iterations: int = 2) -> Estimate:
+def sequential(observations: Observations, iterations: int = 2, *, intervals: bool = True) -> Estimate:
     """Estimate of the paper's method with the sequential vector method for accelerometers. Raises as `iterated`."""
-    return iterated(observations, SEQUENTIAL, iterations)
+    return iterated(observations, SEQUENTIAL, iterations, intervals)
 
 
-def scalar(observations: Observations, iterations: int = 2) -> Estimate:
+def scalar(observations: Observations, iterations: int = 2, *, intervals: bool = True) -> Estimate:
     """Estimate of the paper's method with the scalar method on all rests, in the estimated orientation. Raises as
     `iterated`."""
-    return iterated(observations, SCALAR, iterations)
+    return iterated(observations, SCALAR, iterations, intervals)
 
 
-def scalar_nominal(observations: Observations, iterations: int = 2) -> Estimate:
+def scalar_nominal(observations: Observations, iterations: int = 2, *, intervals: bool = True) -> Estimate:
     """The same in the orientation of the programme, which the paper compares it with. Raises as `iterated`."""
-    return iterated(observations, SCALAR_NOMINAL, iterations)
+    return iterated(observations, SCALAR_NOMINAL, iterations, intervals)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -276,9 +276,10 @@ def _series(programme: Programme, position: IntArray, first: Sequence[int]) -> t
 # Iterations
 
 
-def iterated(observations: Observations, method: PaperMethod, iterations: int) -> Estimate:
+def iterated(observations: Observations, method: PaperMethod, iterations: int, intervals: bool = True) -> Estimate:
     """The estimate after so many iterations, at least one, with covariance. The first starts from what is known of the
-    sensors (`Observations.start`). Raises InputError."""
+    sensors (`Observations.start`). How large groups are is the maximum of `joint`, with `intervals` integrated. Raises
+    InputError."""
     if iterations < 1:
         raise InputError(f"iterations: expected at least 1, found {iterations}")
     launch = _SessionData.of(observations, method)
@@ -292,7 +293,7 @@ def iterated(observations: Observations, method: PaperMethod, iterations: int) -
         derivative = by_data + by_start @ derivative
         increments.append(after - values)
         values = after
-    return _estimate(launch, values, derivative, tuple(increments))
+    return _estimate(launch, values, derivative, tuple(increments), intervals)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -466,7 +467,9 @@ _SOURCES = {
 """The sources of uncertainty that their noise and their scatter are."""
 
 
-def _estimate(launch: _SessionData, values: Array, derivative: Array, increments: tuple[Array, ...]) -> Estimate:
+def _estimate(
+    launch: _SessionData, values: Array, derivative: Array, increments: tuple[Array, ...], intervals: bool
+) -> Estimate:
     """The estimate of values (m,) with their derivative (m, d) with respect to the data."""
     turned, n = launch.turned(values), len(launch.observations.rests)
     u = np.sqrt(np.diag(derivative @ launch.covariance({}) @ derivative.T))
@@ -476,11 +479,12 @@ def _estimate(launch: _SessionData, values: Array, derivative: Array, increments
     rows = {"accelerometers": slice(0, n), "gyro rests": slice(n, 2 * n), "gyro turns": slice(2 * n, None)}
     groups = {name: _GROUPS[name] for name in list(_GROUPS)[: 3 if len(launch.blocks) == 2 else 1]}
 
-    observations, beside, found, by_groups = launch.observations, None, None, np.zeros((len(launch.data),) * 2)
+    problem, shown, observations, beside = None, np.zeros((len(launch.data), 0)), launch.observations, None
+    sizes = np.zeros(0)
     if observations.usual:
-        beside, (problem, shown) = by_joint(observations), groups_in_data(observations)
-        found = LeftOut.of(problem, derivative @ shown, beside)
-        by_groups = (shown * found.sizes**2) @ shown.T
+        beside, (problem, shown) = by_joint(observations, intervals), groups_in_data(observations)
+        sizes = left_out_sizes(problem, beside)
+    by_groups = (shown * sizes**2) @ shown.T
 
     def residuals_of(name: str, scatter: Mapping[str, float]) -> Residuals:
         noise, chosen = launch.covariance(scatter) + by_groups, rows[name]
@@ -531,10 +535,10 @@ def _estimate(launch: _SessionData, values: Array, derivative: Array, increments
         ),
         budget=budget,
     )
-    if found is None:
+    if problem is None:
         return estimate
     estimate = replace(estimate, linearised=None if beside is None or not converged else beside.linearised)
-    return with_left_out(estimate, found, observations.site.gravity)
+    return with_left_out(estimate, problem, derivative @ shown, sizes)
 
 
 def _budget(

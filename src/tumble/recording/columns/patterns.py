@@ -40,13 +40,17 @@ UNITS: Mapping[str, Mapping[str, str]] = {
         "nt": "nT", "ut": "uT", "µt": "uT", "microteslas": "uT", "gauss": "gauss", "ga": "gauss",
         "t": "T", "tesla": "T", "mgauss": "mgauss", "mg": "mgauss", "g": "gauss",
     },
-    TIME_KIND: {"s": "s", "sec": "s", "ms": "ms", "us": "us", "µs": "us", "ns": "ns"},
+    TIME_KIND: {
+        "s": "s", "sec": "s", "ms": "ms", "us": "us", "µs": "us", "ns": "ns",
+        "min": "min", "minutes": "min", "h": "h", "hours": "h",
+    },
 }  # fmt: skip
 TIME_WORDS = {
     "seconds": "s", "secs": "s",
     "ms": "ms", "millis": "ms", "milliseconds": "ms",
     "us": "us", "micros": "us", "microseconds": "us",
     "ns": "ns", "nanos": "ns", "nanoseconds": "ns",
+    "minutes": "min", "hours": "h",
 }  # fmt: skip
 TEMPERATURE_WORDS = {
     "c": "degC", "°c": "degC", "degc": "degC", "celsius": "degC", "k": "K", "kelvin": "K", "degk": "K",
@@ -137,7 +141,7 @@ PATTERNS: tuple[Pattern, ...] = (
     ),
     _row(
         TIME_KIND, 8.0,
-        r"(^|_)(t|ts|times?|time_?stamps?|stamp|seconds?|secs?|time_boot|header_stamp|elapsed|ms|us|millis(econds)?|"
+        r"(^|_)(t|ts|times?|time_?stamps?|stamp|seconds?|secs?|minutes|hours|time_boot|header_stamp|elapsed|ms|us|millis(econds)?|"
         r"micros(econds)?|device_?time_?stamp|time_?startup|time_?stamp_?sample|realtime_?nanos|since_?reboot|"
         r"up_?time(_[a-z]+)?|(sensor|imu|chip|sys|system|gps|sample|date|utc|matlab|unix|epoch|cpu)_?time(_?stamp)?"
         r"(_?fine)?|sample_?time_?fine)$|^time_(since|elapsed|from)|^elapsed_time",

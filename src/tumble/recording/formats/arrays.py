@@ -17,7 +17,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import h5py
 import numpy as np
@@ -144,10 +144,13 @@ def _arrays(path: Path) -> dict[str, tuple[Shape, Read]]:
     """Arrays of numbers by their paths: shape, and how to read a part of them."""
     if path.suffix.lower() in (".npy", ".npz"):
         try:
-            check_unpacked(path, _bytes_of_numpy(path))
-            with path.open("rb") as stream:
-                read = np.load(stream, allow_pickle=False)
-                named = dict(read) if isinstance(read, np.lib.npyio.NpzFile) else {path.stem: read}
+            if zipfile.is_zipfile(path):
+                with zipfile.ZipFile(path) as archive:
+                    check_unpacked(path, sum(member.file_size for member in archive.infolist()))
+                with np.load(path) as read:
+                    named = dict(read)
+            else:  # mapped: it takes no memory for what a damaged header promises
+                named = {path.stem: np.load(path, mmap_mode="r")}
         except ValueError as error:
             if "pickle" not in str(error):  # objects, which only Python reads, as it runs what is in the file
                 raise
@@ -163,28 +166,6 @@ def _arrays(path: Path) -> dict[str, tuple[Shape, Read]]:
         except (MatReadError, ValueError) as error:
             raise ValueError(f"not a MATLAB file: {error}") from None
     return _datasets(path)
-
-
-def _bytes_of_numpy(path: Path) -> int:
-    """How many bytes the arrays of a file of NumPy have, by what is stated before each; 0 of what is no such file."""
-    if not zipfile.is_zipfile(path):
-        with path.open("rb") as stream:
-            return _bytes_of_array(stream)
-    with zipfile.ZipFile(path) as archive:
-        found = sum(member.file_size for member in archive.infolist())
-        for member in archive.infolist():
-            with archive.open(member) as stream:
-                found = max(found, _bytes_of_array(stream))
-    return found
-
-
-def _bytes_of_array(stream: IO[bytes]) -> int:
-    if stream.read(len(np.lib.format.MAGIC_PREFIX)) != np.lib.format.MAGIC_PREFIX:
-        return 0
-    first, _ = stream.read(2)
-    read = np.lib.format.read_array_header_1_0 if first == 1 else np.lib.format.read_array_header_2_0
-    shape, _, kind = read(stream)
-    return math.prod(shape) * kind.itemsize
 
 
 def _bytes_of_matlab(path: Path) -> int:

@@ -7,6 +7,7 @@ with its own calibration and averaged. By default PX4 logs the others once a sec
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
@@ -42,9 +43,20 @@ _CALIBRATED = {"sensor_accel": ("accel", "CAL_ACC{}_ID"), "sensor_gyro": ("gyro"
 _MOST = 4  # sensors of a kind that PX4 has calibrations of
 
 
+class _PastTheEnd(io.BufferedReader):
+    """A file of which what was asked for counts as read: pyulog goes back by it, for ever where it is beyond the
+    end."""
+
+    def read(self, size: int | None = -1) -> bytes:
+        start, read = self.tell(), super().read(size)
+        if size is not None and len(read) < size:
+            self.seek(start + size)
+        return read
+
+
 def messages(path: Path) -> list[Message]:
     """Messages with inertial sensors, an entry for each instance."""
-    with path.open("rb") as stream:
+    with io.FileIO(path) as file, _PastTheEnd(file) as stream:
         log = ULog(stream, list(_FIELDS))
     kept = sorted(log.data_list, key=lambda d: (d.name, d.multi_id))
     kept = [data for data in kept if data.name != "sensor_baro" or _has_temperature(data.data)]

@@ -369,9 +369,8 @@ def _timed(log: LogSpec, names: list[str], lines: Iterator[bytes]) -> Iterator[t
 
 
 def is_recorded(log: LogSpec) -> bool:
-    """Whether a log is written as the bench writes it: one CSV file with commas, with its names in the first line."""
-    file = log.files[0]
-    plain = len(log.files) == 1 and isinstance(file, Path) and file.suffix == ".csv"
+    """Whether a log is written as the bench writes it: CSV files with commas, with their names in the first line."""
+    plain = all(isinstance(file, Path) and file.suffix == ".csv" for file in log.files)
     return plain and log.dialect is None and not log.clock
 
 

@@ -1,19 +1,19 @@
 """Lost samples of a log.
 
-A lost sample is a row that is not there, one that cannot be read, or one with a number that is not finite or beyond
-1e300. What is done about a run of them depends on its length:
+A sample is lost if its row is missing, cannot be read, or has a number that is not finite or beyond 1e30. What becomes
+of a run of lost samples depends on its length:
 
-* At most five are bridged: the missing rows are put in with evenly spaced times, and what is not finite is interpolated
+* At most five are bridged: missing rows are inserted at evenly spaced times, and what is not finite is interpolated
   linearly in time between its sound neighbours.
-* More are left out, and the samples go on behind them. A rest does not mind. A turn that was not recorded as a whole
+* More are left out, and the samples continue behind them. A rest does not mind. A turn that was not recorded as a whole
   cannot be integrated: its `Gap` is not `integrable`, and `observations` leaves the turn out.
 * Those before the first sound row and behind the last one are left out.
 
-A row that has no time of its own is left out (`timed_rows`), and is a missing one unless the next row follows in time.
-In a log without times a row is a sample whatever it holds; where it may have been none, the gap is not integrable.
-Everything is reported as `Gap`.
+A row without a time of its own is left out (`timed`), and is a missing one unless the next row follows in time. In a
+log without times each row is a sample whatever it holds; if it may have been none, the gap is not integrable. All of
+this is reported as `Gap`.
 
-Nothing depends on how the stream is cut: rows that cannot be judged before the next table are held back.
+The result does not depend on how the stream is cut: rows that cannot be judged before the next table are pending.
 """
 
 from __future__ import annotations
@@ -37,23 +37,36 @@ _BRIDGED_SAMPLES = 5
 SHARE = 2e-2
 FREE = 3
 MOST = 100_000
-"""A gap of so many samples is bridged, however many there are, to 100 000: what each adds to the angle of a turn is in
-its scatter. Rows without a time of their own are at most 2 % of a file's and 3."""
+"""Up to 100,000 gaps of at most _BRIDGED_SAMPLES samples are bridged: what each adds to the angle of a turn is in its
+scatter. Rows without a time of their own may be SHARE of the rows of a file and FREE."""
 REGULAR_HINT = (
     "if the rows are equally spaced whatever their time stamps say, put regular = true in [log], or with arrays give "
     "rate= instead of time="
 )
 _SHORTEST_TIME = 2.0
 _LARGEST = 1e30
-"""Beyond what any sensor or clock reads, in any unit, and its tenth power is a number still."""
+"""Larger than any reading of a sensor or a clock, in any unit; its tenth power still is a number."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Gap:
-    """Lost samples: how many, the time of the first, s, and what was found; 0 samples where a line was left out and
-    nothing is missing. `row` is the first data row, counted from 1, that is lost or comes after missing ones. `stop` is
-    the time of the next sound sample, s. Across a gap that is not `integrable` no turn is known; `why` says it of the
-    turn, and nothing where it is said elsewhere."""
+    """A run of lost samples.
+
+    Attributes
+    ----------
+    file, row
+        Number of the file, from 0, and of the first data row, from 1, that is lost or follows missing ones.
+    time, stop
+        Times of the first lost and the next sound sample, s.
+    samples
+        Number of lost samples; 0 where a line was left out and nothing is missing.
+    what
+        What was found, in words.
+    integrable
+        Whether a turn across the gap is known.
+    why
+        Why it is not, in words about the turn; empty if other words tell it.
+    """
 
     file: int
     row: int
@@ -66,12 +79,12 @@ class Gap:
 
 
 def is_reading(numbers: Array) -> BoolArray:
-    """Which numbers can be read by a sensor or a clock: finite, and not beyond all measure."""
+    """Which numbers may be readings of a sensor or a clock: finite and not beyond `_LARGEST`."""
     return np.asarray(np.abs(numbers) <= _LARGEST)
 
 
 def check_time(source: LogSource, spec: LogSpec, numbers: IntArray, time: Array) -> Array:
-    """The steps (m − 1,) of the times (m,) of these data rows, which must be finite and increase."""
+    """Steps (m − 1,) of the times (m,) of data rows, s. Raises LogError unless times are finite and increase."""
     if not is_reading(time).all():
         at = int(np.argmin(is_reading(time)))
         raise LogError(
@@ -90,7 +103,7 @@ def check_time(source: LogSource, spec: LogSpec, numbers: IntArray, time: Array)
 
 
 def runs_backwards(source: LogSource, spec: LogSpec, row: int, before: float, time: float) -> LogError:
-    """Of a file whose time, s, falls back in a row, and stays behind."""
+    """Error for a file whose time, s, falls back in a row and stays behind."""
     return LogError(
         f"{source.place(row, spec.time)}: expected a time after {before:.9g} s, found {time:.9g} s running backwards; "
         "list recordings whose time restarts as separate files"
@@ -99,9 +112,17 @@ def runs_backwards(source: LogSource, spec: LogSpec, row: int, before: float, ti
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class LogRows:
-    """Rows of a file in order: their numbers (m,), times (m,), s, and the numbers of accelerometers (m, na), gyros
-    (m, ng), magnetometer (m, 3) and temperatures (m, T) as the file has them. `unread`: what was found in rows of which
-    something could not be read, by the number of the row."""
+    """Consecutive rows of a file.
+
+    Attributes
+    ----------
+    numbers, time
+        Numbers (m,) of the rows, from 1, and their times (m,), s.
+    values
+        Numbers of accelerometers (m, na), gyros (m, ng), magnetometer (m, 3) and thermometers (m, T), as in the file.
+    unread
+        What could not be read, by the number of the row.
+    """
 
     numbers: IntArray
     time: Array
@@ -109,20 +130,23 @@ class LogRows:
     unread: Mapping[int, Unread] = field(default_factory=dict)
 
     def part(self, rows: slice | BoolArray) -> LogRows:
+        """Some of the rows."""
         values = tuple(v[rows] for v in self.values)
         return LogRows(numbers=self.numbers[rows], time=self.time[rows], values=values, unread=self.unread)
 
     def times_followed_by(self, other: LogRows) -> tuple[IntArray, Array]:
+        """Numbers and times of these rows and others behind them."""
         return np.concatenate([self.numbers, other.numbers]), np.concatenate([self.time, other.time])
 
     def followed_by(self, other: LogRows) -> LogRows:
+        """These rows and others behind them."""
         numbers, time = self.times_followed_by(other)
         values = tuple(np.concatenate(pair) for pair in zip(self.values, other.values, strict=True))
         unread = {**{n: u for n, u in self.unread.items() if n in self.numbers}, **other.unread}
         return LogRows(numbers=numbers, time=time, values=values, unread=unread)
 
     def lost(self) -> BoolArray:
-        """Which rows have a number that is not finite."""
+        """Which rows have a number that is no reading."""
         if all(v.min() >= -_LARGEST and v.max() <= _LARGEST for v in self.values if v.size):
             return np.zeros(len(self.time), dtype=bool)
         return np.asarray(~is_reading(np.hstack(self.values)).all(axis=1))
@@ -130,9 +154,8 @@ class LogRows:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Grid:
-    """Times of rows that are equally spaced: the first, s, and the interval, s. Rows are counted, or, where their
-    stamps are times of the grid that were `rounded`, have the time that is nearest to their stamp. `jitter`, s, is what
-    stamps were off that were spread over bursts."""
+    """Times of equally spaced rows: the first and the interval, s. Rows are counted, or, if their stamps are `rounded`
+    times of the grid, have the time nearest to their stamp. `jitter` is the scatter of stamps of bursts, s."""
 
     start: float
     interval: float
@@ -140,12 +163,12 @@ class Grid:
     jitter: float = 0.0
 
     def nearest(self, time: Array) -> Array:
-        """The times of the grid that are nearest to times, s."""
+        """Times of the grid nearest to these times, s."""
         return np.asarray(self.start + self.interval * np.rint((time - self.start) / self.interval))
 
 
 def side_by_side(table: pl.DataFrame, columns: Sequence[str]) -> Array:
-    """Columns of a table side by side, column after column in memory."""
+    """Columns of a table as an array (m, n), column after column in memory."""
     out = np.empty((len(columns), table.height))
     for j, column in enumerate(columns):
         out[j] = table[column].to_numpy()
@@ -154,10 +177,10 @@ def side_by_side(table: pl.DataFrame, columns: Sequence[str]) -> Array:
 
 @dataclass(kw_only=True, slots=True)
 class Bridge:
-    """Bridges the gaps of one file, row stream in, sample stream out, and adds them to `gaps`.
+    """Bridges the gaps of one file, from a stream of rows to a stream of samples, and adds them to `gaps`.
 
-    `last`: the last row that went out, always a sound one; `held`: lost rows after it, whose end is not yet
-    known, the first of them if they are too many to be bridged."""
+    `last` is the last row that was passed on, always a sound one; `pending` are lost rows behind it whose end is not
+    known yet, the first of them if they are too many to be bridged; of `count` gaps there is the `first`."""
 
     source: LogSource
     file: int
@@ -165,26 +188,26 @@ class Bridge:
     interval: float
     gaps: list[Gap]
     last: LogRows | None = None
-    held: LogRows | None = None
-    found: int = 0
+    pending: LogRows | None = None
+    count: int = 0
     first: Gap | None = None
 
     def samples(self, stream: Iterator[LogRows]) -> Iterator[tuple[Array, Array, tuple[Array, ...]]]:
-        """Times, intervals, s, and numbers of all samples, those of lost ones interpolated."""
+        """Times and intervals, s, and numbers of all samples, those of lost ones interpolated."""
         behind, start = 0, 0.0
         for new in stream:
             if not len(new.time):  # nothing has come of a log that grows
                 yield new.time, new.time, new.values
                 continue
-            rows = new if self.held is None else self.held.followed_by(new)
+            rows = new if self.pending is None else self.pending.followed_by(new)
             lost = rows.lost()
             if self.last is None and lost.any():
                 rows, lost = self._from_first_sound(rows, lost)
             if self.last is None and len(rows.time):
                 start = float(rows.time[0])
             sound = len(lost) - int(np.argmin(lost[::-1])) if not lost.all() else 0
-            held = rows.part(slice(sound, sound + _BRIDGED_SAMPLES + 1))
-            self.held = held if len(held.time) else None
+            behind_sound = rows.part(slice(sound, sound + _BRIDGED_SAMPLES + 1))
+            self.pending = behind_sound if len(behind_sound.time) else None
             behind = len(lost) - sound if sound else behind + len(new.time)
             if sound:
                 yield self._repaired(rows.part(slice(0, sound)), lost[:sound])
@@ -194,11 +217,11 @@ class Bridge:
         length = float(self.last.time[0]) - start + self.interval
         if length < _SHORTEST_TIME * (1.0 - 1e-9):
             raise LogError(f"{self.source.path}: expected at least {_SHORTEST_TIME:g} s, found {length:.6g} s")
-        if self.held is not None:
-            self._leave_out(self.held, behind, math.nan)
+        if self.pending is not None:
+            self._leave_out(self.pending, behind, math.nan)
 
     def _from_first_sound(self, rows: LogRows, lost: BoolArray) -> tuple[LogRows, BoolArray]:
-        """Rows from the first sound one on; what is text or empty there shows that the file is another."""
+        """Rows from the first sound one on. Raises LogError if the first row cannot be read, as of another file."""
         first = len(lost) if lost.all() else int(np.argmin(lost))
         if int(rows.numbers[0]) in rows.unread:
             raise unread_error(self.source, rows.unread[int(rows.numbers[0])])
@@ -208,7 +231,7 @@ class Bridge:
         return rows.part(slice(first, None)), lost[first:]
 
     def _leave_out(self, lost: LogRows, samples: int, stop: float) -> None:
-        """Report lost samples, of which these are the first, before or behind all others."""
+        """Report lost samples before or behind all others, of which these are the first."""
         unread = [u.what for u in lost.unread.values()][:1]
         what = unread or [f"{value} in '{column}'" for column, value in self._not_finite(lost)[:1]]
         row, time = int(lost.numbers[0]), float(lost.time[0])
@@ -216,8 +239,8 @@ class Bridge:
         self.gaps.append(gap)
 
     def _repaired(self, rows: LogRows, lost: BoolArray) -> tuple[Array, Array, tuple[Array, ...]]:
-        """Samples of rows of which the last is sound, as is the row before them, which went out already, or is none:
-        short gaps filled, every number finite, long ones left out."""
+        """Times, intervals and numbers of rows of which the last is sound, as is the row before them, if there is one,
+        which was passed on already: short gaps are filled, long ones left out, and every number is finite."""
         before, self.last = self.last, rows.part(slice(-1, None))
         new = 0 if before is None else 1
         number, time = (rows.numbers, rows.time) if before is None else before.times_followed_by(rows)
@@ -252,8 +275,9 @@ class Bridge:
         return time[new:], dt, values
 
     def _report(self, rows: LogRows, place: IntArray, time: Array, start: int, stop: int) -> None:
-        """Add a run of lost samples, start … stop − 1, to the gaps; row i of `rows` is sample place[i]. In words, what
-        was found: of the first row that could not be read, and of each column the first number that is not finite."""
+        """Add the lost samples start … stop − 1 to the gaps; row i of `rows` is sample place[i].
+
+        In words are the first row that could not be read and the first number of each column that is not finite."""
         first, end = np.searchsorted(place, [start, stop]).tolist()
         lost = rows.part(slice(first, end))
         unread = [lost.unread[int(n)] for n in lost.numbers if int(n) in lost.unread]
@@ -272,17 +296,17 @@ class Bridge:
             stop=float(time[stop]),
             integrable=not long and not (self.spec.unstamped and None in columns),  # without times, it may be no sample
         )
-        self.found += 1
+        self.count += 1
         self.first = self.first or gap
         self.gaps.append(gap)
-        if self.found > MOST:
+        if self.count > MOST:
             raise LogError(
                 f"{self.source.place(self.first.row)}: expected at most {MOST} gaps in a file, found more, the first "
                 f"here ({self.first.what}); record again"
             )
 
     def _not_finite(self, rows: LogRows) -> list[tuple[str, float]]:
-        """Columns with numbers that are not finite, and the first such number of each."""
+        """Columns with numbers that are not finite, with the first such number of each."""
         numbers = np.hstack(rows.values)
         bad = ~is_reading(numbers)
         columns = [column for column in self.spec.columns if column != self.spec.time]

@@ -1,18 +1,18 @@
-"""The rows of a file that have a time of their own, in the order of time.
+"""Rows of a file that have a time of their own, in the order of time.
 
-A row is left out whose time cannot be read, or is that of the row before; that leaps, alone or with the rows behind it,
-beyond a row that follows the one before them; or that falls back, to or before the time of one that was kept. If as
-many intervals pass as rows are left out, the stamps were wrong, and what is missing is bridged. Else the clock was set
-back, or rows are there twice: nobody knows what time passed, and no turn is known there.
+A row is left out if its time cannot be read or is that of the row before; if it leaps, alone or with the rows behind
+it, beyond a row that follows the one before them; or if it falls back to or before the time of a row that was kept. If
+as many intervals pass as rows are left out, their stamps were wrong, and the missing samples are bridged. Otherwise
+the clock was set back, or rows are in the file twice: the time that passed is unknown, and so is a turn in it.
 
-Stamps may be too coarse or too late to be times of rows at all: rows that are said to be regular are counted, and lie
-on the straight line through all stamps. Or stamps are rounded, to thousandths of a second or to 32 bits, and otherwise
-right: then they say which time of the line each row has, lost rows included. For increments that matters: their sum
-over 35 s, divided by a duration that is 0.5 ms off, is wrong by 14 ppm of gravity, where a mean of rates is not.
+Stamps may be too coarse or too late to be the times of rows at all: rows that are stated to be regular are counted, and
+lie on the straight line through all stamps. Or stamps are rounded, to thousandths of a second or to 32 bits, and right
+otherwise: then they tell which time of the line each row has, lost rows included. For increments that matters: their
+sum over 35 s, divided by a duration that is 0.5 ms off, is wrong by 14 ppm of gravity, unlike a mean of rates.
 
-A driver that reads a buffer of samples at once knows when it has read it, and spreads the samples over the time since
-it did so before. Their intervals are equal within a burst and change from one to the next, by as much as the reading is
-late; the sensor's own clock does not. Where the stamps of a file stay about a straight line, rows lie on it.
+A driver that reads a buffer of samples at once knows when it has read it, and spreads the samples evenly over the time
+since it did so before. Their intervals are equal within a burst and differ from burst to burst by as much as the
+reading is late; the sensor's own clock does not. If the stamps of a file stay about a straight line, rows lie on it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from tumble.errors import LogError
-from tumble.recording.log_source import Kind, LogSource, unread_error
+from tumble.recording.log_source import BLANK_LINE, Kind, LogSource, unread_error
 from tumble.recording.rows.gaps import (
     FREE,
     JUMP,
@@ -69,7 +69,9 @@ _FAST = 2.0
 
 
 def check_head(source: LogSource, spec: LogSpec, time: Array) -> Array:
-    """The first times of a file without those that cannot be read, are repeated, leap or fall back, if they are few."""
+    """First times (m,) of a file, s, without those that cannot be read, repeat, leap or fall back.
+
+    Raises LogError unless these are few."""
     read = np.flatnonzero(is_reading(time))
     number = read[~leaping(time[read], -math.inf, 0.0)]
     late = _no_later(time[number], -math.inf)
@@ -82,20 +84,20 @@ def check_head(source: LogSource, spec: LogSpec, time: Array) -> Array:
 
 
 def leaping(time: Array, before: float, step: float) -> BoolArray:
-    """Which of times (m,) leap, by more than a step, beyond one that follows the row `before` them."""
-    found = np.zeros(len(time), dtype=bool)
+    """Which times (m,) leap, by more than a `step`, beyond one that follows the time `before` them."""
+    leaps = np.zeros(len(time), dtype=bool)
     for stop in (np.flatnonzero(time[1:] < time[:-1]) + 1).tolist():
         beyond = time[max(0, stop - _TOGETHER - 1) : stop] > time[stop]
         start = stop - (len(beyond) if beyond.all() else int(np.argmin(beyond[::-1])))
         former = time[start - 1] if start else before
         most = _TOGETHER if former > -math.inf else 1  # of the first rows of a file none says which are wrong
         if stop - start <= most and former < time[stop] and time[start] - former > step:
-            found[start:stop] = True
-    return found
+            leaps[start:stop] = True
+    return leaps
 
 
 def _no_later(time: Array, before: float) -> BoolArray:
-    """Which of times (m,) are no later than one `before` or another before them."""
+    """Which times (m,) are no later than the time `before` or another one before them."""
     read = np.where(is_reading(time), time, -math.inf)
     latest = np.maximum.accumulate(np.concatenate([[before], read]))[: len(time)]
     return np.asarray((time <= latest) & is_reading(time))
@@ -104,29 +106,42 @@ def _no_later(time: Array, before: float) -> BoolArray:
 def rows_of(
     source: LogSource, spec: LogSpec, file: int, grid: Grid, gaps: list[Gap], *, on_grid: bool
 ) -> Iterator[LogRows]:
-    """The rows of a file that have a time; `on_grid` row k, counted from 0, has its k-th time, or the one nearest to
-    its stamp. Lines that are left out are added to `gaps`."""
+    """Rows of a file that have a time, table by table.
+
+    Parameters
+    ----------
+    source, spec, file
+        The file, how the session describes it, and its number from 0.
+    grid
+        Times of equally spaced rows.
+    gaps
+        What is left out is added to them.
+    on_grid
+        Whether row k has time k of the grid, or the one nearest to its stamp, in place of the stamp.
+    """
     groups = [part.columns for part in (spec.accel, spec.gyro, spec.magnetometer, spec.temperature) if part is not None]
-    sieve = _Sieve(source=source, spec=spec, file=file, grid=grid, on_grid=on_grid, gaps=gaps)
+    timed = _TimedRows(source=source, spec=spec, file=file, grid=grid, on_grid=on_grid, gaps=gaps)
     first = 1
     for table, unread in source.tables(spec.columns, spec.time if spec.clock else None):
         numbers = np.arange(first, first + table.height)
         time = table[spec.time].to_numpy() * spec.time_factor if spec.time is not None else np.empty(table.height)
         values = tuple(side_by_side(table, group) for group in groups)
-        yield sieve.kept(LogRows(numbers=numbers, time=time, values=values, unread={u.row: u for u in unread}))
+        yield timed.of(LogRows(numbers=numbers, time=time, values=values, unread={u.row: u for u in unread}))
         first += table.height
-    if sieve.held is not None:
-        yield sieve.judged(sieve.held, last=True)
-    if sieve.left_out - sieve.repeated > FREE + SHARE * (first - 1) or 2 * sieve.repeated >= first - 1:
-        raise sieve.too_many(first - 1)
+    if timed.pending is not None:
+        yield timed.in_order(timed.pending, last=True)
+    timed.finish(first - 1)
 
 
 @dataclass(kw_only=True, slots=True)
-class _Sieve:
-    """Leaves out the rows of a file that have no time of their own. `count`: rows that went out; `last`: the time of
-    the last of them; `shift`: what midnights have added to a clock, s; `held`: the last rows, of which only the next
-    ones tell whether they leap or fall back; `falls`: of rows that do how many there are, the first, the time before it
-    and its own, s."""
+class _TimedRows:
+    """Leaves out rows of a file that have no time of their own.
+
+    `count` rows were passed on, the last of them at the time `last`, s; `midnights` is what these have added to a time
+    of day, s. Of the `pending` rows the next table tells whether they leap or fall back. `falls` has for each run of
+    rows that fall back their number, the first of them, the time before it and its own, s; `blank` the gaps for blank
+    lines between counted rows. `left_out` rows were left out, `repeated` of them repeat a stamp; `first` is the first
+    gap."""
 
     source: LogSource
     spec: LogSpec
@@ -136,55 +151,62 @@ class _Sieve:
     gaps: list[Gap]
     count: int = 0
     last: float = -math.inf
-    shift: float = 0.0
-    held: LogRows | None = None
+    midnights: float = 0.0
+    pending: LogRows | None = None
     falls: list[tuple[int, int, float, float]] = field(default_factory=list)
+    blank: list[Gap] = field(default_factory=list)
     left_out: int = 0
     repeated: int = 0
     first: Gap | None = None
 
-    def kept(self, rows: LogRows) -> LogRows:
-        """The rows of a table, and those that were held before, that have a time of their own."""
-        counted = self.on_grid and not self.grid.rounded  # whatever their stamps say
+    def of(self, rows: LogRows) -> LogRows:
+        """Rows of the next table, and those that were pending, that have a time of their own."""
+        counted = self.on_grid and not self.grid.rounded  # whatever their stamps are
         untimed = (None, self.spec.time) if not counted else ()
         lines = [u for u in rows.unread.values() if u.kind in (Kind.NO_ROW, Kind.CUT) or u.column in untimed]
         if lines:
-            keep = np.ones(len(rows.numbers), dtype=bool)
-            keep[np.array([u.row for u in lines]) - rows.numbers[0]] = False
-            rows = rows.part(keep)
+            is_row = np.ones(len(rows.numbers), dtype=bool)
+            is_row[np.array([u.row for u in lines]) - rows.numbers[0]] = False
+            rows = rows.part(is_row)
         if counted:
             number = np.arange(self.count, self.count + len(rows.time), dtype=float)
             rows = replace(rows, time=np.asarray(self.grid.start + self.grid.interval * number, dtype=float))
         else:
-            rows = self._timed(rows)
+            rows = self._by_stamps(rows)
         for u in lines:
             if u.row == 1 and u.kind in (Kind.ROW, Kind.VALUE):
                 raise unread_error(self.source, u)
+            at = int(np.searchsorted(rows.numbers, u.row)) - 1
+            before = float(rows.time[at]) if at >= 0 else self.last
             if u.kind is not Kind.NO_ROW:
-                before = int(np.searchsorted(rows.numbers, u.row)) - 1
-                self._leave_out(u.row, u.what, float(rows.time[before]) if before >= 0 else self.last)
+                self._leave_out(u.row, u.what, before)
+            elif counted and u.found == BLANK_LINE:
+                gap = self._gap(u.row, before, "a blank line, which may have been a sample")
+                self.blank.append(replace(gap, stop=gap.time + self.grid.interval, integrable=False))
         self.count += len(rows.time)
         self.last = float(rows.time[-1]) if len(rows.time) else self.last
         return rows
 
-    def _timed(self, rows: LogRows) -> LogRows:
-        """The rows in the order of their times, which go on past midnight, without those that leap, fall or repeat."""
+    @np.errstate(invalid="ignore")  # of a first time that is -inf, as the one before it
+    def _by_stamps(self, rows: LogRows) -> LogRows:
+        """Rows in the order of their stamps, which go on past midnight, without those that leap, fall or repeat."""
         if self.spec.clock and len(rows.time):
-            time = rows.time + self.shift
+            time = rows.time + self.midnights
             passed = np.cumsum(np.diff(time, prepend=self.last if np.isfinite(self.last) else time[0]) < -_HALF_DAY)
-            self.shift += 2.0 * _HALF_DAY * float(passed[-1])
+            self.midnights += 2.0 * _HALF_DAY * float(passed[-1])
             rows = replace(rows, time=time + 2.0 * _HALF_DAY * passed)
         if self.on_grid:
             rows = replace(rows, time=self.grid.nearest(rows.time))
         steps = np.diff(rows.time, prepend=self.last)
-        free = self.held is None and len(steps) > _TOGETHER and steps.min() > 0.0
-        if free and steps[-_TOGETHER:].max() <= JUMP * self.grid.interval:
+        rising = self.pending is None and len(steps) > _TOGETHER and steps.min() > 0.0
+        if rising and steps[-_TOGETHER:].max() <= JUMP * self.grid.interval:
             return rows
-        return self.judged(rows if self.held is None else self.held.followed_by(rows), last=False)
+        return self.in_order(rows if self.pending is None else self.pending.followed_by(rows), last=False)
 
-    def judged(self, rows: LogRows, *, last: bool) -> LogRows:
-        """Without rows that leap and without rows that are no later than one before them. Unless they are the `last` of
-        the file, rows at the end that may leap are held back, and so are those that are no later."""
+    @np.errstate(invalid="ignore")
+    def in_order(self, rows: LogRows, *, last: bool) -> LogRows:
+        """Rows without those that leap and those that are no later than one before them. Unless the rows are the `last`
+        of the file, those at the end that may leap are pending, and so are those that are no later."""
         step, unsure = JUMP * self.grid.interval, None
         leaps = leaping(rows.time, self.last, step)
         for at in np.flatnonzero(leaps).tolist():
@@ -196,24 +218,23 @@ class _Sieve:
             first = len(rows.time) - len(far) + int(np.argmax(far))
             unsure, rows = rows.part(slice(first, None)), rows.part(slice(0, first))
         late = _no_later(rows.time, self.last)
-        sound = np.flatnonzero(~late)
-        end = int(sound[-1]) + 1 if len(sound) else 0
+        end = len(late) - int(np.argmin(late[::-1])) if not late.all() else 0  # behind the last row that is later
         if last or len(late) - end > MOST - self.left_out:
             end = len(late)
-        behind, self.held = rows.part(slice(end, None)), unsure
+        behind, self.pending = rows.part(slice(end, None)), unsure
         if end < len(late):
-            self.held = behind if unsure is None else behind.followed_by(unsure)
+            self.pending = behind if unsure is None else behind.followed_by(unsure)
         rows, late = rows.part(slice(0, end)), late[:end]
-        found = np.flatnonzero(late)
-        for run in np.split(found, np.flatnonzero(np.diff(found) > 1) + 1) if len(found) else ():
+        at_late = np.flatnonzero(late)
+        for run in np.split(at_late, np.flatnonzero(np.diff(at_late) > 1) + 1) if len(at_late) else ():
             before = float(rows.time[run[0] - 1]) if run[0] else self.last
             after = float(rows.time[run[-1] + 1]) if run[-1] + 1 < end else math.nan
-            self._behind(rows.numbers[run].tolist(), rows.time[run], before, after)
-        return rows.part(~late) if len(found) else rows
+            self._leave_out_late(rows.numbers[run].tolist(), rows.time[run], before, after)
+        return rows.part(~late) if len(at_late) else rows
 
-    def _behind(self, rows: list[int], time: Array, before: float, after: float) -> None:
-        """Report rows whose times (m,) are no later than one `before` them; `after` is the time of the next row, nan
-        where there is none. s."""
+    def _leave_out_late(self, rows: list[int], time: Array, before: float, after: float) -> None:
+        """Report rows whose times (m,) are no later than the time `before` them; `after` is that of the next row, nan
+        without one. s."""
         falls, passed = float(time.min()) < before, (after - before) / self.grid.interval
         if falls:
             self.falls.append((len(rows), rows[0], before, float(time[0])))
@@ -224,31 +245,38 @@ class _Sieve:
                 self._leave_out(row, what, before)
             return
         self.left_out += len(rows)
-        self._report(
-            Gap(
-                file=self.file,
-                row=rows[0],
-                time=before,
-                samples=len(rows),
-                what="time stamps that fall back",
-                stop=after,
-                integrable=False,
-                why="the clock falls back in it",
-            )
-        )
+        gap = replace(self._gap(rows[0], before, "time stamps that fall back"), time=before, samples=len(rows))
+        self._report(replace(gap, stop=after, integrable=False, why="the clock falls back in it"))
+
+    def _gap(self, row: int, before: float, what: str) -> Gap:
+        """Gap at a row without missing samples; `before` is the time of the row before, s."""
+        return Gap(file=self.file, row=row, time=max(before, 0.0), samples=0, what=what)
 
     def _leave_out(self, row: int, what: str, before: float) -> None:
+        """Report a row that is left out."""
         self.left_out += 1
-        self._report(Gap(file=self.file, row=row, time=max(before, 0.0), samples=0, what=f"{what}: left out"))
+        self._report(self._gap(row, before, f"{what}: left out"))
 
     def _report(self, gap: Gap) -> None:
+        """Add a gap. Raises LogError if too many rows were left out."""
         self.first = self.first or gap
         if self.left_out > MOST:
-            raise self.too_many(self.count)
+            raise self._too_many(self.count)
         self.gaps.append(gap)
 
-    def too_many(self, rows: int) -> LogError:
-        """What is said where too many of so many rows were left out."""
+    def finish(self, rows: int) -> None:
+        """Judge the file as a whole, which has so many rows.
+
+        Without stamps a blank line may have been a sample; many of them, or some at even distances, are layout. Raises
+        LogError if too many rows were left out."""
+        distances = np.diff([gap.row for gap in self.blank])
+        if len(self.blank) <= FREE + SHARE * rows and (len(distances) < 2 or np.ptp(distances) > 0):
+            self.gaps += self.blank
+        if self.left_out - self.repeated > FREE + SHARE * rows or 2 * self.repeated >= rows:
+            raise self._too_many(rows)
+
+    def _too_many(self, rows: int) -> LogError:
+        """Error for a file of which too many of so many rows were left out."""
         assert self.first is not None
         if 2 * sum(count for count, *_ in self.falls) > self.left_out:
             return runs_backwards(self.source, self.spec, *self.falls[0][1:])
@@ -263,14 +291,9 @@ class _Sieve:
 
 
 def regular_grid(source: LogSource, spec: LogSpec) -> Grid:
-    """The grid of rows that are equally spaced: the straight line through all time stamps, whatever their resolution
-    and their delays."""
-    count, line = 0, _StampLine()
-    for time in _stamps(source, spec):
-        sound = is_reading(time)
-        line.add(np.arange(count, count + len(time), dtype=float)[sound], time[sound])
-        count += len(time)
-    grid = line.grid()
+    """Grid of equally spaced rows: the straight line through all time stamps, whatever their resolution and delays."""
+    stamps = _stamps(source, spec)
+    grid = _line_through(np.arange(len(stamps), dtype=float), stamps)
     if not grid.interval > 0.0:
         raise LogError(
             f"{source.path}: expected times that grow, found rows {grid.interval:.3g} s apart; check log.time"
@@ -279,32 +302,28 @@ def regular_grid(source: LogSource, spec: LogSpec) -> Grid:
 
 
 def rounded_grid(source: LogSource, spec: LogSpec, interval: float) -> Grid | None:
-    """The grid whose times, rounded to decimals or to the last bit of 32, are the time stamps of rows about `interval`
-    s apart; None where they are none."""
-    line, number, last = _StampLine(), 0.0, None
-    decimals, single, largest = 0, True, 0.0
-    for time in _stamps(source, spec):
-        stamps = time / spec.time_factor
-        largest = max(largest, float(np.abs(stamps).max(initial=0.0)))
-        single &= bool((stamps.astype(np.float32) == stamps).all())
-        while decimals <= _FINEST:
-            scaled = stamps * 10.0**decimals
-            if (np.abs(scaled - np.rint(scaled)) <= _ROUNDING * np.abs(scaled) + 1e-9).all():
-                break
-            decimals += 1
-        step = 10.0**-decimals if decimals <= _FINEST else float(np.spacing(np.float32(largest))) if single else 0.0
-        step *= spec.time_factor
-        if not (is_reading(stamps).all() and 0.0 < step <= _COARSEST * interval):
-            return None
-        numbers = number + np.cumsum(np.rint(np.diff(time, prepend=time[:1] if last is None else last) / interval))
-        line.add(numbers, time)
-        if len(time):
-            number, last = float(numbers[-1]), time[-1:]
-    grid = line.grid(rounded=True)
-    if not grid.interval > 0.0:
+    """Grid whose times, rounded to decimals or to the last bit of 32, are the time stamps of rows about `interval` s
+    apart; None if they are none."""
+    stamps = _stamps(source, spec)
+    step = _resolution(stamps / spec.time_factor) * spec.time_factor
+    if not (is_reading(stamps).all() and 0.0 < step <= _COARSEST * interval):
         return None
-    off = (np.abs(time - grid.nearest(time)).max(initial=0.0) for time in _stamps(source, spec))
-    return grid if max(off) <= _OFF * step else None
+    grid = _line_through(np.cumsum(np.rint(np.diff(stamps, prepend=stamps[:1]) / interval)), stamps)
+    fits = grid.interval > 0.0 and np.abs(stamps - grid.nearest(stamps)).max(initial=0.0) <= _OFF * step
+    return replace(grid, rounded=True) if fits else None
+
+
+def _resolution(stamps: Array) -> float:
+    """Step to which numbers are rounded: a decimal, or the last bit of 32; 0 if to none."""
+    for decimals in range(_FINEST + 1):
+        for part in (stamps[:1000], stamps):  # of most logs the first rows decide
+            scaled = part * 10.0**decimals
+            if (np.abs(scaled - np.rint(scaled)) > _ROUNDING * np.abs(scaled) + 1e-9).any():
+                break
+        else:
+            return float(10.0**-decimals)
+    single = (stamps.astype(np.float32) == stamps).all()
+    return float(np.spacing(np.float32(np.abs(stamps).max(initial=0.0)))) if single else 0.0
 
 
 def burst_grid(source: LogSource, spec: LogSpec, head: Array) -> Grid | None:
@@ -317,7 +336,7 @@ def burst_grid(source: LogSource, spec: LogSpec, head: Array) -> Grid | None:
         return None
     bursts = 1 + int(np.count_nonzero(changes > _WITHIN * scatter))
     window = _ABOUT_LINE * math.ceil(len(head) / bursts)
-    grid, time = regular_grid(source, spec), np.concatenate(list(_stamps(source, spec)))
+    grid, time = regular_grid(source, spec), _stamps(source, spec)
     off = time - grid.start - grid.interval * np.arange(len(time))
     windows = len(off) // window
     if windows < 2 or not is_reading(time).all():
@@ -328,38 +347,26 @@ def burst_grid(source: LogSource, spec: LogSpec, head: Array) -> Grid | None:
     return replace(grid, jitter=jitter) if stays and jitter > _FAST * means.std() else None
 
 
-class _StampLine:
-    """The straight line of least squares through times over numbers."""
-
-    def __init__(self) -> None:
-        self._start: float | None = None
-        self._sums = np.zeros(5)  # of 1, k, t, k², k t
-
-    def add(self, k: Array, time: Array) -> None:
-        """Add times (m,), s, of these numbers (m,)."""
-        if self._start is None and len(time):
-            self._start = float(time[0])
-        t = time - (self._start or 0.0)
-        self._sums += [len(k), k.sum(), t.sum(), (k * k).sum(), (k * t).sum()]
-
-    def grid(self, *, rounded: bool = False) -> Grid:
-        """The line as a grid."""
-        ones, k1, t1, k2, kt = self._sums.tolist()
-        interval = (ones * kt - k1 * t1) / (ones * k2 - k1 * k1)
-        return Grid(start=(self._start or 0.0) + (t1 - interval * k1) / ones, interval=interval, rounded=rounded)
+def _line_through(numbers: Array, stamps: Array) -> Grid:
+    """Straight line of least squares through time stamps (m,), s, of rows with these numbers (m,)."""
+    sound = is_reading(stamps)
+    k, t = numbers[sound], stamps[sound]
+    k_mean, t_mean = float(k.mean()), float(t.mean())
+    k = k - k_mean
+    interval = float(k @ (t - t_mean)) / float(k @ k)
+    return Grid(start=t_mean - interval * k_mean, interval=interval)
 
 
-def _stamps(source: LogSource, spec: LogSpec) -> Iterator[Array]:
-    """All time stamps, s, of the lines that are rows, table by table; times of day go on past midnight."""
+def _stamps(source: LogSource, spec: LogSpec) -> Array:
+    """All time stamps (m,), s, of the lines that are rows; times of day go on past midnight."""
     assert spec.time is not None
-    first, days, last = 1, 0, np.empty(0)
+    first, parts = 1, [np.empty(0)]
     for table, unread in source.tables([spec.time], spec.time if spec.clock else None):
-        keep = np.ones(table.height, dtype=bool)
-        keep[[u.row - first for u in unread if u.kind in (Kind.NO_ROW, Kind.CUT)]] = False
+        rows = np.ones(table.height, dtype=bool)
+        rows[[u.row - first for u in unread if u.kind in (Kind.NO_ROW, Kind.CUT)]] = False
+        parts.append(table[spec.time].to_numpy()[rows] * spec.time_factor)
         first += table.height
-        time = table[spec.time].to_numpy()[keep] * spec.time_factor
-        passed = days + np.cumsum(np.diff(np.concatenate([last, time])) < -_HALF_DAY) if spec.clock else np.zeros(0)
-        if len(passed):
-            last, days = time[-1:], int(passed[-1])
-            time = time + 2.0 * _HALF_DAY * np.concatenate([np.zeros(len(time) - len(passed)), passed])
-        yield time
+    stamps = np.concatenate(parts)
+    if spec.clock:
+        stamps += 2.0 * _HALF_DAY * np.cumsum(np.diff(stamps, prepend=stamps[:1]) < -_HALF_DAY)
+    return stamps

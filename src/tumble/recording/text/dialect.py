@@ -47,6 +47,9 @@ JOINED = (
 )
 """A date with a time of day whose parts are joined alike or not at all: 2026_6_15_18_21_44.62, 20260615 182144."""
 _JOINED = re.compile("|".join(JOINED))
+GPS_WEEK = r"(\d{3,4}):(\d{1,6}(?:\.\d+)?)"
+"""A GPS week, whole or in its last digits, and a second in it."""
+_GPS_WEEK = re.compile(GPS_WEEK)
 MONTHS = "jan", "feb", "m[aä]r|mrz", "apr", "ma[iy]", "jun", "jul", "aug", "sep", "o[ck]t", "nov", "de[cz]"
 """How the names of months begin in English and German."""
 NAMED_MONTH = (
@@ -121,10 +124,11 @@ class Top:
 
 
 def is_clock(cell: str) -> bool:
-    """Whether a cell is a time of day or a date with one."""
+    """Whether a cell is a time of day, a date with one, or a second in a week."""
     for date in _NAMED_MONTH if ":" in cell else ():
         cell = date.sub(lambda found: f"1.1.2000 {found.groupdict().get('time', '')}", cell)
-    return bool(_JOINED.fullmatch(cell) or (":" in cell and _CLOCK.fullmatch(cell)))
+    clock = ":" in cell and (_CLOCK.fullmatch(cell) or _GPS_WEEK.fullmatch(cell))
+    return bool(clock or _JOINED.fullmatch(cell))
 
 
 # -------------------- what stands above the numbers --------------------
@@ -281,6 +285,7 @@ def encoding_of(seen: bytes) -> str:
     return "latin-1"
 
 
+@lru_cache(maxsize=2)
 def dialect_of(seen: bytes) -> tuple[Dialect, Top] | None:
     """How a text log is written, by its first bytes, and what stands above its numbers; None where it has no rows of
     numbers."""

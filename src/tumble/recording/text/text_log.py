@@ -22,11 +22,12 @@ import numpy as np
 import polars as pl
 
 from tumble.errors import LogError
-from tumble.recording.log_source import Kind, Unread, in_column, one_ahead, readable, rows_of_numbers
+from tumble.recording.log_source import BLANK_LINE, Kind, Unread, in_column, one_ahead, readable, rows_of_numbers
 from tumble.recording.session import LogSpec
 from tumble.recording.text.dialect import (
     BLANKS,
     FIRST_ROWS,
+    GPS_WEEK,
     JOINED,
     LINE_BYTES,
     MONTHS,
@@ -46,6 +47,9 @@ _DATE = r"^\s*\"?(?:(\d{4})[-./](\d{1,2})[-./](\d{1,2})|(\d{1,2})[-./](\d{1,2})[
 _HALF = r"([AaPp]\.?[Mm]\.?)?"
 _TIME = r"(?:^|[T ])\s*(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,:](\d+))?)?\s*" + _HALF + r"\s*(Z|[+-]\d{2}:?\d{2})?\s*\"?$"
 _DAY = 86400
+_GPS_START = 3657
+"""The day of 1980-01-06, with which GPS weeks begin, from 1970-01-01."""
+_WEEK = f'^\\s*"?{GPS_WEEK}"?$'
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -121,7 +125,7 @@ class TextLog:
         for i, line in enumerate(line.removesuffix("\r") for line in lines):
             values: list[str] = []
             if not line.strip() or self.dialect.is_comment(line):
-                faults[i] = line if line.strip() else "a blank line", Kind.NO_ROW, None
+                faults[i] = line if line.strip() else BLANK_LINE, Kind.NO_ROW, None
                 continue
             try:
                 values = self.cells(line)
@@ -237,7 +241,8 @@ def text_log(path: Path, dialect: Dialect | None) -> TextLog:
 
 
 # -------------------- times of day and dates as seconds --------------------
-# ISO 8601, 31.12.2025 23:59:59,5, 23:59:59.5, 59:59.5, 11:59:59.5 PM, 2025_12_31_23_59_59.5, Wed Dec 31 23:59:59 2025
+# ISO 8601, 31.12.2025 23:59:59,5, 23:59:59.5, 59:59.5, 11:59:59.5 PM, 2025_12_31_23_59_59.5, Wed Dec 31 23:59:59 2025,
+# 2399:345599.5
 
 
 def day_of(text: str) -> int:
@@ -268,7 +273,9 @@ def seconds_of(text: pl.Series, day: int) -> pl.Series:
     zone = parts[6].str.replace(":", "").str.extract(r"([+-]\d{4})", 1).cast(pl.Int64, strict=False).fill_null(0)
     east = zone.sign() * (zone.abs() // 100 * 60 + zone.abs() % 100) * 60
     days = (_days(text).fill_null(day) - day) * _DAY
-    return (days - east) + hour * 3600 + minute * 60 + second.cast(pl.Float64, strict=False)
+    of_day = hour * 3600 + minute * 60 + second.cast(pl.Float64, strict=False)
+    of_week = text.str.extract(_WEEK, 2).cast(pl.Float64, strict=False)
+    return (days - east) + of_week.zip_with(of_week.is_not_null(), of_day)
 
 
 def _parted(text: pl.Series) -> pl.Series:
@@ -289,7 +296,9 @@ def _days(text: pl.Series) -> pl.Series:
     found = [text.str.extract(_DATE, k) for k in range(1, 7)]
     year, month, day = (found[i].zip_with(found[i].is_not_null(), found[j]) for i, j in ((0, 5), (1, 4), (2, 3)))
     written = year + "-" + month.str.zfill(2) + "-" + day.str.zfill(2)
-    return written.str.to_date("%Y-%m-%d", strict=False).cast(pl.Int32).cast(pl.Int64)
+    days = written.str.to_date("%Y-%m-%d", strict=False).cast(pl.Int32).cast(pl.Int64)
+    week = _GPS_START + 7 * text.str.extract(_WEEK, 1).cast(pl.Int64, strict=False)
+    return week.zip_with(week.is_not_null(), days)
 
 
 def times_of(column: pl.Series, spec: LogSpec) -> Array:

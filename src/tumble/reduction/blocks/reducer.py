@@ -48,6 +48,16 @@ class ChannelState:
     """Longest row of equal samples at the minimum or the maximum, and its end, s."""
     extreme_stop: float
 
+    @staticmethod
+    def of(row: list[float]) -> ChannelState:
+        """The state in a row of the numbers that `block_sums` keeps."""
+        samples, minimum, maximum, repeats, _, _, run, run_stop, run_value, *extreme, step = row
+        extreme_run, extreme_stop = max(extreme[2:], extreme[:2], key=lambda length_and_end: length_and_end[0])
+        return ChannelState(
+            samples=int(samples), minimum=minimum, maximum=maximum, repeats=int(repeats), run=int(run),
+            run_stop=run_stop, run_value=run_value, step=step, extreme_run=int(extreme_run), extreme_stop=extreme_stop,
+        )  # fmt: skip
+
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ChannelSeries:
@@ -231,18 +241,7 @@ class _Channels:
 
     def states(self) -> tuple[ChannelState, ...]:
         """The states of the channels, from the numbers that `block_sums` keeps."""
-        out = []
-        for row in self.state.tolist():
-            samples, minimum, maximum, repeats, _, _, run, run_stop, run_value, *extremes, step = row
-            extreme_run, extreme_stop = max(extremes[2:], extremes[:2], key=lambda extreme: extreme[0])
-            out.append(
-                ChannelState(
-                    samples=int(samples), minimum=minimum, maximum=maximum, repeats=int(repeats), run=int(run),
-                    run_stop=run_stop, run_value=run_value, step=step, extreme_run=int(extreme_run),
-                    extreme_stop=extreme_stop,
-                )
-            )  # fmt: skip
-        return tuple(out)
+        return tuple(map(ChannelState.of, self.state.tolist()))
 
 
 class Reducer:

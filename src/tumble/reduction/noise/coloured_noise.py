@@ -26,6 +26,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -163,10 +164,18 @@ def _variance_of_mean(autocovariance: Array, batches: ArrayLike) -> Array:
     return np.asarray(np.maximum((2.0 * (sums - moments / K) - white) / K, LEAST * white / K))
 
 
+@lru_cache(maxsize=256)
 def _slope(n: int) -> Array:
     """The linear function over n samples, of mean 0 and length 1."""
     x = np.arange(n) - 0.5 * (n - 1)
     return np.asarray(x / max(float(np.linalg.norm(x)), 1e-300))
+
+
+@lru_cache(maxsize=256)
+def _bend(third: int) -> tuple[Array, Array]:
+    """Weights w (3 n,) of means of thirds, first − 2 second + third, and their autocorrelation (3 n,)."""
+    w = np.repeat([1.0, -2.0, 1.0], third) / third
+    return w, np.correlate(w, w, "full")[len(w) - 1 :]
 
 
 def _straight(series: list[Array], autocovariance: Array) -> bool:
@@ -174,17 +183,12 @@ def _straight(series: list[Array], autocovariance: Array) -> bool:
     + third, which do not depend on the slope, tested as a chi-square at STRAIGHT_SIGMAS (Wilson and Hilferty)."""
     if autocovariance[0] <= 0.0:
         return False
-    ratio, of_length = [], dict[int, tuple[Array, float]]()
+    ratio = []
     for x in series:
-        third = len(x) // 3
-        if third >= 3:
-            if third not in of_length:
-                w = np.repeat([1.0, -2.0, 1.0], third) / third
-                r = np.correlate(w, w, "full")[len(w) - 1 :]
-                expected = r[0] * autocovariance[0] + 2.0 * (r[1:] @ autocovariance[1 : len(r)])
-                of_length[third] = w, max(expected, 1e-12 * autocovariance[0])
-            w, expected = of_length[third]
-            ratio.append((w @ x[: len(w)]) ** 2 / expected)
+        if len(x) >= 9:
+            w, r = _bend(len(x) // 3)
+            expected = r[0] * autocovariance[0] + 2.0 * (r[1:] @ autocovariance[1 : len(r)])
+            ratio.append((w @ x[: len(w)]) ** 2 / max(expected, 1e-12 * autocovariance[0]))
     sigma = np.sqrt(2.0 / (9.0 * len(ratio))) if ratio else np.inf
     return len(ratio) > 0 and float(np.cbrt(np.mean(ratio))) < 1.0 - sigma**2 - STRAIGHT_SIGMAS * sigma
 

@@ -34,6 +34,8 @@ GRID_SHARE = 0.95
 GRID_STEPS = 64
 """Differences of more steps than these say nothing about the grid."""
 LEAST_DIFFERENCES, MOST = 3, 2000
+MOST_SAMPLES = 2**13
+"""Enough to show a grid as coarse as the noise."""
 ENOUGH_NOISE = 0.5
 """Noise, in steps, from which on rounding is forgotten."""
 ALIKE = 0.2
@@ -85,7 +87,8 @@ def _squares(values: IntArray, intervals: Array) -> float:
 def rounding(samples: Array, rests: Sequence[Array], channels: Sequence[ChannelState]) -> Rounding:
     """The rounding of channels from samples (m, n) of all of a log, those (k, n) of each rest in the order of time,
     some 0.1 s apart, and the states of the channels."""
-    step = np.array([_step(values, channel) for values, channel in zip(samples.T, channels, strict=True)])
+    some = samples[:: -(-len(samples) // MOST_SAMPLES) or 1]
+    step = np.array([_step(values, channel) for values, channel in zip(some.T, channels, strict=True)])
     changes = np.concatenate([np.zeros((1, len(step))), *(np.diff(rest, axis=0) for rest in rests)])[1:]
     scatter = np.sqrt(0.5 * (changes**2).sum(axis=0) / max(1, len(changes)))
     noise = np.array([_noise(s, L) for s, L in zip(scatter, step, strict=True)])

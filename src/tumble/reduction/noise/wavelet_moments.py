@@ -40,7 +40,7 @@ plus PENALTY for every process. The runner-up and by how much it is worse are pa
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain, combinations
 
@@ -58,11 +58,12 @@ together, and one that is low by chance is taken for a Gauss–Markov process.""
 MODEL_ERROR = 0.03
 """How far real sensors follow (1), as a part of σ²."""
 MISFIT = 1e-3
+"""Probability of Q below which no sum fits."""
 LINEAR = ("quantisation", "white_noise", "bias_instability", "rate_random_walk", "ramp")
 PENALTY = {"linear": 12.0, "gauss_markov": 28.0}
 """By so much −2 ln of the likelihood has to fall for a process: studies/noise_processes.py."""
 TRIED = 6
-"""So many kinds of sums are fitted, those that are best on a grid of correlation times."""
+"""Kinds of sums that are fitted, those that are best on a grid of correlation times."""
 MOST_GAUSS_MARKOV = 2
 VANISHED = 0.01
 """A process that adds less to Q has gone to zero: the sum is that of the others."""
@@ -149,17 +150,28 @@ class _Moments:
     sizes: IntArray
     counts: tuple[int, ...]
 
+    @property
+    def tau(self) -> Array:
+        """The octaves (k,) as numbers."""
+        return self.sizes.astype(float)
+
+    @cached_property
+    def pairs(self) -> tuple[Array, Array]:
+        """The sizes m_i and m_j (p, 1) of every pair i ≤ j."""
+        i, j = np.triu_indices(len(self.sizes))
+        return self.tau[i, None], self.tau[j, None]
+
     @cached_property
     def lags(self) -> tuple[Array, Array, Array]:
-        """For every pair i ≤ j of sizes the lags h of (3) and their weights c dh/(M_i M_j), both (p, n), and the lags
+        """For every pair of sizes the lags h of (3) and their weights c dh/(M_i M_j), both (p, n), and the lags
         (p, n, 9) of G in (2)."""
-        first, second = np.triu_indices(len(self.sizes))
+        m_i, m_j = self.pairs
         far = 2.0 * max(self.counts)
         growth = np.concatenate([[0.25, 0.5, 0.75, 1.0, 1.5], 2.0 ** np.arange(1, 1 + np.ceil(np.log2(far)))])
         grids, dense = [], np.arange(EVERY_LAG)
-        for m, n in zip(self.sizes[first].tolist(), self.sizes[second].tolist(), strict=True):
+        for m, n in np.hstack([m_i, m_j]).tolist():
             kinks = np.unique([a * m - b * n for a in range(3) for b in range(3)])
-            steps = np.concatenate([[1.0], np.round(min(m, n) * growth[min(m, n) * growth < far])])
+            steps = np.concatenate([[1.0], np.round(m * growth[m * growth < far])])
             edges = np.unique(np.concatenate([kinks, *(kinks + s for s in steps), *(kinks - s for s in steps)]))
             start, width = edges[:-1], np.diff(edges)
             each, wide = width <= EVERY_LAG, width > EVERY_LAG
@@ -171,39 +183,28 @@ class _Moments:
             grids.append((lag[np.isfinite(lag)], dh[np.isfinite(lag)]))
         longest = max(len(lag) for lag, _ in grids)
         h, dh = (np.array([np.pad(g[i], (0, longest - len(g[i]))) for g in grids]) for i in (0, 1))
-        weight, terms = np.zeros_like(h), np.zeros(len(self.sizes))
-        for count in self.counts:
-            M = np.maximum(count + 1 - 2 * self.sizes, 0).astype(float)
-            terms += M
-            Mi, Mj = M[first][:, None], M[second][:, None]
-            weight += np.maximum(np.minimum(Mi, Mj - h) - np.maximum(0.0, -h), 0.0)
-        weight *= dh / (terms[first] * terms[second])[:, None]
+        M = [[np.maximum(count + 1.0 - 2.0 * m, 0.0) for m in self.pairs] for count in self.counts]
+        pairs_apart = sum(np.maximum(np.minimum(M_i, M_j - h) - np.maximum(0.0, -h), 0.0) for M_i, M_j in M)
+        M_i, M_j = (sum(each) for each in zip(*M, strict=True))
+        weight = pairs_apart * dh / (M_i * M_j)
         kept = weight.any(axis=0)
-        shifts = (
-            self.sizes[second][:, None, None] * np.arange(3) - self.sizes[first][:, None, None] * np.arange(3)[:, None]
-        )
-        return h[:, kept], weight[:, kept], h[:, kept, None] + shifts.reshape(len(first), 1, 9)
-
-    @cached_property
-    def overlap(self) -> Array:
-        """Where the stretches of (2) overlap (p, n): elsewhere γ of N and K is exactly zero."""
-        i, j = np.triu_indices(len(self.sizes))
-        h = self.lags[0]
-        return np.where((h > -2.0 * self.sizes[j][:, None]) & (h < 2.0 * self.sizes[i][:, None]), 1.0, 0.0)
+        shifts = (m_j[..., None] * np.arange(3) - m_i[..., None] * np.arange(3)[:, None]).reshape(-1, 1, 9)
+        return h[:, kept], weight[:, kept], h[:, kept, None] + shifts
 
     def _second_differences(self, G: Array) -> Array:
         """γ (p, n) of values of G (p, n, 9)."""
-        i, j = np.triu_indices(len(self.sizes))
-        return np.asarray(G @ np.outer(_W, _W).ravel() / (self.sizes[i] * self.sizes[j])[:, None])
+        m_i, m_j = self.pairs
+        return np.asarray(G @ np.outer(_W, _W).ravel() / (m_i * m_j))
 
     @cached_property
     def linear(self) -> Array:
-        """γ (4, p, n) of unit Q, N, B and K."""
-        size = np.abs(self.lags[2])
+        """γ (4, p, n) of unit Q, N, B and K. Where the stretches of (2) do not overlap γ of N and K is exactly zero."""
+        (h, _, shifted), (m_i, m_j) = self.lags, self.pairs
+        size, overlap = np.abs(shifted), np.where((h > -2.0 * m_j) & (h < 2.0 * m_i), 1.0, 0.0)
         near = np.where(size < 0.5, 1.0, 0.0)  # δ of whole lags, whose squares have to add up too
         logarithm = size**2 * np.log(np.maximum(size, 1e-12)) / (2.0 * np.pi)
-        parts = [self._second_differences(G) for G in (near, -0.5 * size, logarithm, size**3 / 12.0)]
-        return np.array([parts[0], parts[1] * self.overlap, parts[2], parts[3] * self.overlap])
+        Q, N, B, K = map(self._second_differences, (near, -0.5 * size, logarithm, size**3 / 12.0))
+        return np.array([Q, N * overlap, B, K * overlap])
 
     def gauss_markov(self, T: float) -> Array:
         """γ (p, n) of Gauss–Markov noise of unit variance."""
@@ -216,15 +217,25 @@ class _Moments:
         for square, T in zip(squares[5:], times, strict=True):
             if square > 0.0:
                 gamma = gamma + square * self.gauss_markov(T)
+        by_ramps, out = squares[4] * np.multiply(*self.pairs), np.empty((len(self.sizes),) * 2)
         i, j = np.triu_indices(len(self.sizes))
-        shift = squares[4] * self.sizes[i] * self.sizes[j]
-        out = np.empty((len(self.sizes),) * 2)
-        out[i, j] = out[j, i] = np.sum(self.lags[1] * (0.5 * gamma**2 + shift[:, None] * gamma), axis=1)
+        out[i, j] = out[j, i] = np.sum(self.lags[1] * (0.5 * gamma**2 + by_ramps * gamma), axis=1)
         return out
 
 
 def identify(deviation: AllanDeviation) -> tuple[NoiseParameters, ...]:
-    """The processes of each channel of one record or of several: see above."""
+    """Find the noise processes of each channel of one record, or of several records together.
+
+    Parameters
+    ----------
+    deviation : AllanDeviation
+        Of one record, or pooled over several (`pooled`).
+
+    Returns
+    -------
+    tuple of NoiseParameters
+        The processes of each channel.
+    """
     sizes = np.round(deviation.tau / deviation.tau[0]).astype(np.int64)
     longest = max(2 * MIN_SIZE, max(deviation.counts) // CLUSTERS)
     used = (sizes >= MIN_SIZE) & (sizes <= longest) & (sizes & (sizes - 1) == 0)
@@ -233,44 +244,63 @@ def identify(deviation: AllanDeviation) -> tuple[NoiseParameters, ...]:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _Sum:
-    """A sum of processes: squares (5 + n,) of the coefficients of the LINEAR ones, zero where it has none, and of n
-    Gauss–Markov processes, whose correlation times are in samples; Q of its fit, −2 ln of its likelihood, and the
-    standard uncertainties of the logarithms of the squares that are not zero and of the times."""
+class _Fit:
+    """A fitted sum of processes.
+
+    `squares`: squares (5 + n,) of the coefficients, those of LINEAR, zero where the sum has none, and of n
+    Gauss–Markov processes. `times`: correlation times of these, in samples. `misfit`: Q. `deviance`: −2 ln of the
+    likelihood. `u`: standard uncertainties of the logarithms of the squares that are not zero, and of the times."""
 
     squares: Array
     times: tuple[float, ...]
     misfit: float = 0.0
     deviance: float = 0.0
-    u: Array
+    u: Array = field(default_factory=lambda: np.empty(0))
 
     @property
     def active(self) -> IntArray:
-        """Which squares are not zero."""
+        """The indices of the squares that are not zero."""
         return np.flatnonzero(self.squares)
 
     @property
     def cost(self) -> float:
-        """What is least for the sum that is chosen."""
+        """The deviance with the penalties of the processes, which is least for the sum that is chosen."""
         linear = len(self.active) - len(self.times)
         return self.deviance + PENALTY["linear"] * linear + PENALTY["gauss_markov"] * len(self.times)
 
     @property
     def words(self) -> str:
-        """Which processes it has."""
+        """The names of the processes."""
         return in_words([LINEAR[j] for j in self.active if j < len(LINEAR)], len(self.times))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _Weights:
-    """C of some sum: the Cholesky factor of C, the degrees of freedom (k,) of the moments, and the model σ² (k,)."""
+class _Weighting:
+    """The weighting of moments by the covariance C of a sum with variances `model` (k,).
+
+    `root`: Cholesky factor of C. `freedom`: degrees of freedom (k,) of the moments."""
 
     root: Array
     freedom: Array
     model: Array
 
-    def away(self, variance: Array, model: Array) -> tuple[Array, Array]:
-        """g (k,) of (4) for another model, and minus its derivative by that (k,)."""
+    @staticmethod
+    def by(fit: _Fit, moments: _Moments, error: float) -> _Weighting:
+        """The weighting by C of a sum, which describes a sensor to the part `error` of σ²."""
+        model = _slopes(moments.tau, fit.times) @ fit.squares
+        C, least = moments.covariance(fit.squares, fit.times) + np.diag((error * model) ** 2), 0.0
+        while True:  # of readings in motion, moments may be those of one movement: C is singular but for rounding
+            try:
+                regular = C + least * np.diag(model**2)
+                root = np.asarray(np.linalg.cholesky(regular))
+                return _Weighting(root=root, freedom=2.0 * model**2 / np.diag(regular), model=model)
+            except np.linalg.LinAlgError:
+                if least > 1.0:
+                    raise
+                least = max(10.0 * least, 1e-12)
+
+    def residuals(self, variance: Array, model: Array) -> tuple[Array, Array]:
+        """g (k,) of (4) for a model, and minus its derivative by that (k,)."""
         cube, scale = 1.0 - 2.0 / (9.0 * self.freedom), np.cbrt(self.model) ** 2
         g = 3.0 * scale * (np.cbrt(variance) - cube * np.cbrt(model))
         return g, cube * scale / np.cbrt(model) ** 2
@@ -281,7 +311,7 @@ def _identify(variance: Array, moments: _Moments, interval: float) -> NoiseParam
     if not variance.all():
         return NoiseParameters()
     for error in (0.0, MODEL_ERROR):
-        best, runner_up = _chosen(variance, moments, error)
+        best, runner_up = _best_two(variance, moments, error)
         freedom = len(variance) - len(best.u)
         probability = float(scipy.special.chdtrc(freedom, best.misfit)) if freedom > 0 else 1.0
         if probability > MISFIT:
@@ -289,16 +319,16 @@ def _identify(variance: Array, moments: _Moments, interval: float) -> NoiseParam
     wider = np.sqrt(best.misfit / freedom) if probability < MISFIT else 1.0
     units = interval ** np.array([1.0, 0.5, 0.0, -0.5, -1.0, *(0.0 for _ in best.times)])  # from those of one sample
     values = np.sqrt(best.squares) * units
-    of = {
-        int(j): Coefficient(value=float(values[j]), u=float(0.5 * w * wider * values[j]))
-        for j, w in zip(best.active, best.u, strict=False)
+    coefficients = {
+        int(j): Coefficient(value=float(values[j]), u=float(0.5 * u * wider * values[j]))
+        for j, u in zip(best.active, best.u, strict=False)
     }
     processes = [
-        GaussMarkov(sigma=of[5 + i], time=Coefficient(value=T * interval, u=float(T * interval * w * wider)))
-        for i, (T, w) in enumerate(zip(best.times, best.u[len(best.active) :], strict=True))
+        GaussMarkov(sigma=coefficients[5 + i], time=Coefficient(value=T * interval, u=float(T * interval * u * wider)))
+        for i, (T, u) in enumerate(zip(best.times, best.u[len(best.active) :], strict=True))
     ]
     return NoiseParameters(
-        **{LINEAR[j]: c for j, c in of.items() if j < len(LINEAR)},
+        **{LINEAR[j]: coefficient for j, coefficient in coefficients.items() if j < len(LINEAR)},
         gauss_markov=tuple(sorted(processes, key=lambda process: process.time.value)),
         probability=probability,
         runner_up="" if runner_up is None else runner_up.words,
@@ -306,67 +336,55 @@ def _identify(variance: Array, moments: _Moments, interval: float) -> NoiseParam
     )
 
 
-def _chosen(variance: Array, moments: _Moments, error: float) -> tuple[_Sum, _Sum | None]:
-    """The sum of least cost, and the next best of another kind, each fitted with its own C; tried are those that are
-    nearest with C of a smooth curve, and then with C of the best of them."""
+def _best_two(variance: Array, moments: _Moments, error: float) -> tuple[_Fit, _Fit | None]:
+    """The sum of least cost, and the next best of another kind, each fitted with its own C.
+
+    The kinds that are fitted are the TRIED best on a grid of correlation times, first with C of a smooth curve, which
+    is the non-negative fit of all processes together, and then with C of the best of them."""
     from scipy.optimize import nnls
 
-    tau, grid = moments.sizes.astype(float), tuple(float(T) for T in moments.sizes[:-1])
-
-    def weights(of: _Sum) -> _Weights:
-        model = _slopes(tau, of.times) @ of.squares
-        C = moments.covariance(of.squares, of.times) + np.diag((error * model) ** 2)
-        least = 0.0
-        while True:  # of readings in motion, moments may be those of one movement: C is singular but for rounding
-            try:
-                known = C + least * np.diag(model**2)
-                return _Weights(
-                    root=np.asarray(np.linalg.cholesky(known)), freedom=2.0 * model**2 / np.diag(known), model=model
-                )
-            except np.linalg.LinAlgError:
-                if least > 1.0:
-                    raise
-                least = max(10.0 * least, 1e-12)
-
-    def with_own(start: _Sum, weight: _Weights) -> tuple[_Sum, _Weights]:
-        found, last = _fitted(variance, tau, start, weight), np.inf
-        for _ in range(6):
-            # without the processes whose coefficients went to zero
-            adds = np.linalg.solve(weight.root, _slopes(tau, found.times) * found.squares)
-            stays = np.sum(adds**2, axis=0) > VANISHED
-            squares, beyond = np.where(stays, found.squares, 0.0), stays[len(LINEAR) :]
-            times = tuple(np.array(found.times)[beyond].tolist())
-            found = replace(found, squares=squares[np.r_[np.full(len(LINEAR), True), beyond]], times=times)
-            if set(found.active.tolist()) <= {LINEAR.index("ramp")}:  # which is no noise
-                return replace(found, deviance=np.inf, u=np.empty(0)), weight
-            weight = weights(found)
-            found = _fitted(variance, tau, found, weight)
-            if abs(found.deviance - last) < 0.02:
-                break
-            last = found.deviance
-        return found, weight
-
-    # all processes together, non-negative: a smooth curve for the first C
+    tau, grid = moments.tau, tuple(moments.tau[:-1].tolist())
     columns = _slopes(tau, grid) / (np.sqrt(tau) * variance)[:, None]
     size = np.linalg.norm(columns, axis=0)
-    weight = weights(_Sum(squares=nnls(columns / size, 1.0 / np.sqrt(tau))[0] / size, times=grid, u=np.empty(0)))
-    begun, tried = set[str](), dict[str, tuple[_Sum, _Weights]]()
+    smooth = _Fit(squares=nnls(columns / size, 1.0 / np.sqrt(tau))[0] / size, times=grid)
+    weighting, begun, fitted = _Weighting.by(smooth, moments, error), set[str](), dict[str, tuple[_Fit, _Weighting]]()
     for _ in range(2):
-        for start in sorted(_by_grid(variance, tau, grid, weight), key=lambda each: each.cost)[:TRIED]:
+        for start in sorted(_by_grid(variance, tau, grid, weighting), key=lambda each: each.cost)[:TRIED]:
             if start.words not in begun:
                 begun.add(start.words)
-                found, own = with_own(start, weight)
-                if found.words not in tried or found.cost < tried[found.words][0].cost:
-                    tried[found.words] = found, own
-        ordered = sorted(tried.values(), key=lambda each: each[0].cost)
-        weight = ordered[0][1]
+                fit, by_itself = _refitted(variance, moments, error, start, weighting)
+                if fit.words not in fitted or fit.cost < fitted[fit.words][0].cost:
+                    fitted[fit.words] = fit, by_itself
+        ordered = sorted(fitted.values(), key=lambda each: each[0].cost)
+        weighting = ordered[0][1]
     return ordered[0][0], ordered[1][0] if len(ordered) > 1 else None
 
 
-def _by_grid(variance: Array, tau: Array, grid: tuple[float, ...], weight: _Weights) -> list[_Sum]:
+def _refitted(
+    variance: Array, moments: _Moments, error: float, start: _Fit, weighting: _Weighting
+) -> tuple[_Fit, _Weighting]:
+    """The fit of a sum with its own C, without the processes whose coefficients go to zero, and the weighting by C."""
+    fit, last = _fitted(variance, moments.tau, start, weighting), np.inf
+    for _ in range(6):
+        contributions = np.linalg.solve(weighting.root, _slopes(moments.tau, fit.times) * fit.squares)
+        stays = np.sum(contributions**2, axis=0) > VANISHED
+        stays_in_time = stays[len(LINEAR) :]
+        squares = np.where(stays, fit.squares, 0.0)[np.r_[np.full(len(LINEAR), True), stays_in_time]]
+        fit = replace(fit, squares=squares, times=tuple(np.array(fit.times)[stays_in_time].tolist()))
+        if set(fit.active.tolist()) <= {LINEAR.index("ramp")}:  # which is no noise
+            return replace(fit, deviance=np.inf, u=np.empty(0)), weighting
+        weighting = _Weighting.by(fit, moments, error)
+        fit = _fitted(variance, moments.tau, fit, weighting)
+        if abs(fit.deviance - last) < 0.02:
+            break
+        last = fit.deviance
+    return fit, weighting
+
+
+def _by_grid(variance: Array, tau: Array, grid: tuple[float, ...], weighting: _Weighting) -> list[_Fit]:
     """Of every kind of sum the best with correlation times of the grid, by linear least squares."""
-    A = np.linalg.solve(weight.root, _slopes(tau, grid))
-    y = np.linalg.solve(weight.root, weight.away(variance, weight.model)[0] + weight.model)
+    A = np.linalg.solve(weighting.root, _slopes(tau, grid))
+    y = np.linalg.solve(weighting.root, weighting.residuals(variance, weighting.model)[0] + weighting.model)
     size = np.linalg.norm(A, axis=0)
     A = A / size
     normal, right, out = A.T @ A + 1e-12 * np.eye(len(size)), A.T @ y, []
@@ -383,13 +401,12 @@ def _by_grid(variance: Array, tau: Array, grid: tuple[float, ...], weight: _Weig
             if np.all(squares[k] > 0.0):
                 every = np.zeros(5 + n)
                 every[list(linear)], every[5:] = np.split(squares[k] / size[at[k]], [len(linear)])
-                T = tuple(grid[j - 5] for j in times[k])
-                out.append(_Sum(squares=every, times=T, deviance=float(Q[k]), u=np.empty(0)))
+                out.append(_Fit(squares=every, times=tuple(grid[j - 5] for j in times[k]), deviance=float(Q[k])))
     return out
 
 
-def _fitted(variance: Array, tau: Array, start: _Sum, weight: _Weights) -> _Sum:
-    """The sum of these processes by steps of Gauss and Newton in the logarithms of squares and times."""
+def _fitted(variance: Array, tau: Array, start: _Fit, weighting: _Weighting) -> _Fit:
+    """The fit of a sum by steps of Gauss and Newton in the logarithms of squares and times."""
     active, squares, logs = start.active, start.squares.copy(), np.log(np.array(start.times))
     for _ in range(40):
         columns = _slopes(tau, tuple(np.exp(logs)))
@@ -397,17 +414,17 @@ def _fitted(variance: Array, tau: Array, start: _Sum, weight: _Weights) -> _Sum:
         if len(logs):
             later = _slopes(tau, tuple(1.001 * np.exp(logs)))
             D = np.hstack([D, (later - columns)[:, 5:] * squares[5:] / np.log(1.001)])
-        g, derivative = weight.away(variance, columns @ squares)
-        design, away = np.linalg.solve(weight.root, derivative[:, None] * D), np.linalg.solve(weight.root, g)
-        step = np.clip(np.linalg.lstsq(design, away, rcond=1e-10)[0], -0.7, 0.7)
+        g, derivative = weighting.residuals(variance, columns @ squares)
+        design, residuals = np.linalg.solve(weighting.root, derivative[:, None] * D), np.linalg.solve(weighting.root, g)
+        step = np.clip(np.linalg.lstsq(design, residuals, rcond=1e-10)[0], -0.7, 0.7)
         if np.abs(step).max() < 1e-4:
             break
         squares[active] *= np.exp(step[: len(active)])
         logs = np.clip(logs + step[len(active) :], np.log(0.5 * tau[0]), np.log(tau[-1]))
     u = np.linalg.norm(np.linalg.pinv(design), axis=1)
-    misfit = float(away @ away)
-    deviance = misfit + 2.0 * float(np.log(np.diag(weight.root)).sum())
-    return _Sum(squares=squares, times=tuple(np.exp(logs).tolist()), misfit=misfit, deviance=deviance, u=u)
+    misfit = float(residuals @ residuals)
+    deviance = misfit + 2.0 * float(np.log(np.diag(weighting.root)).sum())
+    return _Fit(squares=squares, times=tuple(np.exp(logs).tolist()), misfit=misfit, deviance=deviance, u=u)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

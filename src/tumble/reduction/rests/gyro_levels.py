@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
@@ -99,20 +98,16 @@ def level_function(
     used, near, step_at = [0], _near(rows[:, :1], level, limit), np.inf
     if near.all():
         return None
-    for more in (_G, _G_AND_DRIFT):  # each where it explains more
-        follow = _near(rows[:, more], level, limit)
-        if explains_more(more, follow, near):
-            used, near = more, follow
     in_order = np.sort(at)[tuning.beside_jump - 1 : len(at) + 1 - tuning.beside_jump]
-    most = near
-    for before, after in pairwise(in_order) if len(off) >= tuning.beside_jump else ():  # else followed to every rest
-        stepped = rows.copy()
-        stepped[:, 5] = usual[4] * (at > 0.5 * (before + after))
-        for more in (_STEP, _G_AND_STEP):
-            follow = _near(stepped[:, more], level, limit)
-            if explains_more(more, follow, near) and follow.sum() > most.sum():
-                used, most, step_at = more, follow, 0.5 * (before + after)
-    rows[:, 5], near = usual[4] * (at > step_at), most
+    steps = 0.5 * (in_order[1:] + in_order[:-1]) if len(off) >= tuning.beside_jump else ()  # else a level of every rest
+    stepless, candidates = near, [(_G, np.inf), (_G_AND_DRIFT, np.inf)]
+    for columns, step in [*candidates, *((columns, step) for step in steps for columns in (_STEP, _G_AND_STEP))]:
+        rows[:, 5] = usual[4] * (at > step)
+        follow = _near(rows[:, columns], level, limit)
+        if explains_more(columns, follow, stepless) and follow.sum() > near.sum():
+            used, near, step_at = columns, follow, step
+            stepless = follow if step == np.inf else stepless
+    rows[:, 5] = usual[4] * (at > step_at)
     if used == [0]:
         return None
     some, fitted = rows[:, used], np.zeros((6, 3))

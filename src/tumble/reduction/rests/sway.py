@@ -27,7 +27,7 @@ import scipy
 from tumble.reduction.blocks.motion_samples import MotionSamples
 from tumble.reduction.blocks.reducer import FileBlocks, Reduction
 from tumble.reduction.rests.segmentation import Stretch
-from tumble.rotation import unit_vector
+from tumble.rotation import skew, unit_vector
 from tumble.units import DEGREE, Array
 
 FOURTH_DIFFERENCES = 70.0
@@ -83,11 +83,12 @@ class _Motion:
         path -= path.mean(axis=0)
         squares, mean = path.T @ path / len(path), force.mean(axis=0)
         up, differences = unit_vector(mean), np.diff(rate * dt[:, None], n=4, axis=0)
+        beside = np.concatenate([2.0 * rate[:1] - rate[1:2], rate, 2.0 * rate[-1:] - rate[-2:-1]])
         return _Motion(
             up=up,
             size=float(np.linalg.norm(mean)),
             path=path.reshape(-1, f.size, 3).mean(axis=1),
-            turning=np.gradient(rate, axis=0).reshape(-1, f.size, 3).mean(axis=1) / dt.mean(),
+            turning=0.5 * np.diff(beside[: -1 : f.size] + beside[1 :: f.size], axis=0) / (f.size * dt.mean()),
             force=force.reshape(-1, f.size, 3).mean(axis=1),
             angle=float(np.trace(squares)) / 3.0,
             tilt=float(np.trace(squares) - up @ squares @ up),
@@ -97,14 +98,14 @@ class _Motion:
     @property
     def columns(self) -> Array:
         """What forces across the vertical go with (s, STRETCH, 3, 4): û × α and ω̇ × e_j."""
-        levers = (np.cross(self.turning, e) for e in np.eye(3))
-        across = (np.cross(self.up, self.path), *(lever - (lever @ self.up)[:, None] * self.up for lever in levers))
-        return np.stack([_level(each) for each in across], axis=-1)
+        levers = skew(self.turning)
+        levers = levers - self.up[:, None] * (self.up @ levers)[:, None]
+        return _level(np.concatenate([np.cross(self.up, self.path)[..., None], levers], axis=2))
 
     @property
     def across(self) -> Array:
         """The forces across the vertical (s, STRETCH, 3)."""
-        return _level(self.force - (self.force @ self.up)[:, None] * self.up)
+        return _level((self.force - (self.force @ self.up)[:, None] * self.up)[..., None])[..., 0]
 
 
 def sway_of(reduction: Reduction, spans: Sequence[Stretch]) -> Sway | None:
@@ -153,12 +154,12 @@ def sway_of(reduction: Reduction, spans: Sequence[Stretch]) -> Sway | None:
 
 
 def _level(values: Array) -> Array:
-    """Means of blocks (K, 3) in stretches (s, STRETCH, 3), less the mean and the slope of each."""
-    stretches = values[: len(values) // STRETCH * STRETCH].reshape(-1, STRETCH, 3)
+    """Means of blocks (K, 3, m) in stretches (s, STRETCH, 3, m), less the mean and the slope of each."""
+    stretches = values[: len(values) // STRETCH * STRETCH].reshape(-1, STRETCH, *values.shape[1:])
     x = np.arange(STRETCH) - 0.5 * (STRETCH - 1)
     x /= np.linalg.norm(x)
     off = stretches - stretches.mean(axis=1, keepdims=True)
-    return np.asarray(off - x[:, None] * np.einsum("k,skc->sc", x, off)[:, None])
+    return np.asarray(off - x[:, None, None] * np.einsum("k,skcm->scm", x, off)[:, None])
 
 
 def sway_notes(sway: Sway | None) -> tuple[str, ...]:

@@ -16,7 +16,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.thermometer import STEP, Thermometers
@@ -75,6 +74,8 @@ def passed(record: Array) -> tuple[Array, Array]:
 def curve_through(time: Array, level: Array, record: Array) -> Array:
     """Temperatures (K,) at every step of a record that passed levels (k,) at times (k,); the record where it passed
     fewer than two."""
+    from scipy.interpolate import PchipInterpolator  # slow to import
+
     if len(time) < 2:
         return record
     every, step = np.arange(len(record), dtype=float), float(np.abs(np.diff(level)).max())

@@ -30,12 +30,12 @@ import numpy as np
 from tumble.reduction.turns import moment_kernels as _kernels
 from tumble.rotation import onto_body, skew
 from tumble.sensors.model import SensorModel
+from tumble.sensors.parameters import PAIRS
 from tumble.units import Array, IntArray
 
 NO_AXES: Array = np.empty((0, 3))
 PARTS = 8
 """Parts of a turn in which something grows: a staircase of n steps has 1 − 1/n² of what a line does."""
-_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
 # What the samples are compensated with -------------------------------------------------------------------------
@@ -214,7 +214,7 @@ def integrate(
             where = turn[part], start[part], stop[part]
             _kernels.integrate_pieces((rates, forces, intervals), where, by._kernel_model(), axes, sums)
         del pieces, rates, forces, intervals  # before the next are read
-    cross = _skews(attitude[:, 1:])  # of unit quaternions, scalar first
+    cross = skew(attitude[:, 1:])  # of unit quaternions, scalar first
     Phi, body = products[:, :9].reshape(count, 3, 3, rows), products[:, 9]
     with np.errstate(over="ignore", invalid="ignore"):  # of turns of damaged samples, which are judged later
         Psi = _crossed(Phi[..., :moved_rows], V) - moved.reshape(count, 3, 3, moved_rows)
@@ -238,7 +238,7 @@ def integrate(
 
 def _crossed(matrices: Array, V: Array) -> Array:
     """The columns M_jb (K, 3, 3, R) of each turn times its V (K, 3): (M_jb × V)_i = −([V×] M_jb)_i."""
-    return _turned(-_skews(V), matrices)
+    return _turned(-skew(V), matrices)
 
 
 def _turned(C: Array, matrices: Array) -> Array:
@@ -247,46 +247,68 @@ def _turned(C: Array, matrices: Array) -> Array:
     return np.asarray((C @ flat).reshape(matrices.shape))
 
 
-def _skews(vectors: Array) -> Array:
-    """[v×] (K, 3, 3) of vectors (K, 3)."""
-    return np.asarray(np.einsum("kj,jab->kab", vectors, _GENERATORS))
+def integrate_in_parts(
+    batches: Iterable[Pieces], lengths: IntArray, parts: int, compensation: Compensation
+) -> tuple[Moments, Array, Array]:
+    """Moments of equal parts of turns, and the path of each turn through them.
 
+    Parameters
+    ----------
+    batches : iterable of Pieces
+        As for `integrate`.
+    lengths : IntArray (K,)
+        The numbers of samples of the turns.
+    parts : int
+        The number of parts n of each turn.
+    compensation : Compensation
+        What the samples are compensated with.
 
-_GENERATORS = np.array([skew(axis) for axis in np.eye(3)])
+    Returns
+    -------
+    Moments
+        Those of the K n parts, resolved in the body at the start of each, turn after turn.
+    C : Array (K, n + 1, 3, 3)
+        Rotation, body → body at the start of the turn, before each part and at the end.
+    V : Array (K, n + 1, 3)
+        Velocity increment there, m/s.
+    """
+
+    def split() -> Iterator[Pieces]:
+        """The same samples in pieces of parts."""
+        done = np.zeros(len(lengths), dtype=np.int64)
+        for pieces in batches:
+            spans = []
+            for k, start, stop in zip(pieces.turn.tolist(), pieces.start.tolist(), pieces.stop.tolist(), strict=True):
+                edges = np.clip(start - done[k] + lengths[k] * np.arange(parts + 1) // parts, start, stop).tolist()
+                spans += [(parts * k + j, a, b) for j, (a, b) in enumerate(pairwise(edges)) if b > a]
+                done[k] += stop - start
+            turn, first, last = np.array(spans, dtype=np.int64).reshape(-1, 3).T
+            yield replace(pieces, turn=turn, start=first, stop=last)
+
+    moments = integrate(split(), parts * len(lengths), compensation)
+    steps, gained = moments.C.reshape(-1, parts, 3, 3), moments.V.reshape(-1, parts, 3)
+    C, V = np.empty((len(lengths), parts + 1, 3, 3)), np.zeros((len(lengths), parts + 1, 3))
+    C[:, 0] = np.eye(3)
+    for j in range(parts):
+        C[:, j + 1] = C[:, j] @ steps[:, j]
+        V[:, j + 1] = V[:, j] + _turned(C[:, j], gained[:, j])
+    return moments, C, V
 
 
 def growing_moments(batches: Iterable[Pieces], lengths: IntArray, compensation: Compensation) -> tuple[Array, Array]:
     """Φ (K, 3, 3, 13) and Ψ (K, 3, 3, 7) of turns of so many samples (K,), weighted with the time, s, from the middle
     of each: what a coefficient does that grows by 1 a second within a turn. From PARTS of each, in which the weight is
-    that of the middle; with C and V of what is before a part, and V′ of what comes after it,
+    that of the middle; with C of what is before a part, and V′ of what comes after it,
 
         Σ t C Φ,    Σ t (C Ψ + C Φ × V′)
     """
-
-    def in_parts() -> Iterator[Pieces]:
-        """The same samples in pieces of PARTS of every turn, one after the other."""
-        done = np.zeros(len(lengths), dtype=np.int64)
-        for pieces in batches:
-            parts = []
-            for k, start, stop in zip(pieces.turn.tolist(), pieces.start.tolist(), pieces.stop.tolist(), strict=True):
-                edges = np.clip(start - done[k] + lengths[k] * np.arange(PARTS + 1) // PARTS, start, stop).tolist()
-                parts += [(PARTS * k + j, a, b) for j, (a, b) in enumerate(pairwise(edges)) if b > a]
-                done[k] += stop - start
-            turn, first, last = np.array(parts, dtype=np.int64).reshape(-1, 3).T
-            yield replace(pieces, turn=turn, start=first, stop=last)
-
-    whole = integrate(in_parts(), PARTS * len(lengths), compensation)
-    C, V, T = np.broadcast_to(np.eye(3), (len(lengths), 3, 3)), np.zeros((len(lengths), 3)), np.zeros(len(lengths))
-    parts = []
-    for part in (slice(j, None, PARTS) for j in range(PARTS)):
-        V, T = V + _turned(C, whole.V[part]), T + whole.T[part]
-        parts.append((T - 0.5 * whole.T[part], V, _turned(C, whole.Phi[part]), _turned(C, whole.Psi[part])))
-        C = C @ whole.C[part]
-    Phi, Psi = np.zeros_like(parts[0][2]), np.zeros_like(parts[0][3])
-    for middle, before, of_part, moved in parts:
-        weight = (middle - 0.5 * T)[:, None, None, None]
-        Phi += weight * of_part
-        Psi += weight * (moved + _crossed(of_part[..., : _kernels.LINEAR], V - before))
+    moments, C, V = integrate_in_parts(batches, lengths, PARTS, compensation)
+    T, before = moments.T.reshape(-1, PARTS), C[:, :-1].reshape(-1, 3, 3)
+    weight = np.cumsum(T, axis=1) - 0.5 * T - 0.5 * T.sum(axis=1, keepdims=True)
+    Phi = _turned(before, moments.Phi)
+    after = (V[:, -1:] - V[:, 1:]).reshape(-1, 3)
+    Psi = _turned(before, moments.Psi) + _crossed(Phi[..., : _kernels.LINEAR], after)
+    Phi, Psi = (np.einsum("kp,kp...->k...", weight, each.reshape(-1, PARTS, *each.shape[1:])) for each in (Phi, Psi))
     return Phi, Psi
 
 
@@ -301,15 +323,15 @@ def lever_columns(moments: Moments, left_inverse: Array, axes: Array, rates: tup
     with s_p a_pᵀ for e_p e_pᵀ, so that it holds for any axes, and with the `rates` (K, 3) in the body at the start and
     at the end, which at rest are the Earth's. 0 of what takes no time."""
     along = np.einsum("jp,pa->pja", left_inverse, axes)
-    first, second = (np.array([_GENERATORS[list(pair)[side]] for pair in _PAIRS]) for side in (0, 1))
-    weights = np.zeros((3, len(_PAIRS), len(axes), 3))
+    first, second = (skew(np.eye(3)[list(each)]) for each in zip(*PAIRS, strict=True))
+    weights = np.zeros((3, len(PAIRS), len(axes), 3))
     for G, H, which in ((first, second, slice(None)), (second, first, [1, 2, 4])):
         kernel = np.einsum("pja,kab,kbr->jkpr", along, G, H) - np.einsum("kja,pab,kbr->jkpr", G, along, H)
         weights[:, which] += kernel[:, which]
-    flat = weights.reshape(3 * len(_PAIRS), -1)
+    flat = weights.reshape(3 * len(PAIRS), -1)
     columns = -np.asarray(moments.W.reshape(len(moments), 3, len(flat)) @ flat)
     first, last = (
-        np.einsum("pja,kab->kjpb", along, _skews(rate)).reshape(len(rate), *columns.shape[1:]) for rate in rates
+        np.einsum("pja,kab->kjpb", along, skew(rate)).reshape(len(rate), *columns.shape[1:]) for rate in rates
     )
     return np.asarray(columns - (moments.C @ last - first) * np.sign(moments.T)[:, None, None])
 

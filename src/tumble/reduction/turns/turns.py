@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from itertools import accumulate, pairwise
+from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
@@ -36,12 +36,13 @@ from tumble.reduction.rests.rests import Rests
 from tumble.reduction.rests.segmentation import Stretch, unrecorded
 from tumble.reduction.rests.sway import FOURTH_DIFFERENCES, Sway
 from tumble.reduction.turns.array_motion import read_by
-from tumble.reduction.turns.moments import BlockCompensation, Compensation, Pieces, integrate, moments_of
+from tumble.reduction.turns.moments import BlockCompensation, Compensation, Pieces, integrate_in_parts
 from tumble.rotation import onto_body
 from tumble.sensors.model import Block, SensorKind, SensorModel
 from tumble.units import G_STANDARD, Array, IntArray
 
 PATH_STEPS = 32
+"""Steps of a turn in which the noise of its gyros is carried to its start."""
 VELOCITY_FLOOR = 1e-8  # m/s
 VELOCITY_STEP = 0.02  # of the velocity times the cube of the angle of a step: the error of the integration
 BEYOND_NOISE = 9.0
@@ -60,8 +61,6 @@ CONVERTERS = 2.0 ** np.arange(11, 32)
 EXACT, AT_END = 1e-6, 1e-3
 """Of a reading, and of a count: two readings that are the same, and a reading that is the end of a converter."""
 HALF_TURN = math.pi
-
-_BODY = Block(kind="gyro", axes=np.eye(3))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -188,66 +187,86 @@ def reduced_turns(
     rounded: Mapping[str, Rounding],
     sway: Sway | None = None,
 ) -> tuple[Turns, TurnSamples]:
-    """Integrate the turns between consecutive rests, those that were recorded as a whole, with nominal gyros, from the
-    `stored` samples. Noise is that of block means, `rounded` the resolution of "accel" and "gyro"; if the device sways,
-    turns are from mean attitude to mean attitude."""
-    whole = [
-        i
+    """Integrate the turns between consecutive rests that were recorded as a whole, with nominal gyros.
+
+    Parameters
+    ----------
+    reduction : Reduction
+        The blocks of the log.
+    stored : MotionSamples
+        Its samples.
+    spans, rests
+        The rests as stretches of blocks, and their means.
+    accel_noise, gyro_noise
+        The sensors of each kind, and the noise of the means of their blocks.
+    rounded : mapping of str to Rounding
+        The resolution of "accel" and "gyro".
+    sway : Sway, optional
+        Of a device that sways: then turns are from mean attitude to mean attitude.
+
+    Returns
+    -------
+    Turns
+        The K turns.
+    TurnSamples
+        Their samples.
+    """
+    pairs = [
+        (i, reduction.by_file[before.file], before, after)
         for i, (before, after) in enumerate(pairwise(spans))
         if before.file == after.file and _tear(before, after, reduction.gaps) is None
     ]
-    ends, block_seconds = [(spans[i], spans[i + 1]) for i in whole], reduction.block_seconds
-    first, files = np.array(whole, dtype=int), [reduction.by_file[before.file] for before, _ in ends]
-    start, stop, file_start, file_stop = np.array(
-        [
-            [f.sample_at(block) for block in (before.last, after.first, 0, len(f))]
-            for f, (before, after) in zip(files, ends, strict=True)
-        ],
-        dtype=int,
-    ).reshape(-1, 4).T  # fmt: skip
-    duration = reduction.clock_rate * np.array([after.start - before.stop for before, after in ends])
-    (accel, of_accel), (gyro, of_gyro) = accel_noise, gyro_noise
-    least = _least_off(reduction, rests)
+    edges = [
+        [f.sample_at(block) for block in (0, before.first, before.last, after.first, after.last, len(f))]
+        for _, f, before, after in pairs
+    ]
+    file_start, rest_start, start, stop, rest_stop, file_stop = np.array(edges, dtype=int).reshape(-1, 6).T
+    first, block_seconds = np.array([i for i, *_ in pairs], dtype=int), reduction.block_seconds
+    duration = reduction.clock_rate * np.array([after.start - before.stop for *_, before, after in pairs])
+    (accel, noise_of_forces), (gyro, noise_of_rates) = accel_noise, gyro_noise
+    least = _smallest_distances(reduction, rests)
     bad = bad_samples_of_turns(stored, start, stop, (file_start, file_stop), reduction.rate, least, reduction.tuning)
     samples = TurnSamples(samples=stored, start=start, stop=stop, bad=bad)
     if sway is not None:
-        beside = np.array(
-            [[f.size * (span.last - span.first) for span in each] for f, each in zip(files, ends, strict=True)]
-        )
-        ramps = beside.reshape(-1, 2) * (duration > 0.0)[:, None]  # not between the parts of a rest
+        ramps = np.column_stack([start - rest_start, rest_stop - stop])
+        ramps *= (duration > 0.0)[:, None]  # not between the parts of a rest
         duration = duration + 0.5 * (ramps / reduction.rate).sum(axis=1)
         samples = replace(samples, start=start - ramps[:, 0], stop=stop + ramps[:, 1], ramps=ramps)
-    moments = integrate(samples.pieces(), len(first), linear_compensation(gyro, gyro.nominal(), accel, accel.nominal()))
+    nominal = linear_compensation(gyro, gyro.nominal(), accel, accel.nominal())
+    moments, C, V = integrate_in_parts(samples.pieces(), samples.lengths, PATH_STEPS, nominal)
+    seconds = moments.T.reshape(-1, PATH_STEPS)
+    Phi = np.einsum("kpij,kpj...->ki...", C[:, :-1], moments.Phi[..., :4].reshape(-1, PATH_STEPS, 3, 3, 4))
     long = np.maximum(duration, block_seconds)
-    of_forces, of_rates = (
-        _in_body(block, _by_rounding(samples, block, rounded[block.kind])) for block in (accel, gyro)
-    )
 
-    def of_mean(block: Block, noise: ColouredNoise, seconds: float) -> Array:
-        """Covariance (3, 3), in the body, of a mean."""
-        return _in_body(block, noise.covariance_of_mean(seconds / block_seconds))
+    def by_noise_and_rounding(block: Block, noise: ColouredNoise) -> tuple[Array, Array]:
+        """Covariances (K, 3, 3), in the body, of the integrals of the readings over the turns."""
+        to_body, by_rounding = onto_body(block.axes), _by_rounding(samples, block, rounded[block.kind])
+        by_noise = np.array([T**2 * noise.covariance_of_mean(T / block_seconds) for T in long])
+        return to_body @ by_noise.reshape(by_rounding.shape) @ to_body.T, to_body @ by_rounding @ to_body.T
 
-    density = np.array([T * of_mean(gyro, of_gyro, T) if sway is None else sway.density for T in long]).reshape(
-        -1, 3, 3
-    )
-    density += of_rates / long[:, None, None]
-    velocity = np.array([T**2 * np.trace(of_mean(accel, of_accel, T)) / 3.0 for T in long])
-    velocity += np.trace(of_forces, axis1=1, axis2=2) / 3.0
+    velocity = np.trace(sum(by_noise_and_rounding(accel, noise_of_forces)), axis1=1, axis2=2) / 3.0
+    by_noise, by_rounding = by_noise_and_rounding(gyro, noise_of_rates)
+    density = by_noise / long[:, None, None] if sway is None else sway.density
+    density = density + by_rounding / long[:, None, None]
     # rounding, and the integration, of third order in the angle of a step (docs/explanation/mathematics.md (6))
-    angle = np.sqrt(moments.body_rates[:, [0, 3, 5]].sum(axis=1) * moments.T) / np.maximum(stop - start, 1)
-    floor = VELOCITY_FLOOR + VELOCITY_STEP * np.linalg.norm(moments.V, axis=1) * angle**3
-    covariance = _carried(samples, density) + TURN_FLOOR**2 * np.eye(3)
+    squares = moments.body_rates[:, [0, 3, 5]].reshape(-1, PATH_STEPS, 3).sum(axis=(1, 2))
+    angle = np.sqrt(squares * seconds.sum(axis=1)) / np.maximum(stop - start, 1)
+    floor = VELOCITY_FLOOR + VELOCITY_STEP * np.linalg.norm(V[:, -1], axis=1) * angle**3
+    # ∫ C N Cᵀ w dt by the trapezoidal rule; w in place of w² lets neighbouring turns of a device that sways be
+    # independent, which have the noise of the rest between them in common
+    rotated = C @ density[:, None] @ np.swapaxes(C, 2, 3)
+    covariance = 0.5 * np.einsum("kp,kpij->kij", seconds, rotated[:, 1:] + rotated[:, :-1]) + TURN_FLOOR**2 * np.eye(3)
     turns = Turns(
         first=first,
         last=first + 1,
         duration=duration,
-        C=moments.C,
-        M=moments.Phi[..., 1:4],
-        B=moments.Phi[..., 0],
+        C=C[:, -1],
+        M=Phi[..., 1:],
+        B=Phi[..., 0],
         covariance=covariance,
-        arising=np.array([of_gyro.arising(T / block_seconds) for T in long]),
+        arising=np.array([noise_of_rates.arising(T / block_seconds) for T in long]),
         velocity_covariance=(velocity + floor**2)[:, None, None] * np.eye(3),
-        jumps=moments.jumps,
+        jumps=moments.jumps.reshape(-1, PATH_STEPS).sum(axis=1),
         aliased=aliased_rotations(samples, covariance),
     )
     return turns, samples
@@ -264,15 +283,15 @@ def no_turns(stored: MotionSamples) -> tuple[Turns, TurnSamples]:
     return turns, TurnSamples(samples=stored, start=places, stop=places)
 
 
-def _least_off(reduction: Reduction, rests: Rests) -> Array:
+def _smallest_distances(reduction: Reduction, rests: Rests) -> Array:
     """The smallest distances (6,) of bad samples, rates, rad/s, and forces, m/s², in the body, by the noise at rest and
     the resolution. Samples of more than three gyros are not tested."""
     least, tuning = np.empty(6), reduction.tuning
     kinds = (reduction.gyro_channels, rests.gyro_noise), (reduction.accel_channels, rests.accel_noise)
     for part, (channels, noise) in zip((slice(3), slice(3, 6)), kinds, strict=True):
         steps = [channel.step for channel in channels if np.isfinite(channel.step)]
-        of_sample = float(np.median(noise)) * np.sqrt(reduction.rate)
-        least[part] = max(tuning.noise_beyond * of_sample, tuning.steps_beyond * max(steps, default=0.0))
+        noise_of_sample = float(np.median(noise)) * np.sqrt(reduction.rate)
+        least[part] = max(tuning.noise_beyond * noise_of_sample, tuning.steps_beyond * max(steps, default=0.0))
     if rests.gyro.shape[1] > 3:
         least[:3] = np.inf
     return least
@@ -323,12 +342,6 @@ def unread_velocities(samples: TurnSamples) -> Array:
     return out**2
 
 
-def _in_body(block: Block, covariance: Array) -> Array:
-    """The covariance (..., 3, 3) in the body, from that (..., n, n) of the readings of a block."""
-    to_body = onto_body(block.axes)
-    return np.asarray(to_body @ covariance @ to_body.T)
-
-
 def turn_readings(
     reduction: Reduction,
     spans: tuple[Stretch, ...],
@@ -349,30 +362,6 @@ def turn_readings(
         integral[k] = seconds[between] @ blocks.gyro.means[between]
         covariance[k] += T**2 * noise.covariance_of_mean(max(T / reduction.block_seconds, 1.0))
     return TurnReadings(integral=integral, covariance=covariance + TURN_FLOOR**2 * np.eye(gyro.size))
-
-
-def _carried(samples: TurnSamples, density: Array) -> Array:
-    """∫ C N Cᵀ w dt (K, 3, 3), rad², of the turns and the density N (K, 3, 3), rad²/s, of their gyro noise, by the
-    trapezoidal rule over PATH_STEPS steps a piece. Of a device that sways w in place of w² lets neighbouring turns be
-    independent, which have the noise of the rest between them in common."""
-    C = np.broadcast_to(np.eye(3), density.shape).copy()
-    out = np.zeros_like(density)
-    nominal = linear_compensation(_BODY, _BODY.nominal(), _BODY, _BODY.nominal())
-    for pieces in samples.pieces():
-        passed = np.concatenate([[0.0], np.cumsum(pieces.intervals)])
-        cuts = [
-            np.unique(np.linspace(a, b, PATH_STEPS + 1).astype(np.int64))
-            for a, b in zip(pieces.start, pieces.stop, strict=True)
-        ]
-        start, stop = np.concatenate([c[:-1] for c in cuts]), np.concatenate([c[1:] for c in cuts])
-        steps, at = moments_of(replace(pieces, start=start, stop=stop), nominal).C, 0
-        for k, edges in zip(pieces.turn, cuts, strict=True):
-            path = np.array(list(accumulate(steps[at : at + len(edges) - 1], np.matmul, initial=C[k])))
-            at += len(edges) - 1
-            rotated = path @ density[k] @ np.swapaxes(path, 1, 2)
-            out[k] += 0.5 * np.tensordot(np.diff(passed[edges]), rotated[1:] + rotated[:-1], axes=1)
-            C[k] = path[-1]
-    return out
 
 
 # Turns that are left out

@@ -1,8 +1,8 @@
 """Blocks on a terminal: sentences as they are, tables without lines, words set to the left, numbers to the right.
 
 Where a table is wider than the terminal its headings are broken between words; where that is not enough, it is set as
-several tables below each other, each with the first column, or those that together name a row. A number is never cut or
-broken; where not even one column has room beside the names of the first, these are.
+several tables below each other, each with the first column, which names a row. A number is never cut or broken; where
+not even one column has room beside the names of the first, these are.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ def _table_lines(table: Table, width: int) -> Iterator[str]:
     if _together(columns) > width:
         broken = (["\n".join(heading.split()), *cells] for heading, *cells in by_column)
         columns = [_Column.of(cells, words=i in table.text) for i, cells in enumerate(broken)]
-    for number, group in enumerate(_groups(columns, table.named_by, width)):
+    for number, group in enumerate(_groups(columns, width)):
         if number:
             yield ""
         over = _together(group) - width
@@ -141,16 +141,12 @@ def _widths(columns: Sequence[_Column], width: int) -> list[int]:
     return widths
 
 
-def _groups(columns: Sequence[_Column], named_by: int, width: int) -> Iterator[list[_Column]]:
-    """The columns after those that name a row in groups that fit a width together with these; where these alone do not
-    take more than two thirds of it, together with the first."""
-    names, rest = list(columns[:named_by]), columns[named_by:]
-    if 3 * _together(names) > 2 * width:
-        names, rest = list(columns[:1]), columns[1:]
-    group = list(names)
-    for column in rest:
-        if len(group) > len(names) and _together([*group, column]) > width:
+def _groups(columns: Sequence[_Column], width: int) -> Iterator[list[_Column]]:
+    """The columns after the first in groups that fit a width together with it."""
+    group = [columns[0]]
+    for column in columns[1:]:
+        if len(group) > 1 and _together([*group, column]) > width:
             yield group
-            group = list(names)
+            group = [columns[0]]
         group.append(column)
     yield group

@@ -4,11 +4,10 @@
 
 Needs the extra `tumble[lab]`. What a laboratory adds, limits and certificates, is in `tumble.lab.report`.
 
-    document     the order of the sections, the first page
+    document     from files to a file; the order of the sections, the first page
     result       verdict, parameters, launches, several calibrations, correlations
     application  how to apply it: frame, matrices, the whole correction, test vectors
     recording    rests and turns against the programme, residuals, noise
     over_temperature, figures
                  the section on temperature; the sphere and the residuals
-    write        from files to a file
 """

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterator, Mapping
 
-from tumble.result.applied_correction import Example, examples, linear_example
 from tumble.result.calibration import Calibration
+from tumble.result.correction import Example, examples, linear_example
 from tumble.result.further import SENSORS, further_parameters, left_by_matrix
 from tumble.sensors.model import SensorKind
 from tumble.sensors.parameters import group_name, variable_of

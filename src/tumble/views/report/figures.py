@@ -14,8 +14,8 @@ import numpy as np
 from tumble.inference.estimate import FIT_SIGMAS
 from tumble.result.accepted import accepted_kinds
 from tumble.result.calibration import Calibration
+from tumble.result.correction import session_rate
 from tumble.result.further import linear_parameters
-from tumble.result.linear_fit import session_rate
 from tumble.result.parts import RestResult, TurnResult
 from tumble.sensors.model import WORDS
 from tumble.sensors.parameters import group_name, sensor_kind, within_kind

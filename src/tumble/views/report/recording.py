@@ -242,12 +242,7 @@ def noise(recording: RecordedSession) -> Section | None:
 
 def temperature(all_of_them: Sequence[RecordedSession]) -> str:
     """The range of temperatures of the rests."""
-    span = _span(all_of_them)
-    return f"{span} (sensors)" if span else "not recorded"
-
-
-def _span(all_of_them: Sequence[RecordedSession]) -> str:
-    """The lowest to the highest temperature, one where they are shown alike; nothing where none was recorded."""
     celsius = [rest.temperature for r in all_of_them for rest in r.recorded.rests if rest.temperature is not None]
-    ends = (fixed(min(celsius), 1), fixed(max(celsius), 1)) if celsius else ()
-    return " to ".join(dict.fromkeys(ends)) + " °C" if ends else ""
+    if not celsius:
+        return "not recorded"
+    return " to ".join(dict.fromkeys([fixed(min(celsius), 1), fixed(max(celsius), 1)])) + " °C (sensors)"

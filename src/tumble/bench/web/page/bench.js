@@ -73,16 +73,27 @@ function verdict() {
   return `Calibrated: ${result.accepted ? "accepted" : "not accepted"}${left.length ? `; not reached: ${left.join(", ")}` : ""}`;
 }
 
+/** What is dotted in the picture. */
+function dotted() {
+  return ["dotted", state.position && state.position.ghost ? "as it lies now" : ""];
+}
+
+/** The number that counts now, and what it is. */
+function big(text, what = "") {
+  say(of("big"), text);
+  of("big").dataset.what = what;
+}
+
 function figures() {
   const { rest, turn, scatter } = state;
   const degrees = state.temperature === null || state.temperature === undefined ? "" : `${state.temperature.toFixed(2)} °C`;
   const over = state.result || hasStopped() || state.received.ended;
   if (over || state.screen === "done") {
     const left = over || !state.estimate ? [] : state.estimate.groups.filter((group) => !group.enough);
-    say(of("big"), "");
+    big("");
     details(of("details"), left.map((group) => [group.group, group.determined ? `${number(group.u)} of ${number(group.wanted)} ${group.unit}` : "not determined"]));
   } else if (state.screen === "rest") {
-    say(of("big"), rest.nothing_more ? "enough" : rest.left === null ? "…" : clock(rest.left));
+    big(rest.nothing_more ? "enough" : rest.left === null ? "…" : clock(rest.left), rest.left === null ? "" : "to hold still");
     details(of("details"), [
       ["accelerometers ±", rest.u === null ? "…" : `${number(rest.u)} of ${number(rest.wanted)} µg`],
       ["gyros ±", rest.gyro_u === null ? "" : `${number(rest.gyro_u)} of ${number(rest.gyro_wanted)} °/h`],
@@ -93,17 +104,18 @@ function figures() {
       ["", rest.nothing_more ? "longer gives nothing" : ""],
     ]);
   } else if (state.screen === "turn") {
-    say(of("big"), turn.done === null ? "" : `${turn.done.toFixed(0)}°`.replace("-", "−"));
+    big(turn.done === null ? "" : `${turn.done.toFixed(0)}°`.replace("-", "−"), turn.done === null ? "" : "turned so far");
     const scale = turn.full_scale === null ? "" : ` of ${number(turn.full_scale)} °/s`;
     details(of("details"), [
       ["move", state.position ? state.position.move : "any way you like"],
+      dotted(),
       ["rate", turn.rate === null ? "" : `${turn.rate.toFixed(1)} °/s${scale}`],
       ["best", !state.position && state.estimate ? state.estimate.next : ""],
       ["note", state.early],
     ]);
   } else {
-    say(of("big"), "");
-    details(of("details"), state.fault && state.position ? [["move", state.position.move]] : scatter ? [["scatter now", `${number(scatter.now)} m/s²`], ["of a rest below", `${number(scatter.limit)} m/s²`], ["temperature", degrees]] : []);
+    big("");
+    details(of("details"), state.fault && state.position ? [["move", state.position.move], dotted()] : scatter ? [["scatter now", `${number(scatter.now)} m/s²`], ["of a rest below", `${number(scatter.limit)} m/s²`], ["temperature", degrees]] : []);
   }
 }
 

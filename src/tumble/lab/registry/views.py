@@ -156,7 +156,8 @@ def trend_table(device: Trend, shown: Sequence[ParameterTrend], caption: str = "
     def row(trend: ParameterTrend, size: float, unit: str) -> dict[str, str]:
         value, U = with_expanded(trend.points[-1], size)
         low, high = (limit_cell(limit, size) for limit in device.limits.get(trend.name, (math.nan, math.nan)))
-        drift, drift_u = drift_cells(trend, size)
+        known = trend.drift is not None and trend.drift.expanded is not None
+        drift, drift_u = cells(trend.drift.per_year, trend.drift.expanded, size) if trend.drift and known else ("", "")
         change, e_n = _change_cells(trend.last_change, size)
         return {
             "history": sparkline([p.value for p in trend.points]),
@@ -279,13 +280,6 @@ def sparkline(values: Sequence[float]) -> str:
     if high == low:
         return _BARS[3] * len(shown)
     return "".join(_BARS[min(int((v - low) / (high - low) * len(_BARS)), len(_BARS) - 1)] for v in shown)
-
-
-def drift_cells(trend: ParameterTrend, size: float) -> tuple[str, str]:
-    """The drift a year and its U, where there is one."""
-    if trend.drift is None or trend.drift.expanded is None:
-        return "", ""
-    return cells(trend.drift.per_year, trend.drift.expanded, size)
 
 
 def _change_cells(change: Change | None, size: float) -> tuple[str, str]:

@@ -1,1 +1,0 @@
-"""What the laboratory shows: registry and data sheets."""
