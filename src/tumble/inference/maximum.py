@@ -280,7 +280,7 @@ def without_outliers(fitted: Maximum, iterations: int = MAX_ITERATIONS) -> Maxim
     """The maximum without the rests and turns that do not fit; the same where all do."""
     every = np.concatenate(sigmas(fitted.solution)[: 3 if fitted.problem.magnetometer is None else 5])
     whole = all(np.all(each == 1.0) for each in fitted.linearisation.noise.weights)
-    if whole and 2.0 * scipy.special.ndtr(-every.max()) * len(every) > STANDS_OUT:
+    if whole and 2.0 * scipy.special.ndtr(-every.max(initial=0.0)) * max(len(every), 1) > STANDS_OUT:
         return fitted
     robust = maximum(fitted.linearisation, fitted.phi, iterations, robust=True)
     dropped = [w < LEAST_WEIGHT for w in student_weights(chi_square_falls(robust.solution))]
