@@ -119,7 +119,7 @@ def observed_in_motion(course: MotionCourse, setup: Setup, gyro: Block) -> tuple
     ends = np.minimum(np.stack([starts, starts + SAMPLES // PARTS], axis=1), count - 1)
     motion = Links(
         file=np.zeros(links + 1, dtype=np.int64),
-        time=NODE_SECONDS * np.arange(links + 1),
+        time=np.asarray(NODE_SECONDS * np.arange(links + 1)),
         rest=np.zeros(0, dtype=np.int64),
         before=np.arange(links),
         free=np.ones(links, dtype=bool),
