@@ -24,9 +24,8 @@ from typing import Any
 
 import numpy as np
 
-from tumble.campaigns.campaign import campaign_of
+from tumble.campaigns.campaign import SummaryLine, campaign_of, summary
 from tumble.campaigns.engine import run
-from tumble.campaigns.summary import SummaryLine, summary
 from tumble.campaigns.trial import random_numbers
 from tumble.planning.setup import GROUPS, UNITS, Setup
 from tumble.run.calibrate import ITERATED_METHODS, METHODS

@@ -1,7 +1,7 @@
 """The public names and where each is: type checkers read this file, and `tumble/__init__.py` imports from it."""
 
+from tumble.campaigns.campaign import campaign as campaign
 from tumble.campaigns.fleet import fleet as fleet
-from tumble.campaigns.summary import campaign as campaign
 from tumble.drafting.new_session import new_session as new_session
 from tumble.earth import normal_gravity as normal_gravity
 from tumble.errors import InputError as InputError

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from tumble.campaigns.campaign import Campaign as Campaign
+from tumble.campaigns.campaign import CampaignResult as CampaignResult
+from tumble.campaigns.campaign import SummaryLine as SummaryLine
 from tumble.campaigns.cluster import Place as Place
 from tumble.campaigns.fleet import FleetResult as FleetResult
-from tumble.campaigns.summary import CampaignResult as CampaignResult
-from tumble.campaigns.summary import SummaryLine as SummaryLine
 from tumble.diagnosis.observability import Refusal as Refusal
 from tumble.drafting.draft import Draft as Draft
 from tumble.drafting.new_session import Given as Given

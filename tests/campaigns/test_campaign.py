@@ -12,9 +12,8 @@ import pytest
 from click.testing import CliRunner, Result
 
 from tumble.campaigns import trial
-from tumble.campaigns.campaign import Campaign, campaign_of, read_campaign
+from tumble.campaigns.campaign import Campaign, campaign_of, read_campaign, summary
 from tumble.campaigns.engine import Executor, run, serially
-from tumble.campaigns.summary import summary
 from tumble.campaigns.trial import Cell, session_rows
 from tumble.cli import main
 from tumble.diagnosis.verdict import verdict

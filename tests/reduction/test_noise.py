@@ -446,6 +446,11 @@ def test_without_matplotlib_the_extra_is_named(
         plot(panels, tmp_path / "allan.svg")
 
 
+def test_a_calibration_imports_no_interpolation_unless_a_thermometer_has_steps() -> None:
+    code = "import sys, tumble.run.calibrate; assert 'scipy.interpolate' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
 def test_matplotlib_is_imported_by_plot_alone() -> None:
     code = "import sys, tumble.reduction.noise.wavelet_moments; assert 'matplotlib' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)

@@ -42,7 +42,7 @@ RESULTS: Mapping[str, Any] = {
     "check": ("use.check.FieldCheck", "use.check.CheckedRest", "use.stream.Notice"),
     "compare": "use.compare.Comparison",
     "plan": "planning.plan.Plan",
-    "campaign": "campaigns.summary.CampaignResult",
+    "campaign": "campaigns.campaign.CampaignResult",
     "fleet": "campaigns.fleet.FleetResult",
     "registry-add": _RECORD,
     "registry-show": (_RECORD, "lab.datasheet.Datasheet"),

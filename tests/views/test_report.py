@@ -298,7 +298,15 @@ def with_groups(content: Any) -> None:
     content["prediction"] = {"force_u": 1.7e-5, "rate_u": 2e-6, "at_rate": 0.4}
     fine: dict[str, list[str]] = {"reasons": [], "remarks": []}
     said = {"verdict": "accepted with scatter", "reasons": [], "remarks": [MARKUP]}
-    content["outcome"] = {"accepted": True, **said, "unobservable": [], "accel": fine, "gyro": said}
+    concerns = {MARKUP: ["gyro"]}
+    content["outcome"] = {
+        "accepted": True,
+        **said,
+        "unobservable": [],
+        "concerns": concerns,
+        "accel": fine,
+        "gyro": said,
+    }
 
 
 @pytest.fixture(scope="session")

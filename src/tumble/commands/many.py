@@ -24,7 +24,7 @@ def campaign(file: Path, out: Path, **place: Any) -> None:
     It shows errors against the truth, their ratio to the Cramér–Rao bound, coverage and failures. A campaign that
     was interrupted goes on where it was when the same command is given again.
     """
-    from tumble.campaigns.summary import campaign, varying
+    from tumble.campaigns.campaign import campaign, varying
     from tumble.views.campaign import summary_blocks
 
     with tell.task_progress("trials", out) as progress:

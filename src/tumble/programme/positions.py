@@ -34,7 +34,6 @@ _AXES = {"N": np.array([1.0, 0.0, 0.0]), "U": np.array([0.0, 1.0, 0.0]), "E": np
 _DIRECTIONS = _AXES | {"S": -_AXES["N"], "D": -_AXES["U"], "W": -_AXES["E"]}
 _OPPOSITE = dict(zip("NSUDEW", "SNDUWE", strict=True))
 _TURN = re.compile(r"([NUE])([+-](?:[0-9]+\.?[0-9]*|\.[0-9]+))")
-_FULL_TURN_DEG = 360.0
 CORNER = "corner"
 """What the code of a block on its corner begins with."""
 _SIGNS = re.compile(r"[+-]X[+-]Y[+-]Z")
@@ -129,7 +128,7 @@ def code_of_vertical(vertical: Array) -> str:
 def _turn(code: str, turn: str) -> tuple[Array, float]:
     """Geographic axis and signed angle, rad, of a turn like "E-90.5"."""
     found = _TURN.fullmatch(turn)
-    if found is None or abs(float(found[2])) > _FULL_TURN_DEG:
+    if found is None or abs(float(found[2])) > 360.0:
         raise ProgrammeError(
             f'attitude "{code}": expected a turn about N, U or E by up to 360 degrees with a sign, '
             f'such as N+45 or E-90.5, found "{turn}"'

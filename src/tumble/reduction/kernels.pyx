@@ -82,6 +82,33 @@ cpdef continue_autocovariance(double[::1] autocovariance, const double[::1] pred
                 break
 
 
+cpdef mean_variances(
+    const double[:, :] autocovariance, const double[:] batches, double least, double[:, ::1] sums, double[:, ::1] out,
+):
+    """Variances (c, n), into `out`, of means over K (n,) samples, by the autocovariances (c, L) from lag 0,
+
+        v(K) = (2 (Σ r_j − Σ j r_j / K) − r_0) / K,    j < K,
+
+    and not less than `least` r_0/K. `sums` (2, L): room for the partial sums of one channel."""
+    cdef double K, white, total, moment
+    cdef Py_ssize_t last, longest = 0
+    with nogil:
+        for k in range(batches.shape[0]):
+            last = min(max(<Py_ssize_t> batches[k], 1), autocovariance.shape[1]) - 1
+            longest = max(longest, last)
+        for c in range(autocovariance.shape[0]):
+            total, moment = 0.0, 0.0
+            for j in range(longest + 1):
+                total += autocovariance[c, j]
+                moment += j * autocovariance[c, j]
+                sums[0, j], sums[1, j] = total, moment
+            white = autocovariance[c, 0]
+            for k in range(batches.shape[0]):
+                K = batches[k]
+                last = min(max(<Py_ssize_t> K, 1), autocovariance.shape[1]) - 1
+                out[c, k] = max((2.0 * (sums[0, last] - sums[1, last] / K) - white) / K, least * white / K)
+
+
 # A lag of first order ----------------------------------------------------------------------------------------
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from tumble.campaigns.summary import SummaryLine, varying
+from tumble.campaigns.campaign import SummaryLine, varying
 from tumble.sensors.parameters import shown_in
 from tumble.views.blocks import Block, table
 

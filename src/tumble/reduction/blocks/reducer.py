@@ -216,7 +216,7 @@ class _Channels:
     def feed(self, samples: Array | None, time: Array, dt: Array, ends: IntArray, seconds: Array) -> None:
         """Add samples (m, n), of which those at `ends` (k,) complete blocks of `seconds` (k,)."""
         values = samples if len(self.state) and samples is not None else np.empty((len(dt), 0))
-        weight = dt if self.increments else np.ones(len(dt))
+        weight = dt if self.increments else np.broadcast_to(1.0, len(dt))
         out = np.empty((len(ends), len(self.sums)))
         _kernels.block_sums(values, time, weight, self.size, self.sums, self.filled, self.state, out)
         weights = seconds if self.increments else np.full(len(ends), float(self.size))

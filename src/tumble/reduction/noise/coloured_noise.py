@@ -29,7 +29,6 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from tumble.reduction import kernels as _kernels
 from tumble.units import Array, BoolArray
@@ -64,7 +63,7 @@ class ColouredNoise:
 
     def variance_of_mean(self, blocks: float) -> Array:
         """Variance (c,) of a mean over blocks, at level 1."""
-        return _variance_of_mean(self.autocovariance, blocks / self.batch)
+        return _variance_of_mean(self.autocovariance, np.array([blocks / self.batch]))[:, 0]
 
     def arising(self, blocks: float) -> float:
         """The time at which the noise of an integral over T, so many blocks, arises: the variance of ∫ (T − t) n dt in
@@ -95,10 +94,10 @@ def fit_coloured_noise(rests: Sequence[Array]) -> ColouredNoise:
     ordinary = [i for i, rest in enumerate(rests) if len(rest) <= LONG * typical]
     pieces = [piece for i in long for piece in np.array_split(rests[i], math.ceil(len(rests[i]) / typical))]
     alike = _alike([rests[i] for i in ordinary], pieces)
-    noise, of_long = _fit([rests[i] for i in ordinary] + alike), fit_coloured_noise([rests[i] for i in long])
+    noise, noise_of_long = _fit([rests[i] for i in ordinary] + alike), fit_coloured_noise([rests[i] for i in long])
     level = np.empty((len(rests), rests[0].shape[1]))
-    level[ordinary], level[long] = noise.level[: len(ordinary)], of_long.level
-    return replace(noise, level=level, apart={rest: (of_long, index) for index, rest in enumerate(long)})
+    level[ordinary], level[long] = noise.level[: len(ordinary)], noise_of_long.level
+    return replace(noise, level=level, apart={rest: (noise_of_long, index) for index, rest in enumerate(long)})
 
 
 def _alike(rests: list[Array], pieces: list[Array]) -> list[Array]:
@@ -153,15 +152,11 @@ def _fit(rests: Sequence[Array]) -> ColouredNoise:
     return ColouredNoise(batch=batch, autocovariance=autocovariance, correlation=correlation, level=level)
 
 
-def _variance_of_mean(autocovariance: Array, batches: ArrayLike) -> Array:
-    """v(K) of the module docstring by partial sums of r_j and of j r_j: of autocovariances (..., L) for one K (...), or
-    for several (..., n), in batches."""
-    K = np.asarray(batches, dtype=float)
-    last = np.clip(K.astype(np.int64), 1, autocovariance.shape[-1]) - 1
-    r = autocovariance[..., : int(last.max()) + 1]
-    sums, moments = np.cumsum(r, axis=-1)[..., last], np.cumsum(np.arange(r.shape[-1]) * r, axis=-1)[..., last]
-    white = r[..., :1] if K.ndim else r[..., 0]
-    return np.asarray(np.maximum((2.0 * (sums - moments / K) - white) / K, LEAST * white / K))
+def _variance_of_mean(autocovariance: Array, batches: Array) -> Array:
+    """v(K) (c, n) of the module docstring for autocovariances (c, L) and numbers K (n,) of batches."""
+    out = np.empty((len(autocovariance), len(batches)))
+    _kernels.mean_variances(autocovariance, batches.astype(float), LEAST, np.empty((2, autocovariance.shape[1])), out)
+    return out
 
 
 @lru_cache(maxsize=256)
@@ -207,18 +202,18 @@ def _fit_channels(channels: list[list[Array]], longest: int, sloping: BoolArray)
     lost, bent = np.zeros(len(channels)), np.zeros(raw.shape)
     for _ in range(50 if len(noisy) else 0):
         corrected = raw + lost[:, None] + bent
-        of_orders = []  # filters, a row each, and innovation variances, up to where no process has the autocovariances
+        fits = []  # filters, a row each, and innovation variances, up to where no process has the autocovariances
         for c in noisy:
-            of_order, powers = np.zeros((order_limit + 1,) * 2), np.zeros(order_limit + 1)
-            count = _kernels.levinson(corrected[c], of_order, powers)
-            of_orders.append((of_order[:count], powers[:count]))
-        orders = min(len(powers) for _, powers in of_orders)
-        surprise = total * sum(np.log(powers[:orders]) for _, powers in of_orders)
+            order_filters, powers = np.zeros((order_limit + 1,) * 2), np.zeros(order_limit + 1)
+            count = _kernels.levinson(corrected[c], order_filters, powers)
+            fits.append((order_filters[:count], powers[:count]))
+        orders = min(len(powers) for _, powers in fits)
+        surprise = total * sum(np.log(powers[:orders]) for _, powers in fits)
         fitted = np.arange(orders) + 1.0
         best = int(np.argmin(surprise + 2.0 * len(noisy) * fitted * total / (total - fitted - 1.0)))
         now = np.zeros(len(channels))
-        for c, (of_order, _) in zip(noisy, of_orders, strict=True):
-            filters[c] = of_order[best, : best + 1]
+        for c, (order_filters, _) in zip(noisy, fits, strict=True):
+            filters[c] = order_filters[best, : best + 1]
             autocovariance[c], autocovariance[c, : best + 1] = 0.0, corrected[c, : best + 1]
             if best:
                 _kernels.continue_autocovariance(autocovariance[c], filters[c], NEGLIGIBLE)
@@ -249,7 +244,7 @@ def _levels(series: list[Array], autocovariance: Array) -> Array:
         return level
     lengths = np.array([len(series[i]) for i in long])
     different, which = np.unique(lengths, return_inverse=True)
-    expected = autocovariance[0] - _variance_of_mean(autocovariance, different)[which]
+    expected = autocovariance[0] - _variance_of_mean(autocovariance[None], different)[0, which]
     power = np.array([series[i] @ series[i] for i in long]) / lengths / np.maximum(expected, 1e-12 * autocovariance[0])
     if np.median(power) == 0.0:
         return level

@@ -102,7 +102,7 @@ def rounding(samples: Array, rests: Sequence[Array], channels: Sequence[ChannelS
     return Rounding(
         step=step,
         noise=noise,
-        of_rest=step * np.sqrt(_left(relative)),
+        of_rest=step * np.sqrt(_mean_square(relative)),
         common_u=step * common,
     )
 
@@ -144,22 +144,22 @@ def _rounded_gaussians() -> tuple[Array, Array, Array, Array]:
     return noise, x, means, share @ whole**2 - means**2
 
 
-def rounding_notes(found: Mapping[str, Rounding]) -> tuple[str, ...]:
-    """Channels whose noise is too small for rounding to average out, in words; `found` by "accel" and "gyro"."""
+def rounding_notes(rounded: Mapping[str, Rounding]) -> tuple[str, ...]:
+    """Channels whose noise is too small for rounding to average out, in words; `rounded` by "accel" and "gyro"."""
     kinds = {"accel": ("accelerometer", 1e-6 * G_STANDARD, "µg"), "gyro": ("gyro", DEGREE_PER_HOUR, "°/h")}
-    said = []
-    for kind, each in found.items():
+    notes = []
+    for kind, each in rounded.items():
         name, unit, shown = kinds[kind]
         for i in np.flatnonzero(each.common_u):
-            said.append(
+            notes.append(
                 f"{name} {i + 1}: its noise is {each.noise[i] / each.step[i]:.2g} of its resolution of "
                 f"{each.step[i] / unit:.3g} {shown}, so that rounding does not average out: standard uncertainty "
                 f"{each.common_u[i] / unit:.2g} {shown}, common to all rests that read the same"
             )
-    return tuple(said)
+    return tuple(notes)
 
 
-def _left(relative: Array) -> Array:
+def _mean_square(relative: Array) -> Array:
     """B(σ)/L² of the module docstring for σ/L (n,)."""
     return np.asarray((np.exp(-4.0 * np.pi**2 * np.outer(relative**2, _TERMS**2)) / _TERMS**2).sum(axis=1)) / (
         2.0 * np.pi**2
@@ -171,7 +171,7 @@ def _noise(scatter: float, step: float) -> float:
     if step == 0.0 or scatter > step:
         return float(np.sqrt(max(scatter**2 - step**2 / 12.0, 0.0)))
     sigma = np.linspace(0.0, 1.2, 1201)
-    left = np.append([1.0 / 12.0], _left(sigma[1:]))  # the sum converges slowly at 0
+    left = np.append([1.0 / 12.0], _mean_square(sigma[1:]))  # the sum converges slowly at 0
     return float(step * np.interp((scatter / step) ** 2, sigma**2 + 1.0 / 12.0 - left, sigma))
 
 

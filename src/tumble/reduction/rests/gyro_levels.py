@@ -64,7 +64,7 @@ _G, _G_AND_DRIFT, _STEP, _G_AND_STEP = [0, 1, 2, 3], [0, 1, 2, 3, 4], [0, 5], [0
 
 def level_function(
     rates: list[Array],
-    goes_with: tuple[list[Array], list[Array]],
+    force_and_time: tuple[list[Array], list[Array]],
     rests: list[list[Span]],
     off: list[OffLevel],
     limit: float,
@@ -73,14 +73,14 @@ def level_function(
 ) -> LevelFunction | None:
     """Fit G, d and s to the levels of rests of at least `least` blocks and of stretches off the level.
 
-    `rates`, `goes_with`: by file the block means (K, 3) of the rate, rad/s, and those of the specific force, m/s², with
-    their times (K,), −1 … 1. `limit`: largest distance, rad/s, from a level that follows the function. None where no
-    function explains the levels of most stretches, or where one level does as well."""
+    `rates`, `force_and_time`: by file the block means (K, 3) of the rate, rad/s, and those of the specific force,
+    m/s², with their times (K,), −1 … 1. `limit`: largest distance, rad/s, from a level that follows the function. None
+    where no function explains the levels of most stretches, or where one level does as well."""
     of_rests = [(k, i, j) for k, spans in enumerate(rests) for i, j in spans if j - i >= least]
     stretches = of_rests + [(s.place, s.first, s.last) for s in off]
     if len(stretches) < tuning.level_attitudes:
         return None
-    (force, time), sizes = goes_with, [*(3 * [tuning.g_sensitivity]), tuning.level_drift, tuning.level_drift]
+    (force, time), sizes = force_and_time, [*(3 * [tuning.g_sensitivity]), tuning.level_drift, tuning.level_drift]
     usual = np.array(sizes) / limit
     cores = [(k, *core(i, j, least)) for k, i, j in stretches]
     level = np.array([rates[k][i:j].mean(axis=0) for k, i, j in cores])

@@ -34,14 +34,14 @@ def with_thermometer_errors(observations: Observations) -> Observations:
     middle, files = 0.5 * (rests.start + rests.stop), dict[int, tuple[float, Array]]()
     variance, kelvin = np.zeros((len(rests), thermometers.count)), np.zeros((len(rests), thermometers.count))
     for file, (start, record) in thermometers.files.items():
-        smooth, of = record.copy(), rests.file == file
+        smooth, in_file = record.copy(), rests.file == file
         for t, column in enumerate(record.T):
             time, level = passed(column)
             smooth[:, t] = curve_through(time, level, column)
             seconds = start + STEP * time
-            count = np.searchsorted(seconds, rests.stop[of]) - np.searchsorted(seconds, rests.start[of])
-            variance[of, t] = error_of(time, level) ** 2 / np.maximum(count, 1)
-            kelvin[of, t] = np.interp(middle[of], start + STEP * np.arange(len(column)), smooth[:, t])
+            count = np.searchsorted(seconds, rests.stop[in_file]) - np.searchsorted(seconds, rests.start[in_file])
+            variance[in_file, t] = error_of(time, level) ** 2 / np.maximum(count, 1)
+            kelvin[in_file, t] = np.interp(middle[in_file], start + STEP * np.arange(len(column)), smooth[:, t])
         files[file] = start, smooth
     same = np.diff(rests.file) == 0
     both = (observations.accel_block, rests.accel, "accel"), (observations.gyro_block, rests.gyro, "gyro")
@@ -51,9 +51,11 @@ def with_thermometer_errors(observations: Observations) -> Observations:
             continue
         warmed, moved = np.diff(kelvin, axis=0)[same][:, block.thermometer], np.diff(means, axis=0)[same]
         slope = (warmed * moved).sum(axis=0) / np.maximum((warmed**2).sum(axis=0), 1e-300)
-        by = slope * np.sqrt(variance[:, block.thermometer])
+        error = slope * np.sqrt(variance[:, block.thermometer])
         alike = block.thermometer[:, None] == block.thermometer
-        covariances[f"{kind}_covariance"] = getattr(rests, f"{kind}_covariance") + alike * by[:, :, None] * by[:, None]
+        covariances[f"{kind}_covariance"] = (
+            getattr(rests, f"{kind}_covariance") + alike * error[:, :, None] * error[:, None]
+        )
     return replace(observations, rests=replace(rests, **covariances), thermometers=Thermometers(files=files))
 
 
@@ -64,10 +66,10 @@ def passed(record: Array) -> tuple[Array, Array]:
     level = 0.5 * (record[at] + record[at + 1])
     ends = np.flatnonzero(np.diff(level)) + 1
     time, out = list[float](), list[float]()
-    for group, of in zip(np.split(at + 0.5, ends), np.split(level, ends), strict=True) if len(at) else ():
+    for group, levels in zip(np.split(at + 0.5, ends), np.split(level, ends), strict=True) if len(at) else ():
         parts = [group] if len(group) % 2 else np.split(group, [int(np.argmax(np.diff(group))) + 1])
         time += [float(part.mean()) for part in parts]
-        out += [float(of[0])] * len(parts)
+        out += [float(levels[0])] * len(parts)
     return np.array(time), np.array(out)
 
 
