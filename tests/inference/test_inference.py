@@ -139,7 +139,7 @@ def test_the_score_is_the_derivative_with_rows_that_count_less_and_rows_left_out
     rest, turn = (rng.uniform(0.3, 1.0, w.shape) for w in (at.noise.rest_weights, at.noise.turn_weights))
     rest[3], turn[5] = 1e-3, 1e-3
     entries, step = maximum(at, iterations=1).hyperparameters, 1e-4
-    at, phi = replace(at, noise=at.noise.weighted(rest, turn)), away_from_bounds(entries)
+    at, phi = replace(at, noise=at.noise.weighted(rest, turn, at.noise.link_weights)), away_from_bounds(entries)
     here = restricted_likelihood(at, entries, phi)
     gradient, _ = score(entries, here)
     for i, h in enumerate(entries):

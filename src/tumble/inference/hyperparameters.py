@@ -3,7 +3,7 @@
 | φ | what | prior |
 |---|---|---|
 | ln σ of a component of scatter | rests | σ exponential, its mean m the noise it stands beside |
-| | turns, velocities … | σ of density m/(m + σ)² |
+| | turns, velocities …, magnetometer | σ of density m/(m + σ)² |
 | ln σ_b, ln τ_b of a kind | in-run bias, a Gauss–Markov process | log-normal about the grade's size and 300 s, ÷× 30 |
 | ln σ_p, ln τ_p | displacement of a device in motion, a Gauss–Markov process | log-normal about 2 cm and 0.5 s |
 | p of a sensor | its scatter and in-run bias are exp(max(p, 0)) times those of its kind | N(0, ln 3) |
@@ -293,11 +293,11 @@ class Score:
     def sensors(self) -> QuadraticForms:
         """By sensor (n,), of its scatter at rest and of its in-run bias."""
         of_states, (_, along, place) = self.states, self.directions[0]
-        n = len(place)
-        v = self.variances[place]
+        n = self.solution.problem.sensors
+        v = self.variances[place[:n]]
         return QuadraticForms(
-            square=v * (along**2).sum(axis=0) + of_states.square[:n],
-            trace=v * np.einsum("kqq->q", self._products[0]) + of_states.trace[:n],
+            square=v * (along[:, :n] ** 2).sum(axis=0) + of_states.square[:n],
+            trace=v * np.einsum("kqq->q", self._products[0])[:n] + of_states.trace[:n],
             double=0.5 * SENSED * len(self.solution.problem.link) + of_states.double[:n],
         )
 
@@ -537,7 +537,8 @@ def average_information(hyperparameters: Hyperparameters, solution: Solution) ->
     of_sensors = hyperparameters.members(SensorFactor, problem.sensors)
     variates = list[Array]()
     for number, (WZ, along, place) in enumerate(Score(solution).directions):
-        some = of_scatter[:, place] + (of_sensors if number == 0 else 0.0)
+        some = of_scatter[:, place]
+        some[:, : problem.sensors] += of_sensors if number == 0 else 0.0
         variates.append((2.0 * noise.variances[place] * along[:, None] * WZ) @ some.T)
     off = point.values + solution.parameters[1:] - problem.prior_mean[1:]
     of_prior = -2.0 * (off / problem.prior_u[1:])[:, None] * hyperparameters.members(GroupSize, len(off)).T

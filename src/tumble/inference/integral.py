@@ -692,16 +692,32 @@ class Conditional:
     process_covariance: Array
 
 
+def covariance_with_local(solution: Solution, some: slice) -> Array:
+    """The covariance (k, 1 + m) of some of what a session has beside with gravity and the parameters, biases being
+    those of the session."""
+    return np.asarray(solution.roots[0, some] @ _session_root(solution)[0].T)
+
+
+def _session_root(solution: Solution) -> tuple[Array, tuple[Array, Array] | None]:
+    """A root of the covariance of gravity and the parameters as far as they are uncertain by what they have in common
+    with the session, biases being those of the session, and the mean of these (`session_mean_bias`) where they
+    wander."""
+    roots = solution.roots[..., 0, :, :]
+    root, mean = roots[..., len(solution.problem.usual_local_u) :, :].copy(), None
+    if solution.equations.wanders and len(solution.problem.parts) == 1:
+        mean = session_mean_bias(solution.equations)
+        root[..., 1 + solution.problem.biases, :] += mean[0][..., :-1] @ roots
+    return root, mean
+
+
 def conditional(solution: Solution) -> Conditional:
     """The posterior at φ, or at a stack of them."""
     biases, problem = 1 + solution.problem.biases, solution.problem
-    step, roots = solution.parameters.copy(), solution.roots[..., 0, :, :]
-    root = roots[..., len(problem.usual_local_u) :, :].copy()
-    process, by_noise = root[..., biases, :], None
-    if solution.equations.wanders and len(problem.parts) == 1:
-        by_shared, by_noise = session_mean_bias(solution.equations)
+    step, (root, mean) = solution.parameters.copy(), _session_root(solution)
+    process, by_noise = solution.roots[..., 0, len(problem.usual_local_u) :, :][..., biases, :], None
+    if mean is not None:
+        by_shared, by_noise = mean
         step[..., biases] += (by_shared @ solution.shared[..., 0, :, None])[..., 0]
-        root[..., biases, :] += by_shared[..., :-1] @ roots
     covariance = root @ np.swapaxes(root, -1, -2)
     if by_noise is not None:
         along = np.swapaxes(by_noise, -3, -2).reshape(*step.shape[:-1], len(biases), -1)

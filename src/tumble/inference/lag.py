@@ -86,7 +86,7 @@ def maximum_with_lags(start: Linearisation, iterations: int) -> tuple[Maximum, A
     def held(values: Array, near: Linearisation) -> Linearisation:
         """The linearisation where the lags are known to be those among values (m,)."""
         there = linearise(free.with_lags(values), replace(near.point, values=values), near.about)
-        return replace(there, noise=there.noise.weighted(near.noise.rest_weights, near.noise.turn_weights))
+        return replace(there, noise=there.noise.weighted(*near.noise.weights))
 
     def with_lag(values: Array, kind: str, lag: float) -> Array:
         out = values.copy()

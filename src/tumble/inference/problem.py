@@ -43,7 +43,8 @@ from typing import Any
 import numpy as np
 
 from tumble.earth import EARTH_RATE, earth_rate
-from tumble.inference.noise import NoiseModel
+from tumble.inference.magnetometer import Magnetometer
+from tumble.inference.noise import SCATTER, NoiseModel
 from tumble.inference.variables import GROWING, KINDS, Variables, variables_of
 from tumble.reduction.observations import Observations
 from tumble.reduction.turns.links import PARTS
@@ -57,8 +58,12 @@ LEVER, SUPPORT = 3, 24
 """Numbers of a lever, and of how what holds a device gives way: columns of `support_columns`."""
 LEVER_U, SUPPORT_U = 0.5, 0.01
 """m: standard deviations of the lever from what holds a device to the instrument, and of each of the others."""
+LEAST_FIELD = 1e-6
+"""Of the field: no reading of a magnetometer is taken to be better known."""
 LAG_HELD = 1e-3
 """s: standard deviation of a lag that is held."""
+MAGNETIC_ROWS = slice(9, 12)
+"""The rows of a link that are those of a magnetometer at the node before it."""
 OWN: tuple[Variable, ...] = ("time", "launch")
 """What the changes go with that each of several sessions has of its own."""
 
@@ -187,6 +192,8 @@ class Problem:
         Standard deviations of the priors of these, and those of usual size.
     at_lags
         The lags at which the variables are.
+    magnetometer
+        The magnetometer, of which a session has its unknowns beside; None without one.
     bias_after
         The share of the in-run bias of a turn that is that of the rest after it; the other is of the rest before.
     """
@@ -210,6 +217,7 @@ class Problem:
     usual_local_u: Array
     at_lags: tuple[float, ...] = ()
     bias_after: float = 0.5
+    magnetometer: Magnetometer | None = None
 
     @staticmethod
     def of(
@@ -345,6 +353,11 @@ class Problem:
         """Where the lags behind the thermometers stand among the parameters, by kind of sensor."""
         members = self.instrument.members
         return {kind: members[f"{kind}.lag"].start for kind in KINDS if f"{kind}.lag" in members}
+
+    def with_magnetometer(self, magnetometer: Magnetometer) -> Problem:
+        """The problem with the readings of a magnetometer, whose unknowns come first of those that a session has."""
+        u = np.concatenate([magnetometer.u, self.local_u])
+        return replace(self, magnetometer=magnetometer, local_u=u, usual_local_u=u)
 
     def _changed(self, **fields: Any) -> Problem:
         """The problem with other fields, and with all that was made of those that stay."""
@@ -532,10 +545,16 @@ def _noise_of_session(problem: Problem) -> NoiseModel:
         blocks.append(rests.gyro_covariance + earth * gyro.axes @ gyro.axes.T)
     if problem.prior.attitude is not None:
         blocks.append(np.broadcast_to(problem.prior.attitude**2 * np.eye(3), (len(rests), 3, 3)))
+    mag = 0 if problem.magnetometer is None else 3
+    if problem.magnetometer is not None:
+        assert rests.magnetometer_covariance is not None
+        blocks.append(rests.magnetometer_covariance + (LEAST_FIELD * problem.magnetometer.field) ** 2 * np.eye(3))
     rest, t, v = _diagonal(blocks), problem.rows_of_turn, 3 if problem.instrument.in_velocities else 0
     sensors, spare = n + rests.gyro.shape[1], t - v - 3
-    at_rest = np.broadcast_to(np.eye(rest.shape[1], sensors), (len(rests), rest.shape[1], sensors))
-    rest_places = np.repeat([0, 1], [n, sensors - n])
+    along = np.zeros((rest.shape[1], sensors + mag))
+    along[:sensors, :sensors], along[rest.shape[1] - mag :, sensors:] = np.eye(sensors), np.eye(mag)
+    at_rest = np.broadcast_to(along, (len(rests), *along.shape))
+    rest_places = np.repeat([0, 1, SCATTER.index("mag")], [n, sensors - n, mag])
     turn_places = np.repeat([2, 3, 4, 5, 7, 6], [3, v, spare, v, spare, 3])  # in SCATTER
     turn, Z = np.zeros((0, t, t)), np.zeros((len(problem.before_turn), t, len(turn_places)))
     if turns is not None and len(turns):
@@ -564,6 +583,7 @@ def _noise_of_session(problem: Problem) -> NoiseModel:
         rest=rest,
         turn=turn,
         link=np.zeros((0, 9, 9)),
+        link_weights=np.ones((len(problem.before_link), 9 + mag * problem.moves)),
         rest_directions=(at_rest, rest_places),
         turn_directions=(Z, turn_places),
         link_directions=(np.zeros((0, 9, 0)), np.zeros(0, dtype=np.int64)),

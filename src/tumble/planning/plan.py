@@ -24,6 +24,7 @@ from tumble.diagnosis.observability import in_words
 from tumble.errors import InputError
 from tumble.planning.bounds import CLOCK, GRAVITY, Bound, stated
 from tumble.planning.error_propagation import MethodOfPaper
+from tumble.planning.in_motion import Motion
 from tumble.planning.next_positions import NextPosition, TurnTable, next_positions
 from tumble.planning.pass_errors import ESTIMATORS, REST_NOISE, PassErrors, remarks
 from tumble.planning.setup import MEMBERS, NAMES, UNITS, Setup, check_setup, expect, with_all_groups
@@ -96,10 +97,10 @@ class Plan(Brief):
     wanted accuracy needs. `reasons` are what the programme does not determine and what no set-up gives, `remarks` where
     the set-up is outside the range of the formulas, in sentences. Of joint, `rank` is how many combinations of the
     linear parameters are determined, and `condition` that of the whitened Jacobian. `assumptions` are what `calibrate`
-    has otherwise where a session does not state it."""
+    has otherwise where a session does not state it. `motion` is what is recorded in place of the programme."""
 
     json_fields: ClassVar[tuple[str, ...]] = (
-        *("verdict", "reasons", "remarks", "assumptions", "setup", "method", "rank", "condition", "groups"),
+        *("verdict", "reasons", "remarks", "assumptions", "setup", "method", "motion", "rank", "condition", "groups"),
         *("following", "requirements"),
     )
     setup: Setup
@@ -109,6 +110,7 @@ class Plan(Brief):
     condition: float | None = None
     following: tuple[NextPosition, ...] = ()
     requirements: tuple[Requirement, ...] = ()
+    motion: Motion | None = None
     reasons: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
 
@@ -117,6 +119,7 @@ class Plan(Brief):
         """What the plan takes the session to state, in sentences."""
         g, usual = self.setup.gravity, UNKNOWN_HEIGHT_GRAVITY_U
         return (
+            *(() if self.motion is None else (self.motion.assumption,)),
             f"the session states gravity, or height, to {1e6 * self.setup.gravity_u / g:.2g} ppm of accel.scale "
             f"(--gravity-u); where it states neither, {1e6 * usual / g:.0f} ppm are in u",
             f"its time base is known to {1e6 * self.setup.clock_u:.3g} ppm of gyro.scale (--clock-ppm-u); a sample "
@@ -146,6 +149,7 @@ def plan(
     wanted: Mapping[str, float] | None = None,
     gyros: bool = True,
     table: TurnTable | None = None,
+    motion: Motion | None = None,
     progress: Progress = lambda _added, _most: None,
 ) -> Plan:
     """What a calibration by a set-up's programme will state, before it is made.
@@ -169,6 +173,9 @@ def plan(
         Of joint: with False, accelerometers alone.
     table
         How the device can be turned to a next position; by default as the programme turns it.
+    motion
+        A recording of a device that is turned without rests, in place of the programme; of joint with gyros, without
+        wanted accuracies.
     progress
         Receives how far the search for more positions is.
 
@@ -192,15 +199,19 @@ def plan(
         raise InputError(f"iterations: expected at least 1, found {iterations}")
     for group, value in wanted.items():
         expect(group, value, least="more than 0")
+    if motion is not None and (method != "joint" or not gyros or wanted):
+        raise InputError(f"{motion.held}: expected the method joint, gyros and no wanted accuracies, found others")
     if method != "joint":
         if not gyros:
             raise InputError(f"gyros: expected True with the method {method}, found False; take the method joint")
         return _plan_of_paper(setup, method, iterations, wanted)
 
     def state(setup: Setup) -> Bound:
-        return stated(setup, gyros=gyros, terms=terms)
+        return stated(setup, gyros=gyros, terms=terms, motion=motion)
 
     def following(setup: Setup, wanted: Mapping[str, float]) -> tuple[NextPosition, ...]:
+        if motion is not None:
+            return ()
         return next_positions(setup, wanted=wanted, gyros=gyros, table=table)
 
     found = state(setup)
@@ -220,7 +231,8 @@ def plan(
             for one in following(setup, wanted)[:NEXT]
         ),
         requirements=needs,
-        reasons=(*missing, *_tilted(setup), *(row.reason for row in needs if row.reason)),
+        motion=motion,
+        reasons=(*missing, *(() if motion else _tilted(setup)), *(row.reason for row in needs if row.reason)),
     )
 
 
