@@ -133,7 +133,7 @@ def seen_of(source: str, chip: str, observations: Observations, group: str) -> S
     )
 
 
-def restricted_likelihood(every: Sequence[Seen]) -> Array:
+def solution_at(every: Sequence[Seen]) -> Array:
     """ℓ of each of SIZES, at the likeliest scatter between sessions for each."""
     chips = [[seen for seen in every if seen.chip == chip] for chip in dict.fromkeys(seen.chip for seen in every)]
     scatters = BETWEEN if any(len(of) > 1 for of in chips) else BETWEEN[:1]
@@ -158,7 +158,7 @@ def size_of(every: Sequence[Seen], factor: float) -> str:
     """The size of the maximum with its interval, times `factor`."""
     if not every:
         return "–"
-    likelihood = restricted_likelihood(every)
+    likelihood = solution_at(every)
     within = np.flatnonzero(likelihood > likelihood.max() - DROP)
     low, best, high = (factor * SIZES[at] for at in (within[0], likelihood.argmax(), within[-1]))
     return f"at most {high:.3g}" if low == 0.0 else f"{best:.3g} [{low:.3g}, {high:.3g}]"

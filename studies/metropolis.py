@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from tumble.inference.estimate import Outcome
-from tumble.inference.hyperparameters import log_prior, restricted_likelihood, score
+from tumble.inference.hyperparameters import log_prior, score, solution_at
 from tumble.inference.integral import SHOWN, conditional, posterior
 from tumble.inference.maximum import Maximum, maximum
 from tumble.inference.normal_equations import Solution
@@ -68,7 +68,7 @@ def shown(fitted: Maximum) -> list[int]:
 
 def evaluated(fitted: Maximum, phi: Array) -> Solution:
     """ℓ at φ."""
-    return restricted_likelihood(fitted.linearisation, fitted.hyperparameters, phi)
+    return solution_at(fitted.linearisation, fitted.hyperparameters, phi)
 
 
 def sampled(fitted: Maximum, draws: int, seed: int) -> tuple[Array, Array, float]:

@@ -17,7 +17,7 @@ from tumble.inference.estimate import Integral as Integral
 from tumble.inference.estimate import Judgement as Judgement
 from tumble.inference.estimate import ProcessBias as ProcessBias
 from tumble.inference.prediction import Prediction as Prediction
-from tumble.inference.prior import Prior as Prior
+from tumble.inference.prior import DevicePrior as DevicePrior
 from tumble.methods.field_check import ChangedParameter as ChangedParameter
 from tumble.methods.field_check import ParameterTest as ParameterTest
 from tumble.planning.next_positions import NextPosition as NextPosition

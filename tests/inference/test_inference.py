@@ -24,8 +24,8 @@ from tumble.inference.hyperparameters import (
     LocalGroupSize,
     Scatter,
     SensorFactor,
-    restricted_likelihood,
     score,
+    solution_at,
 )
 from tumble.inference.integral import conditional, members_of, posterior, smoothed, triangles
 from tumble.inference.joint import joint
@@ -120,7 +120,7 @@ def test_the_score_is_the_derivative_of_the_likelihood(name: str) -> None:
     at = started(SESSIONS[name]())
     entries = maximum(at, iterations=1).hyperparameters
     phi, step = away_from_bounds(entries), 1e-4
-    gradient, _ = score(entries, restricted_likelihood(at, entries, phi))
+    gradient, _ = score(entries, solution_at(at, entries, phi))
     kinds = dict[tuple[object, ...], list[int]]()
     for i, h in enumerate(entries):
         key = (type(h),) if h.bounded else (type(h), h.name)
@@ -128,7 +128,7 @@ def test_the_score_is_the_derivative_of_the_likelihood(name: str) -> None:
     some = [i for members in kinds.values() for i in (members[0], members[-1])]
     for i in sorted(set(some)):
         by_one = step * np.eye(len(phi))[i]
-        more, less = (restricted_likelihood(at, entries, phi + sign * by_one) for sign in (1.0, -1.0))
+        more, less = (solution_at(at, entries, phi + sign * by_one) for sign in (1.0, -1.0))
         numeric = (more.log_posterior - less.log_posterior) / (2.0 * step)
         assert gradient[i] == pytest.approx(numeric, rel=1e-5, abs=1e-4), entries[i].name
 
@@ -140,11 +140,11 @@ def test_the_score_is_the_derivative_with_rows_that_count_less_and_rows_left_out
     rest[3], turn[5] = 1e-3, 1e-3
     entries, step = maximum(at, iterations=1).hyperparameters, 1e-4
     at, phi = replace(at, noise=at.noise.weighted(rest, turn, at.noise.link_weights)), away_from_bounds(entries)
-    here = restricted_likelihood(at, entries, phi)
+    here = solution_at(at, entries, phi)
     gradient, _ = score(entries, here)
     for i, h in enumerate(entries):
         by_one = step * np.eye(len(phi))[i]
-        more, less = (restricted_likelihood(at, entries, phi + sign * by_one) for sign in (1.0, -1.0))
+        more, less = (solution_at(at, entries, phi + sign * by_one) for sign in (1.0, -1.0))
         numeric = (more.log_posterior - less.log_posterior) / (2.0 * step)
         assert gradient[i] == pytest.approx(numeric, rel=1e-5, abs=1e-3), h.name
 
@@ -469,7 +469,7 @@ def test_sizes_folded_into_a_triangle_are_those_of_the_whole_elimination(name: s
     c, covariance = every.of_groups(np.zeros(2, dtype=int), sizes)
     (alpha,), (gamma,), (omega,) = every.alpha, every.gamma, every.omega
     for k in range(2):
-        solution = restricted_likelihood(fitted.linearisation, hyperparameters, phi[k])
+        solution = solution_at(fitted.linearisation, hyperparameters, phi[k])
         expected = conditional(solution)
         u = np.sqrt(np.maximum(np.diag(expected.covariance), 1e-300))
         assert likelihood[k] == pytest.approx(-0.5 * float(solution.deviance), abs=1e-6)

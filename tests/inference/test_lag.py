@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tumble.inference.hyperparameters import restricted_likelihood
+from tumble.inference.hyperparameters import solution_at
 from tumble.inference.joint import joint
 from tumble.inference.lag import (
     LAGS_ABOUT,
@@ -157,7 +157,7 @@ def test_a_lag_is_judged_with_the_sizes_that_are_likeliest_with_it() -> None:
     held = fitted.usual_problem.with_lags(values)
     there = linearise(held, replace(fitted.point, values=values), fitted.linearisation.about)
     best = maximum(there, fitted.phi).solution.log_posterior
-    plain = restricted_likelihood(there, fitted.hyperparameters, fitted.phi).log_posterior
+    plain = solution_at(there, fitted.hyperparameters, fitted.phi).log_posterior
     near = likeliest_near(fitted, there).log_posterior
     assert plain < best - 5.0
     assert best - near < 0.4 * (best - plain)
@@ -174,7 +174,7 @@ def test_rows_at_another_lag_are_those_linearised_there() -> None:
     held, about = problem.with_lags(values), fitted.linearisation.about
     near = fitted.linearisation.at_lags(held, values)
     whole = linearise(held, replace(fitted.linearisation.point, values=near.point.values), about)
-    found, expected = (restricted_likelihood(each, fitted.hyperparameters, fitted.phi) for each in (near, whole))
+    found, expected = (solution_at(each, fitted.hyperparameters, fitted.phi) for each in (near, whole))
     assert float(found.log_posterior) == pytest.approx(float(expected.log_posterior), abs=0.02)
     u = np.sqrt(expected.covariance.diagonal()[1:])
     np.testing.assert_allclose((found.parameters - expected.parameters)[1:] / u, 0.0, atol=0.01)

@@ -27,8 +27,8 @@ from tumble.inference.hyperparameters import (
     SensorFactor,
     average_information,
     log_prior,
-    restricted_likelihood,
     score,
+    solution_at,
 )
 from tumble.inference.integral import conditional
 from tumble.inference.maximum import maximum
@@ -70,7 +70,7 @@ def test_likelihood_score_and_estimate_are_those_of_dense_matrices(name: str, se
     fitted = maximum(start, iterations=1)
     hyperparameters, at = fitted.hyperparameters, fitted.linearisation
     phi, S, q = away_from_bounds(hyperparameters, seed), len(at.problem.parts), len(at.problem.local_u)
-    here = restricted_likelihood(at, hyperparameters, phi)
+    here = solution_at(at, hyperparameters, phi)
     expected = here.problem.prior_mean - np.append(at.point.gravity, at.point.values)
     u = np.append(np.tile(here.problem.local_u, S), here.problem.prior_u)
     found = dense(here.problem, at, at.noise, here.components, (u, np.append(-at.point.local.ravel(), expected)))

@@ -14,7 +14,7 @@ import tumble
 from tumble.cli import main
 from tumble.inference.estimate import Estimate
 from tumble.inference.joint import joint
-from tumble.inference.prior import Prior, with_prior
+from tumble.inference.prior import DevicePrior, with_prior
 from tumble.lab.datasheet import tolerance_factor
 from tumble.lab.device_type import Unit, prior_of, unit_by
 from tumble.lab.registry.registry import open_registry
@@ -132,7 +132,7 @@ def units() -> list[Estimated]:
 
 
 @pytest.fixture(scope="module")
-def prior(units: list[Estimated]) -> Prior:
+def prior(units: list[Estimated]) -> DevicePrior:
     """Of the ninth unit by the eight others."""
     return prior_of([seen_in(estimate, str(i)) for i, (estimate, _, _) in enumerate(units[:8])], "m")
 
@@ -148,7 +148,7 @@ def seen_in(estimate: Estimate, serial: str, more: float = 0.0) -> Unit:
 
 
 def test_a_type_narrows_what_only_priors_say_and_its_budget_is_the_covariance(
-    units: list[Estimated], prior: Prior
+    units: list[Estimated], prior: DevicePrior
 ) -> None:
     estimate, observations, truth = units[8]
     made, notes = with_prior(estimate, observations, prior)
@@ -163,7 +163,7 @@ def test_a_type_narrows_what_only_priors_say_and_its_budget_is_the_covariance(
     assert np.all(made.u < 1.02 * estimate.u)
 
 
-def test_an_outlier_is_named_and_judged_by_itself(units: list[Estimated], prior: Prior) -> None:
+def test_an_outlier_is_named_and_judged_by_itself(units: list[Estimated], prior: DevicePrior) -> None:
     """Seven standard deviations of the units and of the recording off the mean."""
     estimate, observations, _ = units[8]
     i, k = estimate.names.index("accel.scale.y"), prior.names.index("accel.scale.y")
@@ -175,7 +175,7 @@ def test_an_outlier_is_named_and_judged_by_itself(units: list[Estimated], prior:
 
 
 def test_only_differences_from_the_type_count_however_large_its_scale_factor_errors_are(
-    units: list[Estimated], prior: Prior
+    units: list[Estimated], prior: DevicePrior
 ) -> None:
     """With 2 % more of a scale factor, a hundred u, in all units of the type and in this one nothing else changes:
     what the integral over hyperparameters leaves of the prior in C beyond its own parameters is no lever."""

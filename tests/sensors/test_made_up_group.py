@@ -57,6 +57,36 @@ def made_up(monkeypatch: pytest.MonkeyPatch) -> ParameterGroup:
     return group
 
 
+def test_gyros_have_one_of_products_of_forces(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A g²-sensitivity of 30 °/h/g², which turns by far more than first order leaves to what is integrated anew."""
+
+    def along_z(block: Block) -> Array:
+        out = np.zeros((block.size, FUNCTIONS, block.size))
+        each = np.arange(block.size)
+        out[block.channels, PRODUCTS.start + PAIRS.index((2, 2)), each] = 1.0
+        return out
+
+    size = float(np.radians(30.0)) / 3600.0 / 9.81**2
+    group = ParameterGroup(
+        name="gyro.g2",
+        kind="gyro",
+        unit="rad s^3/m^2",
+        words="gyros by the square of the force along Z",
+        suffixes=lambda block: block.sensors,
+        limit=1e-3,
+        usual=dict.fromkeys(("navigation", "tactical", "mems", "consumer"), size),
+        regressors=along_z,
+    )
+    monkeypatch.setattr(parameters, "FURTHER", [*parameters.FURTHER, group])
+    scenario = drawn()
+    estimate = joint(simulate_observations(scenario, np.random.default_rng(5)), intervals=False)
+    assert estimate.converged
+    where = [estimate.names.index(f"gyro.g2.{sensor}") for sensor in "xyz"]
+    truth = np.array([scenario.truth[f"gyro.g2.{sensor}"] for sensor in "xyz"])
+    assert np.all(np.abs(estimate.values[where] - truth) < 6.0 * estimate.u[where])
+    assert np.all(estimate.u[where] < size)
+
+
 def drawn() -> Scenario:
     """A scenario of all groups on a cube."""
     return scenario_of(Setup.of(programme="cube-26", terms="full", gravity_u=0.0), np.random.default_rng(3))

@@ -15,7 +15,7 @@ from tumble.errors import InputError
 
 if TYPE_CHECKING:
     from tumble.drafting.new_session import Given
-    from tumble.inference.prior import Prior
+    from tumble.inference.prior import DevicePrior
     from tumble.planning.setup import Setup
     from tumble.result.launch_variances import LaunchVariances
 
@@ -249,7 +249,7 @@ CLUSTER = together(
 class Knowledge(Protocol):
     """What is known of devices and types beforehand, as a registry has it."""
 
-    def prior(self, model: str, *, without: str | None = None) -> Prior:
+    def prior(self, model: str, *, without: str | None = None) -> DevicePrior:
         """What the units of a type are like, without one serial number."""
         ...
 

@@ -1,10 +1,10 @@
 """Findings about a device that was calibrated in motion: what the motion does not determine, and whether it followed
 the attitude.
 
-Displacements that follow the attitude, as of a stand that sags, are among the unknowns of the estimate: SUPPORT numbers
-b ~ N(0, s²) (docs/explanation/mathematics.md (40)). Their posterior mean has over instruments at most the variance s²,
-so that Σ b²/s² is at most χ² with SUPPORT degrees of freedom. Where it is larger, the displacements are larger than the
-prior allows for, and scale factors and axes contain them.
+Displacements that follow the attitude, as of a stand that sags, are among the unknowns of the estimate: SUPPORT_COLUMNS
+numbers b ~ N(0, s²) (docs/explanation/mathematics.md (40)). Their posterior mean has over instruments at most the
+variance s², so that Σ b²/s² is at most χ² with SUPPORT_COLUMNS degrees of freedom. Where it is larger, the
+displacements are larger than the prior allows for, and scale factors and axes contain them.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import scipy
 from tumble.diagnosis.findings import Finding
 from tumble.diagnosis.projection import FALSE_ALARMS
 from tumble.inference.estimate import Estimate
-from tumble.inference.problem import LEVER, SUPPORT, SUPPORT_U
+from tumble.inference.problem import LEVER_COLUMNS, SUPPORT_COLUMNS, SUPPORT_U
 from tumble.reduction.observations import Observations
 
 IN_MOTION = "calibrated in motion"
@@ -43,9 +43,9 @@ def in_motion(estimate: Estimate, observations: Observations, missing: tuple[str
     if missing:
         named = ", ".join(missing[:MOST_NAMED]) + (" and others" if len(missing) > MOST_NAMED else "")
         yield Finding(sentence=f"{sentence} say too little of {named}; {advice}", concerns=missing, refuses=True)
-    given_way, displacement = linearised.point.local[0, -SUPPORT:], float(linearised.components.displacement)
+    given_way, displacement = linearised.point.local[0, -SUPPORT_COLUMNS:], float(linearised.components.displacement)
     square = float((given_way**2).sum()) / SUPPORT_U**2
-    if scipy.special.chdtrc(SUPPORT, square) < FALSE_ALARMS:
+    if scipy.special.chdtrc(SUPPORT_COLUMNS, square) < FALSE_ALARMS:
         size = 100.0 * float(np.abs(given_way).max())
         yield Finding(
             sentence=f"the device moved by {size:.1f} cm and more with its attitude: what held it gave way; hold it by "
@@ -63,7 +63,7 @@ def motion_note(estimate: Estimate, observations: Observations) -> tuple[str, ..
     links, linearised = observations.links, estimate.linearised
     if links is None or linearised is None:
         return ()
-    lever = linearised.point.local[0, -LEVER - SUPPORT : -SUPPORT]
+    lever = linearised.point.local[0, -LEVER_COLUMNS - SUPPORT_COLUMNS : -SUPPORT_COLUMNS]
     place, size = ", ".join(f"{1e3 * x:.0f}" for x in lever), 1e3 * float(linearised.components.displacement)
     return (
         f"{IN_MOTION}, from {len(observations.rests)} rests and {float(links.duration.sum()):.0f} s of it: "

@@ -46,7 +46,7 @@ MOST_SESSIONS = 5
 MANY = 30.0
 """Times the noise: a larger scatter is no disturbance of a model that otherwise holds. What turns err by is then not
 random either, and what they tell of the gyros is refused."""
-NOTHING = {"accel": 5e-6 * G_STANDARD, "gyro": 0.02 * DEGREE_PER_HOUR, "turn": 2e-5, "velocity": 1e-3}
+NEGLIGIBLE_SCATTER = {"accel": 5e-6 * G_STANDARD, "gyro": 0.02 * DEGREE_PER_HOUR, "turn": 2e-5, "velocity": 1e-3}
 """m/s², rad/s, rad, m/s: scatter that no use of an inertial unit would notice, however small the noise of the log."""
 BEYOND_USUAL = 3.0
 """Times what is usual of the grade: an in-run bias or a drift that is larger for certain, by the lower limit of its
@@ -83,7 +83,7 @@ class Group:
 
     def beyond_model(self, ratio: float, components: VarianceComponents) -> bool:
         """Whether its scatter, so many times the noise, is no disturbance of a model that otherwise holds."""
-        return ratio > MANY and self.scatter(components) > NOTHING[self.name]
+        return ratio > MANY and self.scatter(components) > NEGLIGIBLE_SCATTER[self.name]
 
     def noise(self, observations: Observations) -> float:
         """The usual noise of a row."""
@@ -212,7 +212,7 @@ def _causes(session: LinearisedSession, whole: Solution) -> list[list[Cause]]:
         causes += quantisation(session, s)
         lost = [cause for cause in causes if cause.name == "lost samples"]
         held = samples_held(session.observed[s])
-        if held is None and session.turned[s] and blamed.components.turn > NOTHING["turn"]:
+        if held is None and session.turned[s] and blamed.components.turn > NEGLIGIBLE_SCATTER["turn"]:
             lost.append(lost_in_all_turns(session, s, blamed))
         likely = held or min(lost, key=by_probability, default=None)
         causes[:] = [cause for cause in causes if cause not in lost] + ([likely] if likely is not None else [])
@@ -282,7 +282,7 @@ def _restless(linearised: Linearisation) -> Iterator[Finding]:
         kind, noise = block.kind, typical_noise(getattr(rests, f"{block.kind}_covariance"))
         size, time = getattr(components, f"{kind}_in_run"), getattr(components, f"{kind}_time")
         change = float(size * np.sqrt(-2.0 * np.expm1(-interval / time))) if time > 0.0 else 0.0
-        if change > max(MANY * noise, NOTHING[kind]):
+        if change > max(MANY * noise, NEGLIGIBLE_SCATTER[kind]):
             yield refusal(
                 f"biases of the {WORDS[kind]} change by {sized(change, UNITS[kind])} from one rest to the next, "
                 f"{change / noise:.2g} times the noise of a rest: something is there that the model does not have; "

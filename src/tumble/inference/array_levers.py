@@ -76,8 +76,8 @@ class ArrayLevers:
 
     def rows(self, instrument: Instrument, values: Array) -> Array:
         """[coefficients | residual] (k, m + 1), whitened, for the parameters of the instrument."""
-        gyro, levers, delay = instrument.gyro, instrument.in_motion("lever"), instrument.in_motion("delay")
-        single = instrument.in_motion("single delay")
+        gyro, levers, delay = instrument.gyro, instrument.turn_only("lever"), instrument.turn_only("delay")
+        single = instrument.turn_only("single delay")
         assert gyro is not None
         here, by, count = np.zeros(len(self.about)), np.zeros((len(self.about), len(values))), len(self.about) - COMMON
         if levers is not None:

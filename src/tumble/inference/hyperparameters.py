@@ -504,7 +504,7 @@ def log_prior(hyperparameters: Hyperparameters, phi: Array) -> Array:
     return hyperparameters.log_prior(phi)
 
 
-def restricted_likelihood(linearisation: Linearisation, hyperparameters: Hyperparameters, phi: Array) -> Solution:
+def solution_at(linearisation: Linearisation, hyperparameters: Hyperparameters, phi: Array) -> Solution:
     """The solution, with ℓ, at φ (D,) or at a stack (P, D) of them; the linearisation has priors of any size."""
     problem, components = scaled(linearisation.problem, hyperparameters, phi)
     here = linearisation.with_priors(problem).with_components(components)

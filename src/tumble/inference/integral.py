@@ -57,8 +57,8 @@ from tumble.inference.hyperparameters import (
     InRunSize,
     Score,
     log_prior,
-    restricted_likelihood,
     scaled,
+    solution_at,
 )
 from tumble.inference.linearisation import Linearisation
 from tumble.inference.maximum import Maximum
@@ -113,7 +113,7 @@ SHIFT = 0.6180339887498949
 """Of a sequence of points to the next, in the unit cube."""
 NUMBERS_AT_ONCE = 60_000
 """Numbers of matrices whose roots are taken at once: half a megabyte."""
-NOTHING = 1e-4
+NEGLIGIBLE_WEIGHT = 1e-4
 """Of the weight of a point of ψ: sizes of less are left out of the moments there."""
 COVERAGE = 0.9545
 MOST_DEGREES = 1e6
@@ -369,7 +369,7 @@ def _densities_of_times(fitted: Maximum, spread: Callable[[Array], Array]) -> di
         rows[:, time] = knots[-1]
         rows[:, size] += spread(phi[time]) - spread(knots[-1])
     flat = every.reshape(-1, len(phi))
-    posterior = restricted_likelihood(fitted.linearisation, hyperparameters, flat).log_posterior
+    posterior = solution_at(fitted.linearisation, hyperparameters, flat).log_posterior
     likelihood = (posterior - log_prior(hyperparameters, flat)[0].sum(axis=-1)).reshape(every.shape[:2])
     for time, x, y in zip(times.values(), knots, likelihood, strict=True):
         h = hyperparameters[time]
@@ -641,7 +641,7 @@ def _drawn(fitted: Maximum, proposal: Proposal, count: int, sequence: int) -> Dr
     share = scipy.special.softmax(log_weight, axis=1)
     value, (within, between) = np.zeros_like(every.right), np.zeros((2, *every.information.shape))
     for k, weight in enumerate(share):
-        some = np.flatnonzero(weight > NOTHING)
+        some = np.flatnonzero(weight > NEGLIGIBLE_WEIGHT)
         w = weight[some] / weight[some].sum()
         values, covariances = every.of_groups(np.full(len(some), k), sizes[k, some])
         value[k], within[k] = w @ values, np.tensordot(w, covariances, axes=1)
@@ -674,7 +674,7 @@ def _typical(fitted: Maximum, draws: Draws) -> Solution:
             typical[i] = (draws.weight * phi).sum()
         else:
             typical[i] = 0.5 * np.log((draws.weight * h.value(phi) ** 2).sum())
-    return restricted_likelihood(fitted.linearisation, fitted.hyperparameters, typical)
+    return solution_at(fitted.linearisation, fitted.hyperparameters, typical)
 
 
 # -------------------- at a maximum --------------------

@@ -1,10 +1,10 @@
-"""Joint method: maximum likelihood over everything a session contains.
+"""Joint method: one likelihood of everything a session contains, its maximum, and the posterior about it.
 
 All parameters of the instrument, the attitudes of all rests, in-run biases and local gravity are found at once from the
 rest means of both blocks, the rotations and velocities of the turns, the Earth's rate and the measured gravity
 (`tumble.inference.problem`), at the joint maximum with what the model does not know about itself
-(`tumble.inference.maximum`), over which the posterior is then integrated (`tumble.inference.integral`). The table's
-angles are not used. The estimate reaches the Cramér–Rao bound.
+(`tumble.inference.maximum`), over which the posterior is then integrated (`tumble.inference.integral`): values and u
+are those of the posterior. The table's angles are not used. The estimate reaches the Cramér–Rao bound.
 
 What is seen: a parameter of the linear model counts as determined when it is known DETERMINED times better than its
 limit; so does a combination of them.

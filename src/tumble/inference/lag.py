@@ -37,7 +37,7 @@ from dataclasses import replace
 import numpy as np
 import scipy
 
-from tumble.inference.hyperparameters import restricted_likelihood, score
+from tumble.inference.hyperparameters import score, solution_at
 from tumble.inference.integral import Conditional, conditional, coverage_factors
 from tumble.inference.linearisation import Linearisation, linearise
 from tumble.inference.maximum import Maximum, likeliest, maximum
@@ -160,7 +160,7 @@ def likeliest_near(fitted: Maximum, there: Linearisation) -> Solution:
     (ln r)/2."""
     hyperparameters, phi, B = fitted.hyperparameters, fitted.phi, fitted.curvature
     bounded = hyperparameters.bounded
-    best, share = restricted_likelihood(there, hyperparameters, phi), 1.0
+    best, share = solution_at(there, hyperparameters, phi), 1.0
     for _ in range(PHI_STEPS):
         gradient, _ = score(hyperparameters, best)
         free = np.flatnonzero(~(bounded & (best.phi <= 0.0) & (gradient <= 0.0)))
@@ -169,7 +169,7 @@ def likeliest_near(fitted: Maximum, there: Linearisation) -> Solution:
         if float(gradient @ step) < ENOUGH:
             break
         step = 0.5 * np.log1p(np.maximum(2.0 * share * step, SHORTEST))
-        after = restricted_likelihood(there, hyperparameters, best.phi + step)
+        after = solution_at(there, hyperparameters, best.phi + step)
         best, share = (after, 1.0) if after.log_posterior > best.log_posterior else (best, 0.2 * share)
     return best
 
@@ -218,10 +218,11 @@ def widths(lags: Array) -> Array:
 
 
 def resolved(at_lags: Callable[[Array], tuple[Array, Array]], lags: Array) -> tuple[Array, Array, Array]:
-    """Lags in ascending order, their probabilities, and the solutions with them
-    (L, …), of −2 ln likelihood and solutions `at_lags`: those of a first grid, and between them as many as resolve the
-    likelihood, which may be narrow, and steep to one side."""
-    deviance, moved_by = at_lags(lags)
+    """Refine a grid of lags until none has a probability above RESOLVED, or HALVINGS times.
+
+    `at_lags` gives −2 ln of the likelihood of lags (L,) and the solutions with them (L, …). Returned are the lags in
+    ascending order, their probabilities, and their solutions."""
+    deviance, solutions = at_lags(lags)
     for halved in range(HALVINGS + 1):
         weight = np.exp(-0.5 * (deviance - deviance.min())) * widths(lags)
         weight /= weight.sum()
@@ -232,5 +233,5 @@ def resolved(at_lags: Callable[[Array], tuple[Array, Array]], lags: Array) -> tu
         more = 0.5 * (lags[between] + lags[between + 1])
         others, moved_others = at_lags(more)
         lags, deviance = np.insert(lags, between + 1, more), np.insert(deviance, between + 1, others)
-        moved_by = np.insert(moved_by, between + 1, moved_others, axis=0)
-    return lags, weight, moved_by
+        solutions = np.insert(solutions, between + 1, moved_others, axis=0)
+    return lags, weight, solutions

@@ -19,9 +19,9 @@ from tumble.inference.magnetometer import Magnetometer
 from tumble.inference.noise import LINK_SCATTER, NO_COMPONENTS, SCATTER, NoiseModel, VarianceComponents
 from tumble.inference.problem import (
     LEAST_FIELD,
-    LEVER,
+    LEVER_COLUMNS,
     MAGNETIC_ROWS,
-    SUPPORT,
+    SUPPORT_COLUMNS,
     Point,
     Problem,
     bases,
@@ -418,7 +418,10 @@ def _link_rows(
     moves[problem.station] = 0.0
     v_i, v_j = (moves * point.velocities)[i], (moves * point.velocities)[i + 1]
     support = np.diff(support_columns(point.attitudes), axis=0)[i]
-    lever, given_way = point.local[0, -LEVER - SUPPORT : -SUPPORT], point.local[0, -SUPPORT:]
+    lever, given_way = (
+        point.local[0, -LEVER_COLUMNS - SUPPORT_COLUMNS : -SUPPORT_COLUMNS],
+        point.local[0, -SUPPORT_COLUMNS:],
+    )
     free = np.where(links.free, 1.0, 0.0)[:, None, None]
     apart = (np.swapaxes(start, 1, 2) @ (point.displacements[i + 1] - point.displacements[i])[:, :, None])[:, :, 0]
     turned = (C @ v_j[:, :, None])[:, :, 0]
@@ -448,7 +451,10 @@ def _link_rows(
     rows[:, :, 19 : 19 + problem.width] += columns[:, :, : problem.width]
     support = np.swapaxes(start, 1, 2) @ support
     rows[:, 6:, -1] -= support @ given_way
-    rows[:, 6:, -1 - LEVER - SUPPORT : -1 - SUPPORT], rows[:, 6:, -1 - SUPPORT : -1] = C - np.eye(3), support
+    rows[:, 6:, -1 - LEVER_COLUMNS - SUPPORT_COLUMNS : -1 - SUPPORT_COLUMNS], rows[:, 6:, -1 - SUPPORT_COLUMNS : -1] = (
+        C - np.eye(3),
+        support,
+    )
     rows[:, 6:] *= free
     bias = columns[:, :, problem.width :]
     bias[:, 6:] *= free

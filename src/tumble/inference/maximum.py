@@ -48,8 +48,8 @@ from tumble.inference.hyperparameters import (
     Scatter,
     average_information,
     hyperparameters_of,
-    restricted_likelihood,
     score,
+    solution_at,
 )
 from tumble.inference.linearisation import Linearisation, linearise
 from tumble.inference.noise import NO_COMPONENTS, REST_SCATTER, SCATTER, VarianceComponents
@@ -187,7 +187,7 @@ def maximum(
     increments, near, gain, enough = list[Array](), False, np.inf, GAIN * max(1, len(phi))
     radius, B = FURTHEST, np.zeros((0, 0))
     while True:
-        solution = restricted_likelihood(linearisation, hyperparameters, phi)
+        solution = solution_at(linearisation, hyperparameters, phi)
         gradient, information = score(hyperparameters, solution)
         near = near or len(increments) >= FAR_STEPS or negligible(solution, NEAR)
         B, exact = information if gain == np.inf else B, False
@@ -207,7 +207,7 @@ def maximum(
                 continue
             step *= min(1.0, radius / float(np.abs(step).max()))
             step = np.where(bounded, np.maximum(solution.phi + step, 0.0), solution.phi + step) - solution.phi
-            tried = restricted_likelihood(linearisation, hyperparameters, solution.phi + step)
+            tried = solution_at(linearisation, hyperparameters, solution.phi + step)
             tried_gradient, _ = score(hyperparameters, tried)
             expected = float(gradient @ step - 0.5 * step @ B @ step)
             gained = float(tried.log_posterior - solution.log_posterior)
@@ -249,11 +249,14 @@ def maximum(
 
 
 def likeliest(start: Linearisation, iterations: int = MAX_ITERATIONS) -> Maximum:
-    """The likeliest of the maxima from several φ: the usual one and, where it leads to scatter or sizes far beyond the
-    usual, turns which nothing is expected of, for where turns are spoilt, parameters and accelerometers may take the
-    blame; groups far larger than usual, for scatter may take that of groups, which the readings then no longer show;
-    and, where rests scatter, biases that are anew at every rest, of which a turn has that of the rest before or that of
-    the rest after."""
+    """The highest of the maxima that several starts of φ lead to.
+
+    The usual φ is the first start. Where it leads to scatter or sizes far beyond the usual, others follow:
+
+    * turns of large scatter: where turns are spoilt, parameters and accelerometers may have taken the blame;
+    * groups far larger than usual: scatter may have taken what is theirs;
+    * where rests scatter, biases that are anew at every rest, a turn having that of the rest before it or of the rest
+      after it."""
     best = maximum(start, iterations=iterations)
     if start.problem.observations.turns is None:
         return best

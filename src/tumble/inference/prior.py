@@ -1,4 +1,4 @@
-"""Prior knowledge of the parameters of a device, such as what other units of its type are like.
+"""DevicePrior knowledge of the parameters of a device, such as what other units of its type are like.
 
 A prior is the normal distribution N(m, S) of some parameters. It takes the place of the usual sizes that a grade has
 for these parameters. With the information Λ and h of the recording alone, the usual sizes of the others included, the
@@ -31,7 +31,7 @@ UNLIKE = 0.01
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
-class Prior(Brief):
+class DevicePrior(Brief):
     """What is known of a device before it is recorded.
 
     Parameters
@@ -56,7 +56,7 @@ class Prior(Brief):
     reference: float | None = None
     in_run: Mapping[str, float] = field(default_factory=dict)
 
-    def at(self, reference: float | None) -> Prior:
+    def at(self, reference: float | None) -> DevicePrior:
         """The prior at another temperature in °C, by the slopes and curvatures it has."""
         if reference is None or self.reference is None:
             return self
@@ -71,7 +71,7 @@ class Prior(Brief):
 
 
 def with_prior(
-    estimate: Estimate, observations: Observations, prior: Prior, reference: float | None = None
+    estimate: Estimate, observations: Observations, prior: DevicePrior, reference: float | None = None
 ) -> tuple[Estimate, tuple[str, ...]]:
     """Combine an estimate of the method joint with prior knowledge of its device.
 
@@ -160,7 +160,9 @@ def _without_usual_sizes(
     return information, information @ estimate.values + (precision - information) @ from_start
 
 
-def _combined(information: Array, shift: Array, prior: Prior, places: Mapping[int, int]) -> tuple[Array, Array, Array]:
+def _combined(
+    information: Array, shift: Array, prior: DevicePrior, places: Mapping[int, int]
+) -> tuple[Array, Array, Array]:
     """Values (m,) and covariance (m, m) by Eq. (1), and S⁻¹ (m, m)."""
     at, of = list(places), list(places.values())
     by_prior, mean = np.zeros_like(information), np.zeros(len(shift))

@@ -54,7 +54,7 @@ from tumble.sensors.model import SensorModel, beyond_body
 from tumble.sensors.parameters import Variable, limits_of, sensor_kind, variable_of
 from tumble.units import Array, IntArray
 
-LEVER, SUPPORT = 3, 24
+LEVER_COLUMNS, SUPPORT_COLUMNS = 3, 24
 """Numbers of a lever, and of how what holds a device gives way: columns of `support_columns`."""
 LEVER_U, SUPPORT_U = 0.5, 0.01
 """m: standard deviations of the lever from what holds a device to the instrument, and of each of the others."""
@@ -136,13 +136,13 @@ def bases(attitudes: Array) -> Array:
 
 
 def support_columns(attitudes: Array) -> Array:
-    """By how much what holds a device gives way with its attitude: columns (M, 3, SUPPORT) of displacements, in the
-    navigation frame, that are linear in the vertical u in the body, and its products u_k u_l less those of a sphere.
-    Arms bend and tripods sag; a motion that follows the attitude would be taken for scale factors and axes."""
+    """By how much what holds a device gives way with its attitude: columns (M, 3, SUPPORT_COLUMNS) of displacements, in
+    the navigation frame, that are linear in the vertical u in the body, and its products u_k u_l less those of a
+    sphere. Arms bend and tripods sag; a motion that follows the attitude would be taken for scale factors and axes."""
     u = attitudes[:, 1]
     x, y, z = u.T
     of_vertical = np.stack([x, y, z, x * y, x * z, y * z, x * x - y * y, z * z - 1.0 / 3.0], axis=1)
-    return np.asarray(np.einsum("kr,mc->mkrc", np.eye(3), of_vertical).reshape(len(u), 3, SUPPORT))
+    return np.asarray(np.einsum("kr,mc->mkrc", np.eye(3), of_vertical).reshape(len(u), 3, SUPPORT_COLUMNS))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -271,7 +271,7 @@ class Problem:
             size = (usual or {}).get(group.name, group.limit)
             local_u = np.append(local_u, np.full(len(group.names(local.block(group))), size))  # type: ignore[union-attr]
         if links is not None:
-            local_u = np.concatenate([local_u, np.full(LEVER, LEVER_U), np.full(SUPPORT, SUPPORT_U)])
+            local_u = np.concatenate([local_u, np.full(LEVER_COLUMNS, LEVER_U), np.full(SUPPORT_COLUMNS, SUPPORT_U)])
         session = np.zeros(len(link), dtype=np.int64) if observations.session is None else observations.session
         edges, turn_edges = (np.searchsorted(of, np.arange(session[-1] + 2)) for of in (session, session[before]))
         parts = tuple(

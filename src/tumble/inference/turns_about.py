@@ -55,14 +55,14 @@ Ends = tuple[tuple[Array, Array], tuple[Array, Array]]
 class TurnsAbout:
     """Turns and what they were integrated about: `coefficients` (n, 15) of the accelerometers and gyros, or (K, n, 15)
     where each turn has its own, and a `lateness` of the former, s, common to all. Their moments, and `paths`
-    (K, 6, n, 15), P above Q of the module's docstring; `in_motion` are −∂φ above −∂V (K, 6, m) of lever arms and of
+    (K, 6, n, 15), P above Q of the module's docstring; `turn_only` are −∂φ above −∂V (K, 6, m) of lever arms and of
     delays."""
 
     coefficients: Array
     lateness: float
     moments: Moments
     paths: Array
-    in_motion: Mapping[Motion, Array]
+    turn_only: Mapping[Motion, Array]
     to_rate: Array
     arrays: tuple[ArrayLevers, ...] = ()
     """What the accelerometers of arrays say of each other in motion."""
@@ -141,7 +141,7 @@ class TurnsAbout:
             lateness=about[1],
             moments=moments,
             paths=paths,
-            in_motion={} if ends is None else _in_motion(moments, accel, about[0], lefts, ends),
+            turn_only={} if ends is None else _turn_only_columns(moments, accel, about[0], lefts, ends),
             to_rate=to_rate,
             growing=None if growing is None else _paths(growing, lefts),
         )
@@ -185,8 +185,8 @@ class TurnsAbout:
         else:
             out[:, :, -1] = -np.einsum("kipb,kpb->ki", self.paths, change)
         out[:, 3:, -1] += self.moments.V
-        for motion, by in self.in_motion.items():
-            if (own := instrument.in_motion(motion)) is not None:
+        for motion, by in self.turn_only.items():
+            if (own := instrument.turn_only(motion)) is not None:
                 out[:, :, own] = by
                 out[:, :, -1] -= by @ (values[own] - (self.lateness if motion == "delay" else 0.0))
         return out
@@ -217,10 +217,13 @@ class TurnsAbout:
         return rotation, G_STANDARD * self.moments.T * rotation
 
     def since(self, instrument: Instrument, values: Array) -> Array:
-        """By how much the coefficients of the gyros at these values differ from those of the turns."""
+        """By how much the coefficients of the gyros at these values differ from those of the turns; not those of
+        products of forces, about which turns are not integrated: they are of first order wherever they are."""
         gyro = instrument.gyro
         assert gyro is not None
-        return np.asarray(instrument.coefficients(gyro, values) - self.coefficients[..., -gyro.size :, :])
+        out = np.asarray(instrument.coefficients(gyro, values) - self.coefficients[..., -gyro.size :, :])
+        out[..., PRODUCTS] = 0.0
+        return out
 
     def good_for(
         self, instrument: Instrument, values: Array, noise: tuple[Array, Array], changes: Array | float = 0.0
@@ -237,7 +240,7 @@ class TurnsAbout:
         return bool(np.all(rotation <= CHANGES_SHARE * noise[0]) and np.all(velocity <= CHANGES_SHARE * noise[1]))
 
 
-def _in_motion(
+def _turn_only_columns(
     moments: Moments, accel: Block, coefficients: Array, lefts: tuple[Array, Array], ends: Ends
 ) -> dict[Motion, Array]:
     """−∂φ above −∂V (K, 6, m) of what a turn alone sees of accelerometers that read (1 + k) a_p, so that

@@ -62,7 +62,7 @@ def variables_of(
     grows = {"time": 1.0, "launch": 0.0}
     out = {name: (v, 0.5 * (v[first] + v[last]), np.full((len(first), 1), grows[name])) for name, v in at_rest.items()}
     if rests.temperatures is not None:
-        every = [_of_temperature(observations, lags.get(kind, 0.0)) for kind in KINDS]
+        every = [_temperature_regressors(observations, lags.get(kind, 0.0)) for kind in KINDS]
         for name in every[0]:
             rest, turn, grown = (np.hstack(each) for each in zip(*(of_kind[name] for of_kind in every), strict=True))
             out[name] = rest, turn, grown
@@ -70,12 +70,14 @@ def variables_of(
 
 
 @lru_cache(maxsize=4)
-def _of_temperature(observations: Observations, lag: float) -> dict[Variable, tuple[Array, Array, Array]]:
+def _temperature_regressors(observations: Observations, lag: float) -> dict[Variable, tuple[Array, Array, Array]]:
     """What goes with the temperatures of sensors that follow each thermometer with a lag, s."""
     kelvin = observations.rests.temperatures
     assert kelvin is not None
     reference, seconds = kelvin.mean(axis=0), np.maximum(_turning(observations)[1], 1.0)[:, None]
-    rest, turn, before, after = (_of_warmth(each, reference) for each in _warmth(observations, kelvin, lag))
+    rest, turn, before, after = (
+        _powers_of_temperature(each, reference) for each in _mean_temperatures(observations, kelvin, lag)
+    )
     out = {name: (rest[name], turn[name], 2.0 * (after[name] - before[name]) / seconds) for name in rest}
     if lag_is_sought(observations):
         out["lag"] = np.zeros_like(rest["temperature"]), *np.zeros((2, *turn["temperature"].shape))
@@ -84,7 +86,7 @@ def _of_temperature(observations: Observations, lag: float) -> dict[Variable, tu
     return out
 
 
-def _of_warmth(warmth: Warmth, reference: Array) -> dict[Variable, Array]:
+def _powers_of_temperature(warmth: Warmth, reference: Array) -> dict[Variable, Array]:
     """What goes with the temperatures, about the references (T,), K."""
     warmer = warmth.kelvin - reference
     square, cube = warmer**2 + warmth.variance, warmer**3 + 3.0 * warmer * warmth.variance
@@ -94,7 +96,7 @@ def _of_warmth(warmth: Warmth, reference: Array) -> dict[Variable, Array]:
 def sensors_at(observations: Observations, kelvin: Array, lag: float) -> Array:
     """Mean temperatures (N, T), K, of sensors that follow each thermometer with a lag, at rests where it has `kelvin`
     (N, T)."""
-    return _warmth(observations, kelvin, lag)[0].kelvin
+    return _mean_temperatures(observations, kelvin, lag)[0].kelvin
 
 
 def _turning(observations: Observations) -> tuple[Array, Array]:
@@ -105,7 +107,7 @@ def _turning(observations: Observations) -> tuple[Array, Array]:
     return rests.stop[turns.first], rests.start[turns.last] - rests.stop[turns.first]
 
 
-def _warmth(observations: Observations, kelvin: Array, lag: float) -> tuple[Warmth, Warmth, Warmth, Warmth]:
+def _mean_temperatures(observations: Observations, kelvin: Array, lag: float) -> tuple[Warmth, Warmth, Warmth, Warmth]:
     """What the sensors have in the rests, in the turns, and in the first and in the second half of these, by the
     records of the thermometers; without them the `kelvin` (N, T) of the rests, and of the turns what is between."""
     rests, turns, thermometers = observations.rests, observations.turns, observations.thermometers

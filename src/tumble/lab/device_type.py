@@ -36,7 +36,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tumble.inference.prior import Prior
+from tumble.inference.prior import DevicePrior
 from tumble.result.calibration import Calibration
 from tumble.result.launch_variances import LaunchVariances, launch_variances
 from tumble.result.parts import Parameter
@@ -168,7 +168,7 @@ def run_to_run(units: Sequence[Unit], name: str) -> float | None:
     return float(np.sqrt(sum(e.degrees * e.variances[name][0] for e in of_units) / degrees)) if degrees else None
 
 
-def prior_of(units: Sequence[Unit], model: str) -> Prior:
+def prior_of(units: Sequence[Unit], model: str) -> DevicePrior:
     """The prior for another unit of a type (module docstring).
 
     Parameters
@@ -187,7 +187,7 @@ def prior_of(units: Sequence[Unit], model: str) -> Prior:
     words = f"{len(units)} other units of the type {model!r}"
     if len(units) < FEWEST_UNITS:
         nothing, words = np.zeros(0), f"{words}, fewer than {FEWEST_UNITS}"
-        return Prior(words=words, names=(), mean=nothing, covariance=np.zeros((0, 0)), degrees=nothing)
+        return DevicePrior(words=words, names=(), mean=nothing, covariance=np.zeros((0, 0)), degrees=nothing)
     reference = mean_temperature(units)
     units = [unit.at(reference) for unit in units]
     counts = Counter(name for unit in units for name in unit.names)
@@ -203,7 +203,7 @@ def prior_of(units: Sequence[Unit], model: str) -> Prior:
     covariance = (M + np.diag(variances)) * np.outer(size, size) + np.diag(launches)
     kept = np.flatnonzero(np.diag(covariance) < [1.0 / max(each) for each in usual])  # what says more than the grade
     sizes = {kind: in_run_sizes(units, kind) for kind in ("accel", "gyro")}
-    return Prior(
+    return DevicePrior(
         words=words,
         names=tuple(names[i] for i in kept),
         mean=(mean * size)[kept],

@@ -30,7 +30,7 @@ OPEN = 2.0
 """The u of single biases over that of the corrected specific force from which on they are open singly."""
 OTHER_THAN_TWO = 0.05
 """Coverage factors this far from 2 are shown."""
-NOTHING = 1e-9
+NEGLIGIBLE = 1e-9
 """m/s², rad/s: what the rounding of double precision leaves."""
 UNSEEN = 0.05
 """A scatter could be there unseen where chance would hide it in more than this part of all sessions."""
@@ -221,7 +221,7 @@ def left_by_matrix(calibration: Calibration) -> str:
     rate = np.zeros(1)
     if calibration.gyro is not None and at_rate is not None:
         rate = errors_left(calibration, "gyro", calibration.gyro.apply)
-    if max(force.max(), rate.max()) < NOTHING:
+    if max(force.max(), rate.max()) < NEGLIGIBLE:
         return "with matrix and bias alone: exact at the reference temperature"
 
     def shown(unit: str, errors: Array) -> str:

@@ -27,7 +27,7 @@ from tumble.files import FilePath
 from tumble.inference.estimate import Estimate, Outcome
 from tumble.inference.hyperparameters import size_factors
 from tumble.inference.joint import joint
-from tumble.inference.prior import Prior, with_prior
+from tumble.inference.prior import DevicePrior, with_prior
 from tumble.inference.sources import by_time_base, clocked, source
 from tumble.recording.arrays import SensorArrays, session_of_arrays
 from tumble.recording.log import Log
@@ -82,7 +82,7 @@ def calibrate(
     frame: Frame = "accelerometer",
     terms: Terms = "full",
     without: Iterable[int] = (),
-    prior: Prior | None = None,
+    prior: DevicePrior | None = None,
     base: Calibration | FilePath | None = None,
     progress: Progress = Log.chunks,
     **arrays: Unpack[SensorArrays],
@@ -188,7 +188,7 @@ def _calibrated(
     frame: Frame,
     terms: Terms,
     progress: Progress,
-    prior: Prior | None,
+    prior: DevicePrior | None,
     base: Calibration | None,
     clock: ClockByEarth | None = None,
 ) -> Calibration:
@@ -343,7 +343,7 @@ def estimated(
     method: Estimator,
     start: Mapping[str, float],
     terms: Terms,
-    prior: Prior | None = None,
+    prior: DevicePrior | None = None,
     clock: ClockByEarth | None = None,
 ) -> tuple[Estimate, Observations] | Outcome:
     """The estimate and what it was made from, or why there is none."""

@@ -23,7 +23,7 @@ from tumble.files import FilePath
 from tumble.inference.estimate import GroupFinding, Outcome
 from tumble.inference.magnetic_estimate import block_near
 from tumble.inference.prediction import Prediction, prediction
-from tumble.inference.prior import Prior
+from tumble.inference.prior import DevicePrior
 from tumble.inference.sources import Source, UncertaintyBudget, by_time_base, clocked, source
 from tumble.recording.log import Log
 from tumble.recording.session import AirConditions, Circumstances, Session
@@ -68,7 +68,7 @@ def calibrate_launches(
     frame: Frame = "accelerometer",
     terms: Terms = "full",
     alike: Sequence[LaunchVariances] = (),
-    prior: Prior | None = None,
+    prior: DevicePrior | None = None,
     progress: Progress = Log.chunks,
 ) -> Calibration:
     """Calibrate a device from one session or from several, its launches.

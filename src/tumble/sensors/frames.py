@@ -9,7 +9,8 @@ What fixes the frame, and what the nine numbers of three accelerometers are call
 
     accelerometer   M = diag(1+k) A(γ), Eq. (1), with xy = xz = yz = 0: lower triangular; angles yx, zx, zy
     paper           M = diag(1+k) [[1, xy, xz], [0, 1, yz], [0, 0, 1]]: upper triangular; k is the diagonal here,
-                    not the sensitivity along the sensor's axis, and the angles are quotients, as its Eq. (5) has them
+                    not the sensitivity along the sensor's axis, and the angles are quotients, as in Eq. (5) of the
+                    ellipsoid paper
     symmetric       M = Mᵀ, positive definite (the polar factor): k as in Eq. (1), angles xy, xz, yz of Eq. (1); the
                     other three follow from the symmetry
     case            the mounting faces: nothing of M is zero, all six angles of Eq. (1): three more parameters, which

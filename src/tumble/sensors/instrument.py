@@ -106,7 +106,7 @@ class Instrument:
         n = len(self.accel.names)
         return slice(0, n) if block.kind == "accel" else slice(n, n + len(block.names))
 
-    def in_motion(self, motion: Motion) -> slice | None:
+    def turn_only(self, motion: Motion) -> slice | None:
         """Where the parameters stand that a turn alone sees in this way."""
         return next((self.members[g.name] for g in self.further if g.motion == motion), None)
 
@@ -135,23 +135,23 @@ class Instrument:
     @cached_property
     def in_velocities(self) -> bool:
         """Whether the velocities of turns can be predicted: lever arms and delays enter them as much as all else."""
-        return self.gyro is not None and None not in (self.in_motion("lever"), self.in_motion("delay"))
+        return self.gyro is not None and None not in (self.turn_only("lever"), self.turn_only("delay"))
 
     def levers(self, values: Array) -> Array:
         """Lever arms (n, 3), m, of the accelerometers by channel; zero where there are none."""
-        out, where = np.zeros((self.accel.size, 3)), self.in_motion("lever")
+        out, where = np.zeros((self.accel.size, 3)), self.turn_only("lever")
         if where is not None:
             out[self.accel.channels[:-1]] = values[where].reshape(-1, 3)
         return out
 
     def delay(self, values: Array) -> float:
         """By how much the last accelerometer is late, s; zero where they have no delay."""
-        where = self.in_motion("delay")
+        where = self.turn_only("delay")
         return 0.0 if where is None else float(values[where][0])
 
     def delays(self, values: Array) -> Array:
         """By how much the accelerometers (n,) are late, s, by channel."""
-        out, where = np.full(self.accel.size, self.delay(values)), self.in_motion("single delay")
+        out, where = np.full(self.accel.size, self.delay(values)), self.turn_only("single delay")
         if where is not None:
             out[self.accel.channels[:-1]] += values[where]
         return out

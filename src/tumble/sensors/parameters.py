@@ -77,12 +77,13 @@ class ParameterGroup:
     `unit` is the SI unit, `shown` the units it is shown in, (size in SI, name), the smallest first; `words` what
     reports call it. `suffixes` makes the names of its parameters for a block, behind the group's own name or another
     `stem`. `limit`, SI, is how far from nominal a value may reasonably be; `usual` the standard deviation over
-    instruments of a grade, the prior where a parameter has one; a grade that is not there has the group only where a
-    data sheet says so. `regressors` is None for bias, scale and axis angles, whose derivative `Block.jacobian` has, and
-    where `motion` says how a turn sees the group, or where the group is the change of another, its `base`, with a
-    `variable`, or a lag, which has no base. `sized_with` names a group from which rests hardly tell it apart: by one
-    factor both are larger than usual. `source` says where the usual size in MEMS instruments is from (those
-    of tactical and navigation instruments are from data sheets, and never wider than that of a poorer grade)."""
+    instruments of a grade: the prior of further groups; that of bias, scale factor and axes serves plans and
+    simulations alone, and their prior is `limit`. A grade that is not there has the group only where a data sheet says
+    so. `regressors` is None for bias, scale and axis angles, whose derivative `Block.jacobian` has, and where `motion`
+    says how a turn sees the group, or where the group is the change of another, its `base`, with a `variable`, or a
+    lag, which has no base. `sized_with` names a group from which rests hardly tell it apart: by one factor both are
+    larger than usual. `source` says where the usual size in MEMS instruments is from (those of tactical and navigation
+    instruments are from data sheets, and never wider than that of a poorer grade)."""
 
     name: str
     kind: SensorKind

@@ -196,7 +196,7 @@ def _with_levers(scenario: Scenario, course: Itinerary, force: Array, vector: Ar
     velocity jumps by ±(ω − ω_rest) × r: the first and the last sample have it in them, turned by half a sample from
     where it is to their middle, and by the delays."""
     instrument = scenario.instrument
-    if instrument.in_motion("lever") is None:
+    if instrument.turn_only("lever") is None:
         return force
     arms, late = instrument.levers(scenario.values), instrument.delays(scenario.values)
     rate, dt = vector / T[:, None], T / SAMPLES

@@ -1,6 +1,6 @@
 """Check positions: gravity less the modulus of the corrected reading, in positions at rest.
 
-In every position, with true = matrix⁻¹ (reading − bias), Eq. (21) of the turntable paper gives
+In every position, with true = matrix⁻¹ (reading − bias), Eq. (21) of the ellipsoid paper gives
 
     Δg = g − |true|                                                                                              (1)
 

@@ -190,12 +190,14 @@ MOST_LINES, WIDTH, MOST_REMARKS = 24, 100, 3
 
 
 def remarks_of(calibration: Calibration) -> tuple[str, ...]:
-    """What a user should do something about, the most harmful first: residuals that the model does not explain, what
-    was assumed of the log and the place, and what priors decide."""
+    """What a user should do something about, the most harmful first: a doubt how the log is read, residuals that the
+    model does not explain, what else was assumed of the log and the place, and what priors decide."""
     decided, assumed = decided_by_priors(calibration), calibration.provenance.assumptions
+    doubts = [sentence for sentence in assumed if sentence.startswith("doubt")]
+    others = [sentence for sentence in assumed if sentence not in doubts]
     if not accepted_kinds(calibration):  # only how the log was read may be why
-        assumed = tuple(sentence for sentence in assumed if sentence.startswith("doubt"))
-    return (*calibration.outcome.remarks, *assumed, *([decided] if decided is not None else []))
+        others = []
+    return (*doubts, *calibration.outcome.remarks, *others, *([decided] if decided is not None else []))
 
 
 def _fitting(calibration: Calibration, room: int) -> list[str]:

@@ -28,7 +28,7 @@ from tumble.result.calibration import Calibration, calibration_of, text_and_name
 from tumble.result.launch_variances import LaunchVariances, launch_variances, variances_between
 
 if TYPE_CHECKING:
-    from tumble.inference.prior import Prior
+    from tumble.inference.prior import DevicePrior
     from tumble.lab.datasheet import Datasheet
     from tumble.lab.device_type import Unit
     from tumble.lab.registry.database import Database
@@ -348,7 +348,7 @@ class Registry:
             raise InputError(f"{which}: expected several launches of one device in the registry, found none")
         return variances
 
-    def prior(self, model: str, *, without: str | None = None) -> Prior:
+    def prior(self, model: str, *, without: str | None = None) -> DevicePrior:
         """What other units of a type are like, as a prior for `calibrate` and `plan`.
 
         Parameters
@@ -360,7 +360,7 @@ class Registry:
 
         Returns
         -------
-        Prior
+        DevicePrior
             Without parameters if there are fewer than three units.
         """
         from tumble.lab.device_type import prior_of

@@ -31,7 +31,9 @@ class Tuning:
 
     # rests
     window: float = _of(1.0, "s", "means and scatters that tell rest from movement are taken over this time")
-    floor_factor: float = _of(5.0, "", "distance of the rate from its level at rest, in noise floors")
+    floor_factor: float = _of(
+        5.0, "", "distance of the rate from its level at rest, in noise floors",
+        BY_HAND + "; the floor is clipped at as many")
     scatter_factor: float = _of(10.0, "", "scatter of the accelerometers at rest, in noise floors")
     quiet_factor: float = _of(
         2.0, "", "scatter of the accelerometers, in noise floors, where the level of the gyros is sought")

@@ -315,16 +315,18 @@ def growing_moments(batches: Iterable[Pieces], lengths: IntArray, compensation: 
 # Columns -------------------------------------------------------------------------------------------------------
 
 
-def lever_columns(moments: Moments, left_inverse: Array, axes: Array, rates: tuple[Array, Array]) -> Array:
-    """∂V = −A_r (K, 3, 3 n), s⁻¹, of the lever arms r_p (three numbers a sensor) of accelerometers, by parts:
+def lever_columns(moments: Moments, left_inverse: Array, sensitivities: Array, rates: tuple[Array, Array]) -> Array:
+    """∂V = −A_r (K, 3, 3 n), s⁻¹, of the lever arms r_p (three numbers a sensor) of accelerometers.
 
-        A_r = ∫ C (s_p a_pᵀ [ω×] − [ω×] s_p a_pᵀ) [ω×] dt + [C s_p a_pᵀ [ω×]]                            Eq. (6)
+    Eq. (10) of docs/explanation/mathematics.md, integrated by parts, with the terms at both ends:
 
-    with s_p a_pᵀ for e_p e_pᵀ, so that it holds for any axes, and with the `rates` (K, 3) in the body at the start and
-    at the end, which at rest are the Earth's. 0 of what takes no time."""
-    along = np.einsum("jp,pa->pja", left_inverse, axes)
+        A_r = ∫ C (s_p a_pᵀ [ω×] − [ω×] s_p a_pᵀ) [ω×] dt + [C s_p a_pᵀ [ω×]]
+
+    with the rows (1 + k) a_p of `sensitivities` (n, 3) and the columns s_p of their `left_inverse` (3, n). `rates`
+    (K, 3) are those of the body at the start and at the end, at rest the Earth's. Turns of no time have zeros."""
+    along = np.einsum("jp,pa->pja", left_inverse, sensitivities)
     first, second = (skew(np.eye(3)[list(each)]) for each in zip(*PAIRS, strict=True))
-    weights = np.zeros((3, len(PAIRS), len(axes), 3))
+    weights = np.zeros((3, len(PAIRS), len(sensitivities), 3))
     for G, H, which in ((first, second, slice(None)), (second, first, [1, 2, 4])):
         kernel = np.einsum("pja,kab,kbr->jkpr", along, G, H) - np.einsum("kja,pab,kbr->jkpr", G, along, H)
         weights[:, which] += kernel[:, which]
@@ -337,18 +339,21 @@ def lever_columns(moments: Moments, left_inverse: Array, axes: Array, rates: tup
 
 
 def delay_column(moments: Moments) -> Array:
-    """∂V = −∫ C (ω × f) dt (K, 3), m/s², of a delay common to all accelerometers, Eq. (7)."""
+    """∂V = −∫ C (ω × f) dt (K, 3), m/s², of a delay common to all accelerometers: the sum in Eq. (11)."""
     return np.asarray(-np.einsum("kijj->ki", moments.sweep))
 
 
-def single_delay_columns(moments: Moments, left_inverse: Array, axes: Array, ends: tuple[Array, Array]) -> Array:
-    """∂V (K, 3, n), m/s², of the delays of single accelerometers, by parts:
+def single_delay_columns(
+    moments: Moments, left_inverse: Array, sensitivities: Array, ends: tuple[Array, Array]
+) -> Array:
+    """∂V (K, 3, n), m/s², of the delays of single accelerometers: Eq. (11), integrated by parts.
 
-        A_τ = ∫ C (ω × s_p)(a_p·f) dt − [C s_p (a_p·f)]                                                  Eq. (7)
+        A_τ = ∫ C (ω × s_p)(a_p·f) dt − [C s_p (a_p·f)]
 
-    with the specific forces (K, 3) in the body at rest, at the start and at the end. 0 of what takes no time."""
-    swept = np.einsum("kiml,mp,pl->kip", moments.sweep, left_inverse, axes)
-    first, last = ((force @ axes.T)[:, None, :] for force in ends)
+    `ends` are the specific forces (K, 3) in the body at rest, at the start and at the end. Turns that take no time have
+    zeros."""
+    swept = np.einsum("kiml,mp,pl->kip", moments.sweep, left_inverse, sensitivities)
+    first, last = ((force @ sensitivities.T)[:, None, :] for force in ends)
     return np.asarray(
         ((moments.C @ left_inverse) * last - left_inverse * first - swept) * np.sign(moments.T)[:, None, None]
     )
