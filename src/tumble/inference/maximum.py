@@ -280,7 +280,7 @@ def likeliest(start: Linearisation, iterations: int = MAX_ITERATIONS) -> Maximum
 def without_outliers(fitted: Maximum, iterations: int = MAX_ITERATIONS) -> Maximum:
     """The maximum without the rests and turns that do not fit; the same where all do."""
     every = np.concatenate(sigmas(fitted.solution))
-    if 2.0 * scipy.special.ndtr(-every.max()) * len(every) > STANDS_OUT:
+    if not len(every) or 2.0 * scipy.special.ndtr(-every.max()) * len(every) > STANDS_OUT:
         return fitted
     robust = maximum(fitted.linearisation, fitted.phi, iterations, robust=True)
     dropped = [w < LEAST_WEIGHT for w in student_weights(chi_square_falls(robust.solution))]
