@@ -185,7 +185,7 @@ def test_enough_rests_are_rests() -> None:
 
 
 def test_a_device_that_is_shaken_where_it_lies_is_not_in_motion() -> None:
-    """Twelve rests beside a fan near the sample rate: the gyros are at rest, and for the accelerometers gravity wanders.
+    """Twelve rests beside a fan near the sample rate: the gyros are at rest, and gravity seems to wander.
     Its aliased shaking is not followed from node to node; what is shaken of fewer rests is a remark."""
     recording = record(replace(PIVOT, seconds=120.0, rests=12, sway=0.0), 4, rate=50.0)
     beat = 3.0 * np.sin(2.0 * np.pi * 0.4 * np.arange(len(recording.accel)) / 50.0)
