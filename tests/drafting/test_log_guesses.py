@@ -38,7 +38,7 @@ def read() -> Array:
 
 
 def triads_of(read: Array) -> dict[str, tuple[str, ...]]:
-    found = columns_by_data([str(j + 1) for j in range(read.shape[1])], read).columns
+    found = columns_by_data([str(j + 1) for j in range(read.shape[1])], read)
     return {kind: sensors.columns for kind, sensors in found.triads.items()}
 
 
@@ -49,9 +49,9 @@ def test_unread_rows_do_not_hide_what_columns_are(read: Array) -> None:
 
 
 def test_sensors_are_not_of_two_arrays(read: Array) -> None:
-    found = columns_by_data(["fb[0]", "fb[1]", "fb[2]", "wb[0]", "wb[1]", "wb[2]"], read).columns
+    found = columns_by_data(["fb[0]", "fb[1]", "fb[2]", "wb[0]", "wb[1]", "wb[2]"], read)
     assert found.triads[ACCEL].columns == ("fb[0]", "fb[1]", "fb[2]")
-    assert not columns_by_data(["a[0]", "fb[0]", "fb[1]", "wb[0]", "wb[1]", "wb[2]"], read).columns.triads
+    assert not columns_by_data(["a[0]", "fb[0]", "fb[1]", "wb[0]", "wb[1]", "wb[2]"], read).triads
 
 
 def test_columns_of_which_no_stretch_is_whole_are_told_by_gravity(read: Array) -> None:
@@ -70,7 +70,7 @@ def test_accelerometers_that_read_nothing_or_zero_are_refused(tmp_path: Path) ->
 
 def test_a_counter_that_starts_anew_is_a_time(read: Array) -> None:
     micros = (np.arange(600) * 10_000.0 + 2.0**32 - 3e6) % 2.0**32
-    found = columns_by_data([str(j) for j in range(7)], np.column_stack([micros, read])).columns
+    found = columns_by_data([str(j) for j in range(7)], np.column_stack([micros, read]))
     assert found.time == "0"
     assert found.triads[ACCEL].columns == ("1", "2", "3")
 
@@ -343,9 +343,9 @@ def test_quaternions_that_are_rounded_are_no_accelerometers(decimals: int) -> No
 
 def test_columns_of_other_names_are_no_sensor_by_their_numbers(read: Array) -> None:
     for names in (["RSSI (dB)", "LQ (%)", "SNR (dB)"], ["sitting", "standing", "walking"], ["room", "y", "z"]):
-        assert columns_by_data(names, read[:, :3]).columns.triads == {}
+        assert columns_by_data(names, read[:, :3]).triads == {}
     for names in (["fz1", "fz2", "fz3"], ["Kanal X", "Kanal Y", "Kanal Z"], ["9", "10", "11"]):
-        assert columns_by_data(names, read[:, :3]).columns.triads[ACCEL].columns == tuple(names)
+        assert columns_by_data(names, read[:, :3]).triads[ACCEL].columns == tuple(names)
 
 
 def test_steps_of_six_digits_are_those_of_data_sheets() -> None:

@@ -45,6 +45,19 @@ def test_each_log_has_a_session_of_its_own_and_finds_it_again(logs: Path) -> Non
     assert (first / "session.toml").read_bytes() == before
 
 
+@pytest.mark.parametrize("half", [(), ("log.parquet",), ("session.toml", "made.json")])
+def test_what_a_killed_process_had_put_aside_comes_back(logs: Path, half: tuple[str, ...]) -> None:
+    folder, _ = made(logs / "flight-1.2.csv")
+    (folder / "notes.txt").write_text("mine")
+    aside = folder.rename(folder.with_name(f".{folder.name}.0123abcd"))
+    for name in half:
+        folder.mkdir(exist_ok=True)
+        (folder / name).write_bytes((aside / name).read_bytes() if name != "log.parquet" else b"half")
+    assert made(logs / "flight-1.2.csv")[0] == folder
+    assert sorted(path.name for path in folder.iterdir()) == ["made.json", "notes.txt", "session.toml"]
+    assert sorted(path.name for path in logs.iterdir() if path.is_dir()) == ["flight-1.2-session"]
+
+
 def test_another_log_of_the_same_name_has_another_session(logs: Path) -> None:
     first = made(logs / "flight-1.2.csv")[0]
     (logs / "flight-1.3.csv").replace(logs / "flight-1.2.csv")

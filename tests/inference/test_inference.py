@@ -15,6 +15,7 @@ from tests.support.wandering_biases import middles
 from tumble.diagnosis.verdict import verdict
 from tumble.inference import elimination
 from tumble.inference import joint as of_joint
+from tumble.inference.fits import sigmas
 from tumble.inference.hyperparameters import (
     CorrelationTime,
     GroupSize,
@@ -29,12 +30,13 @@ from tumble.inference.hyperparameters import (
 from tumble.inference.integral import conditional, members_of, posterior, smoothed, triangles
 from tumble.inference.joint import joint
 from tumble.inference.linearisation import Linearisation, linearise
-from tumble.inference.maximum import Maximum, Status, maximum
+from tumble.inference.maximum import Maximum, Status, maximum, without_outliers
 from tumble.inference.noise import VarianceComponents
 from tumble.inference.normal_equations import session_mean_bias, solve
 from tumble.inference.problem import NO_PRIOR, Problem, instruments_of
 from tumble.inference.start import start_of
 from tumble.planning.setup import Setup
+from tumble.programme.positions import from_attitudes, programme
 from tumble.reduction.observations import Observations
 from tumble.reduction.together import joined
 from tumble.rotation import unit_vector
@@ -129,6 +131,22 @@ def test_the_score_is_the_derivative_of_the_likelihood(name: str) -> None:
         more, less = (restricted_likelihood(at, entries, phi + sign * by_one) for sign in (1.0, -1.0))
         numeric = (more.log_posterior - less.log_posterior) / (2.0 * step)
         assert gradient[i] == pytest.approx(numeric, rel=1e-5, abs=1e-4), entries[i].name
+
+
+def test_the_score_is_the_derivative_with_rows_that_count_less_and_rows_left_out() -> None:
+    """By central differences, with the weights of a robust fit; what is left out shows nothing of any scatter."""
+    at, rng = started(observed(by_hand())), np.random.default_rng(0)
+    rest, turn = (rng.uniform(0.3, 1.0, w.shape) for w in (at.noise.rest_weights, at.noise.turn_weights))
+    rest[3], turn[5] = 1e-3, 1e-3
+    entries, step = maximum(at, iterations=1).hyperparameters, 1e-4
+    at, phi = replace(at, noise=at.noise.weighted(rest, turn, at.noise.link_weights)), away_from_bounds(entries)
+    here = restricted_likelihood(at, entries, phi)
+    gradient, _ = score(entries, here)
+    for i, h in enumerate(entries):
+        by_one = step * np.eye(len(phi))[i]
+        more, less = (restricted_likelihood(at, entries, phi + sign * by_one) for sign in (1.0, -1.0))
+        numeric = (more.log_posterior - less.log_posterior) / (2.0 * step)
+        assert gradient[i] == pytest.approx(numeric, rel=1e-5, abs=1e-3), h.name
 
 
 def test_sessions_of_the_score_have_every_kind_of_hyperparameter() -> None:
@@ -366,6 +384,23 @@ def test_more_rests_never_make_the_mean_of_a_process_worse() -> None:
 
 
 # -------------------- what does not fit --------------------
+
+
+def test_the_farthest_of_many_rests_is_no_outlier() -> None:
+    """In 240 rests and 239 turns something is beyond 3 sigmas by chance: the maximum is taken once."""
+    codes = [position.attitude for position in programme("rough-table").positions]
+    setup = replace(Setup.of(grade="tactical"), programme=from_attitudes(codes * 16))
+    fitted = fitted_of(observed(scenario_of(setup, np.random.default_rng(1)), 1))
+    assert 3.0 < max(each.max() for each in sigmas(fitted.solution)) < 3.7
+    assert without_outliers(fitted) is fitted
+
+
+def test_a_robust_fit_settles() -> None:
+    """Weights and scatter agree in fewer steps than there may be."""
+    fitted = fitted_of(observed(by_hand()))
+    robust = maximum(fitted.linearisation, fitted.phi, robust=True)
+    assert robust.converged
+    assert len(robust.increments) < 15
 
 
 def test_a_spoilt_turn_is_left_out_and_named_and_moves_nothing() -> None:

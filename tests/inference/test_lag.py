@@ -8,8 +8,21 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from tumble.inference.hyperparameters import restricted_likelihood
 from tumble.inference.joint import joint
-from tumble.inference.lag import LAGS_ABOUT, greater_by, log_odds_of_change, resolved, without
+from tumble.inference.lag import (
+    LAGS_ABOUT,
+    greater_by,
+    likeliest_near,
+    log_odds_of_change,
+    maximum_with_lags,
+    resolved,
+    without,
+)
+from tumble.inference.linearisation import linearise
+from tumble.inference.maximum import MAX_ITERATIONS, maximum
+from tumble.inference.problem import Problem, instruments_of
+from tumble.inference.start import start_of
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
 from tumble.run.from_estimate import over_temperature
@@ -128,4 +141,40 @@ def test_a_thermometer_that_tells_nothing_costs_little_and_is_said() -> None:
         assert any(
             "the gyros are not seen to change with temp" in each or "the gyros are behind" in each for each in said
         )
-    assert {name: np.median(each) for name, each in ratios.items() if np.median(each) > 1.3} == {}
+    medians = {name: float(np.median(each)) for name, each in ratios.items()}
+    assert max(medians.values()) < 1.3
+    assert max(medians["accel.bias"], medians["gyro.bias"]) < 1.2
+
+
+def test_a_lag_is_judged_with_the_sizes_that_are_likeliest_with_it() -> None:
+    """Where the in-run biases are as large as another lag makes them, a lag that is far from it seems too unlikely."""
+    _, observations = warming(0, "25+10@300", {"accel": 20.0, "gyro": 100.0}, 3.0)
+    instrument, _ = instruments_of(observations)
+    problem = Problem.of(observations, instrument=instrument, usual=observations.usual)
+    fitted, _ = maximum_with_lags(start_of(problem)[0], MAX_ITERATIONS)
+    values = fitted.point.values.copy()
+    values[problem.lags["gyro"]] += 200.0
+    held = fitted.usual_problem.with_lags(values)
+    there = linearise(held, replace(fitted.point, values=values), fitted.linearisation.about)
+    best = maximum(there, fitted.phi).solution.log_posterior
+    plain = restricted_likelihood(there, fitted.hyperparameters, fitted.phi).log_posterior
+    near = likeliest_near(fitted, there).log_posterior
+    assert plain < best - 5.0
+    assert best - near < 0.4 * (best - plain)
+
+
+def test_rows_at_another_lag_are_those_linearised_there() -> None:
+    """Whatever goes with temperature, in rests and in turns that warm: ℓ, and the step in units of u."""
+    _, observations = warming(1, "25+10@300", {"accel": 20.0, "gyro": 40.0}, 1.0)
+    instrument, _ = instruments_of(observations)
+    problem = Problem.of(observations, instrument=instrument, usual=observations.usual)
+    fitted, _ = maximum_with_lags(start_of(problem)[0], MAX_ITERATIONS)
+    values = fitted.point.values.copy()
+    values[list(problem.lags.values())] += [15.0, 60.0]
+    held, about = problem.with_lags(values), fitted.linearisation.about
+    near = fitted.linearisation.at_lags(held, values)
+    whole = linearise(held, replace(fitted.linearisation.point, values=near.point.values), about)
+    found, expected = (restricted_likelihood(each, fitted.hyperparameters, fitted.phi) for each in (near, whole))
+    assert float(found.log_posterior) == pytest.approx(float(expected.log_posterior), abs=0.02)
+    u = np.sqrt(expected.covariance.diagonal()[1:])
+    np.testing.assert_allclose((found.parameters - expected.parameters)[1:] / u, 0.0, atol=0.01)

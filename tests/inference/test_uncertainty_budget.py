@@ -146,7 +146,7 @@ class OneSource:
             yield from self._by_rows(whole, "turn", slice(None))
         elif what == "scatter":
             size, place = getattr(self.components, kind), SCATTER.index(kind)
-            for (Z, of), out in ((noise.scaled_rest_directions, "rest"), (noise.turn_directions, "turn")):
+            for (Z, of), out in zip(noise.directions, ("rest", "turn"), strict=False):
                 along = size * Z[:, :, of == place]
                 yield from self._by_rows(along @ np.swapaxes(along, 1, 2), out, slice(None))
         elif what == "in_run":

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.support.calibrated import calibration
-from tests.support.warming import G, Warming, cubic_fit, warming
+from tests.support.warming import G, Warming, cubic_fit, known_u, warming
 from tumble import Calibration, InputError, calibrate, read_calibration
 from tumble.export import export_calibration
 from tumble.reduction.rests.thermometer_errors import curve_through, passed
@@ -91,6 +91,27 @@ def test_what_one_attitude_does_not_show_is_said_and_left_out_of_files(alone: Ca
     assert "bias_cube" in export_calibration(alone, "c").content.decode()
 
 
+def test_files_of_autopilots_say_the_curves_of_the_estimate(alone: Calibration) -> None:
+    """PX4's polynomial above TREF, ArduPilot's in millionths about 35 °C, both of the third degree."""
+
+    def parameters(to: str, separator: str, name: int) -> dict[str, float]:
+        lines = export_calibration(alone, to).content.decode().splitlines()
+        every = (line.split(separator) for line in lines if not line.startswith("#"))
+        return {fields[name]: float(fields[name + 1]) for fields in every}
+
+    px4, ardupilot = parameters("px4-thermal", "\t", 2), parameters("ardupilot-thermal", ",", 0)
+    T = np.linspace(*(alone.temperature_range or (0.0, 0.0)), 9)
+    for kind, stem, short in (("accel", "TC_A0", "ACC"), ("gyro", "TC_G0", "GYR")):
+        for i, x in enumerate("xyz"):
+            told = curve(alone, f"{kind}.bias.{x}", T).value
+            d = T - px4[f"{stem}_TREF"]
+            by_px4 = [px4[f"{stem}_X{k}_{i}"] * d**k for k in POWERS]
+            by_ardupilot = [1e-6 * ardupilot[f"INS_TCAL1_{short}{k}_{x.upper()}"] * (T - 35.0) ** k for k in POWERS]
+            for terms in (by_px4, by_ardupilot):
+                found = np.sum(terms, axis=0)
+                assert found - found[0] == pytest.approx(told - told[0], abs=1e-4 * float(np.ptp(told)))
+
+
 def test_gyro_biases_have_the_earths_rate_of_unknown_heading_in_them(recorded: Warming, alone: Calibration) -> None:
     up = recorded.accel.mean(axis=0) / G
     mean, covariance = earth_at_rest(up / np.linalg.norm(up), np.radians(50.0))
@@ -163,6 +184,23 @@ def test_whole_degrees_are_no_steps_of_the_sensors() -> None:
     made = calibrate(**recorded.arrays)
     for kind in KINDS:
         assert np.linalg.norm(off(made, recorded, kind)) < 0.8 * np.linalg.norm(off_by_fit(made, recorded, kind))
+
+
+def test_u_is_hardly_less_than_with_sizes_that_are_known() -> None:
+    """The wandering of biases is learned from forty parts: with scatter and sensors unlike others beside it the
+    integral rested on a few points, and u was half of what it has to be."""
+    recorded = warming(28, span=35.0, course="cooling", seconds=2700.0)
+    made = calibrate(**recorded.arrays)
+    low, high = made.temperature_range or (0.0, 0.0)
+    middle, u = 0.5 * (low + high) - (made.reference_temperature or 0.0), []
+    for x in "xyz":
+        covariance = made.covariance_of([f"gyro.bias.{x}.t{k}" for k in POWERS])
+        ends = np.array(
+            [[(middle + d) ** k - middle**k for k in POWERS] for d in (0.5 * (low - high), 0.5 * (high - low))]
+        )
+        u.append(np.sqrt(np.diag(ends @ covariance @ ends.T)))
+    ratio = np.median(np.array(u) / known_u(recorded, "gyro"), axis=0)
+    assert ((ratio > 0.65) & (ratio < 1.5)).all()
 
 
 def test_three_kelvin_say_little_and_a_log_without_thermometer_nothing(base: Calibration) -> None:

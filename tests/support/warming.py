@@ -158,3 +158,22 @@ def cubic_fit(celsius: Array, readings: Array, step: float = 1.0) -> Array:
     seen = count > 0
     means = [np.bincount(number, column)[seen] / count[seen] for column in (celsius, *readings.T)]
     return np.polyfit(means[0] - celsius.mean(), np.stack(means[1:], axis=1), min(3, len(means[0]) - 1))
+
+
+def known_u(recorded: Warming, kind: str, parts: int = 40) -> Array:
+    """Standard deviations (2,) of the changes of a reading from the middle of the range to both ends by generalised
+    least squares over the means of parts, with the sizes that slopes, noise and wandering biases really have; for a
+    recording without lag."""
+    T, constant = recorded.time[-1] / parts, 300.0
+    of = np.linspace(0, len(recorded.time), parts + 1).astype(int)[:-1]
+    d = recorded.celsius - recorded.middle
+    columns = np.stack([np.add.reduceat(d**k, of) / np.diff(np.append(of, len(d))) for k in range(4)], axis=1)
+    sizes = SLOPE[kind] * np.array([1e3, 1.0, 1.0 / 60.0, 1.0 / 3600.0])
+    apart, x = np.abs(np.subtract.outer(np.arange(parts), np.arange(parts))) * T, T / constant
+    V = np.exp(-apart / constant) * 2.0 * (np.cosh(x) - 1.0) / x**2
+    np.fill_diagonal(V, 2.0 * (x + np.expm1(-x)) / x**2)
+    V = WANDERING[kind] ** 2 * V + WHITE[kind] ** 2 / T * np.eye(parts)
+    covariance = np.linalg.inv(columns.T @ np.linalg.solve(V, columns) + np.diag(sizes**-2.0))
+    half = 0.5 * float(np.ptp(recorded.celsius))
+    ends = np.array([[0.0, x, x**2, x**3] for x in (-half, half)])
+    return np.sqrt(np.diag(ends @ covariance @ ends.T))

@@ -189,6 +189,7 @@ def _done(task: Task, taken: int, estimate: EstimateShown | None, *, complete: b
 
 # -------------------- what can be answered --------------------
 
+_ANEW = "Record this unit anew", "in a folder of its own beside this one"
 _LEFT_OUT = {
     "knock": ("Take this rest again", "hold still: it begins anew, what came before the knock is left out"),
     "movement": ("Take this rest again", "hold still: it begins anew"),
@@ -219,6 +220,8 @@ def answers(state: State) -> list[Answer]:
     if state["result"] is not None:
         if state["can_record"] and not ended:
             named["resume"] = "Record on", "in the same folder; this result is dropped"
+        if state["can_record"] and not state["result"]["accepted"]:
+            named["anew"] = _ANEW
     elif state["can_record"] and not state["listening"] and not ended:
         named["resume"] = "Record on", "in the same folder, where it stopped"
         named["calibrate"] = "Calibrate", "what is recorded so far"
@@ -231,7 +234,7 @@ def answers(state: State) -> list[Answer]:
             "again": (label, says.format(wanted=wanted)),
             "unit": (f"Yes, in {fault['unit']}", "the session is changed, and what is recorded is read anew"),
             "keep_first": ("Keep the first part", "the rest ends at the knock; go on to the next position"),
-            "anew": ("Record this unit anew", "in a folder of its own beside this one"),
+            "anew": _ANEW,
             "go_on": ("Go on", _GOING_ON.get(fault["kind"], "nothing is left out: where the page is wrong")),
         }
         named = {name: each[name] for name in fault["choices"]}

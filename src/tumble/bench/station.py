@@ -173,6 +173,8 @@ class Station:
         intake, live, device, programme = self.intake, self._live, self.task.session.device, self.task.programme
         source = "recording has stopped" if self._listen is not None else "the log of another program"
         received: Received = NOTHING_RECEIVED if intake is None else intake.received
+        if live.samples and shown is screens.WAITING:
+            shown = {**shown, "headline": "Waiting for rest"}
         if received["silent"]:
             shown = {**shown, "headline": "Nothing comes from the sensor: is it plugged in?"}
         if received["ended"] and shown["fault"] is None and shown["screen"] != "done":

@@ -49,7 +49,11 @@ def programme(
     print_blocks(*blocks)
 
 
-@click.command(epilog=ask.examples("tumble plan nine --grade mems", "tumble plan --want accel.scale=6ppm"))
+@click.command(
+    epilog=ask.examples(
+        "tumble plan nine --grade mems", "tumble plan --want accel.scale=6ppm", "tumble plan --pivot 120s --grade mems"
+    )
+)
 @click.argument("programme", default=PROGRAMME, shell_complete=ask.programmes_like)
 @ask.option("--attitude/attitudes", "Instead of PROGRAMME: an attitude code; repeat.", multiple=True)
 @ask.method(
@@ -62,6 +66,8 @@ def programme(
 @click.option("--sources", is_flag=True, help="Show u by source.")
 @click.option("--accel-only", is_flag=True, help="Accelerometers alone, without gyros and turns.")
 @ask.option("--axes", "Turns about these alone, the device staying as it is mounted.", metavar="N,U,E")
+@ask.option("--pivot", "Instead of PROGRAMME: so long on a tripod head or ball joint, no rests.", metavar="SECONDS")
+@ask.option("--hand", "Instead of PROGRAMME: so long in the hand, no rests.", metavar="SECONDS")
 @ask.option("--step", "Where the table stops: multiples, °.", 45.0, type=float)
 @ask.JSON
 def plan(
@@ -75,9 +81,12 @@ def plan(
     accel_only: bool,
     axes: str | None,
     step: float,
+    pivot: str | None,
+    hand: str | None,
     **options: Any,
 ) -> None:
     """The u that a calibration by PROGRAMME will state, the best next positions, and what a wanted accuracy needs."""
+    from tumble.planning.in_motion import motion_of
     from tumble.planning.next_positions import TurnTable
     from tumble.planning.plan import plan
     from tumble.planning.setup import wanted_accuracies
@@ -97,6 +106,7 @@ def plan(
             wanted=accuracies,
             gyros=not accel_only,
             table=table,
+            motion=motion_of(pivot, hand),
             progress=progress,
         )
     tell.show(found, lambda: plan_blocks(found, sources=sources))

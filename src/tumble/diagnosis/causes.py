@@ -243,12 +243,10 @@ def jumps(session: LinearisedSession) -> Iterator[Candidate]:
                 sentences.append("")
                 continue
             last = int(places[np.argmax(falls[places])])
-            after[last + 1 : part.rests.stop] = 1.0
-            turns = np.arange(part.turns.start, part.turns.stop)
-            in_turn[turns] = 0.5 * (1.0 + np.sign(before_turn[turns] - last))
+            after[part.rests], in_turn[part.turns] = session.since(last, part)
             share = float(after[part.rests].mean())
             after[part.rests] -= share
-            in_turn[turns] -= share
+            in_turn[part.turns] -= share
             sentences.append(
                 f"biases of the {WORDS[kind]} jump by {{size}} after "
                 f"{session.observations.rest_named(last).rpartition(': ')[2]} "
@@ -283,9 +281,7 @@ def shifts(session: LinearisedSession, about: TurnsAbout, gyro: Block) -> Iterat
         at_rest, in_turn, sentences = np.zeros(len(rests)), np.zeros(len(before_turn)), list[str]()
         for part in session.problem.parts:
             last = part.rests.start + (part.rests.stop - part.rests.start) * place // (SHIFTS + 1)
-            at_rest[last + 1 : part.rests.stop] = 1.0
-            turns = np.arange(part.turns.start, part.turns.stop)
-            in_turn[turns] = 0.5 * (1.0 + np.sign(before_turn[turns] - last))
+            at_rest[part.rests], in_turn[part.turns] = session.since(last, part)
             sentences.append(
                 f"the gyros turn against the accelerometers by {{size}} about {rests.stop[last]:z.0f} s, as on a board "
                 "that is loose: fasten it, and calibrate what is before and what is after as launches"

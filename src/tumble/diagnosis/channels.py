@@ -56,7 +56,7 @@ def normalised(reduction: Reduction, rests: Sequence[Stretch], to_body: Array) -
     if not rests:
         return []
     length = np.linalg.norm(np.concatenate([each.accel.ends for each in reduction.files]) @ to_body.T, axis=1)
-    magnitude, files = float(np.median(length)), {each.file: each for each in reduction.files}
+    magnitude, files = float(np.median(length)), reduction.by_file
     spread = float(np.sqrt(np.mean((length - magnitude) ** 2)))
     squares, lengthened = list[float](), list[float]()
     for rest in rests:
@@ -92,7 +92,7 @@ FINE = 3.0
 def dead_zones(reduction: Reduction, rests: Sequence[Stretch], channels: Channels) -> list[str]:
     """Gyros whose driver writes 0 for small rates: at rest they read exactly 0 more often than their resolution makes
     them, while all other values are at least some way from it."""
-    files = {each.file: each for each in reduction.files}
+    files = reduction.by_file
     ends = [files[rest.file].gyro.ends[rest.first : rest.last] for rest in rests]
     at_rest = np.concatenate(ends) if ends else np.empty((0, len(channels.columns)))
     every = np.concatenate([each.gyro.ends for each in reduction.files])
@@ -134,12 +134,7 @@ def high_passed(reduction: Reduction, rests: Sequence[Stretch]) -> list[str]:
     """Gyros behind a high-pass filter of time constant τ. After a turn by θ they read −θ/τ, which fades: what they read
     at the start of a rest beyond what they read at its end goes against the turn before. Of a turn that lasts longer
     than τ hardly anything is left in their integral, whatever the vertical was turned by."""
-    files, starts, turns, left = (
-        {each.file: each for each in reduction.files},
-        list[Array](),
-        list[Array](),
-        list[float](),
-    )
+    files, starts, turns, left = reduction.by_file, list[Array](), list[Array](), list[float]()
     for before, rest in pairwise(rests):
         f = files[rest.file]
         if before.file != rest.file:

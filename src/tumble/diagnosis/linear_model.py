@@ -9,8 +9,8 @@ rotations of turns −∂φ/∂θ φ. With the derivative G of the result by wha
 
 which is in u, of all of these methods. The groups stay at nothing, so that −φ is their error. With it the corrected
 force in the attitudes of the rests is as well known as the fit has it, and in others as badly as the groups allow.
-Where the session shows that σ is too small, it is what `joint` widens the prior of a group to
-(`GroupFinding.prior_widened`).
+Where the session shows another size than σ, it is the root mean square of what `joint` finds of it (`left_out_sizes`).
+Scatter is judged beside the groups: of residuals that these explain none is left for it, else they would be in u twice.
 
 G is of the methods of the paper the derivative of their passes; of `ellipsoid` A⁺, A being the linear columns with the
 weights that the fit has and B what no turn of the vertical reaches; and of `joint` with linear terms N⁻¹ Aᵀ of its
@@ -145,9 +145,16 @@ def linear_joint(observations: Observations) -> Estimate:
     about = None if linear.about is None else TurnsAbout.of(observations, instrument, values)
     moves = moves_by_likelihood(replace(linearise(problem, point, about), noise=linear.noise))
     if beside is not None and estimate.converged:
-        degrees = None if beside.degrees is None else beside.degrees[: instrument.linear_count]
-        beside_it = replace(estimate, linearised=beside.linearised, hyperparameters=beside.hyperparameters)
-        estimate = replace(beside_it, degrees=degrees)
+        assert beside.budget is not None
+        assert estimate.budget is not None
+        sources = {each.name: each for each in beside.budget.sources}
+        estimate = replace(
+            estimate,
+            linearised=beside.linearised,
+            hyperparameters=beside.hyperparameters,
+            degrees=None if beside.degrees is None else beside.degrees[: instrument.linear_count],
+            budget=replace(estimate.budget, sources=tuple(sources.get(s.name, s) for s in estimate.budget.sources)),
+        )
     return with_left_out(estimate, problem, moves, left_out_sizes(problem, beside))
 
 

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from tumble.inference.linearisation import Linearisation
+from tumble.inference.problem import SessionSpan
 from tumble.reduction.observations import Observations
 from tumble.reduction.together import apart
 from tumble.rotation import rotation_matrix, rotation_vector
@@ -87,6 +88,12 @@ class LinearisedSession:
         """Columns (N, r, q) and (K, t, q) of nothing."""
         rows = self.linearised
         return np.zeros((*rows.rest.shape[:2], q)), np.zeros((*rows.turn.shape[:2], q))
+
+    def since(self, last: int, part: SessionSpan) -> tuple[Array, Array]:
+        """Which rests (N,) and turns (K,) of a session come after one of its rests: 1, and half of the turn between."""
+        before = self.problem.before_turn[part.turns]
+        after = np.arange(part.rests.start, part.rests.stop) > last
+        return after.astype(float), 0.5 * (1.0 + np.sign(before - last))
 
     def biased(self, kind: str, at_rest: Array, in_turn: Array) -> tuple[Array, Array]:
         """Columns of a bias of every sensor of a kind that is so many times as large at rest (N, n) and on the way of

@@ -16,7 +16,7 @@ from operator import attrgetter
 import numpy as np
 
 from tumble.diagnosis.causes import Cause, candidates_of, earth_rate_errors, quantisation, tested
-from tumble.diagnosis.findings import Finding
+from tumble.diagnosis.findings import Finding, refusal, remark
 from tumble.diagnosis.linearised_session import UNITS, WORDS, Kind, LinearisedSession, sized
 from tumble.diagnosis.lost_samples import (
     OF_TURNS,
@@ -141,8 +141,9 @@ def misfit(estimate: Estimate, search: bool = True) -> tuple[Finding, ...]:
     for found in every[MOST_SESSIONS:]:  # remarks on so many sessions would be more than anyone reads
         findings += (each for each in found if each.refuses)
     if len(every) > MOST_SESSIONS:
-        more = f"{len(every) - MOST_SESSIONS} more sessions scatter: calibrate them one by one to see by what"
-        findings.append(Finding(sentence=more))
+        findings.append(
+            remark(f"{len(every) - MOST_SESSIONS} more sessions scatter: calibrate them one by one to see by what")
+        )
     findings += [*_groups_beyond_usual(estimate), *wandering]
     if estimate.method == "joint":
         return tuple(findings)
@@ -259,9 +260,9 @@ def _of_session(
     for group, ratio in larger.items():
         sentence = _larger(group, ratio, linearised)
         if group.name not in REST_SCATTER and group.beyond_model(ratio, components) and not jittering(observations):
-            yield Finding(sentence=sentence.removesuffix(AT_RANDOM), concerns=OF_TURNS, refuses=True)
+            yield refusal(sentence.removesuffix(AT_RANDOM), *OF_TURNS)
         elif group.name not in known:
-            yield Finding(sentence=sentence, concerns=(group.concerns,))
+            yield remark(sentence, group.concerns)
     for cause in named:
         if cause not in harmful:
             sentence = f"probable cause: {cause.sentence}"
@@ -282,13 +283,12 @@ def _restless(linearised: Linearisation) -> Iterator[Finding]:
         size, time = getattr(components, f"{kind}_in_run"), getattr(components, f"{kind}_time")
         change = float(size * np.sqrt(-2.0 * np.expm1(-interval / time))) if time > 0.0 else 0.0
         if change > max(MANY * noise, NOTHING[kind]):
-            sentence = (
+            yield refusal(
                 f"biases of the {WORDS[kind]} change by {sized(change, UNITS[kind])} from one rest to the next, "
                 f"{change / noise:.2g} times the noise of a rest: something is there that the model does not have; "
-                "look at the rests with `tumble inspect`"
+                "look at the rests with `tumble inspect`",
+                *(kind, *(OF_TURNS if kind == "accel" else ())),
             )
-            concerns = (kind, *(OF_TURNS if kind == "accel" else ()))
-            yield Finding(sentence=sentence, concerns=concerns, refuses=True)
 
 
 def damaging(cause: Cause) -> Finding:

@@ -8,9 +8,10 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from tumble.diagnosis.findings import Finding
+from tumble.diagnosis.findings import Finding, refusal, remark
 from tumble.diagnosis.observability import faces_and_edges, most_telling, rows_of_rests, standing
 from tumble.inference.estimate import DETERMINED, Estimate
+from tumble.inference.noise import typical_noise
 from tumble.inference.sources import common_covariances
 from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
@@ -49,7 +50,7 @@ def undetermined(estimate: Estimate, observations: Observations, missing: tuple[
         alone = one_attitude(observations)
         helpful = "" if alone else _most_helpful(estimate, observations, estimate.null)
         unseen = f"not observable in this session: {listed(missing)}"
-        findings.append(Finding(sentence=_and(alone, unseen, helpful), concerns=groups_of(missing), refuses=True))
+        findings.append(refusal(_and(alone, unseen, helpful), *groups_of(missing)))
     combinations, known, refused = _weak(estimate, observations, {sensor_kind(name) for name in missing})
     if len(known):
         largest, weak = [_largest_of(combination) for combination in combinations], list[str]()
@@ -73,12 +74,11 @@ def faces_alone(estimate: Estimate, missing: Sequence[str]) -> bool:
 
 def as_six_faces_give(estimate: Estimate, observations: Observations, missing: Sequence[str]) -> Finding:
     """What a session without oblique rests gives, and which rests would show the rest."""
-    sentence = _and(
-        f"bias and scale factor of each axis alone, as six faces give them: not observable in this session and taken "
-        f"as 0 is {listed(missing)}, of which u contains any usual size",
-        _most_helpful(estimate, observations, estimate.null),
+    said = (
+        "bias and scale factor of each axis alone, as six faces give them: not observable in this session and taken "
+        f"as 0 is {listed(missing)}, of which u contains any usual size"
     )
-    return Finding(sentence=sentence, concerns=("accel",))
+    return remark(_and(said, _most_helpful(estimate, observations, estimate.null)), "accel")
 
 
 def one_attitude(observations: Observations) -> str:
@@ -87,7 +87,7 @@ def one_attitude(observations: Observations) -> str:
     if rests.accel.shape[1] != len("xyz"):
         return ""
     up = rests.accel / np.linalg.norm(rests.accel, axis=1, keepdims=True)
-    if (up @ up.T).min() < _ONE_ATTITUDE:
+    if not len(up) or (up @ up.T).min() < _ONE_ATTITUDE:
         return ""
     counted = "1 rest" if len(up) == 1 else f"all {len(up)} rests"
     return (
@@ -146,8 +146,7 @@ def _resolution(estimate: Estimate, observations: Observations) -> float:
     """The angle, rad, that the rests and turns both resolve, scatter included."""
 
     def typical(covariance: Array, group: str) -> float:
-        variance = np.median(np.diagonal(covariance, axis1=1, axis2=2))
-        return float(np.hypot(np.sqrt(variance), estimate.fits[group].scatter if group in estimate.fits else 0.0))
+        return math.hypot(typical_noise(covariance), estimate.fits[group].scatter if group in estimate.fits else 0.0)
 
     tilt = typical(observations.rests.accel_covariance, "accelerometers") / observations.site.gravity
     if observations.turns is None or not len(observations.turns) or estimate.gyro is None:
@@ -160,12 +159,12 @@ def gravity_wanted(site: Site) -> Iterator[Finding]:
     relative = site.gravity_u / site.gravity
     if np.sqrt(3.0) * relative < POORLY_KNOWN * group_of("accel.scale").limit:
         return
-    sentence = (
+    yield remark(
         f"gravity is {site.gravity:.5f} m/s^2 with a standard uncertainty of {site.gravity_u:.2g} m/s^2: all scale "
         f"factors of the accelerometers together are known to {100.0 * relative:.2g} % only, which u contains; state "
-        "latitude_deg and height_m in [site] (--latitude, --height), or gravity"
+        "latitude_deg and height_m in [site] (--latitude, --height), or gravity",
+        "accel.scale",
     )
-    yield Finding(sentence=sentence, concerns=("accel.scale",))
 
 
 def _largest_of(combination: Array) -> list[int]:

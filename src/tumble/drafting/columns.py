@@ -23,13 +23,12 @@ from tumble.drafting.times import grows_mostly, times_of_column
 from tumble.errors import InputError
 from tumble.files import OutputFolder, whole_file
 from tumble.recording.columns.names import ACCEL, GYRO, columns_by_name, is_no_sensor, time_unit, unit_of_name
-from tumble.recording.columns.numbers import columns_by_data, grows, time_by_data
+from tumble.recording.columns.numbers import columns_by_data, grows, guesses, time_by_data
 from tumble.recording.log_source import readable
 from tumble.recording.readers import ENDINGS, source_of
-from tumble.recording.text.dialect import LINE_BYTES, Dialect, dialect_of, is_clock
+from tumble.recording.text.dialect import LINE_BYTES, SEEN_BYTES, Dialect, dialect_of, is_clock
 from tumble.recording.text.pieces import opened
 
-_SEEN_BYTES = 1 << 18
 _FEWEST_ROWS, _LONGEST_ROW = 50, 4096
 _GROWING = 0.9  # of the steps of stamps that are those of rows
 _DELIMITER_WORDS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "blanks"}
@@ -54,7 +53,7 @@ def identified_log(
         files, folder
     ):  # text without rows beside logs that have some, as the metadata that a phone writes, is left out
         try:
-            logs += [log.with_stated(stated, units) for log in _found(file, folder)]
+            logs += [log.with_stated(stated, units) for log in _logs_in(file, folder)]
         except NoLogError as error:
             without.append(error)
             omitted += (f"{file.name} has no rows of readings and is left out",)
@@ -75,7 +74,7 @@ def identified_log(
         numeric = _numeric(first)
         time = first.columns.time or time_by_data(numeric, first.read(numeric, rows=LONGEST // 10))
         logs = [replace(first.with_columns(time=time), files=tuple(file for log in logs for file in log.files))]
-    logs = [_with_nameless_gyros(_with_time(_with_gravity(log))) if log in whole else _by_data(log) for log in logs]
+    logs = [_by_numbers(_with_time(_with_gravity(log)) if log in whole else log) for log in logs]
     first = logs[0]
     for log in logs[1:]:
         if (log.keys, log.columns.triads, log.columns.time) != (first.keys, first.columns.triads, first.columns.time):
@@ -102,19 +101,19 @@ def _joined(files: Sequence[Path], folder: OutputFolder) -> Sequence[Path]:
     return [folder.written[-1]]
 
 
-def _found(file: Path, folder: OutputFolder) -> list[ForeignLog]:
+def _logs_in(file: Path, folder: OutputFolder) -> list[ForeignLog]:
     """The log in a file; one for each sensor if its rows are of single sensors."""
     check_format(file, recording=file.suffix.lower() in NAMED)
     if file.suffix.lower() == ".parquet":
         return [ForeignLog(files=(file,), keys={}, columns=columns_by_name(source_of(file).names))]
     with readable(file), opened(file) as stream:
-        seen = stream.read(_SEEN_BYTES)
+        seen = stream.read(SEEN_BYTES)
     if not seen:
         raise NoLogError(f"{file}: expected a log, found an empty file")
     check_is_text(file, seen)
     if (copied := as_tables(file, seen, folder)) is not None:
         parts, remarks = copied
-        return [replace(log, remarks=(*remarks, *log.remarks)) for part in parts for log in _found(part, folder)]
+        return [replace(log, remarks=(*remarks, *log.remarks)) for part in parts for log in _logs_in(part, folder)]
     dialect_and_top = dialect_of(seen)
     if dialect_and_top is None and max(map(len, seen.split(b"\n"))) > LINE_BYTES // 2:
         raise InputError(f"{file}: expected a log of rows of numbers, found something else; is it a recording?")
@@ -156,27 +155,37 @@ def _numeric(log: ForeignLog) -> list[str]:
     return [name for name, cells in log.cells.items() if sum(map(is_number, cells)) > len(cells) // 2]
 
 
-def _by_data(log: ForeignLog) -> ForeignLog:
-    """Identify accelerometers, and gyros unless they are named, by their numbers, if possible.
-
-    Columns whose names say that they are something else are left out."""
-    known, names, numeric = log.columns, list(log.names), _numeric(log)
-    taken = {column for sensors in known.triads.values() for column in sensors.columns} | {known.time}
+def _by_numbers(log: ForeignLog) -> ForeignLog:
+    """Identify sensors that are not named by their numbers: accelerometers and gyros among columns whose names do not
+    say that they are something else, or, beside named accelerometers, gyros among columns without names."""
+    named, names, numeric = log.columns, list(log.names), _numeric(log)
+    accel = named.triads[ACCEL].columns if ACCEL in named.triads else ()
+    taken = {column for sensors in named.triads.values() for column in sensors.columns} | {named.time}
     free = [name for name in numeric if name not in taken and not is_no_sensor(name)]
-    read = with_signs(log.read(free)) if len(free) >= 3 else np.empty((0, len(free)))
+    if accel:
+        free = [name for name in free if name.isdecimal() and GYRO not in named.triads]
+    if len(free) < len("xyz"):
+        return log
+    read = with_signs(log.read([*accel, *free]))
     read = read[: samples_in(read)]
     read = read[np.isfinite(read).any(axis=1)]  # without rows of others
     every = np.full((len(read), len(names)), np.nan)
-    every[:, [names.index(name) for name in free]] = read
-    told = columns_by_data(names, every)
-    if ACCEL not in told.columns.triads:
+    every[:, [names.index(name) for name in (*accel, *free)]] = read
+    by_data = columns_by_data(names, every)
+    if accel and (GYRO not in by_data.triads or set(by_data.triads[ACCEL].columns) != set(accel)):
+        unused = f"columns without names, {', '.join(free)}, are not used"
+        doubt = f"{unused}: the accelerometers alone are calibrated; state --gyro if some are gyros"
+        return replace(log, doubts=(doubt,))
+    if ACCEL not in by_data.triads:
         return log
-    triads = {kind: replace(s, unit=unit_of_name(kind, s.columns[0])) for kind, s in told.columns.triads.items()}
-    time = known.time or told.columns.time
+    triads = {kind: replace(s, unit=unit_of_name(kind, s.columns[0])) for kind, s in by_data.triads.items()}
     near = "columns are told by their numbers, and others would fit too: all values hang on it; state --accel, --gyro"
-    log = replace(log, doubts=(near,)) if told.near else log
+    log = replace(log, doubts=(near,)) if by_data.unsure and not accel else log
+    remarks = guesses(by_data, named.triads)
+    if accel:
+        return log.with_columns(remarks, triads={**triads, **named.triads})
     return log.with_columns(
-        told.guesses(known.triads), triads={**triads, **known.triads}, time=time, others=(), times=()
+        remarks, triads={**triads, **named.triads}, time=named.time or by_data.time, others=(), times=()
     )
 
 
@@ -189,22 +198,6 @@ def _with_gravity(log: ForeignLog) -> ForeignLog:
     remark = f"accel: {', '.join(further.columns)}, since {', '.join(first)} do not read gravity"
     others = (*(name for name in log.columns.others if name not in further.columns), *first)
     return log.with_columns([remark], triads={**log.columns.triads, ACCEL: further}, others=others)
-
-
-def _with_nameless_gyros(log: ForeignLog) -> ForeignLog:
-    """Take gyros among columns without names, if their numbers show them."""
-    nameless = [name for name in _numeric(log) if name.isdecimal() and name != log.columns.time]
-    accel = log.columns.triads[ACCEL]
-    if GYRO in log.columns.triads or len(nameless) < len("xyz"):
-        return log
-    read = log.read([*accel.columns, *nameless])
-    told = columns_by_data([*accel.columns, *nameless], read[: samples_in(read)]).columns.triads
-    if GYRO not in told or set(told[ACCEL].columns) != set(accel.columns):
-        unused = f"columns without names, {', '.join(nameless)}, are not used"
-        doubt = f"{unused}: the accelerometers alone are calibrated; state --gyro if some are gyros"
-        return replace(log, doubts=(doubt,))
-    remark = f"gyro: columns {', '.join(told[GYRO].columns)}, by their numbers (a guess)"
-    return log.with_columns([remark], triads={**log.columns.triads, GYRO: told[GYRO]})
 
 
 def _with_finest_time(log: ForeignLog) -> ForeignLog:
@@ -228,9 +221,9 @@ def _with_thermometers(log: ForeignLog) -> ForeignLog:
     empty = [name for name in log.columns.temperatures if not len(log.readings(name))]
     if not empty:
         return log
-    known = log.columns
-    sensors = [column for triad in known.triads.values() for column in triad.columns]
-    anew = columns_by_name([n for n in (*sensors, *known.temperatures, *known.others) if n not in empty])
+    named = log.columns
+    sensors = [column for triad in named.triads.values() for column in triad.columns]
+    anew = columns_by_name([n for n in (*sensors, *named.temperatures, *named.others) if n not in empty])
     remark = f"temperature: {', '.join(empty)} is left out, for it reads nothing or cannot be read"
     return _with_thermometers(log.with_columns([remark], temperatures=anew.temperatures, others=anew.others))
 
@@ -254,8 +247,8 @@ def _with_time(log: ForeignLog) -> ForeignLog:
     """Take a column that grows as times do, if no name says which is the time."""
     if log.columns.time is not None:
         return log
-    known = {c for triad in log.columns.triads.values() for c in triad.columns}
-    names = [name for name in _numeric(log) if name not in known]
+    named = {c for triad in log.columns.triads.values() for c in triad.columns}
+    names = [name for name in _numeric(log) if name not in named]
     time = time_by_data(names, log.read(names, rows=LONGEST // 10)) if names else None
     if time is None:
         return log

@@ -128,11 +128,11 @@ def _doubts(draft: Draft, log: Mapping[str, Any], best: Hypothesis, near: Sequen
             )
     rates = [h.times.rate for h in near if "time" in h.differs(best)]
     if draft.rate_guessed or rates:
-        told = "by the turns" if best.profile is not None else "by a guess"
+        how = "by the turns" if best.profile is not None else "by a guess"
         others = ", ".join(f"{rate:g}" for rate in list(dict.fromkeys(rates))[:_MOST_RATES])
         also = f", {others} would fit too" if rates else ""
         hang = "the gyros' scale factors hang" if best.gyro is not None else "how long rests are hangs"
-        yield f"{best.times.rate:g} samples per second {told}{also}: {hang} on it; state --sample-rate"
+        yield f"{best.times.rate:g} samples per second {how}{also}: {hang} on it; state --sample-rate"
 
 
 def _of_times(draft: Draft, best: Hypothesis) -> list[str]:
@@ -212,11 +212,11 @@ def _gyro(
     open_scale = alone and gyro.unit is None and bool(rivals - {gyro.value})
     if best.profile is not None and not open_scale:
         by = f"by {shown.turns} turns" if shown.turns > 1 else "by one turn"
-        told = f"{named} {_comes_near(GYRO, gyro, shown, best)} ({by})"
+        remark = f"{named} {_comes_near(GYRO, gyro, shown, best)} ({by})"
         if gyro.unit is not None:
-            return table, [told]
+            return table, [remark]
         offset = centred if np.abs(shown.bias).max() > _LARGEST_BIAS * gyro.value else 0.0
-        return _counts(columns, gyro.value, "deg/s", offset), [told]
+        return _counts(columns, gyro.value, "deg/s", offset), [remark]
     if gyro.unit is None:
         fitting = " or ".join(f"{value:.6g}" for value in sorted(rivals | {gyro.value}))
         shows = f"{fitting} per deg/s fit the only turn" if open_scale else "no turns show it"

@@ -11,7 +11,7 @@ from typing import Any
 
 from tumble.drafting.times import ASSUMED_RATE, Times, at_rate
 from tumble.recording.columns.names import Sensors
-from tumble.recording.readers import KeptLog
+from tumble.recording.log_source import LogSource
 from tumble.recording.session import Session
 from tumble.recording.session_file import session_of, session_of_gyros
 from tumble.recording.text.dialect import DIALECT_KEYS
@@ -41,7 +41,7 @@ class Draft:
     """What the gyros read at most in the first rows, some single readings aside."""
     step: float | None = None
     """Of data sheets, °/s, of which the gyros' readings are multiples."""
-    kept: Mapping[Path, KeptLog] = field(default_factory=dict)
+    kept: Mapping[Path, LogSource] = field(default_factory=dict)
     """The files of the log as far as they were read, by their paths."""
 
     @property

@@ -24,7 +24,8 @@ from tumble.recording.columns.names import (
     unit_of_name,
 )
 from tumble.recording.columns.scales import CANDIDATES
-from tumble.recording.readers import KeptLog, source_of
+from tumble.recording.log_source import LogSource
+from tumble.recording.readers import source_of
 from tumble.recording.rows.gaps import is_reading
 from tumble.recording.text.dialect import Dialect, is_clock
 from tumble.reduction.blocks.tuning import USUAL
@@ -64,19 +65,19 @@ class ForeignLog:
     doubts: tuple[str, ...] = ()
     """What is not certain: its consequence, and how the user settles it."""
     dialect: Dialect | None = None
-    kept: dict[Path, KeptLog] = field(default_factory=dict)
+    kept: dict[Path, LogSource] = field(default_factory=dict)
     """Files that have been read, by path: none is read twice."""
 
     def with_columns(self, remarks: Sequence[str] = (), /, **changed: Any) -> ForeignLog:
         """A copy with some attributes of `columns` changed, and further remarks."""
         return replace(self, columns=replace(self.columns, **changed), remarks=(*self.remarks, *remarks))
 
-    def sources(self) -> Iterator[KeptLog]:
+    def sources(self) -> Iterator[LogSource]:
         """Readers of the files."""
         for file in self.files:
             path = file.resolve()
             if path not in self.kept:
-                self.kept[path] = KeptLog(source_of(file, self.dialect))
+                self.kept[path] = replace(source_of(file, self.dialect), kept={})
             yield self.kept[path]
 
     @property
@@ -99,9 +100,9 @@ class ForeignLog:
         """Read the first rows of some columns of all files, (m, n): seconds for times of day, NaN where no number is.
 
         The columns that a session needs are read together, so that a file is parsed once."""
-        known = self.columns
-        sensors = [c for kind in ("accel", "gyro") if kind in known.triads for c in known.triads[kind].columns]
-        together = [c for c in (known.time, *sensors) if c is not None]
+        named = self.columns
+        sensors = [c for kind in ("accel", "gyro") if kind in named.triads for c in named.triads[kind].columns]
+        together = [c for c in (named.time, *sensors) if c is not None]
         wanted = together if set(columns) <= set(together) else columns
         parts, count = [np.empty((0, len(columns)))], 0
         for source in self.sources():
@@ -168,33 +169,28 @@ class ForeignLog:
         A column that is stated loses any other role. Raises InputError for a column that does not exist."""
         columns = {kind: tuple(self._named(kind, c.strip()) for c in listed) for kind, listed in stated.items()}
         taken = [c for listed in columns.values() for c in listed]
-        if not taken:
-            return self._in_units(units)
         for kind, listed in columns.items():
             if len(listed) != (1 if kind == TIME_KIND else 3) or any(taken.count(c) > 1 for c in listed):
                 three = "three columns that are nothing else, with commas between"
                 expected = "one column" if kind == TIME_KIND else three
                 raise InputError(f"--{kind}: expected {expected}, found {','.join(stated[kind])}")
-        known = self.columns
-        triads = {kind: s for kind, s in known.triads.items() if kind not in columns and not {*s.columns} & {*taken}}
+        named = self.columns
+        triads = {kind: s for kind, s in named.triads.items() if kind not in columns and not {*s.columns} & {*taken}}
         for kind in columns.keys() - {TIME_KIND}:
             x, y, z = columns[kind]
             triads[kind] = Sensors(columns=(x, y, z), unit=unit_of_name(kind, x))
-        time = columns.get(TIME_KIND, (None if known.time in taken else known.time,))[0]
+        triads |= {kind: replace(triads[kind], unit=unit) for kind, unit in units.items() if kind in triads}
+        if not taken:
+            return self.with_columns(triads=triads)
+        time = columns.get(TIME_KIND, (None if named.time in taken else named.time,))[0]
         return self.with_columns(
             [f"{kind}: {', '.join(listed)}, as stated" for kind, listed in columns.items()],
             triads=triads,
             time=time,
             time_unit=None if time is None else time_unit(time),
-            times=known.times if time == known.time else (),
-            temperatures=tuple(c for c in known.temperatures if c not in taken),
-        )._in_units(units)
-
-    def _in_units(self, units: Mapping[str, str]) -> ForeignLog:
-        """A copy with the units of sensors replaced."""
-        triads = self.columns.triads
-        stated = {kind: replace(s, unit=units[kind]) for kind, s in triads.items() if kind in units}
-        return self.with_columns(triads={**triads, **stated})
+            times=named.times if time == named.time else (),
+            temperatures=tuple(c for c in named.temperatures if c not in taken),
+        )
 
     def _named(self, kind: str, column: str) -> str:
         """Name of the column with this name, or with this number from 1."""

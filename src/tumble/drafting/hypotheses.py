@@ -145,17 +145,12 @@ def evidence_of(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> Ev
     except (TumbleError, np.linalg.LinAlgError):
         return Evidence(rate=draft.rate, length=draft.magnitude, length_u=_MOVING)
     if ACCEL not in draft.triads:
-        return _of_gyros_alone(reduction)
+        means = np.concatenate([file.accel.means for file in reduction.files])  # gyros, at rest most of the time
+        middle = np.median(means, axis=0)
+        scatter = 1.4826 * float(np.median(np.abs(means - middle))) * math.sqrt(reduction.files[0].size)
+        return Evidence(rate=reduction.rate, length=1.0, length_u=_MOVING, gyro=middle[None], gyro_scatter=scatter)
     trials = [_with_windows(reduction, factor, draft.magnitude, widths) for factor in factors]
     return max(trials, key=lambda t: (max((p.unturned - p.least for p in t.profiles), default=0.0), t.rests))
-
-
-def _of_gyros_alone(reduction: Reduction) -> Evidence:
-    """Evidence of gyros alone, assumed to be at rest most of the time."""
-    means = np.concatenate([file.accel.means for file in reduction.files])
-    middle = np.median(means, axis=0)
-    scatter = 1.4826 * float(np.median(np.abs(means - middle))) * math.sqrt(reduction.files[0].size)
-    return Evidence(rate=reduction.rate, length=1.0, length_u=_MOVING, gyro=middle[None], gyro_scatter=scatter)
 
 
 def _with_windows(reduction: Reduction, factor: float, magnitude: float, widths: Widths) -> Evidence:

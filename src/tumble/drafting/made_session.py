@@ -43,6 +43,7 @@ def session_of_log(
     for ending in (".gz", ".zst"):
         stem = stem.removesuffix(ending)
     stem = Path(stem).stem or "log"
+    _bring_back(log.parent, f"{stem}*-session")
     given = replace(given, serial=given.serial or stem)
     digest, stated = _digest(log), {key: value for key, value in asdict(given).items() if value}
     content = {"log_sha256": digest, "given": json.loads(json.dumps(stated)), "version": __version__}
@@ -87,11 +88,23 @@ def _put_aside(folder: Path) -> Iterator[None]:
     except BaseException:
         aside.rename(folder)
         raise
-    old = {*_made(aside).get("files", []), MADE, _RESULT}
-    for file in aside.iterdir():
-        if file.name not in old and not (folder / file.name).exists():
-            file.rename(folder / file.name)
-    shutil.rmtree(aside)
+    _bring_back(folder.parent, folder.name)
+
+
+def _bring_back(parent: Path, names: str) -> None:
+    """Take back what was put aside of a folder: files of others where it is made anew, and all of it where it is not,
+    since the process was killed."""
+    for aside in parent.glob(f".{names}.*/"):
+        folder = parent / aside.name[1:].rpartition(".")[0]
+        if not _made(folder):
+            shutil.rmtree(folder, ignore_errors=True)
+            aside.rename(folder)
+            continue
+        old = {*_made(aside).get("files", []), MADE, _RESULT}
+        for file in aside.iterdir():
+            if file.name not in old and not (folder / file.name).exists():
+                file.rename(folder / file.name)
+        shutil.rmtree(aside)
 
 
 def _made(folder: Path) -> dict[str, Any]:

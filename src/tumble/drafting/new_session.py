@@ -236,7 +236,7 @@ def _of_log(log: ForeignLog, rate: float | None) -> Draft:
         thermometers, remark = _thermometers(log, known.temperatures)
         table |= {} if thermometers is None else {"temperature": thermometers}
         remarks.append(remark)
-    magnetometer, told = _magnetometer(log, known.triads.get(MAGNETOMETER))
+    magnetometer, of_magnetometer = _magnetometer(log, known.triads.get(MAGNETOMETER))
     largest = np.abs(read[GYRO][np.isfinite(read[GYRO]).all(axis=1)]).max(axis=1) if GYRO in triads else np.zeros(0)
     whole = {kind: bool((r == np.floor(r))[np.isfinite(r)].all()) for kind, r in read.items()}
     # accelerometers that read nearly nothing at the mean over two seconds read no gravity
@@ -252,7 +252,7 @@ def _of_log(log: ForeignLog, rate: float | None) -> Draft:
             )
     return Draft(
         content={"format": 1, "device": {"serial": "unknown"}, "log": table},
-        remarks=(*remarks, *told),
+        remarks=(*remarks, *of_magnetometer),
         doubts=log.doubts,
         magnetometer=magnetometer,
         triads=triads,

@@ -42,7 +42,7 @@ _LABEL = re.compile(
 Step = Callable[[Iterator[pl.DataFrame]], Iterator[pl.DataFrame]]
 """Mends the tables of a file, one after the other."""
 Mend = tuple[str, Step]
-"""What is said of a step, and the step."""
+"""A remark on a step, and the step."""
 Edges = list[tuple[int, int]]
 """First and last + 1 row of parts of a log."""
 
@@ -73,7 +73,11 @@ def repaired(log: ForeignLog, folder: OutputFolder, rate: float | None) -> Forei
     mends = _rows_that_are_samples(log)
     time, in_seconds, of_time = _time(log, rate)
     unsigned = [kind for kind in (ACCEL, GYRO) if kind in triads and _wrapped(log.read(triads[kind].columns))]
-    parts, why = _recordings(log) if not mends and not of_time and rate is None else (None, "")
+    parts, why, stamps = None, "", log.stamps() if len(log.files) == 1 else None
+    may_restart = not mends and not of_time and rate is None and stamps is not None and not stamps.clock
+    if may_restart and stamps is not None and len(stamps.values) < LONGEST:
+        parts = recordings_of(stamps.values[np.isfinite(stamps.values)])
+        why = f"time: the clock starts anew, so that there are {len(parts or ())} recordings: a file each"
     if parts is None:
         parts, why = _positions_apart(log, unsigned=ACCEL in unsigned)
     if unsigned:
@@ -142,15 +146,6 @@ def _newest_first(log: ForeignLog) -> Mend | None:
         yield rows.with_columns(pl.Series(stamps.column, past_midnight(time) if stamps.clock else time))
 
     return f"time: column {stamps.column!r} falls from row to row: rows put in the order of time", turned
-
-
-def _recordings(log: ForeignLog) -> tuple[Edges | None, str]:
-    """Successive recordings in a file, each with a clock that starts anew, and the remark on them; None for one."""
-    stamps = log.stamps() if len(log.files) == 1 else None
-    if stamps is None or stamps.clock or len(stamps.values) >= LONGEST:
-        return None, ""
-    parts = recordings_of(stamps.values[np.isfinite(stamps.values)])
-    return parts, f"time: the clock starts anew, so that there are {len(parts or ())} recordings: a file each"
 
 
 def _each(mend: Callable[[pl.DataFrame], pl.DataFrame]) -> Step:

@@ -109,18 +109,16 @@ def are_sensors_apart(logs: Sequence[ForeignLog]) -> bool:
         return not log.columns.triads and len(log.cells) <= 1 + len("xyz") and set(_by_kind(logs)) == {GYRO}
     if any({ACCEL, GYRO} <= set(log.columns.triads) for log in logs):
         return False
-    if all(_has_room_for_two(log) for log in logs):
+    for log in logs:  # columns for accelerometers and gyros, and none named x, y and z alone
+        axes_alone = set("xyz") <= {(name.split() or [""])[0].lower() for name in log.cells}
+        if axes_alone or sum(not is_no_sensor(name) for name in log.cells) < 2 * len("xyz"):
+            break
+    else:
         return False
     by_kind = _by_kind(logs)
     if set(by_kind) == {ACCEL, GYRO}:
         return all(len(log.cells) <= 1 + len("xyz") for log in by_kind.values() if log.unnamed)
     return not any(log.columns.triads or log.unnamed for log in logs)
-
-
-def _has_room_for_two(log: ForeignLog) -> bool:
-    """Whether a log may have accelerometers and gyros: columns for both, and none named x, y and z alone."""
-    axes_alone = set("xyz") <= {(name.split() or [""])[0].lower() for name in log.cells}
-    return not axes_alone and sum(not is_no_sensor(name) for name in log.cells) >= len("xyz") + len("xyz")
 
 
 def _by_kind(logs: Sequence[ForeignLog]) -> dict[str, ForeignLog]:

@@ -4,9 +4,9 @@
 
 in the sensor's axes, m/s² and rad/s, single precision; board rotations come afterwards. The offsets are the biases b.
 The factors are 1/Mᵢᵢ: what is left of the accelerometers' matrix then has a unit diagonal. A magnetometer, in the units
-of the autopilot, Gauss or thousandths, has a symmetric matrix S: of M⁻¹ = R S, R a rotation, S is held, and the frame
-of the calibration's magnetometer, which is fixed by its first channels, is turned by R. What an autopilot's own
-procedure refuses is not written, and that is said.
+of the autopilot, Gauss or thousandths, has a symmetric matrix S: of M⁻¹ = R S, R a rotation, S is held; R, how the
+magnetometer is mounted, an autopilot has in other settings. What its own procedure refuses is not written, and that is
+said.
 
 What each autopilot is, its formulas and limits with their source, and the names of its parameters stand in its layout,
 `layouts/px4.params.j2` and `layouts/ardupilot.parm.j2`.

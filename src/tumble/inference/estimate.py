@@ -23,6 +23,7 @@ from tumble.units import Array, BoolArray
 
 if TYPE_CHECKING:
     from tumble.inference.linearisation import Linearisation
+    from tumble.inference.magnetic_estimate import MagnetometerEstimate
 
 DETERMINED = 10.0
 """How many times better than the spreads the data must know a combination of parameters for it to count as seen. One
@@ -274,6 +275,8 @@ class Estimate(Brief):
     """The biases as the means of their processes; the parameters are those of the session."""
     budget: UncertaintyBudget | None = None
     """The covariance by source."""
+    magnetometer: MagnetometerEstimate | str | None = None
+    """What it says of a magnetometer, or why that is not in it; None without one."""
     left_out: Omitted | None = None
     """What was left out because it does not fit, where the method leaves out."""
 

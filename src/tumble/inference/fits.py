@@ -19,12 +19,14 @@ import scipy
 from tumble.inference.estimate import Fit
 from tumble.inference.noise import NoiseModel
 from tumble.inference.normal_equations import Solution
-from tumble.inference.problem import Problem
+from tumble.inference.problem import MAGNETIC_ROWS, Problem
 from tumble.units import Array, BoolArray
 
 GROUPS = ("accelerometers", "gyro rests", "gyro turns", "velocities of turns")
 SCATTER_NAMES = ("accel", "gyro", "turn", "velocity")
 SCATTER_UNITS = ("m/s^2", "rad/s", "rad", "m/s")
+MAGNETOMETER = "magnetometer"
+"""The group of a magnetometer's readings."""
 TOTAL = "noise within rests"
 """The name of the fit of everything before any scatter."""
 NU = 4.0
@@ -34,8 +36,8 @@ LEAST_WEIGHT = 0.1
 STANDS_OUT = 0.1
 """Probability that of all rests and turns, by the scale of the others, one is so far out: where none is, the maximum is
 as good as a robust one. One of fourteen turns that spoils that scale is never beyond 3.9 sigmas."""
-LEFT_OUT = 1e-6
-"""The weight of what is left out."""
+LEFT_OUT = (1e-6, 1e-6, 1e-6, 1e-12, 1e-12)
+"""The weights of what is left out, by group: near steel a magnetometer is thousands of sigmas off."""
 FREE = 0.01
 """Of the variance of the noise: directions in which residuals have less say nothing."""
 ROUNDED = 1e-9
@@ -44,7 +46,8 @@ LEAST_CHANCE = 1e-300
 
 
 Falls = tuple[list[Array], list[Array]]
-"""By group of a rest's accelerometers, its gyros (N,) and of the turns (K,): falls of chi-square without each, and the
+"""By group of a rest's accelerometers, its gyros (N,), of the turns (K,), and of the magnetometer at rests (N,) and at
+the nodes before links (J,): falls of chi-square without each, and the
 directions in which it has residuals; of what is left out, the chi-square of its readings about what all others
 predict."""
 
@@ -54,15 +57,18 @@ def chi_square_falls(solution: Solution) -> Falls:
     equations, noise = solution.equations, solution.linearisation.noise
     rest = equations.rest_whitening, solution.rest_residuals, noise.rest_weights
     turn = equations.turn_whitening, solution.turn_residuals, noise.turn_weights
-    groups = *((*rest, rows) for rows in _rows_of_sensors(solution.problem)), (*turn, slice(None))
+    link = equations.link_whitening, solution.link_residuals, noise.link_weights
+    accel, gyro, mag = _rows_of_sensors(solution.problem)
+    groups = (*rest, accel), (*rest, gyro), (*turn, slice(None)), (*rest, mag), (*link, MAGNETIC_ROWS)
     falls, counts = zip(*(_falls(*group) for group in groups), strict=True)
     return list(falls), list(counts)
 
 
-def _rows_of_sensors(problem: Problem) -> tuple[slice, slice]:
-    """The rows of a rest that are the accelerometers' and the gyros'."""
+def _rows_of_sensors(problem: Problem) -> tuple[slice, slice, slice]:
+    """The rows of a rest that are the accelerometers', the gyros' and the magnetometer's."""
     n = problem.observations.accel_block.size
-    return slice(n), slice(n, n + problem.observations.rests.gyro.shape[1])
+    last = n + problem.observations.rests.gyro.shape[1] + 3 * (problem.prior.attitude is not None)
+    return slice(n), slice(n, n + problem.observations.rests.gyro.shape[1]), slice(last, None)
 
 
 def _falls(W: Array, after: tuple[Array, Array], kept: Array, rows: slice) -> tuple[Array, Array]:
@@ -91,45 +97,53 @@ def _falls(W: Array, after: tuple[Array, Array], kept: Array, rows: slice) -> tu
 
 
 def student_weights(shown: Falls) -> list[Array]:
-    """The weights of Student-t rows: of the accelerometers and of the gyros at rest, by rest, and of the turns."""
+    """The weights of Student-t rows: of the accelerometers and of the gyros at rest, by rest, of the turns, and of the
+    magnetometer at rests and at nodes."""
     return [np.minimum((NU + count) / (NU + fall), 1.0) for fall, count in zip(*shown, strict=True)]
 
 
 def weighted(problem: Problem, noise: NoiseModel, weights: list[Array]) -> NoiseModel:
-    """The noise with weights of the accelerometers and of the gyros at rest, by rest, and of the turns."""
+    """The noise with weights of the accelerometers and of the gyros at rest, by rest, of the turns, and of the
+    magnetometer at rests and at nodes."""
     rest, turn = np.ones(noise.rest.shape[:2]), np.broadcast_to(np.sqrt(weights[2])[:, None], noise.turn.shape[:2])
-    for rows, weight in zip(_rows_of_sensors(problem), weights, strict=False):
+    for rows, weight in zip(_rows_of_sensors(problem), (*weights[:2], weights[3]), strict=True):
         rest[:, rows] = np.sqrt(weight)[:, None]
-    return noise.weighted(rest, turn)
+    link = np.ones(noise.link_weights.shape)
+    link[:, MAGNETIC_ROWS] = np.sqrt(weights[4])[:, None]
+    return noise.weighted(rest, turn, link)
 
 
-def left_out(problem: Problem, noise: NoiseModel) -> tuple[BoolArray, BoolArray, BoolArray]:
-    """The rests whose accelerometers, and whose gyros, and the turns that are left out."""
-    parts = *(noise.rest_weights[:, rows] for rows in _rows_of_sensors(problem)), noise.turn_weights
-    accel, gyro, turn = (np.any(part < LEAST_WEIGHT**0.5, axis=1) for part in parts)
-    return accel, gyro, turn
+def left_out(problem: Problem, noise: NoiseModel) -> tuple[BoolArray, BoolArray, BoolArray, BoolArray, BoolArray]:
+    """The rests whose accelerometers, and whose gyros, and the turns that are left out, and the rests and nodes where
+    the magnetometer is."""
+    accel, gyro, mag = (noise.rest_weights[:, rows] for rows in _rows_of_sensors(problem))
+    parts = accel, gyro, noise.turn_weights, mag, noise.link_weights[:, MAGNETIC_ROWS]
+    a, g, t, m, n = (np.any(part < LEAST_WEIGHT**0.5, axis=1) for part in parts)
+    return a, g, t, m, n
 
 
-def sigmas(solution: Solution) -> tuple[Array, Array, Array]:
-    """How far each rest is from the fit by its accelerometers and by its gyros (N,), and each turn (K,), as Gaussian
-    sigmas of the same probability: by Fisher's distribution, for the scale is that of the others."""
+def sigmas(solution: Solution) -> tuple[Array, Array, Array, Array, Array]:
+    """How far each rest is from the fit by its accelerometers and by its gyros (N,), each turn (K,), and the
+    magnetometer at each rest (N,) and node (J,), as Gaussian sigmas of the same probability: by Fisher's distribution,
+    for the scale is that of the others."""
     shown, fits, every = chi_square_falls(solution), chi_squares(solution), list[Array]()
     omitted_parts = left_out(solution.problem, solution.linearisation.noise)
-    for fall, count, omitted, name in zip(*shown, omitted_parts, GROUPS[:3], strict=True):
+    names = *GROUPS[:3], MAGNETOMETER, MAGNETOMETER
+    for fall, count, omitted, name in zip(*shown, omitted_parts, names, strict=True):
         degrees = fits[name].degrees if name in fits else 0.0
         k = np.maximum(count, 1)
         others = np.maximum(degrees - k * max(1, omitted.sum()), 1.0)
         chance = scipy.special.fdtrc(k, others, fall / k)
         every.append(0.0 - scipy.special.ndtri(0.5 * np.maximum(chance, LEAST_CHANCE)))
-    accel, gyro, turn = every
-    return accel, gyro, turn
+    accel, gyro, turn, mag, mag_at_nodes = every
+    return accel, gyro, turn, mag, mag_at_nodes
 
 
 def chi_squares(solution: Solution) -> dict[str, Fit]:
     """Chi-square of every group of residuals there is, with the scatter beside the noise."""
     problem = solution.problem
     v, turn = 6 if problem.instrument.in_velocities else 3, np.arange(solution.turn_residuals[0].shape[1])
-    accel, gyro = (np.arange(rows.start or 0, rows.stop) for rows in _rows_of_sensors(problem))
+    accel, gyro, mag = (np.arange(solution.rest_residuals[0].shape[1])[rows] for rows in _rows_of_sensors(problem))
     rest, turns = solution.rest_residuals, solution.turn_residuals
     rows = (rest, accel), (rest, gyro), (turns, np.r_[turn[:3], turn[v:]]), (turns, turn[3:v])
     there = 1 if problem.observations.gyro_block is None else 4 if problem.instrument.in_velocities else 3
@@ -142,5 +156,13 @@ def chi_squares(solution: Solution) -> dict[str, Fit]:
             degrees=float(np.diagonal(covariance, axis1=1, axis2=2)[:, some].sum()),
             scatter=float(getattr(solution.components, component)),
             unit=unit,
+        )
+    if problem.magnetometer is not None:
+        parts = (rest, mag), (solution.link_residuals, np.arange(solution.link_residuals[0].shape[1])[MAGNETIC_ROWS])
+        out[MAGNETOMETER] = Fit(
+            chi_square=sum(float((residual[:, some] ** 2).sum()) for (residual, _), some in parts),
+            degrees=sum(float(np.diagonal(C, axis1=1, axis2=2)[:, some].sum()) for (_, C), some in parts),
+            scatter=float(solution.components.mag),
+            unit="",
         )
     return out

@@ -3,11 +3,14 @@
 | φ | what | prior |
 |---|---|---|
 | ln σ of a component of scatter | rests | σ exponential, its mean m the noise it stands beside |
-| | turns, velocities … | σ of density m/(m + σ)² |
+| | turns, velocities …, magnetometer | σ of density m/(m + σ)² |
 | ln σ_b, ln τ_b of a kind | in-run bias, a Gauss–Markov process | log-normal about the grade's size and 300 s, ÷× 30 |
 | ln σ_p, ln τ_p | displacement of a device in motion, a Gauss–Markov process | log-normal about 2 cm and 0.5 s |
 | p of a sensor | its scatter and in-run bias are exp(max(p, 0)) times those of its kind | N(0, ln 3) |
 | p of a group | its size is exp(max(p, 0)) times the usual one | N(0, ln k) |
+
+Of a device that lies still while it warms ÷× 5 takes the place of ÷× 30, nothing scatters from one part of the rest to
+the next, and sensors of a kind are alike.
 
 A component of scatter may be small, and is never excluded: no test decides whether it is there. That of
 turns falls by a power: with an exponential one turns that are spoilt a hundred times their noise are so unlikely that
@@ -46,9 +49,9 @@ from tumble.inference.noise import (
     DISPLACEMENT,
     DISPLACEMENT_TIME,
     LINK_SCATTER,
+    REST_SCATTER,
     SCATTER,
     SCATTER_WORDS,
-    TURN_SCATTER,
     NoiseModel,
     VarianceComponents,
     typical_noise,
@@ -70,6 +73,9 @@ IN_RUN_WITHIN = float(np.log(30.0) / 1.645)
 """Standard deviation of the logarithms of its size and of its correlation time about the usual ones: nine of ten are
 within ÷× 30. It is wide enough for the process to take a drift, of which there is no group beside it: with ÷× 5 the
 biases of a BMI160 that move by 4 mg in 237 s went into its scale factors."""
+UNDISTURBED_WITHIN = float(np.log(5.0) / 1.645)
+"""The same of a device that lies still, whose drift with temperature has parameters: ÷× 5, as instruments of a grade
+differ."""
 SHEET, STATED, GUESSED = 2.0, 3.0, 10.0
 """The factor by which a usual size may be too small where it is from a data sheet, from a grade that is stated, or from
 one that is guessed."""
@@ -110,25 +116,16 @@ class Hyperparameter:
         """The quantity, SI."""
         return np.exp(np.maximum(phi, 0.0) if self.bounded else phi)
 
-    def log_prior(self, phi: Array) -> tuple[Array, Array, Array]:
-        """The logarithm of the prior density of φ less a constant, its derivative, and the curvature of its negative:
-        normal."""
-        z = (phi - self.centre) / self.within
-        return -0.5 * z * z, -z / self.within, np.full_like(z, self.within**-2.0)
+    def log_prior(self, phi: Array) -> Array:
+        """The logarithm of its prior density less a constant, its derivative, and the curvature of its negative (3, …)
+        at values (…) of it alone."""
+        return Hyperparameters((self,)).log_prior(phi[..., None])[..., 0]
 
 
 class Scatter(Hyperparameter):
     """ln σ of a component of scatter."""
 
     __slots__ = ()
-
-    def log_prior(self, phi: Array) -> tuple[Array, Array, Array]:
-        """That of σ exponential with the mean `usual`; of the scatter of turns of density m/(m + σ)²."""
-        z = phi - self.centre
-        x = np.exp(z)
-        if self.name in TURN_SCATTER or self.name in LINK_SCATTER:
-            return z - 2.0 * np.log1p(x), (1.0 - x) / (1.0 + x), 2.0 * x / (1.0 + x) ** 2
-        return z - x, 1.0 - x, x
 
 
 class InRunSize(Hyperparameter):
@@ -178,20 +175,33 @@ class Hyperparameters(tuple[Hyperparameter, ...]):
         return np.array([h.centre for h in self])
 
     @cached_property
-    def _normal(self) -> tuple[Array, list[int]]:
-        """1/within (D,), 0 where the prior is not normal, and these elements."""
-        others = [i for i, h in enumerate(self) if isinstance(h, Scatter)]
-        return np.array([0.0 if isinstance(h, Scatter) else 1.0 / h.within for h in self]), others
+    def _priors(self) -> tuple[Array, IntArray, IntArray]:
+        """1/within (D,), 0 where the prior is not normal, and the scatter of rests, and that of turns and links."""
+        scatter = [i for i, h in enumerate(self) if isinstance(h, Scatter)]
+        at_rest, others = (
+            np.array([i for i in scatter if (self[i].name in REST_SCATTER) is rests], dtype=int)
+            for rests in (True, False)
+        )
+        return np.array([0.0 if i in scatter else 1.0 / h.within for i, h in enumerate(self)]), at_rest, others
 
     def log_prior(self, phi: Array) -> Array:
         """Of every element the logarithm of the prior density of φ (D,), less a constant, its derivative, and the
-        curvature of its negative (3, D)."""
-        narrow, others = self._normal
-        out, z = np.empty((3, *phi.shape)), (phi - self.centre) * narrow
+        curvature of its negative (3, D): normal; of scatter σ exponential with the mean `usual`, of that of turns and
+        links of density m/(m + σ)²."""
+        (narrow, at_rest, others), off = self._priors, phi - self.centre
+        out, z = np.empty((3, *phi.shape)), off * narrow
         out[0], out[1], out[2] = -0.5 * z * z, -z * narrow, narrow * narrow
-        for i in others:
-            out[..., i] = self[i].log_prior(phi[..., i])
+        z = off[..., at_rest]
+        x = np.exp(z)
+        out[..., at_rest] = z - x, 1.0 - x, x
+        z = off[..., others]
+        x = np.exp(z)
+        out[..., others] = z - 2.0 * np.log1p(x), (1.0 - x) / (1.0 + x), 2.0 * x / (1.0 + x) ** 2
         return out
+
+    @cached_property
+    def _selections(self) -> dict[tuple[tuple[type[Hyperparameter], int], ...], Array]:
+        return {}
 
     @cached_property
     def _members(self) -> dict[tuple[type[Hyperparameter], int], Array]:
@@ -205,6 +215,12 @@ class Hyperparameters(tuple[Hyperparameter, ...]):
                 if isinstance(h, kind):
                     out[i, h.members] = 1.0
         return self._members[kind, count]
+
+    def selection(self, counts: tuple[tuple[type[Hyperparameter], int], ...]) -> Array:
+        """The same (D, Σ) of several kinds, side by side."""
+        if counts not in self._selections:
+            self._selections[counts] = np.hstack([self.members(*each) for each in counts])
+        return self._selections[counts]
 
 
 # -------------------- score --------------------
@@ -235,7 +251,7 @@ class Score:
         (N, q), and where these stand in SCATTER."""
         equations, noise = self.solution.equations, self.noise
         out = list[tuple[Array, Array, IntArray]]()
-        rest, turn, link = noise.seen_directions
+        rest, turn, link = noise.weighted_directions
         for W, (r, _), (Z, place) in (
             (equations.rest_whitening, self.solution.rest_residuals, rest),
             (equations.turn_whitening, self.solution.turn_residuals, turn),
@@ -277,11 +293,11 @@ class Score:
     def sensors(self) -> QuadraticForms:
         """By sensor (n,), of its scatter at rest and of its in-run bias."""
         of_states, (_, along, place) = self.states, self.directions[0]
-        n = len(place)
-        v = self.variances[place]
+        n = self.solution.problem.sensors
+        v = self.variances[place[:n]]
         return QuadraticForms(
-            square=v * (along**2).sum(axis=0) + of_states.square[:n],
-            trace=v * np.einsum("kqq->q", self._products[0]) + of_states.trace[:n],
+            square=v * (along[:, :n] ** 2).sum(axis=0) + of_states.square[:n],
+            trace=v * np.einsum("kqq->q", self._products[0])[:n] + of_states.trace[:n],
             double=0.5 * SENSED * len(self.solution.problem.link) + of_states.double[:n],
         )
 
@@ -351,7 +367,7 @@ class Score:
             GroupSize: self.priors,
             LocalGroupSize: self.local_priors,
         }
-        some = np.hstack([hyperparameters.members(kind, len(of.square)) for kind, of in every.items()])
+        some = hyperparameters.selection(tuple((kind, len(of.square)) for kind, of in every.items()))
         square, trace, double = (
             some @ np.concatenate([getattr(of, name) for of in every.values()])
             for name in ("square", "trace", "double")
@@ -383,6 +399,7 @@ def hyperparameters_of(problem: Problem, noise: NoiseModel, seen: BoolArray) -> 
     """The hyperparameters of a problem: the components of scatter (c,) that are `seen`, the in-run biases, and the
     groups whose size is by a prior."""
     observations, blocks, out = problem.observations, problem.instrument.blocks, list[Hyperparameter]()
+    undisturbed = problem.prior.undisturbed
 
     # components of scatter: each stands beside the noise along its directions
     both = (
@@ -392,7 +409,7 @@ def hyperparameters_of(problem: Problem, noise: NoiseModel, seen: BoolArray) -> 
     )
     for number, (name, (unit, words)) in enumerate(SCATTER_WORDS.items()):
         beside = [np.zeros(0)]
-        for covariance, Z, place in both if seen[number] else ():
+        for covariance, Z, place in both if seen[number] and not (undisturbed and name in REST_SCATTER) else ():
             along = Z[:, :, place == number]
             length = (along**2).sum(axis=1)
             size = np.einsum("kaq,kab,kbq->kq", along, covariance, along)
@@ -406,7 +423,8 @@ def hyperparameters_of(problem: Problem, noise: NoiseModel, seen: BoolArray) -> 
     covariances = (rests.accel_covariance, rests.gyro_covariance) if len(problem.link) > 1 else ()
     for block, covariance in zip(blocks, covariances, strict=False):
         kind, words = block.kind, "accelerometers" if block.kind == "accel" else "gyros"
-        process: dict[str, Any] = {"within": IN_RUN_WITHIN, "members": slice(first, first + block.size)}
+        within = UNDISTURBED_WITHIN if undisturbed else IN_RUN_WITHIN
+        process: dict[str, Any] = {"within": within, "members": slice(first, first + block.size)}
         usual, unit = observations.in_run.get(kind, typical_noise(covariance)), SCATTER_WORDS[kind][0]
         words_of_bias = f"in-run bias of the {words}"
         out.append(InRunSize(name=f"{kind}_in_run", unit=unit, words=words_of_bias, usual=usual, **process))
@@ -414,7 +432,7 @@ def hyperparameters_of(problem: Problem, noise: NoiseModel, seen: BoolArray) -> 
         out.append(
             CorrelationTime(name=f"{kind}_time", unit="s", words=words_of_time, usual=CORRELATION_TIME, **process)
         )
-        for c, sensor in enumerate(block.sensors if block.size > 1 else ()):
+        for c, sensor in enumerate(block.sensors if block.size > 1 and not undisturbed else ()):
             words_of_sensor = f"scatter and in-run bias of {kind} {sensor} over those of the others"
             size = _factor(f"{kind}.in_run.{sensor}", words_of_sensor, UNLIKE, slice(first + c, first + c + 1))
             out.append(SensorFactor(**size))
@@ -519,7 +537,8 @@ def average_information(hyperparameters: Hyperparameters, solution: Solution) ->
     of_sensors = hyperparameters.members(SensorFactor, problem.sensors)
     variates = list[Array]()
     for number, (WZ, along, place) in enumerate(Score(solution).directions):
-        some = of_scatter[:, place] + (of_sensors if number == 0 else 0.0)
+        some = of_scatter[:, place]
+        some[:, : problem.sensors] += of_sensors if number == 0 else 0.0
         variates.append((2.0 * noise.variances[place] * along[:, None] * WZ) @ some.T)
     off = point.values + solution.parameters[1:] - problem.prior_mean[1:]
     of_prior = -2.0 * (off / problem.prior_u[1:])[:, None] * hyperparameters.members(GroupSize, len(off)).T

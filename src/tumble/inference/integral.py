@@ -27,16 +27,16 @@ mean of those along φ_i and of its marginal is taken. Of a size of a group it i
 maximum; of a size λ = exp(max(p, 0)) half of it is that of p < 0, by the prior. z has the correlations of the average
 information.
 The points z are of two fixed low-discrepancy sequences, each moved so that its mean and covariance are exactly those of
-the normal distribution, so that a result is the same to the last digit. With the weights w ∝ e^ℓ/q, smoothed by the
-Pareto distribution that fits the largest (Vehtari et al. 2024, Pareto smoothed importance sampling), and the step m and
-covariance V at each
+the normal distribution, so that a result is the same to the last digit. The weights w ∝ e^ℓ/q of the ψ, each the sum
+over its sizes, are smoothed by the Pareto distribution that fits the largest (Vehtari et al. 2024, Pareto smoothed
+importance sampling). With the step m and covariance V at each draw
 
     x̄ = Σ w m,    C = Σ w (V + m mᵀ) − x̄ x̄ᵀ
 
 and the coverage factor k of a parameter is the half width at 95.45 % of its mixture of Gaussians over its u, of which
 u is half where a few points far out would make it more. The two sequences are independent: half the difference of what
-each finds for u is the error of u by the points. As long as it exceeds SETTLED of u there are twice as many points,
-until there are MOST_POINTS.
+each finds for u is the error of u by the points. As long as it exceeds SETTLED of u, or few points count, there are
+twice as many, by further sequences, until there are MOST_POINTS.
 """
 
 from __future__ import annotations
@@ -102,6 +102,8 @@ REACH = 8.0
 SETTLED, ROUGH = 0.07, 0.1
 """Of u, for the parameter of which it is largest: an error by the points above which there are twice as many, and above
 which it is said."""
+FEW = 4.0
+"""Effective points of a sequence: two of fewer may agree by chance, and there are twice as many."""
 SHOWN = 0.2
 """Twice the members of a group of which the session learns something where it is as large as its prior allows for: of
 less, its size is not shown at all, and stays that of the sheet."""
@@ -160,12 +162,14 @@ def posterior(fitted: Maximum, *, integrate: bool = True) -> Posterior:
     np.empty(KEPT_MEMORY, dtype=np.uint8)
     count = max(POINTS if len(proposal.inner) else 2 * POINTS, 2 * (len(proposal.outer) + SPARE)) // 2
     drawn, sets = [_drawn(fitted, proposal, count, sequence) for sequence in (0, 1)], 1
-    while (error := _u_error(drawn)) > SETTLED and 2 * count * sets < MOST_POINTS:  # twice as many
+    while 2 * count * sets < MOST_POINTS:
+        if _u_error(drawn) < SETTLED and min(each.effective for each in drawn) > FEW:
+            break
         for sequence in range(2 * sets, 4 * sets):
             more = _drawn(fitted, proposal, count, sequence)
             drawn[sequence % 2] = Draws.joined([drawn[sequence % 2], more])
         sets *= 2
-    both = Draws.joined(drawn)
+    error, both = _u_error(drawn), Draws.joined(drawn)
     mean, within, between = both.moments()
     sources = scaled_to(contributions(_typical(fitted, both)), within) | {"hyperparameters": between}
     covariance = np.sum(list(sources.values()), axis=0)
@@ -181,7 +185,7 @@ def posterior(fitted: Maximum, *, integrate: bool = True) -> Posterior:
         process_step=process_mean,
         process_covariance=process_within + process_between,
         points=len(both.triangles.right),
-        effective=float(1.0 / (both.smoothed[0] ** 2).sum()),
+        effective=both.effective,
         pareto=both.smoothed[1],
         u_error=error,
         hyperparameters=_summary(fitted, both.phi.reshape(both.weight.size, -1), both.weight.ravel()),
@@ -586,6 +590,11 @@ class Draws:
         return smoothed(scipy.special.logsumexp(self.log_weight, axis=1))
 
     @property
+    def effective(self) -> float:
+        """The effective number of points."""
+        return float(1.0 / (self.smoothed[0] ** 2).sum())
+
+    @property
     def weight(self) -> Array:
         """The weights (K, L) of all draws."""
         return np.asarray(self.smoothed[0][:, None] * scipy.special.softmax(self.log_weight, axis=1))
@@ -683,16 +692,32 @@ class Conditional:
     process_covariance: Array
 
 
+def covariance_with_local(solution: Solution, some: slice) -> Array:
+    """The covariance (k, 1 + m) of some of what a session has beside with gravity and the parameters, biases being
+    those of the session."""
+    return np.asarray(solution.roots[0, some] @ _session_root(solution)[0].T)
+
+
+def _session_root(solution: Solution) -> tuple[Array, tuple[Array, Array] | None]:
+    """A root of the covariance of gravity and the parameters as far as they are uncertain by what they have in common
+    with the session, biases being those of the session, and the mean of these (`session_mean_bias`) where they
+    wander."""
+    roots = solution.roots[..., 0, :, :]
+    root, mean = roots[..., len(solution.problem.usual_local_u) :, :].copy(), None
+    if solution.equations.wanders and len(solution.problem.parts) == 1:
+        mean = session_mean_bias(solution.equations)
+        root[..., 1 + solution.problem.biases, :] += mean[0][..., :-1] @ roots
+    return root, mean
+
+
 def conditional(solution: Solution) -> Conditional:
     """The posterior at φ, or at a stack of them."""
     biases, problem = 1 + solution.problem.biases, solution.problem
-    step, roots = solution.parameters.copy(), solution.roots[..., 0, :, :]
-    root = roots[..., len(problem.usual_local_u) :, :].copy()
-    process, by_noise = root[..., biases, :], None
-    if solution.equations.wanders and len(problem.parts) == 1:
-        by_shared, by_noise = session_mean_bias(solution.equations)
+    step, (root, mean) = solution.parameters.copy(), _session_root(solution)
+    process, by_noise = solution.roots[..., 0, len(problem.usual_local_u) :, :][..., biases, :], None
+    if mean is not None:
+        by_shared, by_noise = mean
         step[..., biases] += (by_shared @ solution.shared[..., 0, :, None])[..., 0]
-        root[..., biases, :] += by_shared[..., :-1] @ roots
     covariance = root @ np.swapaxes(root, -1, -2)
     if by_noise is not None:
         along = np.swapaxes(by_noise, -3, -2).reshape(*step.shape[:-1], len(biases), -1)
@@ -707,8 +732,8 @@ def conditional(solution: Solution) -> Conditional:
 
 
 def rough(integral: Integral) -> bool:
-    """Whether an integral rests on a few points: by the error of u."""
-    return integral.u_error > ROUGH
+    """Whether an integral rests on a few points: by the error of u, or by their effective number."""
+    return integral.u_error > ROUGH or (integral.points > 1 and integral.effective < 2.0 * FEW)
 
 
 def normal_points(points: int, dimensions: int, sequence: int = 0) -> Array:

@@ -28,11 +28,12 @@ from tumble.inference.estimate import (
     OwnEstimate,
     ProcessBias,
 )
-from tumble.inference.fits import TOTAL, chi_squares, left_out, sigmas
+from tumble.inference.fits import MAGNETOMETER, TOTAL, chi_squares, left_out, sigmas
 from tumble.inference.hyperparameters import Hyperparameters
 from tumble.inference.integral import Posterior, posterior
 from tumble.inference.lag import maximum_with_lags
 from tumble.inference.linearisation import at_reference
+from tumble.inference.magnetic_estimate import magnetometer_estimate, with_magnetometer
 from tumble.inference.maximum import MAX_ITERATIONS, Maximum, without_outliers
 from tumble.inference.noise import NO_COMPONENTS, SCATTER, VarianceComponents, typical_noise
 from tumble.inference.normal_equations import solve
@@ -68,21 +69,31 @@ def joint(
     usual, local = instruments_of(observations)
     problem = Problem.of(observations, prior, instrument=instrument or usual, local=local, usual=observations.usual)
     start, first = start_of(problem)
+    start, refused = with_magnetometer(start)
     fitted, by_lag = maximum_with_lags(start, QUICK_STEPS if quick else MAX_ITERATIONS)
     if fitted.converged and not quick:
         fitted = without_outliers(fitted)
     if components is not None:
         fitted = replace(fitted, hyperparameters=Hyperparameters(()), solution=solve(fitted.linearisation, components))
     shown = posterior(fitted, integrate=intervals and not quick and components is None)
-    return _estimate(fitted, shown, (*first, *fitted.increments[:-1], shown.step[1:]), by_lag)
+    magnetometer = magnetometer_estimate(fitted, shown.step)
+    if magnetometer is not None and magnetometer.refused:  # which all others must not suffer from
+        alone = observations.without_magnetometer()
+        estimate = joint(
+            alone, prior=prior, instrument=instrument, intervals=intervals, quick=quick, components=components
+        )
+        return replace(estimate, magnetometer=magnetometer)
+    estimate = _estimate(fitted, shown, (*first, *fitted.increments[:-1], shown.step[1:]), by_lag)
+    return replace(estimate, magnetometer=magnetometer or refused or None)
 
 
 def _estimate(fitted: Maximum, shown: Posterior, increments: tuple[Array, ...], by_lag: Array) -> Estimate:
     problem, linearisation, best = fitted.problem, fitted.linearisation, fitted.solution
     instrument = problem.instrument
-    accel_sigmas, gyro_sigmas, turn_sigmas = sigmas(best)
-    alone = chi_squares(solve(linearisation.with_priors(problem), NO_COMPONENTS)).values()
-    chi_square, degrees = (sum(getattr(fit, name) for fit in alone) for name in ("chi_square", "degrees"))
+    accel_sigmas, gyro_sigmas, turn_sigmas, *_ = sigmas(best)
+    alone = chi_squares(solve(linearisation.with_priors(problem), NO_COMPONENTS))
+    inertial = [fit for name, fit in alone.items() if name != MAGNETOMETER]
+    chi_square, degrees = (sum(getattr(fit, name) for fit in inertial) for name in ("chi_square", "degrees"))
     total = Fit(chi_square=chi_square, degrees=degrees, scatter=0.0, unit="")
     observations, linear = problem.observations, instrument.linear_count
     values = fitted.linearisation.point.values + shown.step[1:]
@@ -132,7 +143,7 @@ def _estimate(fitted: Maximum, shown: Posterior, increments: tuple[Array, ...], 
         integral=Integral(points=shown.points, effective=shown.effective, pareto=shown.pareto, u_error=shown.u_error),
         process_bias=tuple(_process_bias(fitted, shown, in_common)),
         budget=budget,
-        left_out=Omitted(**dict(zip(("accel", "gyro", "turn"), left_out(problem, linearisation.noise), strict=True))),
+        left_out=Omitted(**dict(zip(("accel", "gyro", "turn"), left_out(problem, linearisation.noise), strict=False))),
     )
 
 

@@ -3,13 +3,22 @@
 Accelerometers and gyros have a lag each: they may be chips apart from the thermometer and from each other. Everything
 else is linear, or nearly so, once the lags are known, which multiply the coefficients over temperature: the likelihood
 has several minima over a lag, where the temperature hardly bends none that Gauss–Newton finds. So the estimate holds
-the likeliest lags, and in the end the probability of each lag λ is summed over a grid.
+the likeliest lags, and in the end the probability of each lag λ is summed over a grid, with the hyperparameters that
+are likeliest with it.
+
+Sensors follow: a lag is not negative. One of the die is behind a thermometer on it by less than a second, behind one in
+the package or on the board by seconds to some tens of seconds, and an instrument behind one in its housing by minutes.
+Which it is no file says, so that its prior falls by a power,
+
+    p(λ) = (3/2s)(1 + λ/2s)⁻⁴,    λ ≥ 0                                                                            (1)
+
+of mean s, a tenth of it beyond 2.3 s and a hundredth beyond 7.3 s: minutes are believed as soon as data show them.
 
 A lag matters as far as anything changes with temperature. Where nothing does, any lag fits, and a large one best: with
 it the sensors have hardly become warmer, and parameters at the temperature of the thermometer would be far from all
 that was observed. So there are two hypotheses, as likely beforehand: the coefficients c over temperature of a kind of
-sensor are of usual size, c ~ N(0, S) and λ ~ N(0, s²), or they are zero. With the solution θ(λ), of covariance C(λ),
-the odds of the first with a lag are those of the density of c = 0 before and after (Savage and Dickey),
+sensor are of usual size, c ~ N(0, S) and λ is of (1), or they are zero. With the solution θ(λ), of covariance C(λ), the
+odds of the first with a lag are those of the density of c = 0 before and after (Savage and Dickey),
 
     O(λ) = (|C_c|/|S|)^½ exp(½ cᵀ C_c⁻¹ c),    P = ∫ p(λ) O(λ) dλ / (1 + ∫ p(λ) O(λ) dλ)
 
@@ -28,8 +37,8 @@ from dataclasses import replace
 import numpy as np
 import scipy
 
-from tumble.inference.hyperparameters import restricted_likelihood
-from tumble.inference.integral import conditional, coverage_factors
+from tumble.inference.hyperparameters import restricted_likelihood, score
+from tumble.inference.integral import Conditional, conditional, coverage_factors
 from tumble.inference.linearisation import Linearisation, linearise
 from tumble.inference.maximum import Maximum, likeliest, maximum
 from tumble.inference.normal_equations import Solution
@@ -37,14 +46,16 @@ from tumble.inference.problem import Problem
 from tumble.sensors.parameters import THERMAL, sensor_kind, variable_of
 from tumble.units import Array
 
-LAGS = (-100.0, -25.0, 0.0, 10.0, 25.0, 50.0, 100.0, 200.0, 400.0, 800.0)
-"""s: time constants of the sensors behind the thermometer from which the best is sought."""
+LAGS = np.array([0.0, 5.0, 10.0, 25.0, 50.0, 100.0, 200.0, 400.0, 800.0])
+"""s: lags from which the best is sought."""
 _APART = np.concatenate([[0.5], 2.0 ** np.arange(0.0, 10.5)])
 LAGS_ABOUT = np.concatenate([-_APART[::-1], [0.0], _APART])
-"""s: from the lag that is held, where its likelihood is taken at first."""
+"""s: from the lag that is held, where its likelihood is taken at first, and at zero."""
 RESOLVED, HALVINGS = 0.2, 10
 """Largest probability of one lag of a grid that resolves the likelihood, half a standard deviation of a Gaussian from
 the next, and how often steps beside likelier ones are halved at most."""
+PHI_STEPS, ENOUGH, SHORTEST = 5, 0.2, -0.9
+"""Steps of φ at a lag at most, twice the gain in ℓ that is not worth one, and twice the shortest of a logarithm."""
 LAG_ROUNDS = 3
 """Solutions with lags of which each shows the one before to be wrong, at most."""
 
@@ -75,7 +86,7 @@ def maximum_with_lags(start: Linearisation, iterations: int) -> tuple[Maximum, A
     def held(values: Array, near: Linearisation) -> Linearisation:
         """The linearisation where the lags are known to be those among values (m,)."""
         there = linearise(free.with_lags(values), replace(near.point, values=values), near.about)
-        return replace(there, noise=there.noise.weighted(near.noise.rest_weights, near.noise.turn_weights))
+        return replace(there, noise=there.noise.weighted(*near.noise.weights))
 
     def with_lag(values: Array, kind: str, lag: float) -> Array:
         out = values.copy()
@@ -83,34 +94,24 @@ def maximum_with_lags(start: Linearisation, iterations: int) -> tuple[Maximum, A
         return out
 
     def penalty(kind: str, lag: Array) -> Array:
-        """−2 ln of the prior of a lag."""
-        return np.asarray((lag / usual[kind]) ** 2)
+        """−2 ln of the prior of a lag, Eq. (1)."""
+        return np.asarray(8.0 * np.log1p(0.5 * lag / usual[kind]))
 
     def again(values: Array) -> Maximum:
         return maximum(held(values, replace(fitted.linearisation, point=fitted.point)), fitted.phi, iterations)
 
-    def with_lags(phi: Array, kind: str, tried: Array) -> list[Solution]:
-        """The solutions at φ with lags of a kind."""
-        near = replace(fitted.linearisation, point=fitted.point)
-        every = (held(with_lag(fitted.point.values, kind, lag), near) for lag in tried.tolist())
-        return [restricted_likelihood(there, fitted.hyperparameters, phi) for there in every]
-
-    def likelihood(phi: Array, kind: str) -> Callable[[Array], tuple[Array, Array]]:
-        """−2 ln of the posterior of lags."""
-
-        def at_lags(tried: Array) -> tuple[Array, Array]:
-            value = np.array([each.log_posterior for each in with_lags(phi, kind, tried)])
-            return penalty(kind, tried) - 2.0 * value, tried
-
-        return at_lags
-
     def solutions(kind: str) -> Callable[[Array], tuple[Array, Array]]:
-        """The same at the φ of the maximum, with covariances and values (L, m, m + 1) of the parameters."""
+        """−2 ln of the posterior of lags of a kind, and with them covariances and values (L, m, m + 1) of the
+        parameters."""
 
         def at_lags(tried: Array) -> tuple[Array, Array]:
-            every = [conditional(each) for each in with_lags(fitted.phi, kind, tried)]
+            values, every = fitted.point.values, list[Conditional]()
+            here = held(values, replace(fitted.linearisation, point=fitted.point))
+            for lag in tried.tolist():
+                other = with_lag(values, kind, lag)
+                there = here.at_lags(free.with_lags(other), other)
+                every.append(conditional(likeliest_near(fitted, there)))
             value = np.array([each.value for each in every])
-            values = fitted.point.values
             both = np.array([np.column_stack([each.covariance[1:, 1:], values + each.step[1:]]) for each in every])
             return penalty(kind, tried) - 2.0 * value, both
 
@@ -125,29 +126,22 @@ def maximum_with_lags(start: Linearisation, iterations: int) -> tuple[Maximum, A
     free = problem
     fitted = likeliest(held(start.point.values, start), iterations)
     free = replace(problem, bias_after=fitted.problem.bias_after)
-    tried = {tuple(fitted.point.values[list(lags.values())])}
-    centre = np.array([h.centre for h in fitted.hyperparameters])
     for _ in range(LAG_ROUNDS):
-        candidates = []
-        for phi in (fitted.phi, centre):  # the first may hide another maximum
-            values = fitted.point.values
-            for kind in lags:
-                grid, weight, _ = resolved(likelihood(phi, kind), np.array(LAGS))
-                values = with_lag(values, kind, float(grid[np.argmax(weight / np.gradient(grid))]))
-            key = tuple(values[list(lags.values())])
-            if key not in tried:
-                tried.add(key)
-                candidates.append(values)
-        best = max([fitted, *map(again, candidates)], key=goodness)
-        if best is fitted:
+        values = fitted.point.values
+        for kind in lags:
+            grid, weight, _ = resolved(solutions(kind), LAGS)
+            values = with_lag(values, kind, float(grid[np.argmax(weight / widths(grid))]))
+        other = again(values)
+        if goodness(other) <= goodness(fitted):
             break
-        fitted = best
+        fitted = other
     means, prior_u = fitted.point.values.copy(), fitted.problem.prior_u[1:]
     others = np.delete(np.arange(len(means)), list(lags.values()))
     for kind, i in lags.items():
         at_lags, own = solutions(kind), coefficients(fitted.problem, kind)
-        grid, weight, found = resolved(at_lags, fitted.point.values[i] + LAGS_ABOUT)
-        prior = np.exp(-0.5 * penalty(kind, grid)) * np.gradient(grid)
+        about = fitted.point.values[i] + LAGS_ABOUT
+        grid, weight, found = resolved(at_lags, np.append(0.0, about[about > 0.0]))
+        prior = np.exp(-0.5 * penalty(kind, grid)) * widths(grid)
         log_odds = [log_odds_of_change(each[own][:, [*own, -1]], prior_u[own]) for each in found]
         change = float(scipy.special.expit(scipy.special.logsumexp(log_odds, b=prior / prior.sum())))
         means[i] = change * float(weight @ grid)
@@ -157,6 +151,27 @@ def maximum_with_lags(start: Linearisation, iterations: int) -> tuple[Maximum, A
         more = greater_by(every, held_one[others][:, [*others, -1]], np.append(1.0 - change, change * weight))
         spread[np.ix_(others, others)] += more
     return again(means), spread
+
+
+def likeliest_near(fitted: Maximum, there: Linearisation) -> Solution:
+    """The solution of other rows at the φ that is likeliest with them: with a lag that is wrong biases seem to wander
+    more. From that of a maximum by Newton's steps s with the curvature there, which of the logarithm of a standard
+    deviation are too long: where squares are r times as large as is expected s = (r − 1)/2 takes the place of
+    (ln r)/2."""
+    hyperparameters, phi, B = fitted.hyperparameters, fitted.phi, fitted.curvature
+    bounded = hyperparameters.bounded
+    best, share = restricted_likelihood(there, hyperparameters, phi), 1.0
+    for _ in range(PHI_STEPS):
+        gradient, _ = score(hyperparameters, best)
+        free = np.flatnonzero(~(bounded & (best.phi <= 0.0) & (gradient <= 0.0)))
+        step = np.zeros(len(phi))
+        step[free] = np.linalg.solve(B[np.ix_(free, free)], gradient[free])
+        if float(gradient @ step) < ENOUGH:
+            break
+        step = 0.5 * np.log1p(np.maximum(2.0 * share * step, SHORTEST))
+        after = restricted_likelihood(there, hyperparameters, best.phi + step)
+        best, share = (after, 1.0) if after.log_posterior > best.log_posterior else (best, 0.2 * share)
+    return best
 
 
 def without(solution: Array, own: list[int]) -> Array:
@@ -196,13 +211,19 @@ def log_odds_of_change(found: Array, sizes: Array) -> float:
     return 0.5 * float(values @ np.linalg.solve(covariance, values) + np.linalg.slogdet(covariance)[1])
 
 
+def widths(lags: Array) -> Array:
+    """Widths (L,) of lags in ascending order, by which sums over them are integrals."""
+    step = np.diff(lags)
+    return np.asarray(0.5 * (np.append(step, 0.0) + np.append(0.0, step)))
+
+
 def resolved(at_lags: Callable[[Array], tuple[Array, Array]], lags: Array) -> tuple[Array, Array, Array]:
     """Lags in ascending order, their probabilities, and the solutions with them
     (L, …), of −2 ln likelihood and solutions `at_lags`: those of a first grid, and between them as many as resolve the
     likelihood, which may be narrow, and steep to one side."""
     deviance, moved_by = at_lags(lags)
     for halved in range(HALVINGS + 1):
-        weight = np.exp(-0.5 * (deviance - deviance.min())) * np.gradient(lags)
+        weight = np.exp(-0.5 * (deviance - deviance.min())) * widths(lags)
         weight /= weight.sum()
         if weight.max() < RESOLVED or halved == HALVINGS:
             break

@@ -14,8 +14,21 @@ from typing import Any
 import numpy as np
 
 from tumble.inference.elimination import fold
+from tumble.inference.magnetometer import OWN as MAGNETIC
+from tumble.inference.magnetometer import Magnetometer
 from tumble.inference.noise import LINK_SCATTER, NO_COMPONENTS, SCATTER, NoiseModel, VarianceComponents
-from tumble.inference.problem import LEVER, SUPPORT, Point, Problem, bases, noise_model, support_columns, unseen_rate
+from tumble.inference.problem import (
+    LEAST_FIELD,
+    LEVER,
+    MAGNETIC_ROWS,
+    SUPPORT,
+    Point,
+    Problem,
+    bases,
+    noise_model,
+    support_columns,
+    unseen_rate,
+)
 from tumble.inference.turns_about import TurnsAbout
 from tumble.inference.variables import GROWING
 from tumble.reduction.turns.links import PARTS, joined_parts, noise_of_links
@@ -44,10 +57,13 @@ class Linearisation:
         Rows of the turns: angles of the rest before and of the rest after, and as above.
     bias : (K, t, n)
         Coefficients of the turns for a bias of the accelerometers, then of the gyros, in the turn.
-    link : (J, 9, 18 + p + q + 1)
+    growing : (K, t, c)
+        Columns of the turns for c changes of parameters that grow by 1 a second about the middle of the turns; zeros
+        where none do.
+    link : (J, l, 18 + p + q + 1)
         Rows of the links: angles and velocities of the station before and of that after, displacements of both, and as
-        above.
-    link_bias : (J, 9, n)
+        above; with a magnetometer 12, the last three those of its readings at the node before.
+    link_bias : (J, l, n)
         As `bias`.
     gained : (K, 3)
         Velocity, m/s, that gravity gives the turns, in the body at their start.
@@ -67,6 +83,7 @@ class Linearisation:
     rest: Array
     turn: Array
     bias: Array
+    growing: Array
     link: Array
     link_bias: Array
     gained: Array
@@ -147,6 +164,31 @@ class Linearisation:
             local_prior=-self.point.local / problem.local_u[..., None, :],
         )
 
+    def at_lags(self, problem: Problem, values: Array) -> Linearisation:
+        """The same rows with other lags behind the thermometers, which are known: to first order in what parameters
+        change by with temperature.
+
+        Parameters
+        ----------
+        problem
+            The problem in which the lags are known (`Problem.with_lags`).
+        values : (m,)
+            The parameters, lags included.
+        """
+        point, (own, base), every = replace(self.point, values=values), problem.changed, list[Array]()
+        warmed = problem.warmed(point)
+        for place, rows, first in ((0, self.rest.copy(), 4), (1, self.turn.copy(), 7)):
+            by = warmed.goes[place][:, None] * rows[:, :, first + base]
+            if place == 1:
+                by += warmed.goes[GROWING][:, None] * self.growing
+            less = (rows[:, :, first + own] - by) @ problem.changes_in(point, place)[:, :, None]
+            rows[:, :, -1] += less[:, :, 0]
+            rows[:, :, first + own] = by
+            every.append(rows)
+        rest, turn = every
+        prior = prior_rows(problem, point, self.array)
+        return replace(self, problem=problem, point=point, rest=rest, turn=turn, prior=prior)
+
     def beside(self, rest: Array, turn: Array) -> Linearisation:
         """The same with further common parameters after those of the instrument, of which nothing is known beforehand,
         by their columns (N, r, c) and (K, t, c)."""
@@ -182,11 +224,12 @@ def linearise(
     model = problem.instrument.linearised(point.values)
     turn = np.zeros((0, problem.rows_of_turn, 8 + problem.width))
     bias = np.zeros((0, problem.rows_of_turn, problem.sensors))
+    growing = np.zeros((0, problem.rows_of_turn, len(problem.changed[0])))
     gained = np.zeros((0, 3))
     link, link_bias = np.zeros((0, 9, 20 + problem.width)), np.zeros((0, 9, problem.sensors))
     noise = problem.noise
     if about is not None:
-        turn, bias = _turn_rows(warmed, point, about, model)
+        turn, bias, growing = _turn_rows(warmed, point, about, model)
         if about.links is not None:
             link, link_bias, noise = _link_rows(warmed, point, about.links, model)
     arrays = [each.rows(problem.instrument, point.values) for each in (() if about is None else about.arrays)]
@@ -201,6 +244,7 @@ def linearise(
         rest=_rest_rows(warmed, point, model),
         turn=turn,
         bias=bias,
+        growing=growing,
         link=link,
         link_bias=link_bias,
         gained=gained,
@@ -219,7 +263,8 @@ def _rest_rows(problem: Problem, point: Point, model: tuple[Array, Array]) -> Ar
     basis, m = bases(L), len(point.values)
     turned = skew(f) @ basis, skew(w) @ basis  # by which the three angles change f and ω
     turned[0][:, :, 2] = 0.0  # exactly
-    rows = np.zeros((len(L), n + 3 * (problem.prior.attitude is not None), 5 + problem.width))
+    attitude = slice(n, n + 3 * (problem.prior.attitude is not None))
+    rows = np.zeros((len(L), attitude.stop + 3 * (problem.magnetometer is not None), 5 + problem.width))
     first = 0
     for block, observed in zip(instrument.blocks, (rests.accel, rests.gyro), strict=False):
         own, used, first = slice(first, first + block.size), instrument.used[block.kind], first + block.size
@@ -232,7 +277,14 @@ def _rest_rows(problem: Problem, point: Point, model: tuple[Array, Array]) -> Ar
         rows[:, own, -1] = observed - (beta * K).sum(axis=2)
     _add_changes(problem, point, rows[:, :n], 4, 0)
     if problem.prior.attitude is not None:
-        rows[:, n:] = _attitude_rows(problem, point)
+        rows[:, attitude] = _attitude_rows(problem, point)
+    if problem.magnetometer is not None:
+        assert rests.magnetometer is not None
+        magnetic = rows[:, attitude.stop :]
+        expected, magnetic[:, :, :3], magnetic[:, :, 4 + m : 4 + m + MAGNETIC] = problem.magnetometer.rows(
+            point.local[0, :MAGNETIC], L, basis, np.zeros_like(f)
+        )
+        magnetic[:, :, -1] = rests.magnetometer - expected
     return rows
 
 
@@ -274,13 +326,16 @@ def at_reference(linearisation: Linearisation) -> Array:
     return np.asarray(accel - (by @ problem.changes_in(linearisation.point, 0)[:, :, None])[:, :, 0])
 
 
-def _turn_rows(problem: Problem, point: Point, about: TurnsAbout, model: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Rotation and velocity of the turns, (13) and (14), what more than three gyros say of themselves, and the
-    coefficients of all for a bias of the accelerometers and gyros."""
+def _turn_rows(
+    problem: Problem, point: Point, about: TurnsAbout, model: tuple[Array, Array]
+) -> tuple[Array, Array, Array]:
+    """Rotation and velocity of the turns, (13) and (14), what more than three gyros say of themselves, the coefficients
+    of all for a bias of the accelerometers and gyros, and the columns of what grows in the turns."""
     turns, instrument, g = problem.observations.turns, problem.instrument, point.gravity
     assert turns is not None
     by = about.rows(instrument, point.values, model, problem.width)
-    _add_changes(problem, point, by, 0, 1, about.growing_columns(model[1]))
+    G = about.growing_columns(model[1])
+    _add_changes(problem, point, by, 0, 1, G)
     (spare, free), t = _spare_rows(problem, point, about, model), 6 if instrument.in_velocities else 3
     rows = np.zeros((len(turns), problem.rows_of_turn, 8 + problem.width))
     bias, by_bias = np.zeros((len(turns), problem.rows_of_turn, problem.sensors)), about.paths[..., CONSTANT]
@@ -304,9 +359,13 @@ def _turn_rows(problem: Problem, point: Point, about: TurnsAbout, model: tuple[A
         bias[:, 3:6] = by_bias[:, 3:]
     if problem.observations.site.gravity_u == 0.0:
         rows[:, :, 6] = 0.0
+    growing = np.zeros((*rows.shape[:2], len(problem.changed[1])))
+    if G is not None:
+        G = G[:, :, problem.changed[1]]
+        growing[:, :3], growing[:, 3:t] = by_rotation @ G[:, :3], G[:, 3:t]
     rows[:, t:, 7:] = spare
     bias[:, t:, instrument.accel.size :] = turns.duration[:, None, None] * free
-    return rows, bias
+    return rows, bias, growing
 
 
 def _by_gravity(start: Array, basis: Array, gained: Array, sideways: Array) -> tuple[Array, Array]:
@@ -393,8 +452,29 @@ def _link_rows(
     rows[:, 6:] *= free
     bias = columns[:, :, problem.width :]
     bias[:, 6:] *= free
+    if problem.magnetometer is not None:
+        magnetic = _magnetic_link_rows(problem, problem.magnetometer, point, basis)
+        rows, bias = (
+            np.concatenate([a, b], axis=1) for a, b in ((rows, magnetic), (bias, np.zeros((J, 3, bias.shape[2]))))
+        )
     N_g, N_a = (density * np.eye(3) for density in (links.gyro_density, links.accel_density))
     return rows, bias, _with_link_noise(problem, noise_of_links(C_p, V_p, P_p, T_p, N_g, N_a))
+
+
+def _magnetic_link_rows(problem: Problem, magnetometer: Magnetometer, point: Point, basis: Array) -> Array:
+    """Readings of the magnetometer at the node before each link (J, 3, ·); zero where there are none."""
+    links = problem.observations.links
+    assert links is not None
+    rows = np.zeros((len(links), 3, 20 + problem.width))
+    if links.magnetometer is None:
+        return rows
+    first = 19 + len(point.values)
+    expected, rows[:, :, :3], rows[:, :, first : first + MAGNETIC] = magnetometer.rows(
+        point.local[0, :MAGNETIC], point.attitudes[links.before], basis, links.rates[::PARTS, 0]
+    )
+    rows[:, :, -1] = links.magnetometer - expected
+    rows[~links.magnetic] = 0.0
+    return rows
 
 
 def _with_link_noise(problem: Problem, covariances: tuple[Array, Array]) -> NoiseModel:
@@ -413,8 +493,15 @@ def _with_link_noise(problem: Problem, covariances: tuple[Array, Array]) -> Nois
         scale = np.where(size > 0.0, size, 1.0)
         scaled = covariance / scale[:, :, None] / scale[:, None, :] + ROUNDED * np.eye(9)
         directions.append(size[:, :, None] * np.linalg.cholesky(scaled))
-    places = np.repeat([SCATTER.index(name) for name in LINK_SCATTER], 9)
-    return replace(problem.noise, link=N, link_directions=(np.concatenate(directions, axis=2), places))
+    places, Z = np.repeat([SCATTER.index(name) for name in LINK_SCATTER], 9), np.concatenate(directions, axis=2)
+    if problem.magnetometer is not None:
+        variance = links.magnetometer_variance + (LEAST_FIELD * problem.magnetometer.field) ** 2
+        seen, wide = links.magnetic[:, None, None] * np.eye(3), np.zeros((len(N), 12, 12))
+        wide[:, :9, :9], wide[:, MAGNETIC_ROWS, MAGNETIC_ROWS] = N, np.eye(3) + (variance - 1.0) * seen
+        along = np.zeros((len(N), 12, Z.shape[2] + 3))
+        along[:, :9, :-3], along[:, MAGNETIC_ROWS, -3:] = Z, seen
+        N, Z, places = wide, along, np.append(places, 3 * [SCATTER.index("mag")])
+    return replace(problem.noise, link=N, link_directions=(Z, places))
 
 
 def left_jacobian(r: Array) -> Array:

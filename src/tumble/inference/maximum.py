@@ -79,6 +79,8 @@ GAIN = 0.5 * 0.05**2
 deviations, root mean square."""
 NEAR, FAR_STEPS = 1.0, 2
 """Of u: until x is so near, at most for so many linearisations, φ stays as it is, for residuals are of x then."""
+SAME = 0.1
+"""Of an element of φ: what ℓ may be below a maximum, and would be by its curvature, on the way there."""
 FURTHEST = 2.0
 """Δ at first and at most."""
 SQUARED = 10.0
@@ -156,7 +158,11 @@ class Maximum:
 
 
 def maximum(
-    start: Linearisation, phi: Array | None = None, iterations: int = MAX_ITERATIONS, robust: bool = False
+    start: Linearisation,
+    phi: Array | None = None,
+    iterations: int = MAX_ITERATIONS,
+    robust: bool = False,
+    known: Maximum | None = None,
 ) -> Maximum:
     """The joint maximum of x and φ.
 
@@ -170,6 +176,8 @@ def maximum(
         Linearisations at most.
     robust
         Whether rows are Student-t (`tumble.inference.fits`).
+    known
+        A maximum that is returned where φ comes so close to it from below that it leads there again.
     """
     problem, linearisation = start.problem, start
     hyperparameters = hyperparameters_of(problem, start.noise, _seen(solve(start, NO_COMPONENTS)))
@@ -209,20 +217,22 @@ def maximum(
             if gained > 0.0:
                 solution, gradient, exact = tried, tried_gradient, False
         phi = solution.phi
+        if known is not None and near and len(phi) == len(known.phi):
+            away, below = phi - known.phi, float(known.solution.log_posterior - solution.log_posterior)
+            if max(below, 0.5 * float(away @ known.curvature @ away)) < SAME * len(phi) and below > 0.0:
+                return known
 
         # x by a step of Gauss–Newton, to where rows are linearised next
         point, change = moved(solution, keep=len(increments) >= TO_AND_FRO)
         increments.append(change)
         about, noise = integrated(problem, point, linearisation.about), linearisation.noise
-        weights = noise.rest_weights, noise.turn_weights
+        weights = before = noise.weights
         if robust:
-            robust_noise = weighted(problem, noise, student_weights(chi_square_falls(solution)))
-            weights = robust_noise.rest_weights, robust_noise.turn_weights
-        before = noise.rest_weights, noise.turn_weights
+            weights = weighted(problem, noise, student_weights(chi_square_falls(solution))).weights
         weights_settled = all(np.all(np.abs(a**2 - b**2) < SETTLED) for a, b in zip(weights, before, strict=True))
         if len(increments) >= TO_AND_FRO:  # rows that have the blame by turns share it
-            rest, turn = (np.sqrt(0.5 * (a**2 + b**2)) for a, b in zip(weights, before, strict=True))
-            weights = rest, turn
+            rest, turn, link = (np.sqrt(0.5 * (a**2 + b**2)) for a, b in zip(weights, before, strict=True))
+            weights = rest, turn, link
         settled = negligible(solution) and about is linearisation.about and gain < enough and weights_settled
         if settled or len(increments) >= iterations:
             return Maximum(
@@ -251,6 +261,7 @@ def likeliest(start: Linearisation, iterations: int = MAX_ITERATIONS) -> Maximum
     centre = np.array([h.centre for h in hyperparameters])
     sizes = {h.name: float(h.value(p)) for h, p in zip(hyperparameters, best.phi, strict=True)}
     far = [h for h in hyperparameters if sizes[h.name] > BEYOND * h.usual and not isinstance(h, CorrelationTime)]
+    far = [h for h in far if h.name != "mag"]  # which takes no blame from others
     share = start.problem.bias_after
     if any(isinstance(h, (Scatter, GroupSize)) for h in far):
         useless = [np.log(USELESS[h.name]) if h.name in USELESS else h.centre for h in hyperparameters]
@@ -271,7 +282,8 @@ def likeliest(start: Linearisation, iterations: int = MAX_ITERATIONS) -> Maximum
         starts += [(0.0, anew), (1.0, anew)]
     for bias_after, phi in starts:
         problem = replace(start.problem, bias_after=bias_after)
-        other = maximum(replace(start, problem=problem), phi, iterations)
+        known = best if bias_after == best.linearisation.problem.bias_after else None
+        other = maximum(replace(start, problem=problem), phi, iterations, known=known)
         if other.converged and other.solution.log_posterior > best.solution.log_posterior:
             best = other
     return best
@@ -279,14 +291,15 @@ def likeliest(start: Linearisation, iterations: int = MAX_ITERATIONS) -> Maximum
 
 def without_outliers(fitted: Maximum, iterations: int = MAX_ITERATIONS) -> Maximum:
     """The maximum without the rests and turns that do not fit; the same where all do."""
-    every = np.concatenate(sigmas(fitted.solution))
-    if not len(every) or 2.0 * scipy.special.ndtr(-every.max()) * len(every) > STANDS_OUT:
+    every = np.concatenate(sigmas(fitted.solution)[: 3 if fitted.problem.magnetometer is None else 5])
+    whole = all(np.all(each == 1.0) for each in fitted.linearisation.noise.weights)
+    if whole and (not len(every) or 2.0 * scipy.special.ndtr(-every.max()) * len(every) > STANDS_OUT):
         return fitted
     robust = maximum(fitted.linearisation, fitted.phi, iterations, robust=True)
     dropped = [w < LEAST_WEIGHT for w in student_weights(chi_square_falls(robust.solution))]
-    if not any(each.any() for each in dropped):
+    if whole and not any(each.any() for each in dropped):
         return fitted
-    weights = [np.where(each, LEFT_OUT, 1.0) for each in dropped]
+    weights = [np.where(each, weight, 1.0) for each, weight in zip(dropped, LEFT_OUT, strict=True)]
     noise = weighted(fitted.usual_problem, robust.linearisation.noise, weights)
     return maximum(replace(robust.linearisation, noise=noise), robust.phi, iterations)
 
@@ -328,7 +341,8 @@ def negligible(solution: Solution, share: float = CONVERGED) -> bool:
 
 def moved(solution: Solution, keep: bool = False) -> tuple[Point, Array]:
     """The point after the step of a solution, shortened so that no parameter moves by more than its spread, and the
-    change of the parameters. Chains whose heading is hardly seen `keep` it, or all chains."""
+    change of the parameters. Chains whose heading is hardly seen `keep` it, or all chains, unless a magnetometer sees
+    it."""
     problem, equations = solution.problem, solution.equations
     parameters, angles, local = _with_gravity_kept(solution)
     share = 1.0 / max(1.0, float(np.max(np.abs(parameters[1:]) / problem.spread)))
@@ -338,7 +352,7 @@ def moved(solution: Solution, keep: bool = False) -> tuple[Point, Array]:
     every = equations.rest_rows, equations.turn_rows, equations.link_rows
     rows = sum(each.shape[0] * each.shape[1] for each in every)
     hidden = np.bincount(chain, heading_information(solution)) < UNSEEN**-2 * max(1.0, solution.square / rows)
-    if keep or hidden.any():
+    if (keep or hidden.any()) and problem.magnetometer is None:
         mean = np.bincount(chain, angles[:, 2]) / np.bincount(chain)
         angles[:, 2] -= np.where(hidden | keep, mean, 0.0)[chain]
     velocities = displacements = None

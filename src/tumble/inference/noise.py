@@ -42,12 +42,13 @@ SCATTER_WORDS = {
     "aliased_apart": ("1", "what spare gyros say over jumps between samples"),
     "link_gyro": ("1", "noise of the gyros in motion, over that of its quiet parts"),
     "link_accel": ("1", "noise of the accelerometers in motion, over that of its quiet parts"),
+    "mag": ("", "readings of the magnetometer, in its unit"),
 }
 SCATTER = tuple(SCATTER_WORDS)
 """The components of scatter, white from rest to rest and from turn to turn."""
 TURN_SCATTER = SCATTER[2:8]
 """Those that concern turns alone."""
-LINK_SCATTER = SCATTER[8:]
+LINK_SCATTER = SCATTER[8:10]
 """Those of links."""
 REST_SCATTER = SCATTER[:2]
 """Those of readings at rest."""
@@ -82,6 +83,8 @@ class VarianceComponents:
         The error of the integral over a jump between samples in parts of its size times the interval (18).
     aliased, aliased_apart
         The error of a rotation, and of what gyros say beyond it, in parts of what aliased samples would make it.
+    mag
+        Scatter of the readings of the magnetometer, in its unit, from station to station.
     accel_in_run, gyro_in_run, accel_time, gyro_time
         Size, SI, and correlation time, s, of the in-run bias of each kind of sensor.
     link_gyro, link_accel
@@ -107,6 +110,7 @@ class VarianceComponents:
     aliased_apart: float = 0.0
     link_gyro: float = 0.0
     link_accel: float = 0.0
+    mag: float = 0.0
     accel_in_run: float = 0.0
     gyro_in_run: float = 0.0
     accel_time: float = CORRELATION_TIME
@@ -148,11 +152,11 @@ class NoiseModel:
 
     Parameters
     ----------
-    rest, turn, link : (N, r, r), (K, t, t) and (J, 9, 9)
+    rest, turn, link : (N, r, r), (K, t, t) and (J, l, l)
         Covariances N of the rows of rests, turns and links without scatter.
     rest_directions, turn_directions, link_directions : ((N, r, q), (q,)), …
         Directions Z of the components of scatter, each with the place in SCATTER of the one it belongs to.
-    rest_weights, turn_weights : (N, r) and (K, t)
+    rest_weights, turn_weights, link_weights : (N, r), (K, t) and (J, l)
         Square roots of the weights that single rows have beside that: 1 but for those that do not fit.
     interval : (M,)
         Time, s, from the middle of each station to that of the next one, infinite where the chain of biases begins
@@ -175,6 +179,7 @@ class NoiseModel:
     link_directions: tuple[Array, IntArray]
     rest_weights: Array
     turn_weights: Array
+    link_weights: Array
     interval: Array
     displaced: Array | None
     follows: BoolArray
@@ -185,9 +190,14 @@ class NoiseModel:
         """The same with other components of variance."""
         return replace(self, components=components)
 
-    def weighted(self, rest: Array, turn: Array) -> NoiseModel:
+    @property
+    def weights(self) -> tuple[Array, Array, Array]:
+        """Square roots of the weights of the rows of rests, turns and links."""
+        return self.rest_weights, self.turn_weights, self.link_weights
+
+    def weighted(self, rest: Array, turn: Array, link: Array) -> NoiseModel:
         """The same with other square roots of the weights of single rows."""
-        return replace(self, rest_weights=rest, turn_weights=turn)
+        return replace(self, rest_weights=rest, turn_weights=turn, link_weights=link)
 
     @cached_property
     def variances(self) -> Array:
@@ -195,23 +205,26 @@ class NoiseModel:
         return self.components.variances
 
     @cached_property
-    def scaled_rest_directions(self) -> tuple[Array, IntArray]:
-        """The directions of the scatter at rest, those of sensors unlike others longer, and their places in SCATTER."""
-        (Z, place), unlike = self.rest_directions, self.components.unlike
-        return (Z * unlike[..., None, None, :] if unlike.size else Z), place
+    def directions(self) -> tuple[tuple[Array, IntArray], ...]:
+        """The directions Z of the scatter of rests, turns and links, those of sensors unlike others longer, and their
+        places in SCATTER. Rows that are left out have no scatter, of which they show nothing."""
+        every, unlike = (self.rest_directions, self.turn_directions, self.link_directions), self.components.unlike
+        seen = [
+            Z if np.all(w > OMITTED) else Z * (w > OMITTED)[:, :, None]
+            for (Z, _), w in zip(every, self.weights, strict=True)
+        ]
+        if unlike.size:
+            others = np.ones((*unlike.shape[:-1], seen[0].shape[-1] - unlike.shape[-1]))
+            seen[0] = seen[0] * np.concatenate([unlike, others], axis=-1)[..., None, None, :]
+        return tuple((Z, place) for Z, (_, place) in zip(seen, every, strict=True))
 
     @property
-    def seen_directions(self) -> tuple[tuple[Array, IntArray], ...]:
-        """The directions of the scatter of rests, turns and links, longer where rows count less: their whitening has
-        the weights in it. What is left out shows nothing of scatter."""
-        (rest, of_rest), (turn, of_turn) = self.scaled_rest_directions, self.turn_directions
-        if np.all(self.rest_weights == 1.0) and np.all(self.turn_weights == 1.0):
-            return (rest, of_rest), (turn, of_turn), self.link_directions
-        rest, turn = (
-            Z * np.where(w > OMITTED, 1.0 / w, 0.0)[:, :, None]
-            for Z, w in ((rest, self.rest_weights), (turn, self.turn_weights))
-        )
-        return (rest, of_rest), (turn, of_turn), self.link_directions
+    def weighted_directions(self) -> tuple[tuple[Array, IntArray], ...]:
+        """The same, longer where rows count less: their whitening has the weights in it."""
+        if all(np.all(w == 1.0) for w in self.weights):
+            return self.directions
+        each = zip(self.directions, self.weights, strict=True)
+        return tuple((Z / w[:, :, None], place) for (Z, place), w in each)
 
     @cached_property
     def biases(self) -> int:
@@ -232,9 +245,9 @@ class NoiseModel:
         """Inverses of the Cholesky factors of the covariances of the rows of rests (N, r, r), turns (K, t, t) and links
         (J, 9, 9)."""
         variances = self.variances
-        rest = whitening(self.rest, *self.scaled_rest_directions, variances) * self.rest_weights[:, None]
-        turn = whitening(self.turn, *self.turn_directions, variances) * self.turn_weights[:, None]
-        return rest, turn, whitening(self.link, *self.link_directions, variances)
+        every = zip((self.rest, self.turn, self.link), self.directions, self.weights, strict=True)
+        rest, turn, link = (whitening(N, *directions, variances) * w[:, None] for N, directions, w in every)
+        return rest, turn, link
 
     def _of_states(self, of_biases: Array, of_displacements: Array | float) -> Array:
         """Values of all states, of those of the biases and of the displacements."""

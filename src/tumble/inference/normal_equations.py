@@ -27,7 +27,7 @@ import scipy
 from tumble.inference.elimination import along_chains, eliminate, fold, given_parameters, given_unknowns, put_back
 from tumble.inference.elimination_kernels import residuals
 from tumble.inference.linearisation import Linearisation
-from tumble.inference.noise import OMITTED, NoiseModel, VarianceComponents
+from tumble.inference.noise import NoiseModel, VarianceComponents
 from tumble.inference.problem import Problem, SessionSpan
 from tumble.units import Array, IntArray
 
@@ -140,8 +140,10 @@ class Solution:
     @cached_property
     def shared(self) -> Array:
         """Of each session what it has beside, gravity and the parameters, and −1 (S, q + 1 + m + 1)."""
-        common = np.broadcast_to(self.parameters[..., None, :], (*self.local.shape[:-1], self.parameters.shape[-1]))
-        return np.concatenate([self.local, common, np.full((*self.local.shape[:-1], 1), -1.0)], axis=-1)
+        q = self.local.shape[-1]
+        out = np.full((*self.local.shape[:-1], q + self.parameters.shape[-1] + 1), -1.0)
+        out[..., :q], out[..., q:-1] = self.local, self.parameters[..., None, :]
+        return out
 
     @cached_property
     def session_covariances(self) -> Array:
@@ -158,9 +160,9 @@ class Solution:
     @cached_property
     def unknowns(self) -> Array:
         """The unknowns (M, d) of the stations, by back substitution: angles, velocities where they move, states."""
-        follow, shared = self.equations.back_substitution[2], np.moveaxis(self.shared, -2, 0)[..., None, :, None]
-        parts = zip(self.problem.parts, shared, strict=True)
-        return np.concatenate([(follow[..., part.stations, :, :] @ x)[..., 0] for part, x in parts], axis=-2)
+        follow, parts = self.equations.back_substitution[2], enumerate(self.problem.parts)
+        every = (follow[..., part.stations, :, :] @ self.shared[..., s, None, :, None] for s, part in parts)
+        return np.concatenate([each[..., 0] for each in every], axis=-2)
 
     @property
     def angles(self) -> Array:
@@ -336,11 +338,12 @@ def add_priors(
     problem = linearisation.problem
     q, S, p, u = len(problem.usual_local_u), len(problem.parts), linearisation.prior.shape[-1] - 1, problem.prior_u
     stack = np.broadcast_shapes(linearisation.prior.shape[:-2], equations.session_factors.shape[:-3])
-    factors = np.broadcast_to(equations.session_factors, (*stack, S, q + p + 1, q + p + 1))
-    prior = np.broadcast_to(linearisation.prior, (*stack, p + 1, p + 1))
-    local_u, residuals = (
-        np.broadcast_to(x, (*stack, *x.shape[-n:])) for x, n in ((problem.local_u, 1), (linearisation.local_prior, 2))
-    )
+
+    def stacked(x: Array, axes: int) -> Array:
+        return np.broadcast_to(x, (*stack, *x.shape[x.ndim - axes :])) if stack else x
+
+    factors, prior = stacked(equations.session_factors, 3), stacked(linearisation.prior, 2)
+    local_u, residuals = stacked(problem.local_u, 1), stacked(linearisation.local_prior, 2)
     parameters, local = np.zeros((*stack, p)), np.zeros((*stack, S, q))
     roots, pivots, square = np.zeros((*stack, S, q + p, q + p)), np.empty((*stack, S * q + p)), np.empty(stack)
     for at in np.ndindex(*stack):
@@ -403,14 +406,9 @@ def _local_solution(head: Array, parameters: Array, root: Array) -> tuple[Array,
 
 
 def rests_deviance(equations: NormalEquations) -> Array:
-    """ln |V| + 2 Σ ln |diag R| of the rows that are not left out and of the unknowns of the rests."""
-    noise = equations.noise
-    every = (
-        (equations.rest_whitening, noise.rest_weights),
-        (equations.turn_whitening, noise.turn_weights),
-        (equations.link_whitening, 1.0),
-    )
-    whitened = sum(np.log(W.diagonal(0, -2, -1)).sum(axis=(-2, -1), where=w > OMITTED) for W, w in every)
+    """ln |V| + 2 Σ ln |diag R| of the rows and of the unknowns of the rests."""
+    noise, every = equations.noise, (equations.rest_whitening, equations.turn_whitening, equations.link_whitening)
+    whitened = sum(np.log(W.diagonal(0, -2, -1)).sum(axis=(-2, -1)) for W in every)
     steps = np.log(noise.state_step[..., noise.follows, :]).sum(axis=(-2, -1)) if noise.states else 0.0
     return np.asarray(2.0 * (_logarithms(equations.rest_factors.diagonal(0, -2, -1)).sum(axis=-1) + steps - whitened))
 

@@ -38,11 +38,13 @@ from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from tumble.earth import EARTH_RATE, earth_rate
-from tumble.inference.noise import NoiseModel
+from tumble.inference.magnetometer import Magnetometer
+from tumble.inference.noise import SCATTER, NoiseModel
 from tumble.inference.variables import GROWING, KINDS, Variables, variables_of
 from tumble.reduction.observations import Observations
 from tumble.reduction.turns.links import PARTS
@@ -56,22 +58,38 @@ LEVER, SUPPORT = 3, 24
 """Numbers of a lever, and of how what holds a device gives way: columns of `support_columns`."""
 LEVER_U, SUPPORT_U = 0.5, 0.01
 """m: standard deviations of the lever from what holds a device to the instrument, and of each of the others."""
+LEAST_FIELD = 1e-6
+"""Of the field: no reading of a magnetometer is taken to be better known."""
 LAG_HELD = 1e-3
 """s: standard deviation of a lag that is held."""
+MAGNETIC_ROWS = slice(9, 12)
+"""The rows of a link that are those of a magnetometer at the node before it."""
 OWN: tuple[Variable, ...] = ("time", "launch")
 """What the changes go with that each of several sessions has of its own."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Prior:
-    """What is known beforehand: standard deviations, SI, of parameters about their start values, by name (others have
-    their limit or their usual size), and of the attitudes about those of the programme, rad an axis. Where a
-    `covariance` (1 + m, 1 + m) of gravity and the parameters is known, it takes the place of all of these but the
-    attitudes'."""
+    """What is known beforehand.
+
+    Parameters
+    ----------
+    parameters
+        Standard deviations, SI, of parameters about their start values, by name; others have their limit or their usual
+        size.
+    attitude
+        Standard deviation of the attitudes about those of the programme, rad an axis.
+    covariance : (1 + m, 1 + m)
+        Of gravity and the parameters; it takes the place of `parameters`.
+    undisturbed
+        Whether the rests are parts of one: nothing but the noise and the in-run biases changes readings from one to the
+        next, and those of all sensors of a kind are alike.
+    """
 
     parameters: Mapping[str, float] = field(default_factory=dict)
     attitude: float | None = None
     covariance: Array | None = None
+    undisturbed: bool = False
 
 
 NO_PRIOR = Prior()
@@ -174,6 +192,8 @@ class Problem:
         Standard deviations of the priors of these, and those of usual size.
     at_lags
         The lags at which the variables are.
+    magnetometer
+        The magnetometer, of which a session has its unknowns beside; None without one.
     bias_after
         The share of the in-run bias of a turn that is that of the rest after it; the other is of the rest before.
     """
@@ -197,6 +217,7 @@ class Problem:
     usual_local_u: Array
     at_lags: tuple[float, ...] = ()
     bias_after: float = 0.5
+    magnetometer: Magnetometer | None = None
 
     @staticmethod
     def of(
@@ -333,25 +354,35 @@ class Problem:
         members = self.instrument.members
         return {kind: members[f"{kind}.lag"].start for kind in KINDS if f"{kind}.lag" in members}
 
-    def with_sizes(self, prior_u: Array, local_u: Array) -> Problem:
-        """The problem with priors of other standard deviations (1 + m,) and (q,), and all that does not depend on
-        them."""
+    def with_magnetometer(self, magnetometer: Magnetometer) -> Problem:
+        """The problem with the readings of a magnetometer, whose unknowns come first of those that a session has."""
+        u = np.concatenate([magnetometer.u, self.local_u])
+        return replace(self, magnetometer=magnetometer, local_u=u, usual_local_u=u)
+
+    def _changed(self, **fields: Any) -> Problem:
+        """The problem with other fields, and with all that was made of those that stay."""
         out = copy(self)
-        vars(out).update(prior_u=prior_u, local_u=local_u)
+        if "variables" in fields:
+            vars(out).pop("goes", None)
+        vars(out).update(fields)
         return out
+
+    def with_sizes(self, prior_u: Array, local_u: Array) -> Problem:
+        """The problem with priors of other standard deviations (1 + m,) and (q,)."""
+        return self._changed(prior_u=prior_u, local_u=local_u)
 
     def with_lags(self, values: Array) -> Problem:
         """The problem in which the lags are known to have the values they have among those of the parameters (m,)."""
         mean, at = self.prior_mean.copy(), list(self.lags.values())
         mean[1:][at] = values[at]
-        return replace(self, prior_mean=mean)
+        return self._changed(prior_mean=mean)
 
     def warmed(self, point: Point) -> Problem:
         """The problem with the temperatures that the sensors have by the lags at a point."""
         lags = {kind: float(point.values[at]) for kind, at in self.lags.items()}
         if tuple(lags.values()) == self.at_lags:
             return self
-        return replace(self, variables=variables_of(self.observations, lags), at_lags=tuple(lags.values()))
+        return self._changed(variables=variables_of(self.observations, lags), at_lags=tuple(lags.values()))
 
     def goes_with(self, variable: Variable, own: slice, place: int) -> Array:
         """What the parameters at `own` go with (·, m), or (·, 1) where all go with the same, at rest (`place` 0) or in
@@ -514,10 +545,16 @@ def _noise_of_session(problem: Problem) -> NoiseModel:
         blocks.append(rests.gyro_covariance + earth * gyro.axes @ gyro.axes.T)
     if problem.prior.attitude is not None:
         blocks.append(np.broadcast_to(problem.prior.attitude**2 * np.eye(3), (len(rests), 3, 3)))
+    mag = 0 if problem.magnetometer is None else 3
+    if problem.magnetometer is not None:
+        assert rests.magnetometer_covariance is not None
+        blocks.append(rests.magnetometer_covariance + (LEAST_FIELD * problem.magnetometer.field) ** 2 * np.eye(3))
     rest, t, v = _diagonal(blocks), problem.rows_of_turn, 3 if problem.instrument.in_velocities else 0
     sensors, spare = n + rests.gyro.shape[1], t - v - 3
-    at_rest = np.broadcast_to(np.eye(rest.shape[1], sensors), (len(rests), rest.shape[1], sensors))
-    rest_places = np.repeat([0, 1], [n, sensors - n])
+    along = np.zeros((rest.shape[1], sensors + mag))
+    along[:sensors, :sensors], along[rest.shape[1] - mag :, sensors:] = np.eye(sensors), np.eye(mag)
+    at_rest = np.broadcast_to(along, (len(rests), *along.shape))
+    rest_places = np.repeat([0, 1, SCATTER.index("mag")], [n, sensors - n, mag])
     turn_places = np.repeat([2, 3, 4, 5, 7, 6], [3, v, spare, v, spare, 3])  # in SCATTER
     turn, Z = np.zeros((0, t, t)), np.zeros((len(problem.before_turn), t, len(turn_places)))
     if turns is not None and len(turns):
@@ -546,6 +583,7 @@ def _noise_of_session(problem: Problem) -> NoiseModel:
         rest=rest,
         turn=turn,
         link=np.zeros((0, 9, 9)),
+        link_weights=np.ones((len(problem.before_link), 9 + mag * problem.moves)),
         rest_directions=(at_rest, rest_places),
         turn_directions=(Z, turn_places),
         link_directions=(np.zeros((0, 9, 0)), np.zeros(0, dtype=np.int64)),

@@ -122,7 +122,7 @@ def carried_attitudes(problem: Problem, vertical: Array, before: IntArray, C: Ar
     """
     north, around = -tangent_basis(vertical)[:, 1], rotation_matrix(-seconds[:, None] * problem.earth[1] * UP)
     for k, i in enumerate(before.tolist()):
-        axes = np.array([north[i], vertical[i], np.cross(north[i], vertical[i])])
+        axes = np.array([north[i], vertical[i], skew(north[i]) @ vertical[i]])
         after = (around[k] @ axes @ C[k])[0]
         level = after - (after @ vertical[i + 1]) * vertical[i + 1]
         if level @ level > VERTICAL:

@@ -54,7 +54,9 @@ def noise_roots(linearisation: Linearisation) -> tuple[Roots, Roots, Roots]:
     problem, noise = linearisation.problem, linearisation.noise
     turns, instrument = problem.observations.turns, problem.instrument
     n, sensors, earth = instrument.accel.size, problem.sensors, unseen_rate(problem)
-    kinds = {"accel.noise": slice(n), "gyro.noise": slice(n, sensors), "attitude": slice(sensors, noise.rest.shape[1])}
+    last = sensors + 3 * (problem.prior.attitude is not None)
+    kinds = {"accel.noise": slice(n), "gyro.noise": slice(n, sensors)}
+    kinds |= {"attitude": slice(sensors, last), "mag.noise": slice(last, None)}
     rests = {name: np.zeros_like(noise.rest) for name in kinds}
     for name, rows in kinds.items():
         rests[name][:, rows, rows] = noise.rest[:, rows, rows]
@@ -90,11 +92,8 @@ def noise_roots(linearisation: Linearisation) -> tuple[Roots, Roots, Roots]:
         return out
 
     of_links = {"link.noise": noise.link} if linearisation.problem.moves else {}
-    return (
-        roots(rests, noise.scaled_rest_directions),
-        roots(in_turns, noise.turn_directions),
-        roots(of_links, noise.link_directions),
-    )
+    rest, turn, link = map(roots, (rests, in_turns, of_links), noise.directions)
+    return rest, turn, link
 
 
 def contributions(solution: Solution) -> dict[str, Array]:
@@ -107,7 +106,7 @@ def contributions(solution: Solution) -> dict[str, Array]:
     whitening = (
         equations.rest_whitening / rest_weights[:, None],
         equations.turn_whitening / turn_weights[:, None],
-        equations.link_whitening,
+        equations.link_whitening / noise.link_weights[:, None],
     )
     roots, reduced = noise_roots(linearisation.with_components(noise.components)), equations.reduced_rows(problem)
     every = equations.rest_rows, equations.turn_rows, equations.link_rows
@@ -148,8 +147,10 @@ def contributions(solution: Solution) -> dict[str, Array]:
                 add("accel.in_run", K[:, : min(accelerometers, noise.biases)])
                 add("gyro.in_run", K[:, accelerometers : noise.biases])
                 add("displacement", K[:, noise.biases :])
-        if problem.moves:
-            add("support", Z_x[:q] / problem.local_u[:, None])
+        if problem.local is None:
+            mag = 0 if problem.magnetometer is None else len(problem.magnetometer.u)
+            add("prior.magnetometer", Z_x[:mag] / problem.local_u[:mag, None])
+            add("support", Z_x[mag:q] / problem.local_u[mag:, None])
         for name, members in problem.local_members.items():
             add(f"prior.{name}", Z_x[members] / problem.local_u[members, None])
 

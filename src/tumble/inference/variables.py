@@ -12,6 +12,7 @@ where the temperature turns back.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import lru_cache
 from types import MappingProxyType
 
 import numpy as np
@@ -61,17 +62,18 @@ def variables_of(
     grows = {"time": 1.0, "launch": 0.0}
     out = {name: (v, 0.5 * (v[first] + v[last]), np.full((len(first), 1), grows[name])) for name, v in at_rest.items()}
     if rests.temperatures is not None:
-        every = [_of_temperature(observations, rests.temperatures, lags.get(kind, 0.0)) for kind in KINDS]
+        every = [_of_temperature(observations, lags.get(kind, 0.0)) for kind in KINDS]
         for name in every[0]:
             rest, turn, grown = (np.hstack(each) for each in zip(*(of_kind[name] for of_kind in every), strict=True))
             out[name] = rest, turn, grown
     return out
 
 
-def _of_temperature(
-    observations: Observations, kelvin: Array, lag: float
-) -> dict[Variable, tuple[Array, Array, Array]]:
+@lru_cache(maxsize=4)
+def _of_temperature(observations: Observations, lag: float) -> dict[Variable, tuple[Array, Array, Array]]:
     """What goes with the temperatures of sensors that follow each thermometer with a lag, s."""
+    kelvin = observations.rests.temperatures
+    assert kelvin is not None
     reference, seconds = kelvin.mean(axis=0), np.maximum(_turning(observations)[1], 1.0)[:, None]
     rest, turn, before, after = (_of_warmth(each, reference) for each in _warmth(observations, kelvin, lag))
     out = {name: (rest[name], turn[name], 2.0 * (after[name] - before[name]) / seconds) for name in rest}

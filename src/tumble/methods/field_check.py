@@ -162,13 +162,13 @@ class CheckResult:
 
 def field_check(observations: Observations, prior: CheckPrior) -> CheckResult:
     """Test a calibration with a session, see the module's docstring."""
-    session, limits = SessionRows(observations, prior), limits_of(prior.instrument.names)
+    limits = limits_of(prior.instrument.names)
 
     def evidence_with(free: Sequence[int]) -> Evidence:
         """Linearised with these parameters free within their limits."""
         covariance, opened = prior.covariance, np.array(free, dtype=int)
         covariance[1 + opened, 1 + opened] += limits[opened] ** 2
-        R, d, squares, degrees = session.information(covariance)
+        R, d, squares, degrees = session_information(observations, prior, covariance)
         G, z, gain, A = measurement_update(R, d, prior.covariance)
         return Evidence(
             z=z,
@@ -318,50 +318,41 @@ def _unseen(instrument: Instrument, determined: list[str]) -> tuple[str, ...]:
 # -------------------- the information of a session --------------------
 
 
-class SessionRows:
-    """Rows of a session with unknown attitudes, linearised about its estimate, which starts at the prior."""
+def session_information(
+    observations: Observations, prior: CheckPrior, covariance: Array
+) -> tuple[Array, Array, float, int]:
+    """Information of a session with unknown attitudes about x, by Gauss–Newton from the prior values with this prior
+    covariance of x.
 
-    def __init__(self, observations: Observations, prior: CheckPrior) -> None:
-        instrument, turns, values = prior.instrument, observations.turns, prior.values
-        start = dict(zip(instrument.names, values.tolist(), strict=True))
-        observations = replace(observations, start=start)
-        self._components = prior.components
-        self._problem = Problem.of(observations, Prior(covariance=prior.covariance), instrument=instrument)
-        self._about = None if turns is None or not len(turns) else TurnsAbout.of(observations, instrument, values)
-        vertical = unit_vector(specific_force(instrument, values, observations.rests.accel))
-        attitudes = headings(self._problem, vertical, values, self._about)
-        self._point = Point(values=values, gravity=observations.site.gravity, attitudes=attitudes)
-
-    def information(self, covariance: Array) -> tuple[Array, Array, float, int]:
-        """Information of the session about x, by Gauss–Newton with this prior covariance of x.
-
-        Returns
-        -------
-        R, d : (p, p) and (p,) array
-            Eq. (1) with p = 1 + m, about the prior values, linearised at the estimate.
-        squares : float
-            Sum of squares that no x explains.
-        degrees : int
-            Degrees of freedom of this sum and |d|² together.
-        """
-        self._problem = problem = replace(self._problem, prior=Prior(covariance=covariance))
-        for _ in range(MAX_ITERATIONS):
-            step = solve(linearise(problem, self._point, self._about, self._components))
-            point, change = moved(step)
-            about = integrated(problem, point, self._about)
-            u = np.sqrt(np.diag(step.covariance)[1:])
-            if about is self._about and np.all(np.abs(change) <= CONVERGED * u):
-                break
-            self._point, self._about = point, about
-        equations = eliminate_rests(linearise(problem, self._point, self._about, self._components))
-        session, off = (
-            equations.session_factors[0],
-            np.append(self._point.gravity, self._point.values) - problem.prior_mean,
-        )
-        angles = int(np.count_nonzero(np.diagonal(equations.rest_factors, axis1=1, axis2=2)[:, :3]))
-        R = session[:-1, :-1]
-        degrees = sum(each.shape[0] * each.shape[1] for each in (equations.rest_rows, equations.turn_rows)) - angles
-        return R, session[:-1, -1] + R @ off, session[-1, -1] ** 2, degrees
+    Returns
+    -------
+    R, d : (p, p) and (p,) array
+        Eq. (1) with p = 1 + m, about the prior values, linearised at the estimate.
+    squares : float
+        Sum of squares that no x explains.
+    degrees : int
+        Degrees of freedom of this sum and |d|² together.
+    """
+    instrument, turns, values = prior.instrument, observations.turns, prior.values
+    start = dict(zip(instrument.names, values.tolist(), strict=True))
+    problem = Problem.of(replace(observations, start=start), Prior(covariance=covariance), instrument=instrument)
+    about = None if turns is None or not len(turns) else TurnsAbout.of(observations, instrument, values)
+    vertical = unit_vector(specific_force(instrument, values, observations.rests.accel))
+    attitudes = headings(problem, vertical, values, about)
+    point = Point(values=values, gravity=observations.site.gravity, attitudes=attitudes)
+    for _ in range(MAX_ITERATIONS):
+        step = solve(linearise(problem, point, about, prior.components))
+        there, change = moved(step)
+        near = integrated(problem, there, about)
+        if near is about and np.all(np.abs(change) <= CONVERGED * np.sqrt(np.diag(step.covariance)[1:])):
+            break
+        point, about = there, near
+    equations = eliminate_rests(linearise(problem, point, about, prior.components))
+    session, off = equations.session_factors[0], np.append(point.gravity, point.values) - problem.prior_mean
+    angles = int(np.count_nonzero(np.diagonal(equations.rest_factors, axis1=1, axis2=2)[:, :3]))
+    R = session[:-1, :-1]
+    degrees = sum(each.shape[0] * each.shape[1] for each in (equations.rest_rows, equations.turn_rows)) - angles
+    return R, session[:-1, -1] + R @ off, session[-1, -1] ** 2, degrees
 
 
 def _student(normal: Array, inverse_degrees: Array) -> Array:

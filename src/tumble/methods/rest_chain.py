@@ -51,9 +51,9 @@ from tumble.methods.field_check import (
     CheckPrior,
     CheckResult,
     Evidence,
-    SessionRows,
     changes_in,
     measurement_update,
+    session_information,
 )
 from tumble.methods.least_squares import as_normal
 from tumble.reduction.observations import Observations
@@ -191,9 +191,8 @@ class RestChain:
             self._Phi, self._mean = F[:, None] * self._Phi, F[:, None] * self._mean
         self._last = middle
         still = replace(prior.components, accel_in_run=0.0, gyro_in_run=0.0)
-        R, d, squares, degrees = SessionRows(observations, replace(prior, components=still)).information(
-            prior.covariance
-        )
+        known = replace(prior, components=still)
+        R, d, squares, degrees = session_information(observations, known, prior.covariance)
         R = (R @ prior.to_temperature)[:, self._columns]
         G, z, gain, A = measurement_update(R, d - R @ self._x, self._P)
 

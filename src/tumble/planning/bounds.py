@@ -20,7 +20,7 @@ C W_iᵀW_i C, and the parts add up to C. A prior of size s of parameter j is W 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -30,16 +30,23 @@ from tumble.brief import Brief
 from tumble.diagnosis.linear_model import left_out, moves_by_likelihood
 from tumble.earth import earth_rate
 from tumble.errors import InputError
-from tumble.inference.elimination import fold
 from tumble.inference.hyperparameters import size_factors
 from tumble.inference.linearisation import Linearisation, linearise
 from tumble.inference.noise import VarianceComponents
-from tumble.inference.normal_equations import eliminate_rests, joint_rows, session_mean_bias, whiten
+from tumble.inference.normal_equations import (
+    eliminate_rests,
+    fold_sessions,
+    joint_rows,
+    mean_by_common,
+    session_mean_bias,
+    whiten,
+)
 from tumble.inference.problem import Point, Problem
 from tumble.inference.sources import by_time_base, clocked
 from tumble.inference.turns_about import TurnsAbout
 from tumble.methods.least_squares import least_squares
 from tumble.planning.expected_sizes import expected
+from tumble.planning.in_motion import Motion, MotionCourse, courses_of, observed_in_motion
 from tumble.planning.itinerary import Itinerary, itinerary_of
 from tumble.planning.setup import ACCEL, GYRO, Setup, check_setup
 from tumble.planning.steady_turns import inertial_turns, steady_samples, white_turns
@@ -93,7 +100,7 @@ class Bound(Brief):
         return float(np.sqrt(np.mean(self.u[positions_by_group(self.names)[group]] ** 2)))
 
 
-def stated(setup: Setup, *, gyros: bool = True, terms: Terms = "full") -> Bound:
+def stated(setup: Setup, *, gyros: bool = True, terms: Terms = "full", motion: Motion | None = None) -> Bound:
     """What `calibrate` will state of a recording by a set-up's programme, on the average over instruments.
 
     Parameters
@@ -104,15 +111,24 @@ def stated(setup: Setup, *, gyros: bool = True, terms: Terms = "full") -> Bound:
         Whether gyros are calibrated, or accelerometers alone.
     terms
         With "linear" the estimate has bias, scale factor and axis angles alone, and the groups in their u.
+    motion
+        A recording in motion in place of the programme.
 
     Raises
     ------
     InputError
         For values that make no sense, and where there is no noise.
     """
-    if not setup.programme.ordered:  # the mean over orders
-        return _mean([stated(each, gyros=gyros, terms=terms) for each in _in_some_orders(setup)])
+    if motion is not None:
+        return _mean([_stated(course, setup, gyros=True, terms=terms) for course in courses_of(motion)])
+    if not setup.programme.ordered:
+        return _mean_over_orders(setup, lambda each: stated(each, gyros=gyros, terms=terms))
     course = itinerary_of(setup).as_logged(setup.ramp, USUAL.margin_of(setup.rest))
+    return _stated(course, setup, gyros=gyros, terms=terms)
+
+
+def _stated(course: Itinerary | MotionCourse, setup: Setup, *, gyros: bool, terms: Terms) -> Bound:
+    """What `calibrate` will state of a course."""
     seen = view(course, setup, gyros=gyros)
     seen = expected(seen.with_components(_with_drifts(seen, setup.further)))
     if terms == "linear":
@@ -120,7 +136,7 @@ def stated(setup: Setup, *, gyros: bool = True, terms: Terms = "full") -> Bound:
     return bound_by(seen, setup.turn_rate, setup.clock_u)
 
 
-def _stated_linear(course: Itinerary, setup: Setup, whole: Linearisation) -> Bound:
+def _stated_linear(course: Itinerary | MotionCourse, setup: Setup, whole: Linearisation) -> Bound:
     """What an estimate of the linear model states, with what it leaves out, of sizes, and beside scatter, as the
     `whole` likelihood expects them."""
     gyros, components = whole.problem.observations.gyro_block is not None, whole.components
@@ -145,22 +161,21 @@ ORDERS = 8
 """Of positions that come in any order, over which is averaged."""
 
 
-def _in_some_orders(setup: Setup) -> list[Setup]:
-    """A set-up with the positions of its programme in several orders."""
+def _mean_over_orders(setup: Setup, state: Callable[[Setup], Bound]) -> Bound:
+    """The mean of bounds over several orders of the positions of a programme."""
     listed, rng = setup.programme, np.random.default_rng(0)
     orders = [rng.permutation(len(listed.positions)).tolist() for _ in range(ORDERS)]
     programmes = (replace(listed, positions=tuple(listed.positions[i] for i in o), ordered=True) for o in orders)
-    return [replace(setup, programme=each) for each in programmes]
+    return _mean([state(replace(setup, programme=each)) for each in programmes])
 
 
-def _mean(bounds: Sequence[Bound]) -> Bound:
-    """The mean of bounds of the same parameters."""
-    first = bounds[0]
+def _mean(bounds: list[Bound]) -> Bound:
+    """The mean of bounds."""
     return replace(
-        first,
+        bounds[0],
         covariance=np.mean([each.covariance for each in bounds], axis=0),
         condition=float(np.mean([each.condition for each in bounds])),
-        sources={name: np.mean([each.sources[name] for each in bounds], axis=0) for name in first.sources},
+        sources={name: np.mean([each.sources[name] for each in bounds], axis=0) for name in bounds[0].sources},
     )
 
 
@@ -194,7 +209,7 @@ def bound_by(seen: Linearisation, rate: float, clock_u: float = 0.0) -> Bound:
     size[own] = 0.0
     prior = np.diag(np.divide(1.0, size, out=np.zeros(1 + m), where=size > 0.0))
     triangle = np.diag(np.append(np.diag(prior), 0.0))
-    fold(equations.session_factors[0], triangle, triangular=True)
+    triangle, heads = fold_sessions(triangle, equations.session_factors, problem.local_u, seen.local_prior)
     triangle = triangle[:-1, :-1]
     others = np.setdiff1d(np.flatnonzero(triangle.any(axis=0)), np.arange(1, 1 + linear))
     R, k = np.asarray(np.linalg.qr(np.hstack([triangle[:, others], triangle[:, own]]), mode="r")), len(others)
@@ -214,9 +229,12 @@ def bound_by(seen: Linearisation, rate: float, clock_u: float = 0.0) -> Bound:
     # biases are means over the session of their processes
     mean, wander = np.eye(1 + m), np.zeros((1 + m, 1 + m))
     if equations.wanders:
-        by, noise = session_mean_bias(equations)
+        by_shared, noise = session_mean_bias(equations)
+        by, by_local = mean_by_common(by_shared, heads[0])
         mean[1 + problem.biases] += by[:, :-1]
-        wander[np.ix_(1 + problem.biases, 1 + problem.biases)] = np.einsum("ibd,icd->bc", noise, noise)
+        wander[np.ix_(1 + problem.biases, 1 + problem.biases)] = (
+            np.einsum("ibd,icd->bc", noise, noise) + by_local @ by_local.T
+        )
     # sensors that read rates and forces have the time base in their scale factors; increments would not
     clock = by_time_base(instrument.names, clocked(clock_u, {"accel": False, "gyro": False}))
     gain = mean @ root @ root.T
@@ -264,8 +282,8 @@ def _with_drifts(seen: Linearisation, further: Mapping[str, float]) -> VarianceC
 
     A line d t over a session of length T has the variance σ₁² = (d T)²/12, and from rest to rest changes by d Δt, as a
     process with τ₁ = 2 σ₁²/(d² Δt) does. Variances add up, and so do those of the changes, 2 σ² Δt/τ."""
-    rests, components = seen.problem.observations.rests, seen.components
-    middle = 0.5 * (rests.start + rests.stop)
+    rests, links, components = seen.problem.observations.rests, seen.problem.observations.links, seen.components
+    middle = 0.5 * (rests.start + rests.stop) if links is None else links.time
     length, interval = float(np.ptp(middle)), float(np.median(np.diff(middle))) if len(middle) > 1 else 0.0
     for kind in ("accel", "gyro"):
         drift, size = further.get(f"{kind}.bias.drift", 0.0), getattr(components, f"{kind}_in_run")
@@ -278,7 +296,7 @@ def _with_drifts(seen: Linearisation, further: Mapping[str, float]) -> VarianceC
     return components
 
 
-def view(course: Itinerary, setup: Setup, *, gyros: bool) -> Linearisation:
+def view(course: Itinerary | MotionCourse, setup: Setup, *, gyros: bool) -> Linearisation:
     """The likelihood of a course, linearised at perfect sensors and its attitudes, with white noise and in-run biases.
     Raises InputError for values that make no sense, and where there is no noise."""
     check_setup(setup)
@@ -289,8 +307,39 @@ def view(course: Itinerary, setup: Setup, *, gyros: bool) -> Linearisation:
     ):
         if level == 0.0 and (gyros or sensors == "accelerometers"):
             raise InputError(f"noise: expected {sensors} with noise, found none; without it there is no bound")
-    instrument, turns, samples, about = instrument_of(setup, gyros), None, None, None
+    instrument, about, components = instrument_of(setup, gyros), None, components_of(noise)
+    if isinstance(course, MotionCourse):
+        assert instrument.gyro is not None
+        observations, attitudes = observed_in_motion(course, setup, instrument.gyro)
+        size, time = course.displacement
+        components = replace(components, displacement=size, displacement_time=time)
+    else:
+        observations, attitudes = _observed_on_table(course, setup, instrument), course.attitudes
     usual = prior_sizes(setup.instrument, usual=setup.further)
+    observations = replace(
+        observations,
+        usual=usual,
+        too_small=size_factors(setup.instrument, usual, guessed=True) if setup.instrument in GRADES else {},
+        in_run={"accel": noise.accel_instability, "gyro": noise.gyro_instability},
+    )
+    problem = Problem.of(observations, instrument=instrument, usual=usual)
+    values, still = np.zeros(len(instrument.names)), np.zeros((len(attitudes) if problem.moves else 0, 3))
+    point = Point(
+        values=values,
+        gravity=setup.gravity,
+        attitudes=attitudes,
+        local=np.zeros((1, len(problem.local_u))),
+        velocities=still,
+        displacements=still,
+    )
+    if observations.turns is not None:
+        about = TurnsAbout.of(observations, instrument, values)
+    return linearise(problem, point, about, components)
+
+
+def _observed_on_table(course: Itinerary, setup: Setup, instrument: Instrument) -> Observations:
+    """Observations of a course of rests and turns as perfect sensors make them, in white noise."""
+    turns, samples, noise, gyros = None, None, setup.noise, instrument.gyro is not None
     earth, g, first = np.array(earth_rate(setup.latitude)), setup.gravity, course.first
     if gyros and len(first) > 0:
         start, still, T = course.attitudes[first], course.still[first], course.seconds
@@ -299,7 +348,7 @@ def view(course: Itinerary, setup: Setup, *, gyros: bool) -> Linearisation:
         T = T + 2.0 * still
         rotation = (noise.gyro_white**2 * T + TURN_FLOOR**2)[:, None, None] * np.eye(3)
         turns = white_turns(first, T, rotation, noise.accel_white**2 * T + VELOCITY_FLOOR**2)
-    observations = Observations(
+    return Observations(
         accel_block=ACCEL,
         gyro_block=instrument.gyro,
         site=Site(latitude=setup.latitude, height=0.0, gravity=g, gravity_u=setup.gravity_u),
@@ -313,12 +362,4 @@ def view(course: Itinerary, setup: Setup, *, gyros: bool) -> Linearisation:
         turn_samples=samples,
         programme=setup.programme,
         position=np.arange(len(course.rests)),
-        usual=usual,
-        too_small=size_factors(setup.instrument, usual, guessed=True) if setup.instrument in GRADES else {},
-        in_run={"accel": noise.accel_instability, "gyro": noise.gyro_instability},
     )
-    point = Point(values=np.zeros(len(instrument.names)), gravity=g, attitudes=course.attitudes)
-    if turns is not None:
-        about = TurnsAbout.of(observations, instrument, point.values)
-    problem = Problem.of(observations, instrument=instrument, usual=observations.usual)
-    return linearise(problem, point, about, components_of(noise))

@@ -8,10 +8,11 @@ size. The posterior of each hyperparameter by itself is
     λ of a group seen with variances v, of the usual size s         p(λ) Π (λ²s² + v)^{−1/2} e^{−y²/2(λ²s² + v)}
 
 with χ² of ν degrees of freedom and y of the variance s² + v, as chance has them in sessions. The size that counts is
-the root mean square of σ, and the size of the prior with which a parameter has its variance, the mean of
-1/(1/λ²s² + 1/v) and what its value differs by with λ, both of the median session. A group about which the session says
-nothing (`SHOWN`) keeps its usual size, as in the integral; each is beside what is expected of all others. An in-run
-bias is a group of as many members as it has states, whose prior is log-normal about the size of the set-up.
+the root mean square of σ, and the size of the prior with which a parameter has its variance, the mean of 1/(1/λ²s² +
+1/v) and what its value differs by with λ; the first of the median session, the second, which few sessions make much
+larger than most, as the mean over sessions. A group about which the session says nothing (`SHOWN`) keeps its usual
+size, as in the integral; each is beside what is expected of all others. An in-run bias is a group of as many members as
+it has states, whose prior is log-normal about the size of the set-up.
 """
 
 from __future__ import annotations
@@ -100,6 +101,6 @@ def _expected_size(usual: Array, variance: Array, within: float, *, two_sided: b
     share, weight = size2 / (size2 + seen), density / density.sum(axis=1, keepdims=True)
     mean = weight @ share
     apart = weight @ share**2 - mean**2
-    known = np.median(mean * seen + apart * drawn, axis=0)
+    known = np.mean(mean * seen + apart * drawn, axis=0)
     larger = 1.0 / np.maximum(1.0 / known - 1.0 / seen, 1e-9 / s2) / s2
     return np.asarray(np.sqrt(np.clip(larger, 0.0 if two_sided else 1.0, np.mean(weight @ np.exp(2.0 * p)))))

@@ -24,6 +24,7 @@ from tumble.diagnosis.observability import in_words
 from tumble.errors import InputError
 from tumble.planning.bounds import CLOCK, GRAVITY, Bound, stated
 from tumble.planning.error_propagation import MethodOfPaper
+from tumble.planning.in_motion import Motion
 from tumble.planning.next_positions import NextPosition, TurnTable, next_positions
 from tumble.planning.pass_errors import ESTIMATORS, REST_NOISE, PassErrors, remarks
 from tumble.planning.setup import MEMBERS, NAMES, UNITS, Setup, check_setup, expect, with_all_groups
@@ -96,10 +97,10 @@ class Plan(Brief):
     wanted accuracy needs. `reasons` are what the programme does not determine and what no set-up gives, `remarks` where
     the set-up is outside the range of the formulas, in sentences. Of joint, `rank` is how many combinations of the
     linear parameters are determined, and `condition` that of the whitened Jacobian. `assumptions` are what `calibrate`
-    has otherwise where a session does not state it."""
+    has otherwise where a session does not state it. `motion` is what is recorded in place of the programme."""
 
     json_fields: ClassVar[tuple[str, ...]] = (
-        *("verdict", "reasons", "remarks", "assumptions", "setup", "method", "rank", "condition", "groups"),
+        *("verdict", "reasons", "remarks", "assumptions", "setup", "method", "motion", "rank", "condition", "groups"),
         *("following", "requirements"),
     )
     setup: Setup
@@ -109,6 +110,7 @@ class Plan(Brief):
     condition: float | None = None
     following: tuple[NextPosition, ...] = ()
     requirements: tuple[Requirement, ...] = ()
+    motion: Motion | None = None
     reasons: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
 
@@ -117,6 +119,7 @@ class Plan(Brief):
         """What the plan takes the session to state, in sentences."""
         g, usual = self.setup.gravity, UNKNOWN_HEIGHT_GRAVITY_U
         return (
+            *(() if self.motion is None else (self.motion.assumption,)),
             f"the session states gravity, or height, to {1e6 * self.setup.gravity_u / g:.2g} ppm of accel.scale "
             f"(--gravity-u); where it states neither, {1e6 * usual / g:.0f} ppm are in u",
             f"its time base is known to {1e6 * self.setup.clock_u:.3g} ppm of gyro.scale (--clock-ppm-u); a sample "
@@ -146,6 +149,7 @@ def plan(
     wanted: Mapping[str, float] | None = None,
     gyros: bool = True,
     table: TurnTable | None = None,
+    motion: Motion | None = None,
     progress: Progress = lambda _added, _most: None,
 ) -> Plan:
     """What a calibration by a set-up's programme will state, before it is made.
@@ -169,6 +173,9 @@ def plan(
         Of joint: with False, accelerometers alone.
     table
         How the device can be turned to a next position; by default as the programme turns it.
+    motion
+        A recording of a device that is turned without rests, in place of the programme; of joint with gyros, without
+        wanted accuracies.
     progress
         Receives how far the search for more positions is.
 
@@ -192,15 +199,19 @@ def plan(
         raise InputError(f"iterations: expected at least 1, found {iterations}")
     for group, value in wanted.items():
         expect(group, value, least="more than 0")
+    if motion is not None and (method != "joint" or not gyros or wanted):
+        raise InputError(f"{motion.held}: expected the method joint, gyros and no wanted accuracies, found others")
     if method != "joint":
         if not gyros:
             raise InputError(f"gyros: expected True with the method {method}, found False; take the method joint")
         return _plan_of_paper(setup, method, iterations, wanted)
 
     def state(setup: Setup) -> Bound:
-        return stated(setup, gyros=gyros, terms=terms)
+        return stated(setup, gyros=gyros, terms=terms, motion=motion)
 
     def following(setup: Setup, wanted: Mapping[str, float]) -> tuple[NextPosition, ...]:
+        if motion is not None:
+            return ()
         return next_positions(setup, wanted=wanted, gyros=gyros, table=table)
 
     found = state(setup)
@@ -220,32 +231,31 @@ def plan(
             for one in following(setup, wanted)[:NEXT]
         ),
         requirements=needs,
-        reasons=(*missing, *_tilted(setup), *(row.reason for row in needs if row.reason)),
+        motion=motion,
+        reasons=(*missing, *(() if motion else _tilted(setup)), *(row.reason for row in needs if row.reason)),
     )
 
 
 def largest_errors(setup: Setup) -> tuple[float, float]:
     """The largest errors of table and mounting, rad, in the ratio of a set-up, with which every rest is near enough to
     its position for `calibrate`: each tilts by up to √2 times its error about an axis."""
-    table, mounting = (setup.table_error, setup.mounting_error) if _tilt(setup) > 0.0 else (1.0, 1.0)
+    table, mounting = setup.table_error, setup.mounting_error
+    if table + mounting == 0.0:
+        table = mounting = 1.0
     most = POSITION_LIMIT / math.sqrt(2.0) / (table + mounting)
     return most * table, most * mounting
 
 
-def _tilt(setup: Setup) -> float:
-    """By how much errors of table and mounting may tilt a position, rad."""
-    return math.sqrt(2.0) * (setup.table_error + setup.mounting_error)
-
-
 def _tilted(setup: Setup) -> tuple[str, ...]:
     """That errors of table and mounting may take a rest out of its position, where they may."""
-    if _tilt(setup) <= 1.001 * POSITION_LIMIT:
+    tilt = math.sqrt(2.0) * (setup.table_error + setup.mounting_error)
+    if tilt <= 1.001 * POSITION_LIMIT:
         return ()
     return (
         f"errors of table and mounting of up to {setup.table_error / DEGREE:.3g}° and "
-        f"{setup.mounting_error / DEGREE:.3g}° may tilt a position by {_tilt(setup) / DEGREE:.2g}°, and `calibrate` "
-        f"takes rests within {POSITION_LIMIT / DEGREE:.0f}° of the positions of a programme; the method joint needs "
-        "none: leave [programme] out of the session",
+        f"{setup.mounting_error / DEGREE:.3g}° may tilt a position by {tilt / DEGREE:.2g}°, and `calibrate` takes "
+        f"rests within {POSITION_LIMIT / DEGREE:.0f}° of the positions of a programme; the method joint needs none: "
+        "leave [programme] out of the session",
     )
 
 

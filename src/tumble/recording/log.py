@@ -54,14 +54,11 @@ class Chunk:
     temperature: Array | None
     magnetometer: Array | None = None
 
-    @property
-    def _arrays(self) -> dict[str, Any]:
-        names = "time", "dt", "accel", "gyro", "temperature", "magnetometer"
-        return {name: array for name in names if (array := getattr(self, name)) is not None}
-
     def part(self, rows: slice) -> Chunk:
         """Some of the samples."""
-        return replace(self, **{name: array[rows] for name, array in self._arrays.items()})
+        names = "time", "dt", "accel", "gyro", "temperature", "magnetometer"
+        arrays: dict[str, Any] = {name: each[rows] for name in names if (each := getattr(self, name)) is not None}
+        return replace(self, **arrays)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, repr=False)
@@ -102,10 +99,10 @@ class Log(Brief):
     def notes(self) -> tuple[str, ...]:
         """What is remarkable in its times, in words."""
         jitter = max(grid.jitter for grid in self._grids)
-        said = (
+        note = (
             f"time stamps are those of bursts, read up to {1e3 * jitter:.2g} ms late or early: rows are taken as even"
         )
-        return (said,) if jitter > 0.0 else ()
+        return (note,) if jitter > 0.0 else ()
 
     def chunks(self, rows: int = 65536) -> Iterator[Chunk]:
         """The samples in order, file by file, at most `rows` at a time; together the same to the bit for any
@@ -125,7 +122,7 @@ class Log(Brief):
         memory that of the names and numbers of the columns that are read."""
         digest = hashlib.sha256()
         for file in self.session.log.files:
-            if isinstance(file, TableLog):
+            if isinstance(file, TableLog) and file.in_memory:
                 for piece in file.content(self.session.log.columns):
                     digest.update(piece)
             else:

@@ -1,4 +1,4 @@
-"""A file of a log as tables: what every reader gives, and what is said of what cannot be read."""
+"""A file of a log as tables: what every reader gives, and messages about what cannot be read."""
 
 from __future__ import annotations
 
@@ -7,17 +7,19 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
+from itertools import tee
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import polars as pl
 
-from tumble.errors import LogError
+from tumble.errors import LogError, TumbleError
 from tumble.units import Array
 
 BLANK_LINE = "a blank line"
 _SHOWN = 40
+_KEPT_ROWS = 4_000_000
 _Part = TypeVar("_Part")
 
 
@@ -52,29 +54,59 @@ class Unread:
         return shown if self.kind is Kind.ROW or shown == BLANK_LINE else repr(shown)
 
 
-class LogSource(Protocol):
-    """A file of a log as tables."""
+Tables = Iterator[tuple[pl.DataFrame, list[Unread]]]
+"""Tables of the rows of a file in order, with what could not be read in each."""
 
-    @property
-    def path(self) -> Path: ...
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Its column names in order."""
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class LogSource:
+    """A file of a log, read as tables of a bounded size, with the names of its columns in order.
+
+    Of a file that is looked at several times, `kept` has the tables by the columns that were asked for, as far as they
+    were read: it is read once, unless it is long. None for a file that is read anew each time."""
+
+    path: Path
+    names: tuple[str, ...]
+    kept: dict[tuple[tuple[str, ...], str | None], Tables] | None = None
 
     def first_date(self, column: str) -> str | None:
-        """The date with the time, ISO 8601, in the first row of a column; None where it has no date."""
+        """Date with the time, ISO 8601, in the first row of a column; None if it has no date."""
+        del column
+        return None
 
-    def tables(self, columns: Sequence[str], clock: str | None = None) -> Iterator[tuple[pl.DataFrame, list[Unread]]]:
-        """Its rows in order as tables of a bounded size: these columns as float64, times of day and dates in the column
-        `clock` as seconds; and the rows in which something could not be read, NaN there."""
+    def tables(self, columns: Sequence[str], clock: str | None = None) -> Tables:
+        """Rows of some columns as float64, times of day and dates in the column `clock` as seconds; NaN where something
+        could not be read."""
+        if self.kept is None:
+            yield from self.read(columns, clock)
+            return
+        wanted, key = set(columns), (tuple(columns), clock)
+        for read in self.kept:  # of these columns or of more
+            if wanted <= set(read[0]) and (read[1] == clock or read[1] not in wanted):
+                key = read
+        self.kept[key], tables = tee(self.kept.get(key) or self.read(*key))
+        rows = 0
+        try:
+            for table, unread in tables:
+                rows += table.height
+                if rows > _KEPT_ROWS:  # it goes on, and who comes next reads anew
+                    self.kept.pop(key, None)
+                yield table.select(columns), [u for u in unread if u.column is None or u.column in wanted]
+        except TumbleError:
+            self.kept.pop(key, None)
+            raise
+
+    def read(self, columns: Sequence[str], clock: str | None) -> Tables:
+        """`tables`, read anew."""
+        raise NotImplementedError
 
     def whole(self, numbers: Sequence[str]) -> Iterator[pl.DataFrame]:
-        """Its rows in order as tables of a bounded size with every column, `numbers` as float64, the others as they
-        are: of a text file the text."""
+        """Rows of all columns, `numbers` as float64, the others as they are: text of a text file."""
+        raise NotImplementedError
 
     def place(self, row: int, column: str | None = None) -> str:
         """File, data row and column as a message names them."""
+        return f"{self.path}: row {row}" + in_column(column)
 
 
 def first_numbers(source: LogSource, column: str, rows: int, *, clock: bool) -> Array:
@@ -102,9 +134,9 @@ def readable(path: Path) -> Iterator[None]:
     try:
         yield
     except (OSError, EOFError, pl.exceptions.PolarsError) as error:
-        said = " ".join(str(error).split())
+        words = " ".join(str(error).split())
         raise LogError(
-            f"{path}: expected a readable {ending_of(path)} file, found it damaged or incomplete: {said}; "
+            f"{path}: expected a readable {ending_of(path)} file, found it damaged or incomplete: {words}; "
             "copy or record it again"
         ) from None
 
@@ -115,8 +147,8 @@ def rows_of_numbers(path: Path) -> Iterator[None]:
     try:
         yield
     except pl.exceptions.PolarsError as error:
-        said = " ".join(str(error).split())[:200]
-        raise LogError(f"{path}: expected rows of numbers, found: {said}; see `tumble inspect`") from None
+        words = " ".join(str(error).split())[:200]
+        raise LogError(f"{path}: expected rows of numbers, found: {words}; see `tumble inspect`") from None
 
 
 def ending_of(path: Path) -> str:
@@ -127,7 +159,7 @@ def ending_of(path: Path) -> str:
 
 
 def unread_error(source: LogSource, unread: Unread) -> LogError:
-    """What is said of a row that cannot be read where it cannot be left out either."""
+    """Error for a row that can neither be read nor left out."""
     width, shown = len(source.names), unread.found[:_SHOWN]
     expected, found = "a number", repr(shown) if shown.strip() else "an empty value"
     if unread.column is None:

@@ -49,24 +49,21 @@ def without_panic(*, silent: bool = False) -> Iterator[None]:
             os.dup2(kept, _STANDARD_ERROR)
             os.close(kept)
             held.seek(0)
-            said = held.read()
-            if said and not silent and _MARK not in said:
+            written = held.read()
+            if written and not silent and _MARK not in written:
                 with suppress(OSError):
-                    os.write(_STANDARD_ERROR, said)
+                    os.write(_STANDARD_ERROR, written)
 
 
 def wait_for_last_words() -> None:
     """Waits for other threads to print why they stop: some time, and as long as one of them has work to do, as far as
     the system tells."""
-
-    def others_at_work() -> bool:
+    begun, ended = (time.monotonic() + seconds for seconds in LAST_WORDS)
+    at_work = True
+    while (now := time.monotonic()) < begun or (now < ended and at_work):
+        at_work = False
         for task in Path("/proc/self/task").glob("*/stat"):
             with suppress(OSError):  # ended meanwhile
                 state = task.read_text(encoding="ascii", errors="replace").rpartition(")")[2].split()[0]
-                if state == "R" and task.parent.name != str(get_native_id()):
-                    return True
-        return False
-
-    begun, ended = (time.monotonic() + seconds for seconds in LAST_WORDS)
-    while (now := time.monotonic()) < begun or (now < ended and others_at_work()):
+                at_work |= state == "R" and task.parent.name != str(get_native_id())
         time.sleep(0.01)

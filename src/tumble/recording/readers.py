@@ -1,12 +1,12 @@
-"""The files of a log, each as tables of a bounded size: Parquet and text files, tables in memory, what was kept of a
-file that is looked at several times; and tables written to a file as a stream, whole or not at all."""
+"""The files of a log, each as tables of a bounded size: Parquet and text files, and tables in memory; and tables
+written to a file as a stream, whole or not at all."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
-from itertools import chain, tee
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -15,16 +15,16 @@ import polars as pl
 from polars.io.plugins import register_io_source
 
 from tumble.documents import check_regular
-from tumble.errors import InputError, LogError, TumbleError
+from tumble.errors import InputError, LogError
 from tumble.files import ending_in, whole_file
-from tumble.recording.log_source import LogSource, Unread, ending_of, in_column, readable, rows_of_numbers
+from tumble.recording.log_source import LogSource, Tables, ending_of, readable, rows_of_numbers
 from tumble.recording.panic import wait_for_last_words, without_panic
 from tumble.recording.text.dialect import Dialect
 from tumble.recording.text.pieces import check_unpacked
 from tumble.recording.text.text_log import text_log
 
 ENDINGS = (".csv", ".csv.gz", ".csv.zst", ".parquet")
-"""Endings of the files that are read without being told how they are written."""
+"""Endings of the files that are read without a dialect."""
 
 Data = Any
 """A mapping from column names to arrays (N,), a polars or a pandas frame; a sequence of them is a log of several files.
@@ -32,12 +32,12 @@ Pandas is not a dependency, so that its frames cannot be named in a type."""
 
 _PARQUET_ROWS = 1 << 15
 _NUMBER_BYTES = 8
-_KEPT_ROWS = 4_000_000
 
 
 def source_of(file: Path | LogSource, dialect: Dialect | None = None) -> LogSource:
-    """The reader of a file, of a table in memory, or of what was kept of a file; with a dialect, of a text file of any
-    name. Raises LogError for a format that cannot be read and an empty or damaged file."""
+    """The reader of a file, or a table in memory as it is; with a dialect, that of a text file of any name.
+
+    Raises LogError for a format that cannot be read and an empty or damaged file."""
     if not isinstance(file, Path):
         return file
     ending = ending_of(file)
@@ -61,24 +61,21 @@ def source_of(file: Path | LogSource, dialect: Dialect | None = None) -> LogSour
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class TableLog:
-    """A Parquet file, or a table in memory, whose path is what messages call it; `scan` begins to read it."""
+class TableLog(LogSource):
+    """A Parquet file, or a table `in_memory`, whose path is what messages call it; `scan` begins to read it."""
 
-    path: Path
     types: Mapping[str, pl.DataType]
     rows: int
     scan: Callable[[], pl.LazyFrame]
+    in_memory: bool
 
     @classmethod
-    def of(cls, path: Path, scan: Callable[[], pl.LazyFrame]) -> TableLog:
+    def of(cls, path: Path, scan: Callable[[], pl.LazyFrame], *, in_memory: bool = False) -> TableLog:
+        """The table that a scan gives."""
         with without_panic():
             types = dict(scan().collect_schema())
             rows = scan().select(pl.len()).collect().item()
-        return cls(path=path, types=types, rows=rows, scan=scan)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        return tuple(self.types)
+        return cls(path=path, names=tuple(types), types=types, rows=rows, scan=scan, in_memory=in_memory)
 
     def first_date(self, column: str) -> str | None:
         if not isinstance(self.types[column], pl.Datetime):
@@ -86,7 +83,7 @@ class TableLog:
         first = self._collected(self.scan().select(pl.col(column).first())).item()
         return None if first is None else str(first.isoformat(timespec="seconds"))
 
-    def tables(self, columns: Sequence[str], clock: str | None = None) -> Iterator[tuple[pl.DataFrame, list[Unread]]]:
+    def read(self, columns: Sequence[str], clock: str | None) -> Tables:
         scan, first = self.scan().select(columns), 1
         for column in columns:
             kind = self.types[column]
@@ -112,9 +109,6 @@ class TableLog:
         for table in self._batches(self.scan()):
             with rows_of_numbers(self.path):
                 yield table.with_columns(pl.col(numbers).cast(pl.Float64))
-
-    def place(self, row: int, column: str | None = None) -> str:
-        return f"{self.path}: row {row}" + in_column(column)
 
     def content(self, columns: Sequence[str]) -> Iterator[bytes]:
         """The names and numbers of these columns, for a hash."""
@@ -151,7 +145,7 @@ def samples_of(data: Data) -> tuple[TableLog, ...]:
     """The tables of a log in memory. Raises LogError for anything that is not one."""
     several = isinstance(data, list | tuple)
     named = {f"samples {i}": part for i, part in enumerate(data, 1)} if several else {"samples": data}
-    return tuple(TableLog.of(Path(name), _table(part).lazy) for name, part in named.items())
+    return tuple(TableLog.of(Path(name), _table(part).lazy, in_memory=True) for name, part in named.items())
 
 
 def _table(data: Data) -> pl.DataFrame:
@@ -162,69 +156,18 @@ def _table(data: Data) -> pl.DataFrame:
             "samples: expected columns by name, as arrays, or a polars or pandas frame, found "
             f"{type(data).__name__}; name the columns as the description does"
         )
-    columns: list[pl.Series] = []
-    for name in data if isinstance(data, Mapping) else data.columns:
-        array = np.asarray(data[name])
+    arrays = {str(name): np.asarray(data[name]) for name in (data if isinstance(data, Mapping) else data.columns)}
+    for name, array in arrays.items():
         if array.ndim != 1:
             raise LogError(
                 f"samples: column '{name}': expected an array of one dimension, found the shape {array.shape}; give "
                 "every sensor a column of its own"
             )
-        columns.append(pl.Series(str(name), array if array.dtype.kind in "biuf" else array.tolist(), strict=False))
-    if len({len(column) for column in columns}) > 1:
-        found = ", ".join(f"{len(column)} in '{column.name}'" for column in columns)
+    if len(set(map(len, arrays.values()))) > 1:
+        found = ", ".join(f"{len(array)} in '{name}'" for name, array in arrays.items())
         raise LogError(f"samples: expected as many numbers in every column, found {found}")
-    return pl.DataFrame(columns)
-
-
-# -------------------- files that are looked at several times --------------------
-
-
-Tables = Iterator[tuple[pl.DataFrame, list[Unread]]]
-
-
-@dataclass(frozen=True, kw_only=False, slots=True, eq=False)
-class KeptLog:
-    """A file of a log that is looked at several times, and read once: the tables of the columns that were asked for are
-    kept as far as they were read, of long files none."""
-
-    source: LogSource
-    _kept: dict[tuple[tuple[str, ...], str | None], Tables] = field(default_factory=dict)
-
-    @property
-    def path(self) -> Path:
-        return self.source.path
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        return self.source.names
-
-    def first_date(self, column: str) -> str | None:
-        return self.source.first_date(column)
-
-    def tables(self, columns: Sequence[str], clock: str | None = None) -> Tables:
-        """Those of the columns, or of more columns that were read already."""
-        wanted, key = set(columns), (tuple(columns), clock)
-        for read in self._kept:
-            if wanted <= set(read[0]) and (read[1] == clock or read[1] not in wanted):
-                key = read
-        self._kept[key], tables = tee(self._kept.get(key) or self.source.tables(*key))
-        rows = 0
-        try:
-            for table, unread in tables:
-                rows += table.height
-                if rows > _KEPT_ROWS:  # it goes on, and who comes next reads anew
-                    self._kept.pop(key, None)
-                yield table.select(columns), [u for u in unread if u.column is None or u.column in wanted]
-        except TumbleError:
-            self._kept.pop(key, None)
-            raise
-
-    def whole(self, numbers: Sequence[str]) -> Iterator[pl.DataFrame]:
-        return self.source.whole(numbers)
-
-    def place(self, row: int, column: str | None = None) -> str:
-        return self.source.place(row, column)
+    numbers = {name: array if array.dtype.kind in "biuf" else array.tolist() for name, array in arrays.items()}
+    return pl.DataFrame(numbers, strict=False)
 
 
 # -------------------- tables written --------------------

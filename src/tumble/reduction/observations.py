@@ -146,6 +146,12 @@ class Observations(Brief):
         at_rest = replace(rests, gyro=none, gyro_covariance=covariance, gyro_drift=none, gyro_noise=none)
         return replace(self, gyro_block=None, rests=at_rest, turns=None, turn_samples=None, turn_readings=None)
 
+    def without_magnetometer(self) -> Observations:
+        """The observations without the readings of the magnetometer."""
+        rests = replace(self.rests, magnetometer=None, magnetometer_covariance=None)
+        links = None if self.links is None else replace(self.links, magnetometer=None)
+        return replace(self, rests=rests, links=links)
+
     def of_rest(self, i: int) -> Observations:
         """The observations of rest i alone."""
         return replace(
@@ -199,11 +205,13 @@ class Observations(Brief):
         return replace(self.turns, C=moments.C, M=moments.Phi[..., 1:4], B=moments.Phi[..., 0], jumps=moments.jumps)
 
 
-def _without_rests(links: Links, accel: Block, gyro: Block | None, site: Site) -> Observations:
+def without_rests(links: Links, accel: Block, gyro: Block | None, site: Site) -> Observations:
     """The observations of a recording that has links alone."""
     readings = (np.zeros((0, 0 if block is None else block.size)) for block in (accel, gyro))
     of_accel, of_gyro = readings
     rests = Rests.of_white_noise(np.zeros(0), np.zeros(0), accel=of_accel, gyro=of_gyro, densities=(0.0, 0.0))
+    if links.magnetometer is not None:
+        rests = replace(rests, magnetometer=np.zeros((0, 3)), magnetometer_covariance=np.zeros((0, 3, 3)))
     turns, samples = no_turns(links.samples.samples)
     return Observations(
         accel_block=accel, gyro_block=gyro, site=site, rests=rests, turns=turns, turn_samples=samples, links=links
@@ -240,7 +248,7 @@ def observe(
         linked = [unrecorded(a, b, 1, "links", why="") for a, b in pairwise(spans) if stretched(a, b)]
         reduction = replace(reduction, gaps=(*reduction.gaps, *linked))
         if not spans:
-            return _without_rests(links, accel, gyro, site)
+            return without_rests(links, accel, gyro, site)
     sway = None if gyro is None else sway_of(reduction, spans)
     rests, accel_quiet, gyro_noise, rounded = reduced_rests(reduction, spans, accel, gyro, sway)
     notes, turns, turn_samples, readings = list[str](), None, None, None

@@ -68,7 +68,7 @@ class Calibration(CalibrationData):
         In the order of the parameters.
     accel, gyro, mag : SensorModel or None
         Matrix and bias by kind of sensor; None if there are no such sensors or one of their parameters is
-        unobservable. The magnetometer is in its own frame, fixed like that of the accelerometers, and in the unit of
+        unobservable. The magnetometer is in the frame "accelerometer" in every calibration, and in the unit of
         `mag.bias.x`.
     outcome : Outcome
         Whether the values may be used, and why not.
@@ -206,7 +206,7 @@ class Calibration(CalibrationData):
         """Convert the calibration of a triad to another frame.
 
         Covariance, iterations and launches are converted too; g-sensitivity and lever arms turn with the frame, a
-        magnetometer keeps its own, and deviations from a systematic calibration are left out.
+        magnetometer keeps that of the accelerometers, and deviations from a systematic calibration are left out.
 
         Parameters
         ----------

@@ -243,7 +243,7 @@ def _calibrated(
         if session.log.magnetometer is not None:
             from tumble.run.magnetometer import with_magnetometer
 
-            calibration = with_magnetometer(calibration, session.log.magnetometer, estimate[1])
+            calibration = with_magnetometer(calibration, estimate[0], session.log.magnetometer, estimate[1])
         if prior is not None and estimate[0].of_type:
             calibration = replace(calibration, provenance=replace(calibration.provenance, prior=prior.words))
         if faults:

@@ -21,10 +21,10 @@ from tumble.arguments import checked
 from tumble.errors import InputError
 from tumble.files import FilePath
 from tumble.inference.estimate import GroupFinding, Outcome
+from tumble.inference.magnetic_estimate import block_near
 from tumble.inference.prediction import Prediction, prediction
 from tumble.inference.prior import Prior
 from tumble.inference.sources import Source, UncertaintyBudget, by_time_base, clocked, source
-from tumble.methods.ellipsoid_fit import TRIAD
 from tumble.recording.log import Log
 from tumble.recording.session import AirConditions, Circumstances, Session
 from tumble.recording.session_file import session_from
@@ -115,6 +115,11 @@ def calibrate_launches(
     return mean_of_launches(runs, alike=alike) if len(runs) > 1 else runs[0].calibration
 
 
+def _mean_magnetometer(one: SensorModel, by_name: Mapping[str, float]) -> SensorModel:
+    """The magnetometer of mean parameters, near the axes of one of those."""
+    return block_near(one.matrix).model(np.array([by_name[name] for name in NAMES]))
+
+
 def mean_of_launches(runs: Sequence[Run], *, alike: Sequence[LaunchVariances] = ()) -> Calibration:
     """Mean of the calibrations of several sessions of one device by the same method, see `calibrate_launches`."""
     launches = [run.calibration for run in runs]
@@ -157,7 +162,7 @@ def mean_of_launches(runs: Sequence[Run], *, alike: Sequence[LaunchVariances] = 
         covariance=covariance,
         accel=_mean_model(first.frame, session.accel_block, by_name),
         gyro=_mean_model(first.frame, session.gyro_block, by_name),
-        mag=TRIAD.model(np.array([by_name[n] for n in NAMES])) if set(NAMES) <= set(names) else None,
+        mag=None if first.mag is None or not set(NAMES) <= set(names) else _mean_magnetometer(first.mag, by_name),
         outcome=Outcome(  # every sentence with the name of its session
             reasons=tuple(f"{run.name}: {reason}" for run in runs for reason in run.calibration.outcome.reasons),
             remarks=tuple(f"{run.name}: {remark}" for run in runs for remark in run.calibration.outcome.remarks),

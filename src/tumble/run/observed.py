@@ -216,7 +216,7 @@ def observations_for_calibration(observed: Observed, *, joint: bool = False) -> 
         What the log shows.
     joint
         Whether they are for the method joint, which follows a device with few rests through its motion, and gyros whose
-        biases jump. For others gyros that jump are left out, as spoiled ones always are.
+        biases jump, and takes the magnetometer in. For others gyros that jump are left out, as spoiled ones always are.
 
     Returns
     -------
@@ -239,7 +239,8 @@ def observations_for_calibration(observed: Observed, *, joint: bool = False) -> 
     every = _observed_again(observed, reduction, match)
     every = with_mended_samples(replace(every, notes=(*observed.notes, *every.notes, *torn))).with_blows()
     spoiled = observed.gyro_faults or (observed.gyro_bias_faults and not joint)
-    return every.of_accelerometers() if spoiled else every
+    every = every.of_accelerometers() if spoiled else every
+    return every if joint else every.without_magnetometer()
 
 
 FEWEST_RESTS = 9

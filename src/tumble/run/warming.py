@@ -7,9 +7,10 @@ A sensor p at rest reads, with d = T − T₀ of its temperature, which follows 
 f_p the specific force along its axis, s_pk and b_pk the coefficients of its scale factor and bias, β_p its in-run
 process. A rest is cut into parts, which are rows of the joint estimate (`tumble.inference.joint`) as rests are: the
 polynomials are parameter groups with priors of usual size, which decide how high a degree span and noise support; the
-lags of both kinds, the sizes of the processes and their correlation times are integrated over. Neighbouring parts are
-joined by turns about nothing, which leave the attitude as it is but for a random walk (`CREEP`), whose two angles tilt
-all accelerometers alike; what a support creeps by beyond it the in-run process takes.
+lags of both kinds, the sizes of the processes and their correlation times are integrated over. Parts of one rest have
+no scatter beyond the process. Neighbouring parts are joined by turns about nothing, which leave the attitude as it is
+but for a random walk (`CREEP`), whose two angles tilt all accelerometers alike; what a support creeps by beyond it the
+in-run process takes.
 
 **One attitude.** c_p, f_p and the mean of β_p are not told apart, nor are s_pk and b_pk: what is estimated is the
 coefficient r_pk = b_pk + f_p s_pk of the reading. So the coefficient of the bias and its uncertainty are
@@ -261,7 +262,7 @@ def _estimated(session: Session, observations: Observations, base: Calibration |
         site=replace(given.site, latitude=0.5 * np.pi),
     )
     with np.errstate(invalid="ignore"):  # the mean rate of turns about nothing
-        estimate = joint(observations, prior=Prior(parameters=prior))
+        estimate = joint(observations, prior=Prior(parameters=prior, undisturbed=not several))
     return _Found(
         estimate=estimate,
         observations=observations,

@@ -25,12 +25,16 @@ import numpy as np
 from tumble.rotation import axes_angles, axes_matrix, left_inverse, tangent_basis
 from tumble.units import Array, IntArray
 
-SensorKind = Literal["accel", "gyro"]
+SensorKind = Literal["accel", "gyro", "mag"]
 UNITS: Mapping[SensorKind, str] = {"accel": "m/s^2", "gyro": "rad/s"}
 WORDS: Mapping[str, str] = {"accel": "accelerometers", "gyro": "gyros", "mag": "magnetometer"}
 
 _ANGLE_PAIRS = ("xy", "xz", "yx", "yz", "zx", "zy")
-_FREE_PAIRS: dict[SensorKind, tuple[str, ...]] = {"accel": ("yx", "zx", "zy"), "gyro": _ANGLE_PAIRS}
+_FREE_PAIRS: dict[SensorKind, tuple[str, ...]] = {
+    "accel": ("yx", "zx", "zy"),
+    "gyro": _ANGLE_PAIRS,
+    "mag": _ANGLE_PAIRS,
+}
 _LEANING = {"xy": (0, 0), "xz": (0, 1), "yx": (1, 1), "yz": (1, 0), "zx": (2, 0), "zy": (2, 1)}
 """Of a triad the sensor that an angle is of, and whether it leans towards the next axis, 0, or the one before, 1."""
 _EACH, _NEXT, _BEFORE = np.arange(3), np.array([1, 2, 0]), np.array([2, 0, 1])

@@ -225,7 +225,7 @@ def _group(
     sized_with: str | None = None,
     source: str = DATA_SHEETS,
 ) -> ParameterGroup:
-    kind: SensorKind = "accel" if name.startswith("accel") else "gyro"
+    kind: SensorKind = "accel" if name.startswith("accel") else "mag" if name.startswith("mag") else "gyro"
     return ParameterGroup(
         name=name, kind=kind, unit=unit, words=words, suffixes=suffixes, limit=limit, shown=shown, usual=usual or {},
         regressors=regressors, motion=motion, stem=stem, sized_with=sized_with, source=source,
@@ -259,6 +259,14 @@ LINEAR: tuple[ParameterGroup, ...] = (
     ),
 )  # fmt: skip
 """Bias, scale-factor error and axis angles: the 21 of two triads."""
+
+MAGNETIC: tuple[ParameterGroup, ...] = (
+    _group("mag.bias", "1", "hard iron of the magnetometer, in parts of the field", _every_sensor, 10.0, ()),
+    _group("mag.scale", "1", "scale-factor errors of the magnetometer", _every_sensor, 1.0, _PARTS),
+    _group("mag.axis", "rad", "axis angles of the magnetometer", _angles, 1.0, ()),
+)
+"""Those of a magnetometer, which each recording determines anew: hard and soft iron are those of all that turns with
+it."""
 
 
 def _change(
@@ -363,7 +371,7 @@ FURTHER: list[ParameterGroup] = [
         replace(
             _group(
                 f"{kind}.lag", "s", f"lag of the {sensors} behind their thermometer", _once,
-                _HOUR, ((1.0, "s"),), _grades(150.0, 150.0, 150.0, 150.0),
+                _HOUR, ((1.0, "s"),), _grades(100.0, 60.0, 40.0, 40.0),
             ),
             variable="lag",
         )
@@ -452,15 +460,12 @@ def group_of(parameter: str) -> ParameterGroup:
 
 def named_group(name: str) -> ParameterGroup | None:
     """The entry of a group's name; None where the table has none."""
-    return next((group for group in groups() if group.name == name), None)
+    return next((group for group in (*groups(), *MAGNETIC) if group.name == name), None)
 
 
 def is_parameter(name: str) -> bool:
-    """Whether a name is that of a parameter of some sensor: of a group of the table, or of a magnetometer."""
-    group = group_name(name)
-    if sensor_kind(name) == "mag":
-        return group in ("mag.bias", "mag.scale", "mag.axis")
-    entry = named_group(group)
+    """Whether a name is that of a parameter of some sensor, of a group of the table."""
+    entry = named_group(group_name(name))
     sensor = within_group(name).removesuffix(f".{_ENDINGS.get(entry.variable, '')}") if entry else ""
     return entry is not None and bool(sensor or entry.suffixes is _once)
 
@@ -510,7 +515,7 @@ def limits_of(parameters: Iterable[str]) -> Array:
 @lru_cache(maxsize=64)
 def _limits_of(parameters: tuple[str, ...]) -> Array:
     """The same: every estimate of instruments of one kind asks for it."""
-    by_name = {group.name: group.limit for group in groups()}
+    by_name = {group.name: group.limit for group in (*groups(), *MAGNETIC)}
     return np.array([by_name[group_name(parameter)] for parameter in parameters])
 
 

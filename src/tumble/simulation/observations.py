@@ -47,7 +47,7 @@ from tumble.simulation.sensors import InRunBias, SimulatedBlock
 from tumble.units import Array
 
 ComplexArray = npt.NDArray[np.complex128]
-SAMPLES = 128
+SAMPLES = 256
 """Samples of a turn."""
 
 

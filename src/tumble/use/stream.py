@@ -20,8 +20,8 @@ from tumble.arguments import checked
 from tumble.errors import InputError
 from tumble.files import FilePath
 from tumble.methods.rest_chain import MovedBias, RestChain
+from tumble.recording.live.samples import SampleStream
 from tumble.recording.live.sources import source_of
-from tumble.recording.live.stream import SampleStream
 from tumble.recording.log import Chunk
 from tumble.recording.session import Session
 from tumble.recording.session_file import session_from

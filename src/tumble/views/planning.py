@@ -28,11 +28,7 @@ def in_unit(name: str, value: float) -> str:
 def plan_blocks(plan: Plan, *, sources: bool = False) -> list[Block]:
     """What a set-up gives: u by group, and with `sources` by source; the best next positions; what wanted accuracies
     need."""
-    setup, programme = plan.setup, plan.setup.programme
-    blocks: list[Block] = [
-        f"{programme.name}: {len(programme.positions)} positions in {clock(time_of(programme, setup))}, "
-        f"rests of {setup.rest:g} s, turns at {setup.turn_rate / DEGREE:g} °/s"
-    ]
+    blocks: list[Block] = [_head(plan)]
     if plan.rank is not None and plan.condition is not None:
         linear = sum(len(row.parameters) for row in plan.groups if row.group in GROUPS)
         condition = f", condition {plan.condition:.3g}" if math.isfinite(plan.condition) else ""
@@ -44,6 +40,18 @@ def plan_blocks(plan: Plan, *, sources: bool = False) -> list[Block]:
         needs = (_needs(row, plan.setup) for row in plan.requirements)
         blocks.append(table(needs, words=("parameters", "because")))
     return [*blocks, Items(items=plan.assumptions)]
+
+
+def _head(plan: Plan) -> str:
+    """What is planned."""
+    setup, programme = plan.setup, plan.setup.programme
+    if plan.motion is not None:
+        where = "on a pivot" if plan.motion.held == "pivot" else "in the hand"
+        return f"{clock(plan.motion.seconds)} of motion {where}"
+    return (
+        f"{programme.name}: {len(programme.positions)} positions in {clock(time_of(programme, setup))}, "
+        f"rests of {setup.rest:g} s, turns at {setup.turn_rate / DEGREE:g} °/s"
+    )
 
 
 def _groups_table(plan: Plan, *, sources: bool) -> Table:

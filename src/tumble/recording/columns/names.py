@@ -61,7 +61,7 @@ class Columns:
     """The columns found in a table: the time with its unit (None where the name does not say), one triad of each kind,
     and the `temperatures` as [log.temperature] has them. `others` are the names of
     triads of the same kinds, and of thermometers, that were not taken, `times` those of all times, `interval` that of
-    the times from sample to sample."""
+    the times from sample to sample. `unsure`: whether by their numbers others are hardly less likely."""
 
     time: str | None
     time_unit: str | None
@@ -70,6 +70,7 @@ class Columns:
     others: tuple[str, ...] = ()
     times: tuple[str, ...] = ()
     interval: str | None = None
+    unsure: bool = False
 
 
 def columns_by_name(names: Iterable[str]) -> Columns:
@@ -223,8 +224,8 @@ def _split(name: str) -> tuple[list[str], str]:
     for count in (2, 1):
         unit = "_".join(words[-count:])
         rest = words[:-count]  # which must have all that a name needs, an axis, a direction or the time
-        told = _axes(rest) or any(map(_DIRECTION.fullmatch, rest)) or score(TIME_KIND, "_".join(rest))
-        if rest and unit in ALL_UNITS and told:
+        is_name = _axes(rest) or any(map(_DIRECTION.fullmatch, rest)) or score(TIME_KIND, "_".join(rest))
+        if rest and unit in ALL_UNITS and is_name:
             return rest, unit
         inner = "_".join(words[-count - 1 : -1])
         if len(words) > count + 1 and inner in ALL_UNITS and len(inner) > 1 and words[-1] in _LETTERS:
@@ -239,9 +240,9 @@ def _words(name: str) -> list[str]:
         whole = token.lower() in ALL_UNITS
         words += [token] if whole else re.split(r"(?<=[a-z])(?=[A-Z])", token)
     words = [word.lower() for word in words if word]
-    said = [word for word in words if word != "axis"]
-    said = said[:-1] if said[-1:] == ["cal"] else said  # of Shimmer: in a unit
-    return said if len(said) > 1 else words
+    kept = [word for word in words if word != "axis"]
+    kept = kept[:-1] if kept[-1:] == ["cal"] else kept  # of Shimmer: in a unit
+    return kept if len(kept) > 1 else words
 
 
 # -------------------- thermometers --------------------

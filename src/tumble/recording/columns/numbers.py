@@ -73,19 +73,6 @@ Run = tuple[int, int, int]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class IdentifiedColumns:
-    """Columns by their numbers, and whether the next hypothesis is too near to be sure."""
-
-    columns: Columns
-    near: bool = False
-
-    def guesses(self, named: Collection[str] = ()) -> list[str]:
-        """A sentence for each kind of sensors that is not `named`."""
-        triads = {kind: s for kind, s in self.columns.triads.items() if kind not in named}
-        return [f"{kind}: columns {', '.join(s.columns)}, by their numbers (a guess)" for kind, s in triads.items()]
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
 class _Hypothesis:
     """Which columns are accelerometers and which gyros, None where none are, what that costs, and what of it the
     accelerometers do, less what the gyros' turning of their vector is worth."""
@@ -96,27 +83,32 @@ class _Hypothesis:
     gyro: Run | None
 
 
-def columns_by_data(names: Sequence[str], read: Array) -> IdentifiedColumns:
+def guesses(columns: Columns, named: Collection[str] = ()) -> list[str]:
+    """A sentence on each kind of sensors that was identified by numbers and is not `named`."""
+    triads = {kind: s for kind, s in columns.triads.items() if kind not in named}
+    return [f"{kind}: columns {', '.join(s.columns)}, by their numbers (a guess)" for kind, s in triads.items()]
+
+
+def columns_by_data(names: Sequence[str], read: Array) -> Columns:
     """What the columns (m, n) of a table with these names are; no triads where nothing looks like accelerometers.
     Columns of no numbers are NaN."""
     if not len(read):
-        return IdentifiedColumns(columns=Columns(time=None, time_unit=None, triads={}))
+        return Columns(time=None, time_unit=None, triads={})
     growing = [j for j in range(len(names)) if grows(read[:, j])]
     time = time_by_data(names, read) or (names[growing[0]] if growing else None)
     ranked = _hypotheses(names, read, [j for j in range(len(names)) if j not in growing])
     if not ranked:
         triads = _of_gravity_alone(names, read, [j for j in range(len(names)) if j not in growing])
-        return IdentifiedColumns(columns=Columns(time=time, time_unit=None, triads=triads))
+        return Columns(time=time, time_unit=None, triads=triads)
     best, *others = ranked
     triads = {
         kind: Sensors(columns=in_order([names[j] for j in run]), unit=None)
         for kind, run in ((ACCEL, best.accel), (GYRO, best.gyro))
         if run is not None
     }
-    next_cost = min(
-        [_LIMIT - best.of_accel, *(rival.cost - best.cost for rival in others[:1])]
-    )  # without any, or others
-    return IdentifiedColumns(columns=Columns(time=time, time_unit=None, triads=triads), near=next_cost < _APART)
+    # without any accelerometers, or with others
+    next_cost = min([_LIMIT - best.of_accel, *(rival.cost - best.cost for rival in others[:1])])
+    return Columns(time=time, time_unit=None, triads=triads, unsure=next_cost < _APART)
 
 
 def _hypotheses(names: Sequence[str], read: Array, columns: Sequence[int]) -> list[_Hypothesis]:
@@ -302,14 +294,12 @@ def _attitudes(read: Array, numbers: Sequence[int]) -> set[int]:
 
 def time_by_data(names: Sequence[str], read: Array) -> str | None:
     """The column of a table (m, n) that is a time; None where none grows as one, or only a counter of samples."""
-    growing = [j for j in range(len(names)) if grows(read[:, j]) and not _counts(read[:, j])]
-    return names[growing[0]] if growing else None
-
-
-def _counts(column: Array) -> bool:
-    """Whether a column grows by one from row to row, but for lost rows."""
-    steps = np.diff(column[np.isfinite(column)])
-    return bool((steps == np.floor(steps)).all() and np.median(steps) == 1.0)
+    for name, column in zip(names, read.T, strict=True):
+        if grows(column):
+            steps = np.diff(column[np.isfinite(column)])
+            if np.median(steps) != 1.0 or (steps != np.floor(steps)).any():  # else it counts, but for lost rows
+                return name
+    return None
 
 
 def grows(column: Array) -> bool:

@@ -159,7 +159,7 @@ PATTERNS: tuple[Pattern, ...] = (
         r"drift|(^|_)calib(_|$)|(^|_)(lat|lon|lng|alt|depth|height|position|location|pos)|vel(ocity)?(_|$)|press|baro|"
         r"status|(^|_)q[wxyz0-3]?$",
     ),
-    # gyros are told by their names before
+    # gyros are recognised by their names before
     _row(OTHER, 7.0, "", {*_GYRO_ONLY, *(UNITS[MAGNETOMETER].keys() - UNITS[ACCEL].keys()), *_UNITS_OF_OTHERS}),
 )  # fmt: skip
 """The one table of what columns are."""
@@ -181,8 +181,8 @@ def score(kind: str, name: str, unit: str = "", axis: str = "") -> float:
         for row in PATTERNS
         if row.kind == kind and row.axis == axis and (row.units is None or unit in row.units) and row.name.search(name)
     ]
-    told = max((weight for weight in weights if weight >= LIKELY), default=0.0)
-    return told + sum(weight for weight in weights if weight < LIKELY) if told else 0.0
+    largest = max((weight for weight in weights if weight >= LIKELY), default=0.0)
+    return largest + sum(weight for weight in weights if weight < LIKELY) if largest else 0.0
 
 
 def sensor_kind(name: str, unit: str) -> str | None:

@@ -99,7 +99,7 @@ class Reader:
     endings
         How names of its files end, in lower case and with the dot.
     messages
-        Gives the kinds of messages in a file. Whatever it raises is said of a damaged file.
+        Gives the kinds of messages in a file. Whatever it raises becomes a message about a damaged file.
     """
 
     endings: tuple[str, ...]
@@ -188,17 +188,14 @@ def _intact(path: Path) -> Iterator[None]:
         raise InputError(f"{path}: expected a readable file, found: {error.strerror or error}") from None
     except Exception as error:  # each reader's library has errors of its own, and struct.error, IndexError and more
         of_python = isinstance(error, TypeError | AttributeError | NameError | LookupError | AssertionError)
-        if of_python and not isinstance(error, LookupError) and _by_this_program(error):
+        last = [str(frame.f_globals.get("__name__")) for frame, _ in walk_tb(error.__traceback__)][-2:]
+        here = any(
+            name.startswith("tumble.recording.formats.") for name in last
+        )  # a field that a message does not have
+        if of_python and not isinstance(error, LookupError) and here:
             raise
-        said = type(error).__name__ if of_python else " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{path}: expected an intact recording, found it damaged or incomplete: {said}") from None
-
-
-def _by_this_program(error: Exception) -> bool:
-    """Whether an error was raised in a module of this program, or by what it called next: a field that a message does
-    not have."""
-    modules = [str(frame.f_globals.get("__name__")) for frame, _ in walk_tb(error.__traceback__)]
-    return any(name.startswith("tumble.recording.formats.") for name in modules[-2:])
+        words = type(error).__name__ if of_python else " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{path}: expected an intact recording, found it damaged or incomplete: {words}") from None
 
 
 def as_log(path: Path, accel: Message, gyro: Message | None = None, thermometers: Sequence[Message] = ()) -> None:

@@ -12,7 +12,7 @@ import struct
 import zipfile
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -26,9 +26,8 @@ from scipy.io import loadmat
 from scipy.io.matlab import MatlabOpaque, MatReadError
 
 from tumble.errors import InputError
-from tumble.recording.columns.names import ACCEL, columns_by_name
-from tumble.recording.columns.names import Columns as Known
-from tumble.recording.columns.numbers import columns_by_data, grows
+from tumble.recording.columns.names import ACCEL, Columns, columns_by_name
+from tumble.recording.columns.numbers import columns_by_data, grows, guesses
 from tumble.recording.formats import TIME, Message
 from tumble.recording.rows.gaps import is_reading
 from tumble.recording.text.pieces import check_unpacked, largest_unpacked
@@ -42,53 +41,50 @@ _WIDEST = 32
 _WHOLE = slice(0, 1 << 21)
 _MATLAB_HEADER, _MATLAB_PACKED = 128, 15
 _PIECE_BYTES = 1 << 20
-Shape = tuple[int, ...]
-Read = Callable[[Any], Any]
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Column:
-    """A column of a table: the name of an array, its shape, how a part of it is read, and which of its columns or rows
-    it is."""
+    """A column of a table: the name of an array, the array, of NumPy or in an open HDF5 file, and which of its columns
+    or rows it is."""
 
-    array: str
-    shape: Shape
-    read: Read
+    name: str
+    array: Any
     axis: int | None
 
     def part(self, rows: slice) -> Array:
-        """Some of it, NaN for what is no reading."""
-        across, upright = 0 if self.axis is None else self.axis, self.shape[0] >= self.shape[-1]
-        where = rows if len(self.shape) == 1 else (rows, across) if upright else (across, rows)
+        """Some of its numbers, NaN for what is no reading."""
+        shape, across = self.array.shape, 0 if self.axis is None else self.axis
+        where = rows if len(shape) == 1 else (rows, across) if shape[0] >= shape[-1] else (across, rows)
         with np.errstate(over="ignore"):  # numbers of 80 bits that are beyond those of 64
-            numbers = np.asarray(self.read(where), dtype=np.float64)
+            numbers = np.asarray(self.array[where], dtype=np.float64)
         return np.where(is_reading(numbers), numbers, np.nan)
 
 
 def messages(path: Path) -> list[Message]:
     """Tables with inertial sensors, one for each length of arrays; those whose names say so come first."""
-    arrays = {name: array for name, array in _arrays(path).items() if len(array[0]) in (1, 2)}
+    arrays = {name: array for name, array in _arrays(path).items() if len(array.shape) in (1, 2)}
     by_name: list[Message] = []
     by_data: list[Message] = []
-    for length in sorted({max(shape) for shape, _ in arrays.values()}, reverse=True):
-        columns = dict(_columns({name: array for name, array in arrays.items() if max(array[0]) == length}))
-        widths = Counter(column.array for name, column in columns.items() if name != f"{column.array}/t")
-        known = columns_by_name([name for name, column in columns.items() if widths[column.array] <= len("xyz")])
-        guessed, remark = ACCEL not in known.triads, ""
+    for length in sorted({max(array.shape) for array in arrays.values()}, reverse=True):
+        columns = dict(_columns({name: array for name, array in arrays.items() if max(array.shape) == length}))
+        widths = Counter(column.name for name, column in columns.items() if name != f"{column.name}/t")
+        named = columns_by_name([name for name, column in columns.items() if widths[column.name] <= len("xyz")])
+        guessed, remark = ACCEL not in named.triads, ""
         if guessed:
-            known, remark = _with_told_by_data(columns, known)
-        if length < _SHORTEST or not known.triads:
+            named, remark = _with_columns_by_data(columns, named)
+        if length < _SHORTEST or not named.triads:
             continue
-        factor = TIME_UNITS[known.time_unit or "s"]
+        factor = TIME_UNITS[named.time_unit or "s"]
         (by_data if guessed else by_name).append(
             Message(
                 name=f"{length} rows",
                 count=length,
-                triads=known.triads,
-                temperatures=known.temperatures,
-                timed=known.time is not None,
+                triads=named.triads,
+                temperatures=named.temperatures,
+                timed=named.time is not None,
                 remark=remark,
-                rows=partial(_rows, columns, length, known.time, factor),
+                rows=partial(_rows, columns, length, named.time, factor),
             )
         )
     if not by_name and not by_data and path.suffix.lower() == ".mat" and not h5py.is_hdf5(path):
@@ -103,12 +99,14 @@ def messages(path: Path) -> list[Message]:
     return by_name + by_data
 
 
-def _columns(arrays: Mapping[str, tuple[Shape, Read]]) -> Iterator[tuple[str, Column]]:
-    for name, (shape, read) in arrays.items():
+def _columns(arrays: Mapping[str, Any]) -> Iterator[tuple[str, Column]]:
+    """Columns of arrays by their names."""
+    for name, array in arrays.items():
+        shape = array.shape
         if min((*shape, 1)) == 1 and np.prod(shape) == max(shape):
-            yield name, Column(array=name, shape=shape, read=read, axis=None)
+            yield name, Column(name=name, array=array, axis=None)
         elif 3 <= min(shape) <= _WIDEST:
-            across = [Column(array=name, shape=shape, read=read, axis=axis) for axis in range(min(shape))]
+            across = [Column(name=name, array=array, axis=axis) for axis in range(min(shape))]
             ends = (across[0], across[-1]) if len(across) == 4 else ()
             time = next((column for column in ends if grows(column.part(_WHOLE))), None)
             if time is not None:
@@ -117,20 +115,19 @@ def _columns(arrays: Mapping[str, tuple[Shape, Read]]) -> Iterator[tuple[str, Co
             yield from ((f"{name}[{at}]", column) for at, column in enumerate(across))
 
 
-def _with_told_by_data(columns: Mapping[str, Column], known: Known) -> tuple[Known, str]:
+def _with_columns_by_data(columns: Mapping[str, Column], named: Columns) -> tuple[Columns, str]:
     """What columns are where no name says which are accelerometers: by their numbers, but for the triads that an array
     of their own is named as; and that in words."""
-    taken = {column for triad in known.triads.values() for column in triad.columns}
+    taken = {column for triad in named.triads.values() for column in triad.columns}
     free = {name: column for name, column in columns.items() if name not in taken}
     together = {name: column for name, column in free.items() if column.axis is not None} or free
     if not 0 < len(together) <= _WIDEST:
-        return known, ""
-    told = columns_by_data(list(together), np.column_stack([column.part(_WHOLE) for column in together.values()]))
-    found = told.columns
-    if ACCEL not in found.triads:
-        return known, ""
-    remark = "; ".join(told.guesses(known.triads))
-    return replace(known, triads={**found.triads, **known.triads}, time=known.time or found.time), remark
+        return named, ""
+    by_data = columns_by_data(list(together), np.column_stack([column.part(_WHOLE) for column in together.values()]))
+    if ACCEL not in by_data.triads:
+        return named, ""
+    remark = "; ".join(guesses(by_data, named.triads))
+    return replace(named, triads={**by_data.triads, **named.triads}, time=named.time or by_data.time), remark
 
 
 def _rows(columns: Mapping[str, Column], length: int, time: str | None, factor: float) -> Iterator[pl.DataFrame]:
@@ -140,8 +137,8 @@ def _rows(columns: Mapping[str, Column], length: int, time: str | None, factor: 
         yield pl.DataFrame(table if time is None else {TIME: table.pop(time) * factor} | table)
 
 
-def _arrays(path: Path) -> dict[str, tuple[Shape, Read]]:
-    """Arrays of numbers by their paths: shape, and how to read a part of them."""
+def _arrays(path: Path) -> dict[str, Any]:
+    """Arrays of numbers by their paths."""
     if path.suffix.lower() in (".npy", ".npz"):
         try:
             if zipfile.is_zipfile(path):
@@ -152,7 +149,8 @@ def _arrays(path: Path) -> dict[str, tuple[Shape, Read]]:
             else:  # mapped: it takes no memory for what a damaged header promises
                 named = {path.stem: np.load(path, mmap_mode="r")}
         except ValueError as error:
-            if "pickle" not in str(error):  # objects, which only Python reads, as it runs what is in the file
+            # objects, which only Python reads, as it runs what is in the file
+            if "pickle" not in str(error) and "Python objects" not in str(error):
                 raise
             raise InputError(
                 f"{path}: expected arrays of numbers, found objects of Python; save the arrays themselves, np.savez("
@@ -165,7 +163,15 @@ def _arrays(path: Path) -> dict[str, tuple[Shape, Read]]:
             return dict(_nested(loadmat(path, simplify_cells=True)))
         except (MatReadError, ValueError) as error:
             raise ValueError(f"not a MATLAB file: {error}") from None
-    return _datasets(path)
+    datasets: dict[str, Any] = {}
+
+    def visit(name: str, item: Any) -> None:
+        if isinstance(item, h5py.Dataset) and item.dtype.kind in "fiu":
+            datasets[name] = item
+
+    h5py.File(path).visititems(visit)  # open as long as one of them is there
+    check_unpacked(path, sum(math.prod(item.shape) * item.dtype.itemsize for item in datasets.values()))
+    return datasets
 
 
 def _bytes_of_matlab(path: Path) -> int:
@@ -187,7 +193,7 @@ def _bytes_of_matlab(path: Path) -> int:
     return found
 
 
-def _nested(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, tuple[Shape, Read]]]:
+def _nested(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
     """The arrays of a MATLAB file, those in structures too."""
     for name, value in content.items():
         if isinstance(value, np.ndarray) and value.dtype.names:
@@ -199,29 +205,10 @@ def _nested(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str,
         if isinstance(value, dict):
             yield from _nested(value, f"{prefix}{name}/")
         elif isinstance(value, np.ndarray) and value.dtype.kind in "fiu" and not name.startswith("__"):
-            yield prefix + name, (value.shape, value.__getitem__)
+            yield prefix + name, value
 
 
 def _stacked(samples: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Structures of one sample each as arrays of all samples, by their names; without what is not alike in all."""
     found = {name: [np.asarray(sample.get(name, np.nan)) for sample in samples] for name in samples[0]}
     return {name: np.array(parts) for name, parts in found.items() if len({part.shape for part in parts}) == 1}
-
-
-def _datasets(path: Path) -> dict[str, tuple[Shape, Read]]:
-    """The arrays of an HDF5 file."""
-    found: dict[str, tuple[Shape, Read, int]] = {}
-
-    def visit(name: str, item: Any) -> None:
-        if isinstance(item, h5py.Dataset) and item.dtype.kind in "fiu":
-            found[name] = (item.shape, partial(_read, path, name), item.dtype.itemsize)
-
-    with h5py.File(path) as file:
-        file.visititems(visit)
-    check_unpacked(path, sum(math.prod(shape) * size for shape, _, size in found.values()))
-    return {name: (shape, read) for name, (shape, read, _) in found.items()}
-
-
-def _read(path: Path, name: str, part: Any) -> Any:
-    with h5py.File(path) as file:
-        return file[name][part]

@@ -58,7 +58,7 @@ def _opened(path: Path) -> AnyReader:
 
 
 def _bytes_of_chunks(path: Path) -> int:
-    """How many bytes the chunks of an MCAP file or of a bag of ROS 1 are said to unpack to; 0 of another file."""
+    """How many bytes the chunks of an MCAP file or of a bag of ROS 1 are stated to unpack to; 0 of another file."""
     found = 0
     with path.open("rb") as stream:
         if stream.read(len(_MCAP)) == _MCAP:

@@ -1,20 +1,25 @@
-"""Samples of rows as they come, by the same chain as those of a log that has ended."""
+"""Samples of rows as they come, or of a live source, by the same chain as those of a log that has ended."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import polars as pl
 
+from tumble.recording.live.lines import Lines
+from tumble.recording.live.sources import Ended, LineSource
 from tumble.recording.log import Chunk, samples_of_file
-from tumble.recording.log_source import Unread, in_column
+from tumble.recording.log_source import LogSource, Tables
 from tumble.recording.rows.gaps import Gap, Grid, is_reading
-from tumble.recording.session import LogSpec
-from tumble.units import Array
+from tumble.recording.session import LogSpec, Session, Site
+from tumble.recording.session_file import session_of
+from tumble.units import DEGREE, Array
 
 SI_LOG: Mapping[str, Any] = {
     "file": "log.csv",
@@ -24,32 +29,25 @@ SI_LOG: Mapping[str, Any] = {
 }
 """The table [log] of a source that sends t, ax, ay, az, gx, gy, gz in s, m/s² and rad/s."""
 _HEAD = 100
+READ_SECONDS = 0.2
+CLOCK_BACK = 1.0
+"""Time (s) by which a stamp is before the last one at least if the clock has started anew."""
+TEMPERATURE = "temperature"
+"""Name of the column with the temperature, °C, of a source in SI."""
 
 
-@dataclass(kw_only=True, slots=True, eq=False)
-class _ComingRows:
-    """The source of a log of which rows may come at any time: while none has, its tables are empty."""
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class _ComingRows(LogSource):
+    """A log of which rows may come at any time: while none has, its tables are empty."""
 
-    path: Path
-    names: tuple[str, ...]
     waiting: list[Array] = field(default_factory=list)
 
-    def first_date(self, column: str) -> str | None:
-        del column
-        return None
-
-    def tables(self, columns: Sequence[str], clock: str | None = None) -> Iterator[tuple[pl.DataFrame, list[Unread]]]:
+    def read(self, columns: Sequence[str], clock: str | None) -> Tables:
         del clock
         while True:
             rows = np.concatenate([np.empty((0, len(self.names))), *self.waiting])
             self.waiting.clear()
             yield pl.DataFrame(rows, schema=list(self.names), orient="row").select(columns), []
-
-    def whole(self, numbers: Sequence[str]) -> Iterator[pl.DataFrame]:
-        return (table for table, _ in self.tables(numbers))
-
-    def place(self, row: int, column: str | None = None) -> str:
-        return f"{self.path}: row {row}" + in_column(column)
 
 
 class StreamedSamples:
@@ -115,3 +113,80 @@ class StreamedSamples:
             self._samples = samples_of_file(self._coming, spec, self._file, grid, self.gaps)
         chunk = next(self._samples, None)
         return chunk if chunk is not None and len(chunk.time) else None
+
+
+class SampleStream:
+    """Samples of a live source.
+
+    Parameters
+    ----------
+    source
+        Where the lines come from.
+    session
+        Describes columns and sensors. None for a source that sends t, ax, ay, az, gx, gy, gz in s, m/s² and rad/s, and
+        a temperature in °C if its first line names such a column.
+    serial, site, gyros
+        Device, place, and whether gyros are read, of a source without a session.
+    """
+
+    def __init__(
+        self,
+        source: LineSource,
+        session: Session | None,
+        *,
+        serial: str = "",
+        site: Site | None = None,
+        gyros: bool = True,
+    ) -> None:
+        self._source, self._before = source, b""
+        if session is None:
+            with suppress(Ended):
+                while b"\n" not in self._before:
+                    self._before += source.read(READ_SECONDS)
+            session = _in_si(self._before.partition(b"\n")[0], serial, site, gyros=gyros)
+        self.session, spec = session, session.log
+        self._lines = Lines(columns=spec.columns, clock=spec.time, refuse=lambda _: None)
+        self._samples = StreamedSamples(spec)
+
+    @property
+    def interval(self) -> float | None:
+        """Time from sample to sample, s; None while too few have come."""
+        return self._samples.interval
+
+    def chunks(self) -> Iterator[Chunk]:
+        """The samples as they come, until the source ends. A clock that goes back begins another file."""
+        spec, file, last, ended = self.session.log, 0, -np.inf, False
+        with closing(self._source):
+            while not ended:
+                try:
+                    data, self._before = self._before or self._source.read(READ_SECONDS), b""
+                except Ended:
+                    data, ended = b"\n", True
+                rows = self._lines.numbers(self._lines.cut(data))
+                back = np.zeros(0, dtype=int)
+                if spec.time is not None and len(rows):
+                    time = rows[:, spec.columns.index(spec.time)] * spec.time_factor
+                    back = np.flatnonzero(np.diff(time, prepend=last) < -CLOCK_BACK)
+                    last = float(time[-1])
+                for begin, end in pairwise([0, *back.tolist(), len(rows)]):
+                    if begin in back:
+                        file += 1
+                        self._samples = StreamedSamples(spec, interval=self._samples.interval, file=file)
+                    chunk = self._samples.feed(rows[begin:end]) if end > begin else None
+                    if chunk is not None:
+                        yield chunk
+
+
+def _in_si(first_line: bytes, serial: str, site: Site | None, *, gyros: bool) -> Session:
+    """The session of a source in SI."""
+    log = {key: value for key, value in SI_LOG.items() if key != "file" and (gyros or key != "gyro")}
+    columns = [log["time"], *log["accel"]["columns"], *(log["gyro"]["columns"] if gyros else [])]
+    if TEMPERATURE in [column.strip() for column in first_line.decode("utf-8", errors="replace").split(",")]:
+        log[TEMPERATURE] = {"columns": [TEMPERATURE], "unit": "degC"}
+        columns.append(TEMPERATURE)
+    place = {}
+    if site is not None:
+        place = {"height_m": site.height, "gravity": site.gravity, "gravity_u": site.gravity_u}
+        place |= {} if site.latitude is None else {"latitude_deg": site.latitude / DEGREE}
+    described = {"format": 1, "device": {"serial": serial}, "site": place, "log": log}
+    return session_of(described, {column: np.zeros(1) for column in columns})

@@ -212,8 +212,8 @@ class Serial(LineSource):
         try:
             self._port.open()
         except OSError as error:  # of pyserial too
-            said = " ".join(str(error.strerror or error).split())
-            raise InputError(f"--listen {self.name}: expected a serial line, found: {said}") from None
+            words = " ".join(str(error.strerror or error).split())
+            raise InputError(f"--listen {self.name}: expected a serial line, found: {words}") from None
 
     def read(self, timeout: float) -> bytes:
         if not self._port.is_open:
@@ -331,23 +331,20 @@ class Replay(LineSource):
             return header
         if self._next is None:
             raise Ended
-        if self._at_once:
-            out = bytearray()
-            while self._next is not None and self._at_once and len(out) < _READ_BYTES:
-                out += self._next[1]
-                self._at_once, self._next = self._at_once - 1, next(self._lines, None)
-            return bytes(out)
-        self._begun = self._begun or (time.monotonic(), self._next[0])
-        started, first = self._begun
-        due = started + (self._next[0] - first) / self._speed
-        if due > time.monotonic() + timeout:
-            time.sleep(timeout)
-            return b""
-        time.sleep(max(0.0, due - time.monotonic()))
-        until, out = first + (time.monotonic() - started) * self._speed, bytearray()
-        while self._next is not None and self._next[0] <= until and len(out) < _READ_BYTES:
+        until, most = math.inf, self._at_once
+        if not most:
+            self._begun = self._begun or (time.monotonic(), self._next[0])
+            started, first = self._begun
+            wait = started + (self._next[0] - first) / self._speed - time.monotonic()
+            time.sleep(min(max(wait, 0.0), timeout))
+            if wait > timeout:
+                return b""
+            until, most = first + (time.monotonic() - started) * self._speed, sys.maxsize
+        out, rows = bytearray(), 0
+        while self._next is not None and self._next[0] <= until and rows < most and len(out) < _READ_BYTES:
             out += self._next[1]
-            self._next = next(self._lines, None)
+            self._next, rows = next(self._lines, None), rows + 1
+        self._at_once = max(self._at_once - rows, 0)
         return bytes(out)
 
     def close(self) -> None:
@@ -386,7 +383,11 @@ def source_of(text: str) -> LineSource:
             return GrowingFile(Path(rest))
         case "replay" if rest:
             folder, _, speed = rest.rpartition("@") if "@" in rest else (rest, "", "1x")
-            return Replay(Path(folder), speed_of(text, speed))
+            with contextlib.suppress(ValueError):
+                times = math.inf if speed == "max" else float(speed.removesuffix("x"))
+                if times > 0.0:
+                    return Replay(Path(folder), times)
+            raise InputError(f"--listen {text}: expected a speed such as @20x, found @{speed}")
         case "udp" | "tcp":
             if number is None or number > 65535:
                 raise InputError(f"--listen {text}: expected a port from 0 to 65535, found {last!r}")
@@ -401,14 +402,3 @@ def source_of(text: str) -> LineSource:
         "--listen: expected file:PATH, replay:FOLDER@20x, stdin, udp:PORT, tcp:PORT, serial:DEVICE:BAUD "
         f"or mavlink:udp:PORT, found {text!r}"
     )
-
-
-def speed_of(text: str, speed: str) -> float:
-    """How many times as fast as time passes, of "20x" or "max"; `text` stands after --listen."""
-    try:
-        times = math.inf if speed == "max" else float(speed.removesuffix("x"))
-    except ValueError:
-        times = 0.0
-    if not times > 0.0:
-        raise InputError(f"--listen {text}: expected a speed such as @20x, found @{speed}")
-    return times

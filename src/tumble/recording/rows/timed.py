@@ -336,10 +336,12 @@ def burst_grid(source: LogSource, spec: LogSpec, head: Array) -> Grid | None:
         return None
     bursts = 1 + int(np.count_nonzero(changes > _WITHIN * scatter))
     window = _ABOUT_LINE * math.ceil(len(head) / bursts)
-    grid, time = regular_grid(source, spec), _stamps(source, spec)
-    off = time - grid.start - grid.interval * np.arange(len(time))
+    time = _stamps(source, spec)
+    number = np.arange(len(time), dtype=float)
+    grid = _line_through(number, time)
+    off = time - grid.start - grid.interval * number
     windows = len(off) // window
-    if windows < 2 or not is_reading(time).all():
+    if windows < 2 or not grid.interval > 0.0 or not is_reading(time).all():
         return None
     parts = off[: windows * window].reshape(windows, -1)
     means, jitter = parts.mean(axis=1), float(parts.std(axis=1).mean())

@@ -152,7 +152,7 @@ class TemperatureChannels:
 
 
 USUAL_CLOCK_U = 30e-6
-"""Relative standard uncertainty of time stamps of which nothing is said: crystals are off by some 20 to 50 ppm, over
+"""Relative standard uncertainty of time stamps of which nothing is stated: crystals are off by some 20 to 50 ppm, over
 temperature and with age."""
 USUAL_RATE_U = 1e-2
 """The same of a sample rate without time stamps: it is that of the oscillator in a sensor's chip, which data sheets

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import codecs
 import csv
-import io
 import re
 from collections import Counter
 from collections.abc import Sequence
@@ -22,6 +21,8 @@ LINE_BYTES = 1 << 18
 """The longest line of a log: what reads its values takes four hundred times as much memory."""
 FIRST_ROWS = 5
 """By which it is found out whether a name is missing."""
+SEEN_BYTES = 1 << 18
+"""By which it is found out how a file is written."""
 BLANKS = " "
 """The delimiter that stands for one or more blanks or tabs."""
 
@@ -29,7 +30,6 @@ DELIMITERS = (",", ";", "\t", "|", BLANKS)
 COMMENTS = ("#", "//", "%", "!", ";", "*")
 
 _TOP_LINES = 2000
-_SEEN_BYTES = 1 << 18
 _LEAST_NUMBERS = 3
 _ENCODINGS = {"utf-8": "", "cp1251": "[а-яё]{3}", "gb18030": "[\u4e00-\u9fff]{2}"}
 """Those that are tried, and the letters of which text in them has words: a degree sign alone is Latin."""
@@ -254,12 +254,10 @@ def _bare(unit: str) -> str:
     return re.sub(r"[\[\]()]", "", unit).strip()
 
 
-def head_lines(stream: io.BufferedIOBase) -> tuple[str, ...]:
-    """The first lines of a stream, whole and without their ends."""
-    seen = stream.read(_SEEN_BYTES)
-    text = seen.decode("utf-8", errors="replace").removeprefix("\ufeff").replace("\0", "")
-    lines = text.split("\n")
-    if len(seen) == _SEEN_BYTES and len(lines) > 1:
+def head_lines(seen: bytes, encoding: str = "utf-8") -> tuple[str, ...]:
+    """First lines of a text, whole and without their ends, by its first SEEN_BYTES."""
+    lines = seen.decode(encoding, errors="replace").removeprefix("\ufeff").replace("\0", "").split("\n")
+    if len(seen) >= SEEN_BYTES and len(lines) > 1:
         lines = lines[:-1]
     return tuple(line.rstrip("\r") for line in lines[:_TOP_LINES])
 
@@ -290,9 +288,7 @@ def dialect_of(seen: bytes) -> tuple[Dialect, Top] | None:
     """How a text log is written, by its first bytes, and what stands above its numbers; None where it has no rows of
     numbers."""
     encoding = encoding_of(seen)
-    text = seen.decode(encoding, errors="replace").removeprefix("\ufeff").replace("\0", "")
-    lines = [line.rstrip("\r") for line in text.split("\n")]
-    lines = (lines[:-1] if len(lines) > 1 else lines)[:_TOP_LINES]
+    lines = head_lines(seen, encoding)
     # the mark with which lines begin that are no rows, where there are such, and others
     marks = Counter(mark for line in lines for mark in COMMENTS if line.lstrip().startswith(mark))
     mark, count = marks.most_common(1)[0] if marks else ("", 0)
@@ -306,7 +302,7 @@ def dialect_of(seen: bytes) -> tuple[Dialect, Top] | None:
             widths = Counter(len(row) for row in rows if trial.is_row(row))
             rows_by_dialect[trial] = max(widths.values(), default=0)
     dialect = max(rows_by_dialect, key=lambda trial: rows_by_dialect[trial])
-    top = top_of(tuple(lines), dialect) if rows_by_dialect[dialect] else None
+    top = top_of(lines, dialect) if rows_by_dialect[dialect] else None
     if top is None:
         return None
     return replace(dialect, header=any(not name.isdecimal() for name in top.names)), top

@@ -130,7 +130,7 @@ def largest_unpacked(path: Path) -> int:
 
 
 def check_unpacked(path: Path, size: int) -> None:
-    """Raise LogError where so many bytes are said to come out of a file, and no readings are packed so."""
+    """Raise LogError if so many bytes are stated to come out of a file, and no readings are packed so."""
     if size > largest_unpacked(path):
         raise _too_large(path, largest_unpacked(path), _megabytes(size))
 

@@ -12,7 +12,6 @@ import codecs
 import csv
 import re
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from itertools import chain, islice, product
@@ -22,7 +21,17 @@ import numpy as np
 import polars as pl
 
 from tumble.errors import LogError
-from tumble.recording.log_source import BLANK_LINE, Kind, Unread, in_column, one_ahead, readable, rows_of_numbers
+from tumble.recording.log_source import (
+    BLANK_LINE,
+    Kind,
+    LogSource,
+    Tables,
+    Unread,
+    in_column,
+    one_ahead,
+    readable,
+    rows_of_numbers,
+)
 from tumble.recording.session import LogSpec
 from tumble.recording.text.dialect import (
     BLANKS,
@@ -32,6 +41,7 @@ from tumble.recording.text.dialect import (
     LINE_BYTES,
     MONTHS,
     NAMED_MONTH,
+    SEEN_BYTES,
     Dialect,
     head_lines,
     names_of_rows,
@@ -52,20 +62,18 @@ _GPS_START = 3657
 _WEEK = f'^\\s*"?{GPS_WEEK}"?$'
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class TextLog:
-    """A text log. Rows that cannot be read come as NaN, with what was found in them."""
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class TextLog(LogSource):
+    """A text log in a dialect, with `top` lines above its first data row. Rows that cannot be read come as NaN, with
+    what was found in them."""
 
-    path: Path
-    names: tuple[str, ...]
     dialect: Dialect
     top: int
-    """Lines above the first data row."""
 
     def first_date(self, column: str) -> str | None:
         return date_of(self._cell(next(self.pieces(), b""), column))
 
-    def tables(self, columns: Sequence[str], clock: str | None = None) -> Iterator[tuple[pl.DataFrame, list[Unread]]]:
+    def read(self, columns: Sequence[str], clock: str | None) -> Tables:
         if missing := [column for column in columns if column not in self.names]:  # its first rows are of no one width
             raise LogError(f"{self.path}: expected a column {missing[0]}, found {', '.join(self.names)}")
         first, day, pieces = 1, None, self.pieces()
@@ -79,7 +87,7 @@ class TextLog:
     def _rows(
         self, piece: bytes, first: int, columns: Sequence[str], clock: str | None, day: int
     ) -> tuple[pl.DataFrame, list[Unread]]:
-        """The rows of a piece that begins with data row `first`. Where there is something to be said about them, it is
+        """The rows of a piece that begins with data row `first`. If something in them cannot be read at once, it is
         halved until few lines are left, which Python reads."""
         fast = self._at_once(piece, columns, clock, day)
         if fast is not None:
@@ -176,16 +184,11 @@ class TextLog:
                 except pl.exceptions.PolarsError:
                     if self.dialect == Dialect():
                         raise
-                    rows: list[list[str]] = []
-                    for line in piece.decode("utf-8", errors="replace").splitlines():
-                        with suppress(csv.Error):
-                            cells = self.cells(line)
-                            rows += (
-                                [cells] if len(cells) == len(self.names) and not self.dialect.is_comment(line) else []
-                            )
-                    yield pl.DataFrame(rows, schema=dict.fromkeys(self.names, pl.String), orient="row").with_columns(
-                        point
-                    )
+                    lines = piece.decode("utf-8", errors="replace").splitlines()
+                    rows = [self.dialect.cells(line) for line in lines if not self.dialect.is_comment(line)]
+                    rows = [cells for cells in rows if len(cells) == len(self.names)]
+                    text = dict.fromkeys(self.names, pl.String)
+                    yield pl.DataFrame(rows, schema=text, orient="row").with_columns(point)
 
     def pieces(self) -> Iterator[bytes]:
         """The rows in pieces of whole lines that are parsed alike whatever the dialect."""
@@ -234,7 +237,7 @@ def text_log(path: Path, dialect: Dialect | None) -> TextLog:
         names = names_of_rows([name.strip() for name in above], [cells for cells in below if cells])
         return TextLog(path=path, names=numbered(names), dialect=Dialect(), top=1)
     with opened(path, dialect.encoding) as stream:
-        top = top_of(head_lines(stream), dialect)
+        top = top_of(head_lines(stream.read(SEEN_BYTES)), dialect)
     if top is None:
         raise LogError(f"{path}: expected rows of numbers with log.delimiter {dialect.delimiter!r}, found none")
     return TextLog(path=path, names=top.names, dialect=dialect, top=top.lines)

@@ -26,6 +26,7 @@ import numpy as np
 from tumble.reduction.blocks.motion_samples import MotionSamples
 from tumble.reduction.blocks.reducer import Reduction
 from tumble.reduction.rests.segmentation import Stretch
+from tumble.reduction.rests.sway import FOURTH_DIFFERENCES
 from tumble.reduction.turns.turns import TurnSamples, variances_of_independent
 from tumble.rotation import rotation_matrix, skew
 from tumble.sensors.model import SensorKind
@@ -37,6 +38,8 @@ NODE_SECONDS = 0.5
 """s: from node to node."""
 STRETCH = 3.0
 """s: motion between two rests that lasts longer is cut into links; a shorter one is a turn."""
+NORMAL_MEDIAN = 0.4549
+"""Median of the square of a normal number of variance 1."""
 QUIET = 0.25
 """The share of the links whose noise counts as that of the samples: what moves fast adds to the others."""
 
@@ -63,6 +66,11 @@ class Links:
         Rates, rad/s, and specific forces, m/s², of nominal sensors at both ends of each part.
     gyro_density, accel_density
         Of white noise, rad²/s and m²/s³.
+    magnetometer : (K, 3)
+        Readings of the magnetometer, in its unit, at the node before each link; not a number where there is a rest, or
+        nothing to either side. None without one.
+    magnetometer_variance
+        Variance of the noise of these readings.
     """
 
     file: IntArray
@@ -76,9 +84,16 @@ class Links:
     forces: Array
     gyro_density: float
     accel_density: float
+    magnetometer: Array | None = None
+    magnetometer_variance: float = 0.0
 
     def __len__(self) -> int:
         return len(self.before)
+
+    @property
+    def magnetic(self) -> BoolArray:
+        """Whether there is a reading of the magnetometer at the node before each link (K,)."""
+        return np.zeros(len(self), dtype=bool) if self.magnetometer is None else np.isfinite(self.magnetometer[:, 0])
 
 
 def links_of(reduction: Reduction, spans: Sequence[Stretch]) -> Links | None:
@@ -87,7 +102,7 @@ def links_of(reduction: Reduction, spans: Sequence[Stretch]) -> Links | None:
         return None
     blocks = max(1, round(NODE_SECONDS / reduction.block_seconds))
     file, time, before, free = list[int](), list[float](), list[int](), list[bool]()
-    rest, edges, duration = list[int](), list[tuple[int, int]](), list[float]()
+    rest, edges, duration, fields = list[int](), list[tuple[int, int]](), list[float](), list[Array]()
     for f in reduction.files:
         own = [span for span in spans if span.file == f.file]
         starts, stops = [0, *(span.last for span in own)], [*(span.first for span in own), len(f)]
@@ -111,12 +126,14 @@ def links_of(reduction: Reduction, spans: Sequence[Stretch]) -> Links | None:
                 before.append(first + j)
                 free.append((k == 0 or j > 0) and (k == len(own) or j < len(cuts) - 2))
                 edges.append((f.sample_at(a), f.sample_at(b)))
+                fields.append(_between(f.magnetometer.means, a) if k == 0 or j > 0 else np.full(3, np.nan))
                 duration.append(reduction.clock_rate * float(f.edges[b] - f.edges[a]))
     if not before:
         return None
     parts = np.array([np.linspace(a, b, PARTS + 1).astype(np.int64) for a, b in edges])
     samples = TurnSamples(samples=reduction.samples, start=parts[:, :-1].ravel(), stop=parts[:, 1:].ravel())
     rates, forces = _ends(reduction.samples, parts)
+    every = [f.magnetometer.means for f in reduction.files if len(f) > 4 and reduction.magnetometer_channels]
     return Links(
         file=np.array(file),
         time=np.array(time),
@@ -129,6 +146,10 @@ def links_of(reduction: Reduction, spans: Sequence[Stretch]) -> Links | None:
         forces=forces,
         gyro_density=_density(samples, "gyro", np.array(duration)),
         accel_density=_density(samples, "accel", np.array(duration)),
+        magnetometer=np.array(fields) if every else None,
+        magnetometer_variance=_variance_between(np.concatenate([np.diff(means, n=4, axis=0) for means in every]))
+        if every
+        else 0.0,
     )
 
 
@@ -147,6 +168,24 @@ def _ends(stored: MotionSamples, parts: IntArray) -> tuple[Array, Array]:
         at = 0.5 * (values[np.maximum(edges - 1, 0)] + values[np.minimum(edges, len(values) - 1)])
         out.append(np.stack([at[:, :-1], at[:, 1:]], axis=2).reshape(-1, 2, 3))
     return out[0], out[1]
+
+
+EDGE = np.array([-1.0, 7.0, 7.0, -1.0]) / 12.0
+"""Weights of the means of two blocks before and two after an edge, which give the value at it to fourth order."""
+
+
+def _between(means: Array, edge: int) -> Array:
+    """The value (3,) at an edge of blocks with these means (K, 3); not a number near the ends."""
+    if means.shape[1] != 3 or not 2 <= edge <= len(means) - 2:
+        return np.full(3, np.nan)
+    return np.asarray(EDGE @ means[edge - 2 : edge + 2])
+
+
+def _variance_between(differences: Array) -> float:
+    """Variance of the noise of values at edges, by fourth differences (K, 3) of the means of blocks: of the quieter
+    half, since what moves fast, or jumps, adds to the others."""
+    of_block = np.median(differences**2) / (FOURTH_DIFFERENCES * NORMAL_MEDIAN)
+    return float(of_block * (EDGE**2).sum())
 
 
 def _density(samples: TurnSamples, kind: SensorKind, duration: Array) -> float:

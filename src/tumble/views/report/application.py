@@ -19,7 +19,7 @@ _MOST_UNHALVED = 12
 """Rows of a narrow table from which on it stands in halves."""
 MODEL_DIGITS, TRUE_DIGITS = 10, 8
 """Digits behind the point of matrices and biases (SI), and of the true values of test vectors that they give."""
-_HEADINGS = {"accel": "Accelerometers", "gyro": "Gyros", "mag": "Magnetometer, in its own frame"}
+_HEADINGS = {"accel": "Accelerometers", "gyro": "Gyros", "mag": "Magnetometer, in the frame of the accelerometers"}
 _FRAMES = {
     "accelerometer": "X is along the axis of the X accelerometer, Z is normal to the plane of the axes of the X and Y "
     "accelerometers, Y completes. The accelerometer angles xy, xz and yz are zero by definition.",

@@ -1,0 +1,291 @@
+"""The start of a magnetometer in the estimate of a session, and what the estimate says of it.
+
+Start. The readings m at the stations lie on an ellipsoid about the hard iron, of which the coefficients are the last
+right singular vector of the rows of its monomials: (m − b)ᵀ H (m − b) = 1, and with H⁻¹ = A Aᵀ the field is along
+Q q, q = A⁻¹ (m − b), by an orthogonal Q. At one place the angle between the vertical u and the field is the same in
+every attitude,
+
+    uᵢᵀ Q qᵢ = −sin I for all stations i,
+
+which tells Q up to its sign: of all exchanges of axes and signs the one that scatters least, and a rotation by least
+squares from there. Of Q and −Q it is the one whose field points down in the north, where the latitude is known, and
+else a rotation. Attitudes of each chain are then turned about the vertical so that the field is to the north.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import permutations, product
+
+import numpy as np
+
+from tumble.inference.estimate import DETERMINED, Fit
+from tumble.inference.fits import LEFT_OUT, MAGNETOMETER, chi_squares, left_out, sigmas, weighted
+from tumble.inference.integral import conditional, covariance_with_local
+from tumble.inference.linearisation import Linearisation, linearise
+from tumble.inference.magnetometer import DIP, Magnetometer
+from tumble.inference.maximum import Maximum, integrated, moved
+from tumble.inference.noise import NoiseModel, VarianceComponents
+from tumble.inference.normal_equations import solve
+from tumble.inference.problem import Problem
+from tumble.rotation import UP, rotation_matrix, unit_vector
+from tumble.sensors.model import Block, SensorModel
+from tumble.units import DEGREE, Array, BoolArray, IntArray
+
+FEWEST = 9
+"""Stations: fewer determine no ellipsoid."""
+FLAT = 1e-3
+"""Second smallest singular value of an ellipsoid's rows, over the largest: below, more than one goes through them."""
+SPARE, WITHOUT, NEAR = 3, 0.2, 1e-3
+"""Readings more than the fewest that are kept; the part of the sum of squares to which it falls without one that is not
+near the ellipsoid of the others; and their root mean square distance from it, in parts of the field, below which all
+are."""
+SCATTER_LIMIT = 2e-2
+"""Scatter of the readings, in parts of the field, above which a magnetometer is refused: near steel the field is not
+the same everywhere."""
+NEAR_EQUATOR = 20.0 * DEGREE
+"""Nearer the equator the field may point either way."""
+TRIED, TURNED = 3, 0.3
+"""Exchanges of axes from which a rotation is looked for, and its standard deviation beforehand, rad."""
+LOOSE, FIRST_STEPS = 0.01, 4
+"""Scatter of the readings, in parts of the field, and how many steps are taken with it from the start, so that the
+magnetometer follows the other sensors before they follow it."""
+EXCHANGES = np.array([
+    np.array(signs)[:, None] * np.eye(3)[list(order)]
+    for order in permutations(range(3))
+    for signs in product((1.0, -1.0), repeat=3)
+])  # fmt: skip
+"""All exchanges of axes and signs (48, 3, 3)."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class MagnetometerEstimate:
+    """What an estimate says of a magnetometer.
+
+    Parameters
+    ----------
+    names, values : (12,)
+        Parameters of its block: biases in its unit, scale-factor errors, and axis angles, rad.
+    covariance : (12, 12)
+        Their covariance, the other parameters given.
+    by_parameters : (12, m)
+        Their derivatives by the other parameters, through the attitudes.
+    model
+        The sensors of these values, in the frame of the accelerometers.
+    magnetometer
+        Its nominal axes, and the modulus of the field.
+    dip
+        Of the field, rad.
+    fit
+        Chi-square of its readings.
+    left_out, sigmas, off : (K,)
+        Of its readings, rests before nodes, which were left out, how far each is from the fit, and by how much its
+        modulus is off, in its unit.
+    time : (K,)
+        When they were taken, s.
+    refused
+        Why there are no values; "" where there are.
+    """
+
+    names: tuple[str, ...]
+    values: Array
+    covariance: Array
+    by_parameters: Array
+    model: SensorModel
+    magnetometer: Magnetometer
+    dip: float
+    fit: Fit
+    left_out: BoolArray
+    sigmas: Array
+    off: Array
+    time: Array
+    refused: str = ""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Readings:
+    """Readings (K, 3) of a magnetometer in its unit, rests before nodes, with the station (K,) of each."""
+
+    values: Array
+    station: IntArray
+
+    @staticmethod
+    def of(problem: Problem) -> Readings | None:
+        """Those of a session; None without a magnetometer."""
+        rests, links = problem.observations.rests, problem.observations.links
+        values, station = list[Array](), list[IntArray]()
+        if rests.magnetometer is not None:
+            values.append(rests.magnetometer)
+            station.append(problem.station)
+        if links is not None and links.magnetometer is not None:
+            values.append(links.magnetometer[links.magnetic])
+            station.append(links.before[links.magnetic])
+        return Readings(values=np.concatenate(values), station=np.concatenate(station)) if values else None
+
+
+def with_magnetometer(start: Linearisation) -> tuple[Linearisation, str]:
+    """The start of a session with the readings of its magnetometer; without them, and why, where they tell nothing."""
+    problem, point = start.problem, start.point
+    readings = Readings.of(problem)
+    if readings is None:
+        return start, ""
+    ellipsoid = ellipsoid_through(readings.values)
+    if ellipsoid is None:
+        return start, (
+            f"its {len(readings.values)} readings lie on no one ellipsoid: the attitudes are too few or too much "
+            "alike, or a channel does not follow the field; record away from steel in more attitudes"
+        )
+    (sphere, kept), station = ellipsoid, readings.station
+    site, attitudes, used = problem.observations.site, point.attitudes[station[kept]], readings.values[kept]
+    field = site.field or float(np.cbrt(np.linalg.det(sphere.matrix)))
+    Q, sine = _orientation(unit_vector(sphere.apply(used)), attitudes[:, 1])
+    S = sphere.matrix @ Q.T / field
+    latitude = site.latitude or 0.0
+    if sine * latitude > 0.0 if abs(latitude) > NEAR_EQUATOR else np.linalg.det(S) < 0.0:
+        S, sine = -S, -sine
+    magnetometer = Magnetometer(
+        block=block_near(S),
+        field=field,
+        dip=float(-np.arcsin(sine)),
+    )
+    model = SensorModel(matrix=S, bias=sphere.bias)
+    level = (attitudes @ unit_vector(model.apply(used))[:, :, None])[:, :, 0]
+    chain, towards = problem.chain, level[:, 0] + 1j * level[:, 2]
+    whole = [np.bincount(chain[station[kept]], part, chain[-1] + 1) for part in (towards.real, towards.imag)]
+    turned = rotation_matrix(np.arctan2(whole[1], whole[0])[chain][:, None] * UP) @ point.attitudes
+    own = np.concatenate([magnetometer.block.parameters(model), np.zeros(len(magnetometer.u) - DIP)])
+    local = np.concatenate([np.broadcast_to(own, (len(point.local), len(own))), point.local], axis=1)
+    problem, point, about = (
+        problem.with_magnetometer(magnetometer),
+        replace(point, attitudes=turned, local=local),
+        start.about,
+    )
+    loose, begun = VarianceComponents(mag=LOOSE * field), linearise(problem, point, about)
+    weights = _weights(problem, begun.noise, np.where(kept, 1.0, LEFT_OUT[-1]))
+    for _ in range(FIRST_STEPS):
+        point, _ = moved(solve(replace(begun, noise=begun.noise.weighted(*weights)), loose))
+        about = integrated(problem, point, about)
+        begun = linearise(problem, point, about)
+    return replace(begun, noise=begun.noise.weighted(*weights)), ""
+
+
+def _weights(problem: Problem, noise: NoiseModel, of_readings: Array) -> tuple[Array, Array, Array]:
+    """Square roots of the weights of all rows, of the weights (K,) of the readings."""
+    N, nodes = len(problem.observations.rests), np.ones(len(problem.before_link))
+    if problem.observations.links is not None:
+        nodes[problem.observations.links.magnetic] = of_readings[N:]
+    turns = np.ones(len(problem.before_turn))
+    return weighted(problem, noise, [np.ones(N), np.ones(N), turns, of_readings[:N], nodes]).weights
+
+
+def ellipsoid_through(readings: Array) -> tuple[SensorModel, BoolArray] | None:
+    """The sensors whose readings (K, 3) of unit vectors these are, in any frame, by the algebraic ellipsoid through
+    them; None where there is none, or more than one. With it the readings (K,) that are near it: one without which the
+    sum of squares falls to a part WITHOUT is not."""
+    if len(readings) < FEWEST or not np.isfinite(readings).all():
+        return None
+    mean, size = readings.mean(axis=0), readings.std(axis=0)
+    if not np.all(size > 0.0):
+        return None
+    x, y, z = ((readings - mean) / size).T
+    rows = np.stack(
+        [x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z, 2 * x, 2 * y, 2 * z, np.ones_like(x)], axis=1
+    )
+    kept = np.ones(len(rows), dtype=bool)
+    while kept.sum() > FEWEST + SPARE:
+        some = np.flatnonzero(kept)
+        normal, own = rows[some].T @ rows[some], rows[some]
+        least = np.linalg.eigvalsh(normal - own[:, :, None] * own[:, None, :])[:, 0]
+        if least.min() > WITHOUT * max(np.linalg.eigvalsh(normal)[0], NEAR**2 * len(some)):
+            break
+        kept[some[np.argmin(least)]] = False
+    _, length, axes = np.linalg.svd(rows[kept], full_matrices=True)
+    if length[8] < FLAT * length[0]:
+        return None
+    a, b, c, d, e, f, *linear, one = axes[-1] * np.sign(axes[-1][:3].sum())
+    H = np.array([[a, d, e], [d, b, f], [e, f, c]])
+    if np.linalg.eigvalsh(H)[0] <= 0.0:
+        return None
+    centre = -np.linalg.solve(H, linear)
+    level = float(centre @ H @ centre) - one
+    if level <= 0.0:
+        return None
+    lower = np.linalg.cholesky(np.linalg.inv(H / level))
+    return SensorModel(matrix=size[:, None] * lower, bias=mean + size * centre), kept
+
+
+def block_near(matrix: Array) -> Block:
+    """The block of a magnetometer whose nominal axes are those nearest to a sensitivity matrix (3, 3)."""
+    return Block(kind="mag", axes=EXCHANGES[np.argmax((EXCHANGES * matrix).sum(axis=(1, 2)))])
+
+
+def _orientation(q: Array, vertical: Array) -> tuple[Array, float]:
+    """The orthogonal Q with which the angle between the verticals (K, 3) and Q q is the same everywhere, by the unit
+    vectors q (K, 3), and its cosine; −Q does as well."""
+    every = np.einsum("ki,eij,kj->ek", vertical, EXCHANGES, q)
+    best, least = (EXCHANGES[0], 0.0), np.inf
+    for i in np.argsort(every.std(axis=1))[: 2 * TRIED : 2]:
+        Q = EXCHANGES[i]
+        for _ in range(5):
+            turned = q @ Q.T
+            rows = np.cross(turned, vertical)  # ∂(uᵀ e^{[δ×]} Q q) = (Q q × u)·δ
+            residual = (vertical * turned).sum(axis=1)
+            spread = max(float(residual.std()), 1e-3) * np.sqrt(len(q))
+            A = np.concatenate([rows - rows.mean(axis=0), spread / TURNED * np.eye(3)])
+            b = np.append(residual - residual.mean(), np.zeros(3))
+            Q = rotation_matrix(-np.linalg.lstsq(A, b)[0]) @ Q
+        cosine = (vertical * (q @ Q.T)).sum(axis=1)
+        if cosine.std() < least:
+            best, least = (Q, float(cosine.mean())), float(cosine.std())
+    return best
+
+
+def magnetometer_estimate(fitted: Maximum, step: Array) -> MagnetometerEstimate | None:
+    """What the maximum says of the magnetometer of a session, None without one.
+
+    Parameters
+    ----------
+    fitted
+        The maximum.
+    step : (1 + m,)
+        What gravity and the parameters are from its last linearisation, hyperparameters integrated out.
+    """
+    problem, solution, links = fitted.problem, fitted.solution, fitted.problem.observations.links
+    magnetometer, readings = problem.magnetometer, Readings.of(problem)
+    if magnetometer is None or readings is None:
+        return None
+    here = conditional(solution)
+    covariance, across = here.covariance[1:, 1:], covariance_with_local(solution, slice(DIP))[:, 1:]
+    u = np.sqrt(covariance.diagonal())
+    by_parameters = np.linalg.solve(covariance / np.outer(u, u), (across / u).T).T / u
+    own = fitted.point.local[0, : len(magnetometer.u)].copy()
+    own[:DIP] += by_parameters @ (step - here.step)[1:]
+    model, (*_, mag, at_nodes) = magnetometer.model(own), sigmas(solution)
+    *_, omitted, omitted_nodes = left_out(problem, fitted.linearisation.noise)
+    magnetic = np.zeros(0, dtype=bool) if links is None else links.magnetic
+    rests = problem.observations.rests
+    time = 0.5 * (rests.start + rests.stop) if links is None else links.time[readings.station]
+    alone, fit = solution.session_covariances[0, :DIP, :DIP], chi_squares(solution)[MAGNETOMETER]
+    loose = np.sqrt(alone.diagonal()) > magnetometer.u[:DIP] / DETERMINED
+    named = np.array(magnetometer.block.names)[loose].tolist()
+    refused = f"nothing determines {', '.join(named)}: take more attitudes" if named else ""
+    if fit.scatter > SCATTER_LIMIT * magnetometer.field:
+        refused = (
+            f"the readings scatter by {fit.scatter:.3g}, more than {100 * SCATTER_LIMIT:g} % of the field: the field "
+            "is not the same in all of them; record away from steel"
+        )
+    return MagnetometerEstimate(
+        names=magnetometer.block.names,
+        values=own[:DIP],
+        covariance=alone - by_parameters @ across.T,
+        by_parameters=by_parameters,
+        model=model,
+        magnetometer=magnetometer,
+        dip=magnetometer.dip + float(own[DIP]),
+        fit=fit,
+        left_out=np.concatenate([omitted, omitted_nodes[magnetic]]),
+        sigmas=np.concatenate([mag, at_nodes[magnetic]]),
+        off=np.linalg.norm(model.apply(readings.values), axis=1) - magnetometer.field,
+        time=time,
+        refused=refused,
+    )
