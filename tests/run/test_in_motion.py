@@ -10,6 +10,7 @@ import pytest
 
 import tumble
 from tests.support.moving import G, Motion, Recording, record
+from tumble.diagnosis.verdict import little_used
 from tumble.inference.linearisation import linearise
 from tumble.inference.problem import Point, Problem, instruments_of
 from tumble.inference.start import start_of
@@ -181,3 +182,20 @@ def test_enough_rests_are_rests() -> None:
     found = observations_for_calibration(inspect_session(session), joint=True)
     assert isinstance(found, Observations)
     assert (found.links is None) == (len(found.rests) >= 9)
+
+
+def test_a_device_that_is_shaken_where_it_lies_is_not_in_motion() -> None:
+    """Twelve rests beside a fan near the sample rate: the gyros are at rest, and gravity seems to wander.
+    Its aliased shaking is not followed from node to node; what is shaken of fewer rests is a remark."""
+    recording = record(replace(PIVOT, seconds=120.0, rests=12, sway=0.0), 4, rate=50.0)
+    beat = 3.0 * np.sin(2.0 * np.pi * 0.4 * np.arange(len(recording.accel)) / 50.0)
+    shaken = replace(recording, accel=recording.accel + recording.attitudes[:, 2] * beat[:, None])
+    outcome = calibrated(shaken).outcome
+    assert not outcome.accepted
+    assert outcome.reasons[0].startswith("no rest found")
+    assert "are shaken: the gyros are at rest, the accelerometers are not" in outcome.reasons[0]
+    session = session_of_arrays(accel=shaken.accel, gyro=shaken.gyro, rate=50.0, gravity=G)
+    found = inspect_session(session).segmentation
+    assert len(found.shaken) == 12
+    assert little_used(found, in_motion=True)
+    assert not little_used(replace(found, rejected=()), in_motion=True)

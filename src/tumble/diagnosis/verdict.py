@@ -200,10 +200,12 @@ def no_rests(segmentation: Segmentation) -> Outcome:
     return Outcome(reasons=(f"{reason}; {advice}",))
 
 
-def little_used(segmentation: Segmentation) -> tuple[str, ...]:
-    """That much of the quiet time of a log is no rest that the estimate has, as a remark."""
+def little_used(segmentation: Segmentation, *, in_motion: bool = False) -> tuple[str, ...]:
+    """That much of the quiet time of a log is no rest that the estimate has, as a remark. One `in_motion` has what
+    moves, but not what is shaken."""
     used = sum(rest.stop - rest.start for rest in segmentation.rests)
-    unused = sum(stretch.stop - stretch.start for stretch in segmentation.rejected)
+    left_out = segmentation.shaken if in_motion else segmentation.rejected
+    unused = sum(stretch.stop - stretch.start for stretch in left_out)
     if unused <= MOST_LEFT_OUT * (used + unused):
         return ()
     return (

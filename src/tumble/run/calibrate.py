@@ -234,7 +234,7 @@ def _calibrated(
                     because = (f"{why}; the accelerometers are estimated alone" for why in of_gyros)
                     estimate, calibration, faults = alone, made_alone, (*because, *faults)
         remarks: dict[str, tuple[str, ...]] = dict.fromkeys(
-            little_used(observed.segmentation) if estimate[1].links is None else (), ()
+            little_used(observed.segmentation, in_motion=estimate[1].links is not None), ()
         )
         if estimate[0].gyro is not None and not session.log.increments["gyro"]:
             grade, _ = grade_of(session, estimate[1])

@@ -250,10 +250,14 @@ SHORTEST_MOTION = 20.0
 
 
 def _in_motion(observed: Observed) -> Observations | None:
-    """The observations of a recording with few rests or none, from node to node; None of others."""
-    session, rests = observed.session, observed.segmentation.rests
+    """The observations of a recording with few rests or none, from node to node; None of others.
+
+    A device that was shaken where it lay is one with rests: shaking is no displacement that a few harmonics or a smooth
+    process follow from node to node, least of all one that is aliased."""
+    session, segmentation = observed.session, observed.segmentation
     spoiled = observed.faults or observed.gyro_faults or observed.gyro_bias_faults
-    if session.programme is not None or session.log.gyro is None or spoiled or len(rests) >= FEWEST_RESTS:
+    rests = len(segmentation.rests) + len(segmentation.shaken)
+    if session.programme is not None or session.log.gyro is None or spoiled or rests >= FEWEST_RESTS:
         return None
     reduction, match = without_numbered(observed.reduction, observed.segmentation, session.excluded)
     links = links_of(reduction, match.rests)

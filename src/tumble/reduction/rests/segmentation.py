@@ -163,16 +163,27 @@ class Segmentation:
             "the times of the others in [[exclude]]",
         )
 
+    @property
+    def shaken(self) -> tuple[Stretch, ...]:
+        """Stretches that are rests by the gyros, while the accelerometers are shaken. None where the gyros at rest are
+        known so badly that in a window a device may turn by more than a rest may tilt: then it moves."""
+        if self.rate_limit is None or self.rate_limit * self.tuning.window > self.tuning.tilt:
+            return ()
+        return tuple(stretch for stretch in self.rejected if stretch.fails in ("scatter", "vertical"))
+
     def passed_over(self) -> tuple[str, ...]:
-        """Sentences that count the quiet stretches that were nearly rests: too short, or off the level of the gyros."""
+        """Sentences that count the quiet stretches that were nearly rests: too short, off the level of the gyros, or
+        shaken."""
         by = "" if self.stated_rate is None else f", by log.rate_hz = {self.stated_rate:g}, which no time confirms"
-        reasons: dict[Fails, str] = {
-            "duration": f"too short: rests of {self.tuning.still} s are long enough{by}",
-            "level": "discarded because the gyros read otherwise than at rest",
+        too_short, off_level = (tuple(r for r in self.rejected if r.fails == fails) for fails in ("duration", "level"))
+        reasons = {
+            f"too short: rests of {self.tuning.still} s are long enough{by}": too_short,
+            "discarded because the gyros read otherwise than at rest": off_level,
+            "shaken: the gyros are at rest, the accelerometers are not; put it where nothing vibrates": self.shaken,
         }
         sentences = []
-        for fails, why in reasons.items():
-            if seconds := sorted(r.stop - r.start for r in self.rejected if r.fails == fails):
+        for why, stretches in reasons.items():
+            if seconds := sorted(r.stop - r.start for r in stretches):
                 alike = seconds[-1] - seconds[0] < 0.05
                 length = f"{seconds[0]:.1f} s" if alike else f"{seconds[0]:.1f}–{seconds[-1]:.1f} s"
                 many = f"{len(seconds)} quiet stretches of {length} are"
