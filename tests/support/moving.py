@@ -8,7 +8,7 @@ harmonics. Navigation frame north, up, east; readings are means over the samples
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -37,7 +37,8 @@ class Noise:
 class Motion:
     """How a device is moved: for `seconds` at about a `rate`, rad/s, about axes that last for `axis_time` s; on a
     `lever`, m, from a pivot that sways, or in a hand that does, by `sway` m (root mean square of the distance) of
-    harmonics about `frequency` Hz; `rests` of 3 s are spread over it. `follows` m is the vertical displacement
+    harmonics about `frequency` Hz; `rests` of 3 s are spread over it, in which it lies still, or, held in the hand, trembles
+    by `tremor` rad/s and sways by `held` m of harmonics five times as fast (root mean squares). `follows` m is the vertical displacement
     proportional to (up · x)², by which a stand sags; `drift` m/s a uniform motion; `regrip` m a step of the place in
     the middle, over a second."""
 
@@ -48,6 +49,8 @@ class Motion:
     sway: float = 1e-3
     frequency: float = 1.0
     rests: int = 0
+    tremor: float = 0.0
+    held: float = 0.0
     follows: float = 0.0
     drift: Sequence[float] = (0.0, 0.0, 0.0)
     regrip: float = 0.0
@@ -84,8 +87,14 @@ def record(motion: Motion, seed: int, *, rate: float = 200.0, noise: Noise = Noi
         centre = (k + 0.5) * motion.seconds / motion.rests
         still *= _smooth(np.asarray((np.abs(t - centre) - 1.5) / 0.5))
     omega = omega * still[:, None]
+    trembling = np.zeros((len(t), 3))
+    if motion.tremor or motion.held:  # a place beside that of the turns, since draws are others without
+        hand, other = replace(motion, frequency=5.0 * motion.frequency), np.random.default_rng((seed, 1))
+        omega += (1.0 - still[:, None]) * _sway(replace(hand, sway=motion.tremor), t, other)
+        trembling = (1.0 - still[:, None]) * _sway(replace(hand, sway=motion.held), t, other)
     C = _attitudes(omega, h, Rotation.random(random_state=seed).as_matrix())
-    position = C @ np.array(motion.lever) + _sway(motion, t, rng) * still[:, None] + np.outer(t, motion.drift)
+    position = C @ np.array(motion.lever) + _sway(motion, t, rng) * still[:, None] + trembling
+    position += np.outer(t, motion.drift)
     up_x = C[:, 1, 0]
     position += motion.follows * (up_x**2)[:, None] * UP
     position += motion.regrip * _smooth(t - 0.5 * motion.seconds)[:, None] * np.array([0.6, 0.0, 0.8])

@@ -32,7 +32,7 @@ LEVEL = 0.05
 """K: rests of a session whose temperatures differ by no more are at one level: half of it, more of which a lag does not
 make, times a usual slope is within the usual instability of a bias, in every grade."""
 RAMP = 1.0
-"""K: by what a temperature changes within a session that is to show a hysteresis."""
+"""K: by what a temperature changes within a session that is to show a hysteresis, or is worth a remark in motion."""
 BETWEEN = 0.8
 """Of the range of temperatures: where so much of it has no rest, all are at its two ends."""
 
@@ -61,7 +61,7 @@ def variables_of(
     first, last = (np.zeros((2, 0), dtype=np.int64)) if turns is None else (turns.first, turns.last)
     grows = {"time": 1.0, "launch": 0.0}
     out = {name: (v, 0.5 * (v[first] + v[last]), np.full((len(first), 1), grows[name])) for name, v in at_rest.items()}
-    if rests.temperatures is not None:
+    if rests.temperatures is not None and observations.links is None:  # in motion biases follow as processes in time
         every = [_temperature_regressors(observations, lags.get(kind, 0.0)) for kind in KINDS]
         for name in every[0]:
             rest, turn, grown = (np.hstack(each) for each in zip(*(of_kind[name] for of_kind in every), strict=True))

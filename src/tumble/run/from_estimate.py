@@ -13,7 +13,7 @@ from tumble.diagnosis.undetermined import faces_alone
 from tumble.diagnosis.verdict import gravity_doubted, verdict
 from tumble.errors import InputError
 from tumble.inference.estimate import Estimate, Outcome
-from tumble.inference.variables import at_two_temperatures, both_ways, over_a_range
+from tumble.inference.variables import RAMP, at_two_temperatures, both_ways, over_a_range
 from tumble.recording.rows.gaps import Gap
 from tumble.recording.session import Session
 from tumble.reduction.observations import Observations
@@ -348,6 +348,16 @@ def _of_the_case(case: CaseAlignment | None) -> Iterator[str]:
 def over_temperature(estimate: Estimate, observations: Observations) -> Iterator[str]:
     """What the temperatures of several sessions, or of a session over temperature, determine, and what not."""
     kelvin, turns = observations.rests.temperature, observations.turns
+    if observations.links is not None:
+        records = [] if observations.thermometers is None else observations.thermometers.files.values()
+        change = max((float(np.ptp(record, axis=0).max()) for _, record in records), default=0.0)
+        if change > RAMP:
+            yield (
+                f"temperature changed by {change:.1f} K in motion: biases are followed in time, but how scale factors "
+                "and axes change with it is not in u; let the device warm up before, or put it down in nine or more "
+                "positions"
+            )
+        return
     yield from _of_lags(estimate, observations)
     if kelvin is None or (observations.together is None and not over_a_range(observations)):
         return

@@ -39,12 +39,13 @@ from tumble.reduction.blocks.tuning import USUAL, Tuning
 from tumble.reduction.observations import Observations, observe
 from tumble.reduction.rests.blemishes import without_blemishes
 from tumble.reduction.rests.matching import match_rests, without_jump, without_numbered, without_times
+from tumble.reduction.rests.rests import thermometers_of
 from tumble.reduction.rests.segmentation import Segmentation, Stretch, find_rests
 from tumble.reduction.together import held, in_parts
 from tumble.reduction.turns.links import links_of
 from tumble.reduction.turns.turns import torn_turns, without_unknown_turns
 from tumble.rotation import onto_body
-from tumble.units import IntArray
+from tumble.units import DEGREE, IntArray
 
 Progress = Callable[[Log], Iterable[Chunk]]
 """Gives the chunks of a log, to show how far reading is or to keep samples on the way."""
@@ -247,24 +248,34 @@ FEWEST_RESTS = 9
 """Fewer rests determine no accelerometers: then the motion between them counts too."""
 SHORTEST_MOTION = 20.0
 """s: less motion determines nothing."""
+TREMOR = 0.07 * DEGREE
+"""rad/s, root mean square about an axis, of tenths of a second: a hand that holds a device still trembles by more."""
 
 
 def _in_motion(observed: Observed) -> Observations | None:
     """The observations of a recording with few rests or none, from node to node; None of others.
 
     A device that was shaken where it lay is one with rests: shaking is no displacement that a few harmonics or a smooth
-    process follow from node to node, least of all one that is aliased."""
+    process follow from node to node, least of all one that is aliased. Nor does one rest that pauses in the hand: it
+    has velocities, and stays where it was, which nodes tell better than a rest."""
     session, segmentation = observed.session, observed.segmentation
     spoiled = observed.faults or observed.gyro_faults or observed.gyro_bias_faults
     rests = len(segmentation.rests) + len(segmentation.shaken)
     if session.programme is not None or session.log.gyro is None or spoiled or rests >= FEWEST_RESTS:
         return None
     reduction, match = without_numbered(observed.reduction, observed.segmentation, session.excluded)
-    links = links_of(reduction, match.rests)
+    spans, notes, links = match.rests, tuple[str, ...](), links_of(reduction, match.rests)
+    trembling = [reduction.by_file[span.file].gyro.means[span.first : span.last].var(axis=0).mean() for span in spans]
+    if links and spans and np.median(trembling) > TREMOR**2 + 2.0 * links.gyro_density / reduction.block_seconds:
+        notes = (f"held in the hand in {len(spans)} pauses, which are no rests; put it down in them",)
+        spans, links = (), links_of(reduction, ())
     if links is None or links.duration.sum() < SHORTEST_MOTION:
         return None
-    every = observe(reduction, match.rests, session.accel_block, session.gyro_block, session.site, links=links)
-    return replace(every, notes=(*observed.notes, *every.notes))
+    if links.bad_samples:
+        notes += (f"{links.bad_samples} bad samples in motion, far off those beside them: half a second each left out",)
+    every = observe(reduction, spans, session.accel_block, session.gyro_block, session.site, links=links)
+    thermometers = thermometers_of(reduction) if any(f.temperature is not None for f in reduction.files) else None
+    return replace(every, thermometers=thermometers, notes=(*observed.notes, *notes, *every.notes))
 
 
 def observations_in_parts(observed: Observed, least: int = 1) -> tuple[Observations, IntArray] | Outcome:

@@ -37,6 +37,7 @@ class Tuning:
     scatter_factor: float = _of(10.0, "", "scatter of the accelerometers at rest, in noise floors")
     quiet_factor: float = _of(
         2.0, "", "scatter of the accelerometers, in noise floors, where the level of the gyros is sought")
+    quiet_share: float = _of(0.1, "", "part of the time of a recording that rests at least: noise floors start there")
     edge: float = _of(4.0, "", "a rest ends where a block is so many of its standard deviations off")
     rest: float = _of(2.0, "s", "the shortest rest between its margins")
     fewest_blocks: int = _of(2, "", "blocks of a rest at least", "a covariance needs two")
@@ -49,6 +50,7 @@ class Tuning:
     short_window: float = _of(0.5, "s", "the window in such a recording")
     short_margin: float = _of(0.1, "s", "the least margin in it")
     fewest_short: int = _of(9, "", "rests more than before that make it such a recording")
+    few_share: float = _of(0.02, "", "the same of a recording in which no rest is found with that: it moves mostly")
     moment: float = _of(0.2, "s", "the shortest rest that is named where there is none", "two blocks")
     # the level of the gyros at rest
     level_blocks: int = _of(10, "", "blocks of a stretch at least that shows the level of the gyros")
@@ -123,6 +125,11 @@ class Tuning:
         """The thresholds for a recording of short rests at a sample rate, Hz."""
         rest = max(self.short_rest, self.short_samples / rate)
         return replace(self, window=self.short_window, rest=rest, margin_least=self.short_margin)
+
+    @property
+    def for_few_rests(self) -> Tuning:
+        """The thresholds for a recording that moves most of the time."""
+        return replace(self, quiet_share=self.few_share)
 
     @property
     def for_moments(self) -> Tuning:

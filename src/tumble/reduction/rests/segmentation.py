@@ -5,7 +5,8 @@
 1. The level of the gyros at rest is the densest point of the one-second means of the angular rate where the
    accelerometers are quiet, their scatter within `quiet_factor` of its floor: turns have many directions, rests all
    read the bias (and the Earth's rate, within 2Ω), and slow turns that take most of the log are not quiet.
-2. The noise floor of the distance from that level is a clipped median, started from the tenth percentile. A
+2. The noise floor of the distance from that level is a clipped median, started from the tenth percentile,
+   or, where no rest is found with that, from the second: a device in the hand rests but now and then. A
    block belongs to a rest where the distance is below `floor_factor` floors (and 2Ω for the Earth's rate), and
    the scatter of the accelerometers in the same second below `scatter_factor` of its own floor. Vibration that
    averages out over a second raises both floors and their quantities alike, so nothing has to be set by hand.
@@ -227,6 +228,9 @@ def find_rests(reduction: Reduction, accel: Block, gyro: Block | None) -> Segmen
     usual = _RestSearch(reduction, accel, gyro, tuning).rests()
     short = sum(r.fails == "duration" and r.stop - r.start >= tuning.short_rest for r in usual.rejected)
     if not usual.rests and not short:
+        few = _RestSearch(reduction, accel, gyro, tuning.for_few_rests).rests()
+        if few.rests:
+            return replace(few, tuning=tuning)
         moments = _RestSearch(reduction, accel, gyro, tuning.for_moments).rests().rests
         rejected = tuple(
             Stretch.too_short(reduction.by_file[one.file], (one.first, one.last), tuning) for one in moments
@@ -373,8 +377,8 @@ class _RestSearch:
 
     def _floor(self, values: Array) -> float:
         """The level of the quiet part of a positive quantity: a median clipped at `floor_factor` times itself, started
-        from the tenth percentile."""
-        floor = float(np.quantile(values, 0.1))
+        from the quantile `quiet_share`."""
+        floor = float(np.quantile(values, self.tuning.quiet_share))
         for _ in range(50):
             median = float(np.median(values[values <= self.tuning.floor_factor * floor]))
             if abs(median - floor) <= 1e-6 * floor:

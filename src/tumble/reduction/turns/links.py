@@ -25,9 +25,10 @@ import numpy as np
 
 from tumble.reduction.blocks.motion_samples import MotionSamples
 from tumble.reduction.blocks.reducer import Reduction
+from tumble.reduction.rests.blemishes import bad_samples_of_turns
 from tumble.reduction.rests.segmentation import Stretch
 from tumble.reduction.rests.sway import FOURTH_DIFFERENCES
-from tumble.reduction.turns.turns import TurnSamples, variances_of_independent
+from tumble.reduction.turns.turns import TurnSamples, smallest_distances, variances_of_independent
 from tumble.rotation import rotation_matrix, skew
 from tumble.sensors.model import SensorKind
 from tumble.units import Array, BoolArray, IntArray
@@ -71,6 +72,8 @@ class Links:
         nothing to either side. None without one.
     magnetometer_variance
         Variance of the noise of these readings.
+    bad_samples
+        Number of bad samples, with which the links they fall in were left out.
     """
 
     file: IntArray
@@ -86,6 +89,7 @@ class Links:
     accel_density: float
     magnetometer: Array | None = None
     magnetometer_variance: float = 0.0
+    bad_samples: int = 0
 
     def __len__(self) -> int:
         return len(self.before)
@@ -97,7 +101,8 @@ class Links:
 
 
 def links_of(reduction: Reduction, spans: Sequence[Stretch]) -> Links | None:
-    """The links of all motion of a recording that is no turn between rests; None where there is none."""
+    """The links of all motion of a recording that is no turn between rests; None where there is none. Those with a bad
+    sample are left out: they do not begin and end at rest, which would tell it from a blow."""
     if reduction.samples is None:
         return None
     blocks = max(1, round(NODE_SECONDS / reduction.block_seconds))
@@ -131,26 +136,43 @@ def links_of(reduction: Reduction, spans: Sequence[Stretch]) -> Links | None:
     if not before:
         return None
     parts = np.array([np.linspace(a, b, PARTS + 1).astype(np.int64) for a, b in edges])
-    samples = TurnSamples(samples=reduction.samples, start=parts[:, :-1].ravel(), stop=parts[:, 1:].ravel())
+    samples, seconds = _parts_of(reduction.samples, parts), np.array(duration)
+    gyro_density, accel_density = (_density(samples, kind, seconds) for kind in ("gyro", "accel"))
+    within = np.array([(f.first_sample, f.sample_at(len(f))) for f in (reduction.by_file[file[i]] for i in before)])
+    start, stop = np.maximum(parts[:, 0] - 1, within[:, 0]), np.minimum(parts[:, -1] + 1, within[:, 1])
+    least = smallest_distances(reduction, (gyro_density, accel_density))
+    bad = bad_samples_of_turns(
+        reduction.samples, start, stop, (within[:, 0], within[:, 1]), reduction.rate, least, reduction.tuning
+    )
+    sound = ~np.isin(np.arange(len(parts)), bad.turn)
+    if not sound.any():
+        return None
+    parts = parts[sound]
     rates, forces = _ends(reduction.samples, parts)
     every = [f.magnetometer.means for f in reduction.files if len(f) > 4 and reduction.magnetometer_channels]
     return Links(
         file=np.array(file),
         time=np.array(time),
         rest=np.array(rest, dtype=np.int64),
-        before=np.array(before, dtype=np.int64),
-        free=np.array(free, dtype=bool),
-        duration=np.array(duration),
-        samples=samples,
+        before=np.array(before, dtype=np.int64)[sound],
+        free=np.array(free, dtype=bool)[sound],
+        duration=seconds[sound],
+        samples=_parts_of(reduction.samples, parts),
         rates=rates,
         forces=forces,
-        gyro_density=_density(samples, "gyro", np.array(duration)),
-        accel_density=_density(samples, "accel", np.array(duration)),
-        magnetometer=np.array(fields) if every else None,
+        gyro_density=gyro_density,
+        accel_density=accel_density,
+        magnetometer=np.array(fields)[sound] if every else None,
         magnetometer_variance=_variance_between(np.concatenate([np.diff(means, n=4, axis=0) for means in every]))
         if every
         else 0.0,
+        bad_samples=len(np.unique(bad.at)),
     )
+
+
+def _parts_of(stored: MotionSamples, parts: IntArray) -> TurnSamples:
+    """The samples of links whose parts have their edges (K, PARTS + 1) there."""
+    return TurnSamples(samples=stored, start=parts[:, :-1].ravel(), stop=parts[:, 1:].ravel())
 
 
 def stretched(before: Stretch, after: Stretch) -> bool:

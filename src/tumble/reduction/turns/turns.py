@@ -224,7 +224,8 @@ def reduced_turns(
     first, block_seconds = np.array([i for i, *_ in pairs], dtype=int), reduction.block_seconds
     duration = reduction.clock_rate * np.array([after.start - before.stop for *_, before, after in pairs])
     (accel, noise_of_forces), (gyro, noise_of_rates) = accel_noise, gyro_noise
-    least = _smallest_distances(reduction, rests)
+    densities = float(np.median(rests.gyro_noise)) ** 2, float(np.median(rests.accel_noise)) ** 2
+    least = smallest_distances(reduction, densities)
     bad = bad_samples_of_turns(stored, start, stop, (file_start, file_stop), reduction.rate, least, reduction.tuning)
     samples = TurnSamples(samples=stored, start=start, stop=stop, bad=bad)
     if sway is not None:
@@ -283,16 +284,16 @@ def no_turns(stored: MotionSamples) -> tuple[Turns, TurnSamples]:
     return turns, TurnSamples(samples=stored, start=places, stop=places)
 
 
-def _smallest_distances(reduction: Reduction, rests: Rests) -> Array:
-    """The smallest distances (6,) of bad samples, rates, rad/s, and forces, m/s², in the body, by the noise at rest and
-    the resolution. Samples of more than three gyros are not tested."""
+def smallest_distances(reduction: Reduction, densities: tuple[float, float]) -> Array:
+    """The smallest distances (6,) of bad samples, rates, rad/s, and forces, m/s², in the body, by the densities of the
+    noise, rad²/s and m²/s³, and the resolution. Samples of more than three gyros are not tested."""
     least, tuning = np.empty(6), reduction.tuning
-    kinds = (reduction.gyro_channels, rests.gyro_noise), (reduction.accel_channels, rests.accel_noise)
-    for part, (channels, noise) in zip((slice(3), slice(3, 6)), kinds, strict=True):
+    kinds = (reduction.gyro_channels, densities[0]), (reduction.accel_channels, densities[1])
+    for part, (channels, density) in zip((slice(3), slice(3, 6)), kinds, strict=True):
         steps = [channel.step for channel in channels if np.isfinite(channel.step)]
-        noise_of_sample = float(np.median(noise)) * np.sqrt(reduction.rate)
+        noise_of_sample = np.sqrt(density * reduction.rate)
         least[part] = max(tuning.noise_beyond * noise_of_sample, tuning.steps_beyond * max(steps, default=0.0))
-    if rests.gyro.shape[1] > 3:
+    if len(reduction.gyro_channels) > 3:
         least[:3] = np.inf
     return least
 
