@@ -199,3 +199,100 @@ def test_a_device_that_is_shaken_where_it_lies_is_not_in_motion() -> None:
     assert len(found.shaken) == 12
     assert little_used(found, in_motion=True)
     assert not little_used(replace(found, rejected=()), in_motion=True)
+
+
+def moved_observations(recording: Recording, keep: Array | None = None) -> Observations:
+    """The observations of a recording, or of the samples that were kept."""
+    time = np.arange(len(recording.gyro)) / recording.rate
+    some = np.ones(len(time), dtype=bool) if keep is None else keep
+    session = session_of_arrays(
+        accel=recording.accel[some], gyro=recording.gyro[some], time=time[some], gravity=G, gravity_u=1e-4
+    )
+    found = observations_for_calibration(inspect_session(session), joint=True)
+    assert isinstance(found, Observations)
+    return found
+
+
+@pytest.mark.parametrize(("tremor", "held"), [(0.0, 0.0), (0.2, 1e-3), (0.5, 2e-3), (1.0, 5e-3)])
+def test_a_device_that_is_put_down_rests_and_one_that_pauses_in_the_hand_does_not(tremor: float, held: float) -> None:
+    """Four pauses of 3 s in 120 s: a twentieth of the time is quiet. A hand trembles by 0.2 to 1 °/s."""
+    motion = replace(HAND, rests=4, tremor=np.radians(tremor), held=held)
+    for seed in range(2):
+        found = moved_observations(record(motion, seed))
+        assert found.links is not None
+        assert len(found.rests) == (4 if tremor == 0.0 else 0)
+        paused = [note for note in found.notes if note.startswith("held in the hand in ")]
+        assert len(found.rests) == 4 or paused or tremor > 0.2  # a larger tremor is not quiet at all
+
+
+def test_rests_on_a_table_are_better_than_pauses_in_the_hand() -> None:
+    """u of all accelerometer biases; and both within 6 u."""
+    table, hand = (
+        record(replace(HAND, rests=4, tremor=tremor, held=held), 1) for tremor, held in ((0.0, 0.0), (0.01, 2e-3))
+    )
+    u = []
+    for recording in (table, hand):
+        calibration = calibrated(recording)
+        assert np.abs(errors(recording, calibration)).max() < 6.0
+        u.append([p.u for p in calibration.parameters if p.name.startswith("accel.bias.")][:3])
+    assert np.all(np.array(u[0]) < 0.9 * np.array(u[1]))
+
+
+WILD = 9137
+"""A sample in the middle of the motion."""
+
+
+@pytest.mark.parametrize(("kind", "size"), [("accel", 100.0), ("accel", 10.0), ("gyro", 10.0), ("gyro", 1.0)])
+def test_a_wild_sample_costs_the_link_it_falls_in(kind: str, size: float) -> None:
+    recording = record(PIVOT, 3)
+    wild = getattr(recording, kind).copy()
+    wild[WILD, 1] += size
+    sound, found = (moved_observations(each) for each in (recording, replace(recording, **{kind: wild})))
+    assert sound.links is not None
+    assert found.links is not None
+    lost = set(sound.links.before.tolist()) - set(found.links.before.tolist())
+    (link,) = lost
+    assert sound.links.time[link] < WILD / recording.rate < sound.links.time[link + 1]
+    assert len(found.links) == len(sound.links) - 1
+    assert sound.links.bad_samples == 0
+    assert any(note.startswith("1 bad sample in motion") for note in found.notes)
+
+
+def test_a_gap_costs_the_link_it_falls_in() -> None:
+    """0.2 s that are missing."""
+    recording = record(PIVOT, 3)
+    keep = np.ones(len(recording.gyro), dtype=bool)
+    keep[WILD : WILD + 40] = False
+    sound, found = moved_observations(recording), moved_observations(recording, keep)
+    assert sound.links is not None
+    assert found.links is not None
+    assert len(sound.links) - 2 <= len(found.links) < len(sound.links)
+
+
+def test_a_wild_sample_does_not_move_the_result() -> None:
+    """By less than 2 u of any parameter, where u grows by less than a tenth (by 235 u before)."""
+    recording = record(PIVOT, 3)
+    wild = recording.accel.copy()
+    wild[WILD, 1] += 100.0
+    sound, found = calibrated(recording), calibrated(replace(recording, accel=wild))
+    assert [p.name for p in sound.parameters] == [p.name for p in found.parameters]
+    u = np.array([p.u for p in sound.parameters])
+    moved = np.array([p.value - q.value for p, q in zip(found.parameters, sound.parameters, strict=True)])
+    assert np.abs(moved / u).max() < 2.0
+    np.testing.assert_allclose(np.array([p.u for p in found.parameters]), u, rtol=0.1)
+
+
+@pytest.mark.parametrize(("motion", "kelvin"), [(replace(PIVOT, seconds=40.0), 6.0), (replace(HAND, rests=4), 6.0)])
+def test_warmth_in_motion_is_said(motion: Motion, kelvin: float) -> None:
+    """A change by several K is a remark, and is no parameter, with or without rests; a tenth of a kelvin is neither."""
+    recording = record(motion, 3)
+    n = len(recording.gyro)
+    for change in (kelvin, 0.1):
+        calibration = tumble.calibrate(
+            accel=recording.accel, gyro=recording.gyro, rate=recording.rate, gravity=G, gravity_u=1e-4, serial="A",
+            temperature=298.0 + change * np.arange(n) / n,
+        )  # fmt: skip
+        notes = [note for note in calibration.provenance.notes if "temperature changed by" in note]
+        assert len(notes) == (change > 1.0)
+        assert all("biases are followed in time" in note for note in notes)
+        assert not any(".t1" in p.name for p in calibration.parameters)

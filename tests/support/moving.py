@@ -37,10 +37,10 @@ class Noise:
 class Motion:
     """How a device is moved: for `seconds` at about a `rate`, rad/s, about axes that last for `axis_time` s; on a
     `lever`, m, from a pivot that sways, or in a hand that does, by `sway` m (root mean square of the distance) of
-    harmonics about `frequency` Hz; `rests` of 3 s are spread over it, in which it lies still, or, held in the hand, trembles
-    by `tremor` rad/s and sways by `held` m of harmonics five times as fast (root mean squares). `follows` m is the vertical displacement
-    proportional to (up · x)², by which a stand sags; `drift` m/s a uniform motion; `regrip` m a step of the place in
-    the middle, over a second."""
+    harmonics about `frequency` Hz; `rests` of 3 s are spread over it, in which it lies still, or, held in the hand,
+    trembles by `tremor` rad/s and sways by `held` m of harmonics five times as fast (root mean squares). `follows` m is
+    the vertical displacement proportional to (up · x)², by which a stand sags; `drift` m/s a uniform motion; `regrip` m
+    a step of the place in the middle, over a second."""
 
     seconds: float = 120.0
     rate: float = np.radians(60.0)

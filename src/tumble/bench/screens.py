@@ -150,7 +150,7 @@ def _turn(task: Task, progress: Progress) -> Screen:
     arrived = False
     if done is not None and rate is not None and rate < STILL_TURNING and not progress.still:
         arrived = abs(done - angle) < NEARLY if angle is not None else done > 2.0 * NEARLY
-    label = "to any new position" if index is None else f"to position {index + 1}"
+    label = "to any new position, the long way round" if index is None else f"to position {index + 1}"
     full = None if task.session.log.gyro is None else task.session.log.gyro.range
     degrees = [None if value is None else value / DEGREE for value in (done, angle, rate, full)]
     return {

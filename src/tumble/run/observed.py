@@ -272,7 +272,8 @@ def _in_motion(observed: Observed) -> Observations | None:
     if links is None or links.duration.sum() < SHORTEST_MOTION:
         return None
     if links.bad_samples:
-        notes += (f"{links.bad_samples} bad samples in motion, far off those beside them: half a second each left out",)
+        several = "s" if links.bad_samples > 1 else ""
+        notes += (f"{links.bad_samples} bad sample{several} in motion, far off the rest: half a second each left out",)
     every = observe(reduction, spans, session.accel_block, session.gyro_block, session.site, links=links)
     thermometers = thermometers_of(reduction) if any(f.temperature is not None for f in reduction.files) else None
     return replace(every, thermometers=thermometers, notes=(*observed.notes, *notes, *every.notes))
