@@ -119,7 +119,7 @@ _IN_ORDER = "In this order. Any move may be made between positions except where 
 _ANY_ORDER = (
     "In any order, and each turned about the vertical in any way: only what is up and down counts. The order and "
     "the directions given make the turns between the positions varied, which is good for gyros. Where the hand allows, "
-    "go the long way round, by 240° in place of 120°: the scale factors of the gyros are known a sixth better."
+    "go the long way round, by 240° in place of 120°: the scale factors of the gyros are known a fifth better."
 )
 _CODES = (
     "X, Y, Z point to north N, south S, east E, west W, up U or down D; 45° up to E is 45° above the horizon over "
