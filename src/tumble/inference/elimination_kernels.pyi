@@ -33,3 +33,18 @@ def residuals(
     covariance: Array,
     work: Array,
 ) -> None: ...
+def scatter_forms(
+    whitening: Array, directions: Array, residual: Array, covariance: Array, work: Array, forms: Array
+) -> None: ...
+def state_forms(
+    by: Array,
+    own: Array,
+    with_next: Array,
+    root: Array,
+    shared: Array,
+    rho: Array,
+    step: Array,
+    lapse: Array,
+    work: Array,
+    forms: Array,
+) -> None: ...

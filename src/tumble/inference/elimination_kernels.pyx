@@ -5,7 +5,7 @@ Sums are taken in the order that is written: a compiler that may choose another 
 compilation to the next, and rows of a campaign would differ in the last digit from process to process.
 """
 
-from libc.math cimport sqrt
+from libc.math cimport INFINITY, sqrt
 from libc.stdint cimport int64_t
 
 from tumble.processors cimport for_each_processor
@@ -253,6 +253,111 @@ cdef for_each_processor _residuals(
             for b in range(a + 1):
                 part = _dot(&work[a, 0], &rows[k, b, 0], u) + _dot(&work[a, u], &work[b, u], w - 1)
                 covariance[k, a, b] = covariance[k, b, a] = (1.0 if a == b else 0.0) - part
+
+
+def scatter_forms(
+    const double[:, :, :] whitening, const double[:, :, :] directions, const double[:, ::1] residual,
+    const double[:, :, ::1] covariance, double[:, :, ::1] work, double[:, ::1] forms,
+):
+    """Add up what the score of scatter is of: with W Z whitened directions, r the residuals and C their covariance.
+
+    whitening, directions : W (K, t, t), lower triangles, and Z (K, t, q).
+    residual, covariance : r (K, t) and C (K, t, t).
+    work (3, t or q, q) : memory.
+    forms (q, 2 + q) : sums over k of (Zᵀ Wᵀ r)², of the diagonal of Zᵀ Wᵀ C W Z, and of the squares of all of that.
+    """
+    with nogil:
+        _scatter_forms(whitening, directions, residual, covariance, work, forms)
+
+
+cdef for_each_processor _scatter_forms(
+    const double[:, :, :] whitening, const double[:, :, :] directions, const double[:, ::1] residual,
+    const double[:, :, ::1] covariance, double[:, :, ::1] work, double[:, ::1] forms,
+) noexcept nogil:
+    cdef double part, total
+    K, t, q = directions.shape[0], directions.shape[1], directions.shape[2]
+    for k in range(K):
+        work[:, :, :] = 0.0
+        for a in range(t):  # W Z
+            for b in range(a + 1):
+                part = whitening[k, a, b]
+                if part != 0.0:
+                    for c in range(q):
+                        work[0, a, c] += part * directions[k, b, c]
+        for a in range(t):  # C W Z
+            for b in range(t):
+                part = covariance[k, a, b]
+                for c in range(q):
+                    work[1, a, c] += part * work[0, b, c]
+        for a in range(t):
+            for b in range(q):
+                part = work[0, a, b]
+                if part != 0.0:
+                    for c in range(q):
+                        work[2, b, c] += part * work[1, a, c]
+        for b in range(q):
+            total = 0.0
+            for a in range(t):
+                total += residual[k, a] * work[0, a, b]
+            forms[b, 0] += total * total
+            forms[b, 1] += work[2, b, b]
+            for c in range(q):
+                forms[b, 2 + c] += work[2, b, c] * work[2, b, c]
+
+
+def state_forms(
+    const double[:, :, ::1] by, const double[:, :, ::1] own, const double[:, :, ::1] with_next,
+    const double[:, ::1] root, const double[::1] shared, const double[:, ::1] rho, const double[:, ::1] step,
+    const double[:, ::1] lapse, double[:, :, ::1] work, double[:, ::1] forms,
+):
+    """Add up what the score of the states of a session is of, over their first values and their steps.
+
+    by (N, d, w) : how the unknowns of the stations, states last, follow all others.
+    own, with_next : covariances of these for given others, with themselves and with those of the next.
+    root (w - 1, w - 1), shared (w,) : as of `residuals`.
+    rho, step, lapse (N, s) : correlation with the next, standard deviation of the step to it, time over τ; no step
+    follows where that is infinite.
+    work (2, s, w + 1) : memory.
+    forms (4, s) : sums of the squares, of 1 less their variances, of that between 0 and 1, and of slopes by ln τ.
+    """
+    with nogil:
+        _state_forms(by, own, with_next, root, shared, rho, step, lapse, work, forms)
+
+
+cdef for_each_processor _state_forms(
+    const double[:, :, ::1] by, const double[:, :, ::1] own, const double[:, :, ::1] with_next,
+    const double[:, ::1] root, const double[::1] shared, const double[:, ::1] rho, const double[:, ::1] step,
+    const double[:, ::1] lapse, double[:, :, ::1] work, double[:, ::1] forms,
+) noexcept nogil:
+    """The same; `work` has E U, value and variance of the states of a station, and of the one before it."""
+    cdef double part, value, variance, square, unknown, known, both, change, correlation, of_step
+    d, w, s = by.shape[1], by.shape[2], rho.shape[1]
+    for i in range(by.shape[0]):
+        here, before = i % 2, (i + 1) % 2
+        work[here, :, :] = 0.0
+        for k in range(s):
+            j = d - s + k
+            for b in range(w - 1):
+                part = by[i, j, b]
+                for c in range(b, w - 1):
+                    work[here, k, c] += part * root[b, c]
+            value = _dot(&by[i, j, 0], &shared[0], w)
+            variance = own[i, j, j] + _dot(&work[here, k, 0], &work[here, k, 0], w - 1)
+            work[here, k, w - 1], work[here, k, w] = value, variance
+            square, unknown = value * value, variance
+            if i > 0:
+                correlation, of_step = rho[i - 1, k], step[i - 1, k] * step[i - 1, k]
+                both = with_next[i - 1, j, j] + _dot(&work[before, k, 0], &work[here, k, 0], w - 1)
+                known, change = work[before, k, w], value - correlation * work[before, k, w - 1]
+                square = change * change / of_step
+                unknown = (variance - correlation * (2.0 * both - correlation * known)) / of_step
+                if lapse[i - 1, k] < INFINITY:
+                    part = change * work[before, k, w - 1] + both - correlation * known
+                    part += correlation * (1.0 - square - unknown)
+                    forms[3, k] += lapse[i - 1, k] * correlation * part / of_step
+            forms[0, k] += square
+            forms[1, k] += 1.0 - unknown
+            forms[2, k] += min(max(1.0 - unknown, 0.0), 1.0)
 
 
 cdef double _dot(const double* x, const double* y, Py_ssize_t n) noexcept nogil:

@@ -43,6 +43,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from tumble.inference.elimination import along_chains, eliminate, fold
+from tumble.inference.elimination_kernels import scatter_forms, state_forms
 from tumble.inference.linearisation import Linearisation
 from tumble.inference.noise import (
     CORRELATION_TIME,
@@ -86,6 +87,8 @@ SENSED = 0.2
 LEAST_DEGREES = 0.5
 """Of freedom: a component of scatter of which the fit leaves less is not estimated. It is by what is left of it, in the
 end by rounding, that its variance would be divided."""
+KINDS = np.eye(len(SCATTER))
+"""Which of SCATTER a component is, by its place."""
 
 
 # -------------------- components --------------------
@@ -262,64 +265,66 @@ class Score:
         return tuple(out)
 
     @cached_property
-    def _products(self) -> list[Array]:
-        """Zᵀ P Z (N, q, q) of the directions within a rest, a turn or a link."""
-        solution = self.solution
-        every = solution.rest_residuals, solution.turn_residuals, solution.link_residuals
-        return [np.swapaxes(WZ, -1, -2) @ (C @ WZ) for (WZ, _, _), (_, C) in zip(self.directions, every, strict=True)]
+    def _scatter_forms(self) -> list[tuple[Array, IntArray]]:
+        """Of rests, turns and links sums (q, 2 + q) by direction (`scatter_forms`), and where these stand in SCATTER."""
+        solution, equations, out = self.solution, self.solution.equations, list[tuple[Array, IntArray]]()
+        whitening = equations.rest_whitening, equations.turn_whitening, equations.link_whitening
+        residuals = solution.rest_residuals, solution.turn_residuals, solution.link_residuals
+        for W, (r, C), (Z, place) in zip(whitening, residuals, self.noise.weighted_directions, strict=True):
+            t, q = Z.shape[1:]
+            forms = np.zeros((q, 2 + q))
+            scatter_forms(W, Z, r, C, np.empty((3, max(t, q), q)), forms)
+            out.append((forms, place))
+        return out
+
+    @cached_property
+    def _by_component(self) -> Array:
+        """The same (c, 2 + c) by component of scatter. Raises LinAlgError where residuals are beyond all measure."""
+        out = np.zeros((len(SCATTER), 2 + len(SCATTER)))
+        for forms, place in self._scatter_forms:
+            kind = KINDS[place]
+            out[:, :2] += kind.T @ forms[:, :2]
+            out[:, 2:] += kind.T @ forms[:, 2:] @ kind
+        if not np.isfinite(out.sum()):
+            raise np.linalg.LinAlgError("residuals are beyond all measure")
+        return out
 
     @cached_property
     def scatter(self) -> QuadraticForms:
-        """By component of scatter (c,). Raises LinAlgError where residuals are beyond all measure."""
-        square, trace = np.zeros(len(SCATTER)), np.zeros(len(SCATTER))
-        for (_, along, place), products in zip(self.directions, self._products, strict=True):
-            square += np.bincount(place, (along**2).sum(axis=0), len(SCATTER))
-            trace += np.bincount(place, np.einsum("kqq->q", products), len(SCATTER))
-        v, double = self.variances, self.scatter_products.diagonal()
-        if not np.isfinite(square.sum() + trace.sum() + double.sum()):
-            raise np.linalg.LinAlgError("residuals are beyond all measure")
-        return QuadraticForms(square=v * square, trace=v * trace, double=v * v * double)
+        """By component of scatter (c,)."""
+        v, forms = self.variances, self._by_component
+        return QuadraticForms(
+            square=v * forms[:, 0], trace=v * forms[:, 1], double=v * v * self.scatter_products.diagonal()
+        )
 
-    @cached_property
+    @property
     def scatter_products(self) -> Array:
         """tr PD_aPD_b (c, c) of the components of scatter, by the parts within a rest and within a turn."""
-        out = np.zeros((len(SCATTER), len(SCATTER)))
-        for (_, _, place), products in zip(self.directions, self._products, strict=True):
-            kind = np.eye(len(SCATTER))[place]
-            out += kind.T @ (products**2).sum(axis=0) @ kind
-        return out
+        return self._by_component[:, 2:]
 
     @cached_property
     def sensors(self) -> QuadraticForms:
         """By sensor (n,), of its scatter at rest and of its in-run bias."""
-        of_states, (_, along, place) = self.states, self.directions[0]
+        of_states, (forms, place) = self.states, self._scatter_forms[0]
         n = self.solution.problem.sensors
         v = self.variances[place[:n]]
         return QuadraticForms(
-            square=v * (along[:, :n] ** 2).sum(axis=0) + of_states.square[:n],
-            trace=v * np.einsum("kqq->q", self._products[0])[:n] + of_states.trace[:n],
+            square=v * forms[:n, 0] + of_states.square[:n],
+            trace=v * forms[:n, 1] + of_states.trace[:n],
             double=0.5 * SENSED * len(self.solution.problem.link) + of_states.double[:n],
         )
 
     @cached_property
-    def _steps(self) -> tuple[Array, Array, Array]:
-        """Squares of the steps of the states and of those that begin a chain, expected from their values (M, s), the
-        variances of both, and of each step that follows a station the slope by ln τ."""
-        solution, noise = self.solution, self.noise
-        states, here = slice(noise.unknowns - noise.states, None), np.flatnonzero(noise.follows)
-        first = np.append(True, ~noise.follows[:-1])
-        b, root = solution.states, solution.along(states)
-        given, with_next = np.diagonal(solution.conditional_covariances, axis1=-2, axis2=-1)[..., states]
-        variance = given + (root**2).sum(axis=-1)
-        with_next = (with_next[:-1] + (root[:-1] * root[1:]).sum(axis=-1))[here]
-        rho, square, now, after = noise.state_rho[here], noise.state_step[here] ** 2, b[here], b[here + 1]
-        step, known = after - rho * now, variance[here]
-        value = step**2 / square
-        unknown = (variance[here + 1] - rho * (2.0 * with_next - rho * known)) / square
-        lapse = noise.state_lapse[here]
-        growth = np.where(np.isfinite(lapse), lapse, 0.0) * rho
-        by_time = growth * (step * now + with_next - rho * known + rho * (1.0 - value - unknown)) / square
-        return np.concatenate([value, b[first] ** 2]), np.concatenate([unknown, variance[first]]), by_time
+    def _state_forms(self) -> Array:
+        """Sums (4, s) over the first states of all sessions and their steps (`state_forms`)."""
+        solution, noise, s = self.solution, self.noise, self.noise.states
+        forms, work = np.zeros((4, s)), np.empty((2, s, solution.shared.shape[1] + 1))
+        follow, (own, with_next) = solution.equations.back_substitution[2], solution.conditional_covariances
+        every = follow, own, with_next, noise.state_rho, noise.state_step, noise.state_lapse
+        for part, root, shared in zip(solution.problem.parts, solution.roots, solution.shared, strict=True):
+            by, given, with_following, rho, step, lapse = (each[part.stations] for each in every)
+            state_forms(by, given, with_following, root, shared, rho, step, lapse, work, forms)
+        return forms
 
     @cached_property
     def states(self) -> QuadraticForms:
@@ -327,16 +332,13 @@ class Score:
         if not self.noise.states:
             nothing = np.zeros(self.solution.problem.sensors)
             return QuadraticForms(square=nothing, trace=nothing, double=nothing)
-        square, unknown, _ = self._steps
-        known = 1.0 - unknown
-        return QuadraticForms(
-            square=square.sum(axis=0), trace=known.sum(axis=0), double=np.clip(known, 0.0, 1.0).sum(axis=0)
-        )
+        square, trace, double, _ = self._state_forms
+        return QuadraticForms(square=square, trace=trace, double=double)
 
     @cached_property
     def times(self) -> QuadraticForms:
         """Those of which ∂ℓ/∂ln τ by state (s,) is as if of a variance."""
-        slope = self._steps[2].sum(axis=0) if self.noise.states else np.zeros(len(self.states.square))
+        slope = self._state_forms[3] if self.noise.states else np.zeros(len(self.states.square))
         return QuadraticForms(square=slope, trace=np.zeros_like(slope), double=0.25 * self.states.double)
 
     @cached_property
