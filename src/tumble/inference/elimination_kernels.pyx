@@ -150,18 +150,25 @@ cdef for_each_processor _add_given(
                         out[k, a, column] += part * by[i, b % d, column]
 
 
-def inverses(const double[:, :, ::1] factor, double[:, :, ::1] inverse):
-    """Inverses of the triangles in the first columns; rows and columns of unknowns that nothing shows are zero."""
+def put_back(
+    const double[:, :, ::1] factor, double[:, :, ::1] inverse, double[:, :, ::1] by_next, double[:, :, ::1] by,
+):
+    """Solve rows (N, d, 2d + w) for the unknowns of the rests: inverses (N, d, d) of their triangles, rows and columns
+    of unknowns that nothing shows being zero, and less these times the other columns, (N, d, d) and (N, d, w)."""
     with nogil:
-        _inverses(factor, inverse)
+        _put_back(factor, inverse, by_next, by)
 
 
-cdef for_each_processor _inverses(const double[:, :, ::1] factor, double[:, :, ::1] inverse) noexcept nogil:
+cdef for_each_processor _put_back(
+    const double[:, :, ::1] factor, double[:, :, ::1] inverse, double[:, :, ::1] by_next, double[:, :, ::1] by,
+) noexcept nogil:
+    cdef double part
     d = factor.shape[1]
+    inverse[:, :, :] = 0.0
+    by_next[:, :, :] = 0.0
+    by[:, :, :] = 0.0
     for i in range(factor.shape[0]):
         for a in range(d - 1, -1, -1):
-            for c in range(d):
-                inverse[i, a, c] = 0.0
             if factor[i, a, a] != 0.0:
                 inverse[i, a, a] = 1.0 / factor[i, a, a]
                 for b in range(a + 1, d):
@@ -169,6 +176,13 @@ cdef for_each_processor _inverses(const double[:, :, ::1] factor, double[:, :, :
                         inverse[i, a, c] -= factor[i, a, b] * inverse[i, b, c]
                 for c in range(a + 1, d):
                     inverse[i, a, c] /= factor[i, a, a]
+            for b in range(a, d):
+                part = inverse[i, a, b]
+                if part != 0.0:
+                    for c in range(d):
+                        by_next[i, a, c] -= part * factor[i, b, d + c]
+                    for c in range(by.shape[2]):
+                        by[i, a, c] -= part * factor[i, b, 2 * d + c]
 
 
 def follow(const double[:, :, ::1] by_next, double[:, :, ::1] values):
@@ -185,68 +199,85 @@ cdef for_each_processor _follow(const double[:, :, ::1] by_next, double[:, :, ::
                     values[i, a, q] += by_next[i, a, b] * values[i + 1, b, q]
 
 
-def carry_back(const double[:, :, ::1] by_next, double[:, :, ::1] own, double[:, :, ::1] with_next):
-    """Covariances of the unknowns with themselves, `own`, and with those of the next rest, from the last to the first."""
+def carry_back(
+    const double[:, :, ::1] inverse, const double[:, :, ::1] by_next, double[:, :, ::1] own,
+    double[:, :, ::1] with_next,
+):
+    """Covariances of the unknowns with themselves, `own`, and with those of the next rest, from the last to the first,
+    R⁻¹ being the `inverse` of the triangle of each."""
     with nogil:
-        _carry_back(by_next, own, with_next)
+        _carry_back(inverse, by_next, own, with_next)
 
 
-cdef for_each_processor _carry_back(const double[:, :, ::1] by_next, double[:, :, ::1] own, double[:, :, ::1] with_next) noexcept nogil:
+cdef for_each_processor _carry_back(
+    const double[:, :, ::1] inverse, const double[:, :, ::1] by_next, double[:, :, ::1] own,
+    double[:, :, ::1] with_next,
+) noexcept nogil:
     cdef double total
-    d = by_next.shape[1]
-    for i in range(by_next.shape[0] - 2, -1, -1):
-        for a in range(d):
-            for b in range(d):
-                for c in range(d):
-                    with_next[i, a, c] += by_next[i, a, b] * own[i + 1, b, c]
+    N, d = by_next.shape[0], by_next.shape[1]
+    with_next[:, :, :] = 0.0
+    for i in range(N - 1, -1, -1):
+        if i < N - 1:
+            for a in range(d):
+                for b in range(d):
+                    for c in range(d):
+                        with_next[i, a, c] += by_next[i, a, b] * own[i + 1, b, c]
         for a in range(d):
             for b in range(a + 1):
-                total = own[i, a, b]
+                total = 0.0
+                for c in range(a, d):
+                    total += inverse[i, a, c] * inverse[i, b, c]
                 for c in range(d):
                     total += with_next[i, a, c] * by_next[i, b, c]
                 own[i, a, b] = own[i, b, a] = total
 
 
 def residuals(
-    const double[:, :, ::1] rows, const double[:, :, ::1] reduced, const int64_t[:] first, const double[:, :, ::1] own,
+    const double[:, :, ::1] rows, const int64_t[:] first, const double[:, :, ::1] by, const double[:, :, ::1] own,
     const double[:, :, ::1] with_next, const double[:, ::1] root, const double[::1] shared, double[:, ::1] residual,
     double[:, :, ::1] covariance, double[:, ::1] work,
 ):
     """Residuals of rows (K, t, ·) and their covariances 1 - A S A' - (E U)(E U)'.
 
-    rows, reduced : [A | ...] (K, t, u + w) and with the unknowns of the stations as they follow from all others, E.
+    rows : [A | ...] (K, t, u + w); E has the unknowns of the stations as they follow from all others.
     first (K,) : station of each, or the first of two.
+    by (N, d, w) : how the unknowns of the stations follow all others.
     own, with_next : S, covariances of the unknowns of a station with themselves and with those of the next.
     root (w - 1, w - 1), shared (w,) : upper triangle U, and what the columns of E are multiplied with.
-    work (t, u + w) : memory.
+    work (t, u + 2 w) : memory.
     """
     with nogil:
-        _residuals(rows, reduced, first, own, with_next, root, shared, residual, covariance, work)
+        _residuals(rows, first, by, own, with_next, root, shared, residual, covariance, work)
 
 
 cdef for_each_processor _residuals(
-    const double[:, :, ::1] rows, const double[:, :, ::1] reduced, const int64_t[:] first, const double[:, :, ::1] own,
+    const double[:, :, ::1] rows, const int64_t[:] first, const double[:, :, ::1] by, const double[:, :, ::1] own,
     const double[:, :, ::1] with_next, const double[:, ::1] root, const double[::1] shared, double[:, ::1] residual,
     double[:, :, ::1] covariance, double[:, ::1] work,
 ) noexcept nogil:
-    """The same; `work` has A S and E U."""
+    """The same; `work` has A S, E U and E."""
     cdef double part
-    t, d, w = rows.shape[1], own.shape[1], reduced.shape[2]
+    t, d, w = rows.shape[1], own.shape[1], by.shape[2]
     u = rows.shape[2] - w
     for k in range(rows.shape[0]):
         i = first[k]
         work[:, :] = 0.0
         for a in range(t):
-            residual[k, a] = -_dot(&reduced[k, a, 0], &shared[0], w)
+            reduced = &work[a, u + w]
+            for c in range(w):
+                reduced[c] = rows[k, a, u + c]
             for b in range(u):
                 part = rows[k, a, b]
                 if part != 0.0:
+                    for c in range(w):
+                        reduced[c] += part * by[i + b // d, b % d, c]
                     for c in range(d):
                         work[a, c] += part * (own[i, b, c] if b < d else with_next[i, c, b - d])
                     for c in range(u - d):
                         work[a, d + c] += part * (with_next[i, b, c] if b < d else own[i + 1, b - d, c])
+            residual[k, a] = -_dot(reduced, &shared[0], w)
             for b in range(w - 1):
-                part = reduced[k, a, b]
+                part = reduced[b]
                 if part != 0.0:
                     for c in range(b, w - 1):
                         work[a, u + c] += part * root[b, c]
@@ -379,9 +410,10 @@ cdef double _dot(const double* x, const double* y, Py_ssize_t n) noexcept nogil:
 
 cpdef bint whiten(
     const double[:, :, :] noise, const double[:, :, :] directions, const int64_t[:] component,
-    const double[:] variance, double[:, ::1] work, double[:, :, ::1] factors,
+    const double[:] variance, const double[:, :] weight, double[:, ::1] work, double[:, :, ::1] factors,
 ) noexcept:
-    """Write inverse Cholesky factors of noise + Σ v Z Zᵀ into `factors`; false where a matrix is not positive definite."""
+    """Write inverse Cholesky factors of noise + Σ v Z Zᵀ, their columns times the `weight` (N, n) of rows, into
+    `factors`; false where a matrix is not positive definite."""
     cdef double v, part, total, scale
     cdef Py_ssize_t a, b, c, k
     N, n, q = noise.shape[0], noise.shape[1], directions.shape[2]
@@ -416,4 +448,7 @@ cpdef bint whiten(
                     for b in range(c + 1):
                         factors[k, a, b] -= part * factors[k, c, b]
                 factors[k, a, a] = scale
+            for a in range(n):
+                for b in range(a + 1):
+                    factors[k, a, b] *= weight[k, b]
     return True

@@ -246,7 +246,7 @@ class NoiseModel:
         (J, 9, 9)."""
         variances = self.variances
         every = zip((self.rest, self.turn, self.link), self.directions, self.weights, strict=True)
-        rest, turn, link = (whitening(N, *directions, variances) * w[:, None] for N, directions, w in every)
+        rest, turn, link = (whitening(N, *directions, variances, w) for N, directions, w in every)
         return rest, turn, link
 
     def _of_states(self, of_biases: Array, of_displacements: Array | float) -> Array:

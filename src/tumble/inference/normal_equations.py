@@ -219,18 +219,18 @@ class Solution:
 
             1 − A S Aᵀ − (E U)(E U)ᵀ"""
         problem, equations, out = self.problem, self.equations, list[tuple[Array, Array]]()
-        own, with_next = self.conditional_covariances
+        (own, with_next), follow = self.conditional_covariances, equations.back_substitution[2]
         kinds = (
             (equations.rest_rows, problem.station, [part.rests for part in problem.parts]),
             (equations.turn_rows, problem.before_turn, [part.turns for part in problem.parts]),
             (equations.link_rows, problem.before_link, [slice(None)] * problem.moves),
         )
-        for (rows, before, parts), E in zip(kinds, equations.reduced_rows(problem), strict=True):
-            K, t = rows.shape[:2]
-            residual, covariance, work = np.zeros((K, t)), np.zeros((K, t, t)), np.empty((t, rows.shape[2]))
+        for rows, before, parts in kinds:
+            (K, t, columns), width = rows.shape, follow.shape[-1]
+            residual, covariance, work = np.zeros((K, t)), np.zeros((K, t, t)), np.empty((t, columns + width))
             for part, root, shared in zip(parts, self.roots, self.shared, strict=False):
-                of = rows[part], E[part], before[part]
-                residuals(*of, own, with_next, root, shared, residual[part], covariance[part], work)
+                here = rows[part], before[part], follow, own, with_next
+                residuals(*here, root, shared, residual[part], covariance[part], work)
             out.append((residual, covariance))
         return out
 
