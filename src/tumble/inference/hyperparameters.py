@@ -486,16 +486,13 @@ def _factor(name: str, words: str, too_small: float, members: slice | IntArray) 
 
 def scaled(problem: Problem, hyperparameters: Hyperparameters, phi: Array) -> tuple[Problem, VarianceComponents]:
     """The problem with the priors of its groups as large as φ (D,) says, and the components of variance; or stacks."""
-    p, values = np.maximum(phi, 0.0), np.exp(phi)
-
-    def factors(kind: type[Hyperparameter], count: int) -> Array:
-        return np.exp(p @ hyperparameters.members(kind, count))
-
+    values, m, q, n = np.exp(phi), len(problem.usual_u) - 1, len(problem.usual_local_u), problem.sensors
+    some = hyperparameters.selection(((GroupSize, m), (LocalGroupSize, q), (SensorFactor, n)))
+    factors = np.exp(np.maximum(phi, 0.0) @ some)
+    prior_u = np.empty((*phi.shape[:-1], 1 + m))
+    prior_u[..., 0], prior_u[..., 1:] = problem.usual_u[0], problem.usual_u[1:] * factors[..., :m]
+    local_u, unlike = problem.usual_local_u * factors[..., m : m + q], factors[..., m + q :]
     components: dict[str, Any] = {h.name: values[..., i] for i, h in enumerate(hyperparameters) if not h.bounded}
-    prior_u = np.broadcast_to(problem.usual_u, (*phi.shape[:-1], len(problem.usual_u))).copy()
-    prior_u[..., 1:] *= factors(GroupSize, len(problem.usual_u) - 1)
-    local_u = problem.usual_local_u * factors(LocalGroupSize, len(problem.usual_local_u))
-    unlike = factors(SensorFactor, problem.sensors)
     none = dict.fromkeys(SCATTER, np.zeros(phi.shape[:-1])[()])
     return problem.with_sizes(prior_u, local_u), VarianceComponents(**(none | components), unlike=unlike)
 
@@ -510,13 +507,13 @@ def solution_at(linearisation: Linearisation, hyperparameters: Hyperparameters, 
     """The solution, with ℓ, at φ (D,) or at a stack (P, D) of them; the linearisation has priors of any size."""
     problem, components = scaled(linearisation.problem, hyperparameters, phi)
     here = linearisation.with_priors(problem).with_components(components)
-    return add_priors(here, eliminate_rests(here), phi, hyperparameters.log_prior(phi)[0].sum(axis=-1))
+    return add_priors(here, eliminate_rests(here), phi=phi, of_prior=hyperparameters.log_prior(phi))
 
 
 def score(hyperparameters: Hyperparameters, solution: Solution) -> tuple[Array, Array]:
     """Gradient (D,) of ℓ, and its information (D, D) as far as it is had in closed form: of components of scatter that
     of two together, else each for itself."""
-    score, prior = Score(solution), hyperparameters.log_prior(solution.phi)
+    score, prior = Score(solution), solution.of_prior
     forms, some = score.of(hyperparameters), hyperparameters.members(Scatter, len(SCATTER))
     along = some * score.variances
     together = along @ score.scatter_products @ along.T
@@ -577,7 +574,7 @@ def average_information(hyperparameters: Hyperparameters, solution: Solution) ->
             fold(local, triangle)
         fold(triangle[q:, q:].copy(order="F"), common)
     R = np.triu(common)[p : p + D, p : p + D]
-    return np.asarray(0.5 * R.T @ R + np.diag(hyperparameters.log_prior(solution.phi)[2]))
+    return np.asarray(0.5 * R.T @ R + np.diag(solution.of_prior[2]))
 
 
 def _variates_of_states(hyperparameters: Hyperparameters, solution: Solution) -> tuple[Array, Array]:

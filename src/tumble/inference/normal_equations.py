@@ -107,9 +107,9 @@ class Solution:
         The sum of squares that is left, priors included.
     deviance
         −2 ln of the restricted likelihood, less its constant.
-    phi, log_prior
-        The hyperparameters (D,) it is at, and the logarithm of their prior density less a constant; empty and 0 where
-        components of variance were given.
+    phi, of_prior
+        The hyperparameters (D,) it is at, and of each the logarithm of its prior density less a constant, its
+        derivative, and the curvature of its negative (3, D); empty where components of variance were given.
     """
 
     linearisation: Linearisation
@@ -120,7 +120,7 @@ class Solution:
     square: Array
     deviance: Array
     phi: Array = field(default_factory=lambda: np.zeros(0))
-    log_prior: Array | float = 0.0
+    of_prior: Array = field(default_factory=lambda: np.zeros((3, 0)))
 
     @property
     def problem(self) -> Problem:
@@ -135,7 +135,7 @@ class Solution:
     @property
     def log_posterior(self) -> Array:
         """ℓ(φ) (23)."""
-        return np.asarray(self.log_prior - 0.5 * self.deviance)
+        return np.asarray(self.of_prior[0].sum(axis=-1) - 0.5 * self.deviance)
 
     @cached_property
     def shared(self) -> Array:
@@ -288,9 +288,12 @@ def whiten(
         rows = np.delete(rows[0], one, axis=2), np.delete(rows[1], both, axis=2), np.delete(rows[2], both, axis=2)
     rest, turn, link = (W @ x for W, x in zip((rest_whitening, turn_whitening, link_whitening), rows, strict=True))
     if s:
-        d = noise.unknowns
-        for by_states in (rest[..., d - s : d], *(x[..., k * d - s : k * d] for x in (turn, link) for k in (1, 2))):
-            by_states *= noise.state_sigma[..., None, None, :]
+        d, sigma = noise.unknowns, noise.state_sigma
+        size = np.ones((*sigma.shape[:-1], 1, 1, turn.shape[-1]))
+        size[..., 0, 0, d - s : d] = size[..., 0, 0, 2 * d - s : 2 * d] = sigma
+        rest *= size[..., d:]
+        turn *= size
+        link *= size
     return rest, turn, link
 
 
@@ -328,13 +331,10 @@ def session_links(part: SessionSpan, *, chained: bool) -> IntArray:
 
 
 def add_priors(
-    linearisation: Linearisation,
-    equations: NormalEquations,
-    phi: Array | None = None,
-    log_prior: Array | float = 0.0,
+    linearisation: Linearisation, equations: NormalEquations, **at_phi: Array
 ) -> Solution:
     """The solution of normal equations with the priors of a linearisation, those of single sessions folded in first,
-    what these have beside eliminated, and then the common ones."""
+    what these have beside eliminated, and then the common ones; `at_phi` are the fields of hyperparameters."""
     problem = linearisation.problem
     q, S, p, u = len(problem.usual_local_u), len(problem.parts), linearisation.prior.shape[-1] - 1, problem.prior_u
     stack = np.broadcast_shapes(linearisation.prior.shape[:-2], equations.session_factors.shape[:-3])
@@ -365,8 +365,7 @@ def add_priors(
         roots=roots,
         square=square,
         deviance=deviance,
-        phi=np.zeros(0) if phi is None else phi,
-        log_prior=log_prior,
+        **at_phi,
     )
 
 
