@@ -439,8 +439,11 @@ class Triangles:
     def of_groups(self, point: IntArray, sizes: Array) -> tuple[Array, Array]:
         """The values (P, g) and covariances (P, g, g) of the parameters of the groups, with priors of these standard
         deviations (P, g), each at one of the points (P,)."""
-        B = sizes[:, :, None] * self.information[point] * sizes[:, None, :] + np.eye(sizes.shape[1])
-        covariances = sizes[:, :, None] * np.linalg.inv(B) * sizes[:, None, :]
+        both = sizes[:, :, None] * sizes[:, None, :]
+        inverse = both * self.information[point] + np.eye(sizes.shape[1])
+        for B in inverse if sizes.shape[1] else ():  # by its root, in place: above its diagonal B stays
+            scipy.linalg.lapack.dpotri(scipy.linalg.lapack.dpotrf(B.T, overwrite_a=1, clean=0)[0], overwrite_c=1)
+        covariances = both * np.where(np.tri(sizes.shape[1], dtype=bool), inverse, np.swapaxes(inverse, 1, 2))
         return (covariances @ self.right[point][:, :, None])[:, :, 0], covariances
 
 
