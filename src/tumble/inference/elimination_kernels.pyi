@@ -40,7 +40,14 @@ def residuals(
     work: Array,
 ) -> None: ...
 def scatter_forms(
-    whitening: Array, directions: Array, residual: Array, covariance: Array, work: Array, forms: Array
+    whitening: Array,
+    directions: Array,
+    place: IntArray,
+    residual: Array,
+    covariance: Array,
+    work: Array,
+    forms: Array,
+    single: Array,
 ) -> None: ...
 def state_forms(
     by: Array,

@@ -287,23 +287,26 @@ cdef for_each_processor _residuals(
 
 
 def scatter_forms(
-    const double[:, :, :] whitening, const double[:, :, :] directions, const double[:, ::1] residual,
-    const double[:, :, ::1] covariance, double[:, :, ::1] work, double[:, ::1] forms,
+    const double[:, :, :] whitening, const double[:, :, :] directions, const int64_t[:] place,
+    const double[:, ::1] residual, const double[:, :, ::1] covariance, double[:, :, ::1] work, double[:, ::1] forms,
+    double[:, ::1] single,
 ):
     """Add up what the score of scatter is of: with W Z whitened directions, r the residuals and C their covariance.
 
-    whitening, directions : W (K, t, t), lower triangles, and Z (K, t, q).
+    whitening, directions, place : W (K, t, t), lower triangles, Z (K, t, q), and the components (q,) these are of.
     residual, covariance : r (K, t) and C (K, t, t).
     work (3, t or q, q) : memory.
-    forms (q, 2 + q) : sums over k of (Zᵀ Wᵀ r)², of the diagonal of Zᵀ Wᵀ C W Z, and of the squares of all of that.
+    forms (c, 2 + c) : by component sums of (Zᵀ Wᵀ r)², of the diagonal of Zᵀ Wᵀ C W Z, and of the squares of all of it.
+    single (q, 2) : the first two by direction.
     """
     with nogil:
-        _scatter_forms(whitening, directions, residual, covariance, work, forms)
+        _scatter_forms(whitening, directions, place, residual, covariance, work, forms, single)
 
 
 cdef for_each_processor _scatter_forms(
-    const double[:, :, :] whitening, const double[:, :, :] directions, const double[:, ::1] residual,
-    const double[:, :, ::1] covariance, double[:, :, ::1] work, double[:, ::1] forms,
+    const double[:, :, :] whitening, const double[:, :, :] directions, const int64_t[:] place,
+    const double[:, ::1] residual, const double[:, :, ::1] covariance, double[:, :, ::1] work, double[:, ::1] forms,
+    double[:, ::1] single,
 ) noexcept nogil:
     cdef double part, total
     K, t, q = directions.shape[0], directions.shape[1], directions.shape[2]
@@ -330,10 +333,12 @@ cdef for_each_processor _scatter_forms(
             total = 0.0
             for a in range(t):
                 total += residual[k, a] * work[0, a, b]
-            forms[b, 0] += total * total
-            forms[b, 1] += work[2, b, b]
+            single[b, 0] += total * total
+            single[b, 1] += work[2, b, b]
+            forms[place[b], 0] += total * total
+            forms[place[b], 1] += work[2, b, b]
             for c in range(q):
-                forms[b, 2 + c] += work[2, b, c] * work[2, b, c]
+                forms[place[b], 2 + place[c]] += work[2, b, c] * work[2, b, c]
 
 
 def state_forms(

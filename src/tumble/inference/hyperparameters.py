@@ -87,8 +87,6 @@ SENSED = 0.2
 LEAST_DEGREES = 0.5
 """Of freedom: a component of scatter of which the fit leaves less is not estimated. It is by what is left of it, in the
 end by rounding, that its variance would be divided."""
-KINDS = np.eye(len(SCATTER))
-"""Which of SCATTER a component is, by its place."""
 
 
 # -------------------- components --------------------
@@ -238,6 +236,9 @@ class QuadraticForms:
     double: Array
 
 
+NO_FORMS = QuadraticForms(square=np.zeros(0), trace=np.zeros(0), double=np.zeros(0))
+
+
 class Score:
     """The quadratic forms of a solution, each made when it is first asked for."""
 
@@ -265,34 +266,24 @@ class Score:
         return tuple(out)
 
     @cached_property
-    def _scatter_forms(self) -> list[tuple[Array, IntArray]]:
-        """Of rests, turns and links sums (q, 2 + q) by direction (`scatter_forms`), and where these stand in SCATTER."""
-        solution, equations, out = self.solution, self.solution.equations, list[tuple[Array, IntArray]]()
+    def _scatter_forms(self) -> tuple[Array, Array]:
+        """Sums (c, 2 + c) by component of scatter (`scatter_forms`), and (q, 2) by direction of the scatter of rests.
+        Raises LinAlgError where residuals are beyond all measure."""
+        solution, equations, forms = self.solution, self.solution.equations, np.zeros((len(SCATTER), 2 + len(SCATTER)))
         whitening = equations.rest_whitening, equations.turn_whitening, equations.link_whitening
-        residuals = solution.rest_residuals, solution.turn_residuals, solution.link_residuals
+        residuals, singles = (solution.rest_residuals, solution.turn_residuals, solution.link_residuals), list[Array]()
         for W, (r, C), (Z, place) in zip(whitening, residuals, self.noise.weighted_directions, strict=True):
             t, q = Z.shape[1:]
-            forms = np.zeros((q, 2 + q))
-            scatter_forms(W, Z, r, C, np.empty((3, max(t, q), q)), forms)
-            out.append((forms, place))
-        return out
-
-    @cached_property
-    def _by_component(self) -> Array:
-        """The same (c, 2 + c) by component of scatter. Raises LinAlgError where residuals are beyond all measure."""
-        out = np.zeros((len(SCATTER), 2 + len(SCATTER)))
-        for forms, place in self._scatter_forms:
-            kind = KINDS[place]
-            out[:, :2] += kind.T @ forms[:, :2]
-            out[:, 2:] += kind.T @ forms[:, 2:] @ kind
-        if not np.isfinite(out.sum()):
+            singles.append(np.zeros((q, 2)))
+            scatter_forms(W, Z, place, r, C, np.empty((3, max(t, q), q)), forms, singles[-1])
+        if not np.isfinite(forms.sum()):
             raise np.linalg.LinAlgError("residuals are beyond all measure")
-        return out
+        return forms, singles[0]
 
     @cached_property
     def scatter(self) -> QuadraticForms:
         """By component of scatter (c,)."""
-        v, forms = self.variances, self._by_component
+        v, (forms, _) = self.variances, self._scatter_forms
         return QuadraticForms(
             square=v * forms[:, 0], trace=v * forms[:, 1], double=v * v * self.scatter_products.diagonal()
         )
@@ -300,17 +291,16 @@ class Score:
     @property
     def scatter_products(self) -> Array:
         """tr PD_aPD_b (c, c) of the components of scatter, by the parts within a rest and within a turn."""
-        return self._by_component[:, 2:]
+        return self._scatter_forms[0][:, 2:]
 
     @cached_property
     def sensors(self) -> QuadraticForms:
         """By sensor (n,), of its scatter at rest and of its in-run bias."""
-        of_states, (forms, place) = self.states, self._scatter_forms[0]
-        n = self.solution.problem.sensors
-        v = self.variances[place[:n]]
+        of_states, n = self.states, self.solution.problem.sensors
+        square, trace = self._scatter_forms[1][:n].T * self.variances[self.noise.rest_directions[1][:n]]
         return QuadraticForms(
-            square=v * forms[:n, 0] + of_states.square[:n],
-            trace=v * forms[:n, 1] + of_states.trace[:n],
+            square=square + of_states.square[:n],
+            trace=trace + of_states.trace[:n],
             double=0.5 * SENSED * len(self.solution.problem.link) + of_states.double[:n],
         )
 
@@ -352,36 +342,51 @@ class Score:
     @cached_property
     def local_priors(self) -> QuadraticForms:
         """By parameter that sessions have beside (q,), of its prior in all of them."""
-        solution = self.solution
-        q, off = solution.local.shape[-1], solution.linearisation.point.local + solution.local
+        solution, q = self.solution, self.solution.local.shape[-1]
+        if q == 0:
+            return NO_FORMS
+        off = solution.linearisation.point.local + solution.local
         each = _of_priors(off, (solution.roots[:, :q] ** 2).sum(axis=-1), solution.problem.local_u)
         return QuadraticForms(
             square=each.square.sum(axis=0), trace=each.trace.sum(axis=0), double=each.double.sum(axis=0)
         )
 
+    @property
+    def _every(self) -> tuple[tuple[type[Hyperparameter], QuadraticForms], ...]:
+        """By kind of hyperparameter."""
+        return (
+            (Scatter, self.scatter),
+            (InRunSize, self.states),
+            (CorrelationTime, self.times),
+            (SensorFactor, self.sensors),
+            (GroupSize, self.priors),
+            (LocalGroupSize, self.local_priors),
+        )
+
     def of(self, hyperparameters: Hyperparameters) -> QuadraticForms:
         """By element of φ (D,)."""
-        every = {
-            Scatter: self.scatter,
-            InRunSize: self.states,
-            CorrelationTime: self.times,
-            SensorFactor: self.sensors,
-            GroupSize: self.priors,
-            LocalGroupSize: self.local_priors,
-        }
-        some = hyperparameters.selection(tuple((kind, len(of.square)) for kind, of in every.items()))
+        every = self._every
+        some = hyperparameters.selection(tuple((kind, len(forms.square)) for kind, forms in every))
         square, trace, double = (
-            some @ np.concatenate([getattr(of, name) for of in every.values()])
-            for name in ("square", "trace", "double")
+            some @ np.concatenate([getattr(forms, name) for _, forms in every]) for name in ("square", "trace", "double")
         )
         return QuadraticForms(square=square, trace=trace, double=double)
+
+    def gradient(self, hyperparameters: Hyperparameters) -> Array:
+        """The gradient (D,) of ℓ."""
+        every = self._every
+        some = hyperparameters.selection(tuple((kind, len(forms.square)) for kind, forms in every))
+        slopes = np.concatenate([forms.square - forms.trace for _, forms in every])
+        return np.asarray(some @ slopes + self.solution.of_prior[1])
 
 
 def _of_priors(off: Array, variance: Array, size: Array) -> QuadraticForms:
     """The forms of priors of standard deviations `size` by values and variances."""
-    square = np.where(size > 0.0, size, np.inf) ** 2
-    learned = 1.0 - variance / square
-    return QuadraticForms(square=off**2 / square, trace=learned, double=np.clip(learned, 0.0, 1.0))
+    information = np.divide(1.0, size**2, out=np.zeros_like(size), where=size > 0.0)
+    learned = 1.0 - variance * information
+    return QuadraticForms(
+        square=off**2 * information, trace=learned, double=np.minimum(np.maximum(learned, 0.0), 1.0)
+    )
 
 
 def size_factors(
@@ -513,12 +518,12 @@ def solution_at(linearisation: Linearisation, hyperparameters: Hyperparameters, 
 def score(hyperparameters: Hyperparameters, solution: Solution) -> tuple[Array, Array]:
     """Gradient (D,) of ℓ, and its information (D, D) as far as it is had in closed form: of components of scatter that
     of two together, else each for itself."""
-    score, prior = Score(solution), solution.of_prior
+    score = Score(solution)
     forms, some = score.of(hyperparameters), hyperparameters.members(Scatter, len(SCATTER))
     along = some * score.variances
     together = along @ score.scatter_products @ along.T
-    information = 2.0 * together + np.diag(2.0 * (forms.double - together.diagonal()) + prior[2])
-    return forms.square - forms.trace + prior[1], information
+    information = 2.0 * together + np.diag(2.0 * (forms.double - together.diagonal()) + solution.of_prior[2])
+    return score.gradient(hyperparameters), information
 
 
 def average_information(hyperparameters: Hyperparameters, solution: Solution) -> Array:

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 import scipy
@@ -255,7 +256,7 @@ def eliminate_rests(linearisation: Linearisation) -> NormalEquations:
     joints = joint_rows(linearisation, turn, link) if states else turn
     begins = np.zeros((d, d + width))  # a chain of states begins as its process is
     begins[d - states :, d - states : d] = np.eye(states)
-    for at in np.ndindex(*stack):
+    for at in product(*map(range, stack)):
         for part, triangle in zip(problem.parts, triangles[at], strict=True):
             between, links = (
                 joints[at][part.stations if states else part.turns],
@@ -336,17 +337,18 @@ def add_priors(
     """The solution of normal equations with the priors of a linearisation, those of single sessions folded in first,
     what these have beside eliminated, and then the common ones; `at_phi` are the fields of hyperparameters."""
     problem = linearisation.problem
-    q, S, p, u = len(problem.usual_local_u), len(problem.parts), linearisation.prior.shape[-1] - 1, problem.prior_u
-    stack = np.broadcast_shapes(linearisation.prior.shape[:-2], equations.session_factors.shape[:-3])
+    q, S, p = len(problem.usual_local_u), len(problem.parts), linearisation.prior.shape[-1] - 1
+    stack = max(linearisation.prior.shape[:-2], equations.session_factors.shape[:-3], key=len)
 
     def stacked(x: Array, axes: int) -> Array:
         return np.broadcast_to(x, (*stack, *x.shape[x.ndim - axes :])) if stack else x
 
     factors, prior = stacked(equations.session_factors, 3), stacked(linearisation.prior, 2)
     local_u, residuals = stacked(problem.local_u, 1), stacked(linearisation.local_prior, 2)
-    parameters, local = np.zeros((*stack, p)), np.zeros((*stack, S, q))
-    roots, pivots, square = np.zeros((*stack, S, q + p, q + p)), np.empty((*stack, S * q + p)), np.empty(stack)
-    for at in np.ndindex(*stack):
+    further_u = stacked(problem.prior_u[..., 1 + problem.instrument.linear_count :], 1)
+    parameters, local, roots = np.zeros((*stack, p)), np.zeros((*stack, S, q)), np.zeros((*stack, S, q + p, q + p))
+    diagonals, square = np.empty((*stack, 2 * S * q + p + further_u.shape[-1])), np.empty(stack)
+    for at in product(*map(range, stack)):
         triangle, heads = fold_sessions(prior[at], factors[at], local_u[at], residuals[at])
         exact = int(triangle[0, 0] == 0.0)  # gravity, of which the step is zero then
         root = np.zeros((p, p))
@@ -354,9 +356,10 @@ def add_priors(
         parameters[at][exact:] = root[exact:, exact:] @ triangle[exact:p, p]
         for s, head in enumerate(heads):
             local[at][s], roots[at][s] = _local_solution(head, parameters[at], root)
-        pivots[at], square[at] = np.concatenate([h.diagonal() for h in (*heads, triangle[:p])]), triangle[p, p] ** 2
-    sizes = _logarithms(u[..., 1 + problem.instrument.linear_count :]) + S * _logarithms(problem.local_u)
-    deviance = 2.0 * (_logarithms(pivots) + sizes) + rests_deviance(equations) + square
+        pivots = [rows.diagonal() for rows in (*heads, triangle[:p])]
+        np.concatenate([*pivots, further_u[at], *(S * [local_u[at]])], out=diagonals[at])
+        square[at] = triangle[p, p] ** 2
+    deviance = 2.0 * _logarithms(diagonals) + rests_deviance(equations) + square
     return Solution(
         linearisation=linearisation,
         equations=equations,
