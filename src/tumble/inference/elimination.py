@@ -151,8 +151,8 @@ def given_parameters(inverse: Array, by_next: Array) -> Array:
 
 def whitening(noise: Array, directions: Array, component: IntArray, variance: Array, weight: Array) -> Array:
     """Inverse Cholesky factors (N, n, n) of N + Σ v Z Zᵀ, `directions` Z (N, n, q) being each of the component whose
-    `variance` it has, times the `weight` (N, n) of rows; of a stack of variances and, perhaps, of directions a stack. Raises LinAlgError where a
-    covariance is none."""
+    `variance` it has, times the `weight` (N, n) of rows; of a stack of variances and, perhaps, of directions a stack.
+    Raises LinAlgError where a covariance is none."""
     if variance.ndim > 1:
         every = zip(np.broadcast_to(directions, (len(variance), *directions.shape[-3:])), variance, strict=True)
         return np.array([whitening(noise, own, component, v, weight) for own, v in every])

@@ -367,9 +367,8 @@ class Score:
         """By element of φ (D,)."""
         every = self._every
         some = hyperparameters.selection(tuple((kind, len(forms.square)) for kind, forms in every))
-        square, trace, double = (
-            some @ np.concatenate([getattr(forms, name) for _, forms in every]) for name in ("square", "trace", "double")
-        )
+        names = "square", "trace", "double"
+        square, trace, double = (some @ np.concatenate([getattr(forms, name) for _, forms in every]) for name in names)
         return QuadraticForms(square=square, trace=trace, double=double)
 
     def gradient(self, hyperparameters: Hyperparameters) -> Array:

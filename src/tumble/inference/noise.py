@@ -131,9 +131,8 @@ class VarianceComponents:
 
     def in_run(self, accelerometers: int, gyros: int) -> tuple[Array, Array]:
         """Standard deviations and correlation times (n,) of the in-run biases of sensors, accelerometers first."""
-        size, time = [self.accel_in_run] * accelerometers, [self.accel_time] * accelerometers
-        sigma = _stacked(size + [self.gyro_in_run] * gyros)
-        tau = _stacked(time + [self.gyro_time] * gyros)
+        both = (self.accel_in_run, self.gyro_in_run), (self.accel_time, self.gyro_time)
+        sigma, tau = (_stacked(list(kinds)).repeat((accelerometers, gyros), axis=-1) for kinds in both)
         return sigma * self.unlike if self.unlike.size else sigma, tau
 
 
@@ -187,7 +186,7 @@ class NoiseModel:
     components: VarianceComponents = NO_COMPONENTS
 
     def at(self, components: VarianceComponents) -> NoiseModel:
-        """The same with other components of variance, and with what does not depend on these, which is made but once."""
+        """The same with other components of variance, and with what does not depend on these, made but once."""
         out = replace(self, components=components)
         vars(out).update(_seen=self._seen, whole=self.whole)
         return out

@@ -281,7 +281,7 @@ def whiten(
 ) -> tuple[Array, Array, Array]:
     """The whitened rows of rests, turns and links as the elimination has them: after the unknowns of the stations what
     a session has beside, then gravity and the common parameters."""
-    noise, s = linearisation.noise, linearisation.noise.states
+    problem, noise, s = linearisation.problem, linearisation.noise, linearisation.noise.states
     n, d = sum(noise.sensors), noise.unknowns - noise.states
     rows = linearisation.ordered
     if noise.biases == 0:  # without their columns
@@ -289,12 +289,11 @@ def whiten(
         rows = np.delete(rows[0], one, axis=2), np.delete(rows[1], both, axis=2), np.delete(rows[2], both, axis=2)
     rest, turn, link = (W @ x for W, x in zip((rest_whitening, turn_whitening, link_whitening), rows, strict=True))
     if s:
-        d, sigma = noise.unknowns, noise.state_sigma
-        size = np.ones((*sigma.shape[:-1], 1, 1, turn.shape[-1]))
-        size[..., 0, 0, d - s : d] = size[..., 0, 0, 2 * d - s : 2 * d] = sigma
-        rest *= size[..., d:]
-        turn *= size
-        link *= size
+        d, sigma = noise.unknowns, noise.state_sigma[..., None, None, :]
+        rest[..., d - s : d] *= sigma
+        for joint in (turn, link) if problem.moves else (turn,):
+            joint[..., d - s : d] *= sigma
+            joint[..., 2 * d - s : 2 * d] *= sigma
     return rest, turn, link
 
 
