@@ -114,16 +114,6 @@ def fold(rows: Array, triangle: Array, triangular: bool = False) -> None:
         triangle[:] = folded[0]
 
 
-def given_unknowns(rows: Array, by: Array, first: IntArray) -> Array:
-    """Rows (…, K, t, ·) with the unknowns of the rests, the `first` (K,) of each or that and the one after it, as they
-    follow `by` all others (…, N, d, p + 1): [what these do | residual where they are zero] (…, K, t, p + 1)."""
-    (*stack, N, d, width), t = by.shape, rows.shape[-2]
-    out = np.ascontiguousarray(rows[..., -width:])
-    every = (first + N * np.arange(np.prod(stack, dtype=np.int64))[:, None]).ravel()
-    kernels.add_given(rows.reshape(-1, t, rows.shape[-1]), by.reshape(-1, d, width), every, out.reshape(-1, t, width))
-    return out
-
-
 def put_back(factor: Array) -> tuple[Array, Array, Array]:
     """The rows of all rests solved for their unknowns: what these are known to given all others, R⁻¹ (N, d, d), how
     they go with those of the next rest, A (N, d, d), and along the chain with the parameters, [∂δ/∂x | −δ at x = 0]

@@ -127,29 +127,6 @@ cdef bint _reflect(
     return True
 
 
-def add_given(
-    const double[:, :, :] rows, const double[:, :, ::1] by, const int64_t[:] first, double[:, :, ::1] out,
-):
-    """Add to rows `out` (K, t, p + 1) what the unknowns of the rests do in `rows`, as they follow `by` the others."""
-    with nogil:
-        _add_given(rows, by, first, out)
-
-
-cdef for_each_processor _add_given(
-    const double[:, :, :] rows, const double[:, :, ::1] by, const int64_t[:] first, double[:, :, ::1] out,
-) noexcept nogil:
-    cdef double part
-    d, width = by.shape[1], by.shape[2]
-    for k in range(rows.shape[0]):
-        for a in range(rows.shape[1]):
-            for b in range(rows.shape[2] - width):
-                part = rows[k, a, b]
-                if part != 0.0:
-                    i = first[k] + b // d
-                    for column in range(width):
-                        out[k, a, column] += part * by[i, b % d, column]
-
-
 def put_back(
     const double[:, :, ::1] factor, double[:, :, ::1] inverse, double[:, :, ::1] by_next, double[:, :, ::1] by,
 ):
@@ -286,11 +263,11 @@ cdef for_each_processor _residuals(
                 covariance[k, a, b] = covariance[k, b, a] = (1.0 if a == b else 0.0) - part
 
 
-def scatter_forms(
+cpdef void scatter_forms(
     const double[:, :, :] whitening, const double[:, :, :] directions, const int64_t[:] place,
     const double[:, ::1] residual, const double[:, :, ::1] covariance, double[:, :, ::1] work, double[:, ::1] forms,
     double[:, ::1] single,
-):
+) noexcept:
     """Add up what the score of scatter is of: with W Z whitened directions, r the residuals and C their covariance.
 
     whitening, directions, place : W (K, t, t), lower triangles, Z (K, t, q), and the components (q,) these are of.
@@ -299,16 +276,8 @@ def scatter_forms(
     forms (c, 2 + c) : by component sums of (Zᵀ Wᵀ r)², of the diagonal of Zᵀ Wᵀ C W Z, and of the squares of all of it.
     single (q, 2) : the first two by direction.
     """
-    with nogil:
-        _scatter_forms(whitening, directions, place, residual, covariance, work, forms, single)
-
-
-cdef for_each_processor _scatter_forms(
-    const double[:, :, :] whitening, const double[:, :, :] directions, const int64_t[:] place,
-    const double[:, ::1] residual, const double[:, :, ::1] covariance, double[:, :, ::1] work, double[:, ::1] forms,
-    double[:, ::1] single,
-) noexcept nogil:
     cdef double part, total
+    cdef Py_ssize_t a, b, c, k
     K, t, q = directions.shape[0], directions.shape[1], directions.shape[2]
     for k in range(K):
         work[:, :, :] = 0.0

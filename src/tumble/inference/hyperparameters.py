@@ -250,22 +250,6 @@ class Score:
         )
 
     @cached_property
-    def directions(self) -> tuple[tuple[Array, Array, IntArray], ...]:
-        """Of rests, turns and links the whitened directions W Z (N, r, q) of scatter, what residuals have along them
-        (N, q), and where these stand in SCATTER."""
-        equations, noise = self.solution.equations, self.noise
-        out = list[tuple[Array, Array, IntArray]]()
-        rest, turn, link = noise.weighted_directions
-        for W, (r, _), (Z, place) in (
-            (equations.rest_whitening, self.solution.rest_residuals, rest),
-            (equations.turn_whitening, self.solution.turn_residuals, turn),
-            (equations.link_whitening, self.solution.link_residuals, link),
-        ):
-            WZ = W @ Z
-            out.append((WZ, (r[:, None] @ WZ)[:, 0], place))
-        return tuple(out)
-
-    @cached_property
     def _scatter_forms(self) -> tuple[Array, Array]:
         """Sums (c, 2 + c) by component of scatter (`scatter_forms`), and (q, 2) by direction of the scatter of rests.
         Raises LinAlgError where residuals are beyond all measure."""
@@ -383,9 +367,7 @@ def _of_priors(off: Array, variance: Array, size: Array) -> QuadraticForms:
     """The forms of priors of standard deviations `size` by values and variances."""
     information = np.divide(1.0, size**2, out=np.zeros_like(size), where=size > 0.0)
     learned = 1.0 - variance * information
-    return QuadraticForms(
-        square=off**2 * information, trace=learned, double=np.minimum(np.maximum(learned, 0.0), 1.0)
-    )
+    return QuadraticForms(square=off**2 * information, trace=learned, double=np.minimum(np.maximum(learned, 0.0), 1.0))
 
 
 def size_factors(
@@ -539,10 +521,12 @@ def average_information(hyperparameters: Hyperparameters, solution: Solution) ->
     of_scatter = hyperparameters.members(Scatter, len(SCATTER))
     of_sensors = hyperparameters.members(SensorFactor, problem.sensors)
     variates = list[Array]()
-    for number, (WZ, along, place) in enumerate(Score(solution).directions):
-        some = of_scatter[:, place]
+    whitening = equations.rest_whitening, equations.turn_whitening, equations.link_whitening
+    residuals = solution.rest_residuals, solution.turn_residuals, solution.link_residuals
+    for number, (W, (r, _), (Z, place)) in enumerate(zip(whitening, residuals, noise.weighted_directions, strict=True)):
+        WZ, some = W @ Z, of_scatter[:, place]
         some[:, : problem.sensors] += of_sensors if number == 0 else 0.0
-        variates.append((2.0 * noise.variances[place] * along[:, None] * WZ) @ some.T)
+        variates.append((2.0 * noise.variances[place] * (r[:, None] @ WZ) * WZ) @ some.T)
     off = point.values + solution.parameters[1:] - problem.prior_mean[1:]
     of_prior = -2.0 * (off / problem.prior_u[1:])[:, None] * hyperparameters.members(GroupSize, len(off)).T
     off_local = (point.local + solution.local) / problem.local_u

@@ -25,7 +25,7 @@ from itertools import product
 import numpy as np
 import scipy
 
-from tumble.inference.elimination import along_chains, eliminate, fold, given_parameters, given_unknowns, put_back
+from tumble.inference.elimination import along_chains, eliminate, fold, given_parameters, put_back
 from tumble.inference.elimination_kernels import residuals
 from tumble.inference.linearisation import Linearisation
 from tumble.inference.noise import NoiseModel, VarianceComponents
@@ -76,16 +76,6 @@ class NormalEquations:
     def back_substitution(self) -> tuple[Array, Array, Array]:
         """The unknowns of the rests given others (`tumble.inference.elimination.put_back`)."""
         return put_back(self.rest_factors)
-
-    def reduced_rows(self, problem: Problem) -> tuple[Array, Array, Array]:
-        """Whitened rows of rests (N, r, w), of turns (K, t, w) and of links (J, 9, w) with the unknowns of the stations
-        as they follow from all others."""
-        follow = self.back_substitution[2]
-        return (
-            given_unknowns(self.rest_rows, follow, problem.station),
-            given_unknowns(self.turn_rows, follow, problem.before_turn),
-            given_unknowns(self.link_rows, follow, problem.before_link),
-        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -330,9 +320,7 @@ def session_links(part: SessionSpan, *, chained: bool) -> IntArray:
     return np.append(np.arange(len(part.link) - 1), -1) if chained else part.link
 
 
-def add_priors(
-    linearisation: Linearisation, equations: NormalEquations, **at_phi: Array
-) -> Solution:
+def add_priors(linearisation: Linearisation, equations: NormalEquations, **at_phi: Array) -> Solution:
     """The solution of normal equations with the priors of a linearisation, those of single sessions folded in first,
     what these have beside eliminated, and then the common ones; `at_phi` are the fields of hyperparameters."""
     problem = linearisation.problem

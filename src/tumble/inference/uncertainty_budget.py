@@ -103,7 +103,6 @@ def contributions(solution: Solution) -> dict[str, Array]:
         equations.link_whitening / noise.link_weights[:, None],
     )
     covariances = noise_covariances(linearisation.with_components(noise.components))
-    reduced = equations.reduced_rows(problem)
     every = equations.rest_rows, equations.turn_rows, equations.link_rows
     mean = session_mean_bias(equations) if equations.wanders and len(problem.parts) == 1 else None
     out = dict[str, Array]()
@@ -115,29 +114,29 @@ def contributions(solution: Solution) -> dict[str, Array]:
 
     for s, part in enumerate(problem.parts):
         # Z (39): of the unknowns of the rests what is beside that by the others, N, concerns the biases alone
-        Y, stations, first = np.eye(q + size)[q:], part.stations, part.stations.start + part.first
-        N = None
+        Y, stations = np.eye(q + size)[q:], part.stations
         if mean is not None:
             Y[biases] += mean[0][:, :-1]
+        Z_x = solution.roots[s] @ (solution.roots[s].T @ Y.T)
+        Z = times(follow[stations, :, :-1], Z_x)
+        if mean is not None:
             N = inverse @ np.swapaxes(mean[1], -1, -2)
             along_chains(by_next, N)
-        Z_x = solution.roots[s] @ (solution.roots[s].T @ Y.T)
+            Z[..., biases] += N
 
         # covariances by source (38)
         links, station, before = slice(None if problem.moves else 0), problem.station[part.rests], problem.before_link
-        places = (part.rests, (station,)), (part.turns, (first, first + 1)), (links, (before, before + 1))
-        for sources, W, E, rows, (some, ends) in zip(covariances, whitening, reduced, every, places, strict=True):
-            K = times(E[some, :, :-1], Z_x)
-            if N is not None:
-                for e, after in enumerate(ends):
-                    K[..., biases] += rows[some, :, e * d : (e + 1) * d] @ N[after]
+        ends_of_rests = (station - stations.start,)
+        places = (part.rests, ends_of_rests), (part.turns, (part.first, part.first + 1)), (links, (before, before + 1))
+        for sources, W, rows, (some, ends) in zip(covariances, whitening, every, places, strict=True):
+            K = times(rows[some, :, len(ends) * d : -1], Z_x)
+            for e, after in enumerate(ends):
+                K += rows[some, :, e * d : (e + 1) * d] @ Z[after]
             H = np.swapaxes(W[some], -1, -2) @ K
             for name, S in sources.items():
                 add(name, H, S[some] @ H)
         if noise.states:
-            states = times(follow[stations, d - noise.states :, :-1], Z_x)
-            if N is not None:
-                states[..., biases] += N[stations, d - noise.states :]
+            states = Z[:, d - noise.states :]
             rho, step = noise.state_rho[stations][:-1, :, None], noise.state_step[stations][:-1, :, None]
             for K in (states[:1], (states[1:] - rho * states[:-1]) / step):
                 add("accel.in_run", K[:, : min(accelerometers, noise.biases)])
