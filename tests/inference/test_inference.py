@@ -465,8 +465,7 @@ def test_sizes_folded_into_a_triangle_are_those_of_the_whole_elimination(name: s
     members, element = members_of(fitted, groups)
     every = triangles(fitted.linearisation, hyperparameters, phi[:1], members)
     sizes = fitted.usual_problem.usual_u[1 + members] * np.exp(phi[:, element])
-    (likelihood,) = every.log_likelihood(sizes[None])
-    c, covariance = every.of_groups(np.zeros(2, dtype=int), sizes)
+    c, covariance, likelihood = every.of_groups(np.zeros(2, dtype=int), sizes)
     (alpha,), (gamma,), (omega,) = every.alpha, every.gamma, every.omega
     for k in range(2):
         solution = solution_at(fitted.linearisation, hyperparameters, phi[k])

@@ -114,23 +114,13 @@ def fold(rows: Array, triangle: Array, triangular: bool = False) -> None:
         triangle[:] = folded[0]
 
 
-def given_unknowns(rows: Array, by: Array, first: IntArray) -> Array:
-    """Rows (…, K, t, ·) with the unknowns of the rests, the `first` (K,) of each or that and the one after it, as they
-    follow `by` all others (…, N, d, p + 1): [what these do | residual where they are zero] (…, K, t, p + 1)."""
-    (*stack, N, d, width), t = by.shape, rows.shape[-2]
-    out = np.ascontiguousarray(rows[..., -width:])
-    every = (first + N * np.arange(np.prod(stack, dtype=np.int64))[:, None]).ravel()
-    kernels.add_given(rows.reshape(-1, t, rows.shape[-1]), by.reshape(-1, d, width), every, out.reshape(-1, t, width))
-    return out
-
-
 def put_back(factor: Array) -> tuple[Array, Array, Array]:
     """The rows of all rests solved for their unknowns: what these are known to given all others, R⁻¹ (N, d, d), how
     they go with those of the next rest, A (N, d, d), and along the chain with the parameters, [∂δ/∂x | −δ at x = 0]
     (N, d, p + 1). An unknown that nothing shows is zero, and without variance."""
-    d, inverse = factor.shape[-2], np.empty((*factor.shape[:-1], factor.shape[-2]))
-    kernels.inverses(factor.reshape(-1, *factor.shape[-2:]), inverse.reshape(-1, d, d))
-    by_next, by = -(inverse @ factor[..., d : 2 * d]), -(inverse @ factor[..., 2 * d :])
+    *stack, d, width = factor.shape
+    inverse, by_next, by = (np.empty((*stack, d, columns)) for columns in (d, d, width - 2 * d))
+    kernels.put_back(*(each.reshape(-1, d, each.shape[-1]) for each in (factor, inverse, by_next, by)))
     along_chains(by_next, by)
     return inverse, by_next, by
 
@@ -144,20 +134,19 @@ def along_chains(by_next: Array, values: Array) -> None:
 def given_parameters(inverse: Array, by_next: Array) -> Array:
     """Covariances of the unknowns of the rests for given parameters, with themselves and with those of the next rest
     (2, N, d, d)."""
-    d, own = inverse.shape[-1], inverse @ np.swapaxes(inverse, -1, -2)
-    with_next = np.zeros_like(own)
-    kernels.carry_back(by_next.reshape(-1, d, d), own.reshape(-1, d, d), with_next.reshape(-1, d, d))
-    return np.stack([own, with_next], axis=-4)
+    out = np.empty((2, *inverse.shape))
+    kernels.carry_back(inverse, by_next, *out)
+    return out
 
 
-def whitening(noise: Array, directions: Array, component: IntArray, variance: Array) -> Array:
+def whitening(noise: Array, directions: Array, component: IntArray, variance: Array, weight: Array) -> Array:
     """Inverse Cholesky factors (N, n, n) of N + Σ v Z Zᵀ, `directions` Z (N, n, q) being each of the component whose
-    `variance` it has; of a stack of variances and, perhaps, of directions a stack. Raises LinAlgError where a
-    covariance is none."""
+    `variance` it has, times the `weight` (N, n) of rows; of a stack of variances and, perhaps, of directions a stack.
+    Raises LinAlgError where a covariance is none."""
     if variance.ndim > 1:
         every = zip(np.broadcast_to(directions, (len(variance), *directions.shape[-3:])), variance, strict=True)
-        return np.array([whitening(noise, own, component, v) for own, v in every])
+        return np.array([whitening(noise, own, component, v, weight) for own, v in every])
     factors = np.zeros(noise.shape)
-    if not kernels.whiten(noise, directions, component, variance, np.zeros(noise.shape[1:]), factors):
+    if not kernels.whiten(noise, directions, component, variance, weight, np.zeros(noise.shape[1:]), factors):
         raise np.linalg.LinAlgError("Matrix is not positive definite")
     return factors

@@ -14,17 +14,22 @@ def eliminate_rests(
     length: Array,
     parts: Array,
 ) -> int: ...
-def add_given(rows: Array, by: Array, first: IntArray, out: Array) -> None: ...
-def inverses(factor: Array, inverse: Array) -> None: ...
+def put_back(factor: Array, inverse: Array, by_next: Array, by: Array) -> None: ...
 def follow(by_next: Array, values: Array) -> None: ...
-def carry_back(by_next: Array, own: Array, with_next: Array) -> None: ...
+def carry_back(inverse: Array, by_next: Array, own: Array, with_next: Array) -> None: ...
 def whiten(
-    noise: Array, directions: Array, component: IntArray, variance: Array, work: Array, factors: Array
+    noise: Array,
+    directions: Array,
+    component: IntArray,
+    variance: Array,
+    weight: Array,
+    work: Array,
+    factors: Array,
 ) -> bool: ...
 def residuals(
     rows: Array,
-    reduced: Array,
     first: IntArray,
+    by: Array,
     own: Array,
     with_next: Array,
     root: Array,
@@ -32,4 +37,26 @@ def residuals(
     residual: Array,
     covariance: Array,
     work: Array,
+) -> None: ...
+def scatter_forms(
+    whitening: Array,
+    directions: Array,
+    place: IntArray,
+    residual: Array,
+    covariance: Array,
+    work: Array,
+    forms: Array,
+    single: Array,
+) -> None: ...
+def state_forms(
+    by: Array,
+    own: Array,
+    with_next: Array,
+    root: Array,
+    shared: Array,
+    rho: Array,
+    step: Array,
+    lapse: Array,
+    work: Array,
+    forms: Array,
 ) -> None: ...

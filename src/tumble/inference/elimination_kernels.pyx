@@ -5,7 +5,7 @@ Sums are taken in the order that is written: a compiler that may choose another 
 compilation to the next, and rows of a campaign would differ in the last digit from process to process.
 """
 
-from libc.math cimport sqrt
+from libc.math cimport INFINITY, sqrt
 from libc.stdint cimport int64_t
 
 from tumble.processors cimport for_each_processor
@@ -127,41 +127,25 @@ cdef bint _reflect(
     return True
 
 
-def add_given(
-    const double[:, :, :] rows, const double[:, :, ::1] by, const int64_t[:] first, double[:, :, ::1] out,
+def put_back(
+    const double[:, :, ::1] factor, double[:, :, ::1] inverse, double[:, :, ::1] by_next, double[:, :, ::1] by,
 ):
-    """Add to rows `out` (K, t, p + 1) what the unknowns of the rests do in `rows`, as they follow `by` the others."""
+    """Solve rows (N, d, 2d + w) for the unknowns of the rests: inverses (N, d, d) of their triangles, rows and columns
+    of unknowns that nothing shows being zero, and less these times the other columns, (N, d, d) and (N, d, w)."""
     with nogil:
-        _add_given(rows, by, first, out)
+        _put_back(factor, inverse, by_next, by)
 
 
-cdef for_each_processor _add_given(
-    const double[:, :, :] rows, const double[:, :, ::1] by, const int64_t[:] first, double[:, :, ::1] out,
+cdef for_each_processor _put_back(
+    const double[:, :, ::1] factor, double[:, :, ::1] inverse, double[:, :, ::1] by_next, double[:, :, ::1] by,
 ) noexcept nogil:
     cdef double part
-    d, width = by.shape[1], by.shape[2]
-    for k in range(rows.shape[0]):
-        for a in range(rows.shape[1]):
-            for b in range(rows.shape[2] - width):
-                part = rows[k, a, b]
-                if part != 0.0:
-                    i = first[k] + b // d
-                    for column in range(width):
-                        out[k, a, column] += part * by[i, b % d, column]
-
-
-def inverses(const double[:, :, ::1] factor, double[:, :, ::1] inverse):
-    """Inverses of the triangles in the first columns; rows and columns of unknowns that nothing shows are zero."""
-    with nogil:
-        _inverses(factor, inverse)
-
-
-cdef for_each_processor _inverses(const double[:, :, ::1] factor, double[:, :, ::1] inverse) noexcept nogil:
     d = factor.shape[1]
+    inverse[:, :, :] = 0.0
+    by_next[:, :, :] = 0.0
+    by[:, :, :] = 0.0
     for i in range(factor.shape[0]):
         for a in range(d - 1, -1, -1):
-            for c in range(d):
-                inverse[i, a, c] = 0.0
             if factor[i, a, a] != 0.0:
                 inverse[i, a, a] = 1.0 / factor[i, a, a]
                 for b in range(a + 1, d):
@@ -169,6 +153,13 @@ cdef for_each_processor _inverses(const double[:, :, ::1] factor, double[:, :, :
                         inverse[i, a, c] -= factor[i, a, b] * inverse[i, b, c]
                 for c in range(a + 1, d):
                     inverse[i, a, c] /= factor[i, a, a]
+            for b in range(a, d):
+                part = inverse[i, a, b]
+                if part != 0.0:
+                    for c in range(d):
+                        by_next[i, a, c] -= part * factor[i, b, d + c]
+                    for c in range(by.shape[2]):
+                        by[i, a, c] -= part * factor[i, b, 2 * d + c]
 
 
 def follow(const double[:, :, ::1] by_next, double[:, :, ::1] values):
@@ -185,74 +176,193 @@ cdef for_each_processor _follow(const double[:, :, ::1] by_next, double[:, :, ::
                     values[i, a, q] += by_next[i, a, b] * values[i + 1, b, q]
 
 
-def carry_back(const double[:, :, ::1] by_next, double[:, :, ::1] own, double[:, :, ::1] with_next):
-    """Covariances of the unknowns with themselves, `own`, and with those of the next rest, from the last to the first."""
+def carry_back(
+    const double[:, :, ::1] inverse, const double[:, :, ::1] by_next, double[:, :, ::1] own,
+    double[:, :, ::1] with_next,
+):
+    """Covariances of the unknowns with themselves, `own`, and with those of the next rest, from the last to the first,
+    R⁻¹ being the `inverse` of the triangle of each."""
     with nogil:
-        _carry_back(by_next, own, with_next)
+        _carry_back(inverse, by_next, own, with_next)
 
 
-cdef for_each_processor _carry_back(const double[:, :, ::1] by_next, double[:, :, ::1] own, double[:, :, ::1] with_next) noexcept nogil:
+cdef for_each_processor _carry_back(
+    const double[:, :, ::1] inverse, const double[:, :, ::1] by_next, double[:, :, ::1] own,
+    double[:, :, ::1] with_next,
+) noexcept nogil:
     cdef double total
-    d = by_next.shape[1]
-    for i in range(by_next.shape[0] - 2, -1, -1):
-        for a in range(d):
-            for b in range(d):
-                for c in range(d):
-                    with_next[i, a, c] += by_next[i, a, b] * own[i + 1, b, c]
+    N, d = by_next.shape[0], by_next.shape[1]
+    with_next[:, :, :] = 0.0
+    for i in range(N - 1, -1, -1):
+        if i < N - 1:
+            for a in range(d):
+                for b in range(d):
+                    for c in range(d):
+                        with_next[i, a, c] += by_next[i, a, b] * own[i + 1, b, c]
         for a in range(d):
             for b in range(a + 1):
-                total = own[i, a, b]
+                total = 0.0
+                for c in range(a, d):
+                    total += inverse[i, a, c] * inverse[i, b, c]
                 for c in range(d):
                     total += with_next[i, a, c] * by_next[i, b, c]
                 own[i, a, b] = own[i, b, a] = total
 
 
 def residuals(
-    const double[:, :, ::1] rows, const double[:, :, ::1] reduced, const int64_t[:] first, const double[:, :, ::1] own,
+    const double[:, :, ::1] rows, const int64_t[:] first, const double[:, :, ::1] by, const double[:, :, ::1] own,
     const double[:, :, ::1] with_next, const double[:, ::1] root, const double[::1] shared, double[:, ::1] residual,
     double[:, :, ::1] covariance, double[:, ::1] work,
 ):
     """Residuals of rows (K, t, ·) and their covariances 1 - A S A' - (E U)(E U)'.
 
-    rows, reduced : [A | ...] (K, t, u + w) and with the unknowns of the stations as they follow from all others, E.
+    rows : [A | ...] (K, t, u + w); E has the unknowns of the stations as they follow from all others.
     first (K,) : station of each, or the first of two.
+    by (N, d, w) : how the unknowns of the stations follow all others.
     own, with_next : S, covariances of the unknowns of a station with themselves and with those of the next.
     root (w - 1, w - 1), shared (w,) : upper triangle U, and what the columns of E are multiplied with.
-    work (t, u + w) : memory.
+    work (t, u + 2 w) : memory.
     """
     with nogil:
-        _residuals(rows, reduced, first, own, with_next, root, shared, residual, covariance, work)
+        _residuals(rows, first, by, own, with_next, root, shared, residual, covariance, work)
 
 
 cdef for_each_processor _residuals(
-    const double[:, :, ::1] rows, const double[:, :, ::1] reduced, const int64_t[:] first, const double[:, :, ::1] own,
+    const double[:, :, ::1] rows, const int64_t[:] first, const double[:, :, ::1] by, const double[:, :, ::1] own,
     const double[:, :, ::1] with_next, const double[:, ::1] root, const double[::1] shared, double[:, ::1] residual,
     double[:, :, ::1] covariance, double[:, ::1] work,
 ) noexcept nogil:
-    """The same; `work` has A S and E U."""
+    """The same; `work` has A S, E U and E."""
     cdef double part
-    t, d, w = rows.shape[1], own.shape[1], reduced.shape[2]
+    t, d, w = rows.shape[1], own.shape[1], by.shape[2]
     u = rows.shape[2] - w
     for k in range(rows.shape[0]):
         i = first[k]
         work[:, :] = 0.0
         for a in range(t):
-            residual[k, a] = -_dot(&reduced[k, a, 0], &shared[0], w)
+            reduced = &work[a, u + w]
+            for c in range(w):
+                reduced[c] = rows[k, a, u + c]
             for b in range(u):
                 part = rows[k, a, b]
                 if part != 0.0:
+                    for c in range(w):
+                        reduced[c] += part * by[i + b // d, b % d, c]
                     for c in range(d):
                         work[a, c] += part * (own[i, b, c] if b < d else with_next[i, c, b - d])
                     for c in range(u - d):
                         work[a, d + c] += part * (with_next[i, b, c] if b < d else own[i + 1, b - d, c])
+            residual[k, a] = -_dot(reduced, &shared[0], w)
             for b in range(w - 1):
-                part = reduced[k, a, b]
+                part = reduced[b]
                 if part != 0.0:
                     for c in range(b, w - 1):
                         work[a, u + c] += part * root[b, c]
             for b in range(a + 1):
                 part = _dot(&work[a, 0], &rows[k, b, 0], u) + _dot(&work[a, u], &work[b, u], w - 1)
                 covariance[k, a, b] = covariance[k, b, a] = (1.0 if a == b else 0.0) - part
+
+
+cpdef void scatter_forms(
+    const double[:, :, :] whitening, const double[:, :, :] directions, const int64_t[:] place,
+    const double[:, ::1] residual, const double[:, :, ::1] covariance, double[:, :, ::1] work, double[:, ::1] forms,
+    double[:, ::1] single,
+) noexcept:
+    """Add up what the score of scatter is of: with W Z whitened directions, r the residuals and C their covariance.
+
+    whitening, directions, place : W (K, t, t), lower triangles, Z (K, t, q), and the components (q,) these are of.
+    residual, covariance : r (K, t) and C (K, t, t).
+    work (3, t or q, q) : memory.
+    forms (c, 2 + c) : by component sums of (Zᵀ Wᵀ r)², of the diagonal of Zᵀ Wᵀ C W Z, and of the squares of all of it.
+    single (q, 2) : the first two by direction.
+    """
+    cdef double part, total
+    cdef Py_ssize_t a, b, c, k
+    K, t, q = directions.shape[0], directions.shape[1], directions.shape[2]
+    for k in range(K):
+        work[:, :, :] = 0.0
+        for a in range(t):  # W Z
+            for b in range(a + 1):
+                part = whitening[k, a, b]
+                if part != 0.0:
+                    for c in range(q):
+                        work[0, a, c] += part * directions[k, b, c]
+        for a in range(t):  # C W Z
+            for b in range(t):
+                part = covariance[k, a, b]
+                for c in range(q):
+                    work[1, a, c] += part * work[0, b, c]
+        for a in range(t):
+            for b in range(q):
+                part = work[0, a, b]
+                if part != 0.0:
+                    for c in range(q):
+                        work[2, b, c] += part * work[1, a, c]
+        for b in range(q):
+            total = 0.0
+            for a in range(t):
+                total += residual[k, a] * work[0, a, b]
+            single[b, 0] += total * total
+            single[b, 1] += work[2, b, b]
+            forms[place[b], 0] += total * total
+            forms[place[b], 1] += work[2, b, b]
+            for c in range(q):
+                forms[place[b], 2 + place[c]] += work[2, b, c] * work[2, b, c]
+
+
+def state_forms(
+    const double[:, :, ::1] by, const double[:, :, ::1] own, const double[:, :, ::1] with_next,
+    const double[:, ::1] root, const double[::1] shared, const double[:, ::1] rho, const double[:, ::1] step,
+    const double[:, ::1] lapse, double[:, :, ::1] work, double[:, ::1] forms,
+):
+    """Add up what the score of the states of a session is of, over their first values and their steps.
+
+    by (N, d, w) : how the unknowns of the stations, states last, follow all others.
+    own, with_next : covariances of these for given others, with themselves and with those of the next.
+    root (w - 1, w - 1), shared (w,) : as of `residuals`.
+    rho, step, lapse (N, s) : correlation with the next, standard deviation of the step to it, time over τ; no step
+    follows where that is infinite.
+    work (2, s, w + 1) : memory.
+    forms (4, s) : sums of the squares, of 1 less their variances, of that between 0 and 1, and of slopes by ln τ.
+    """
+    with nogil:
+        _state_forms(by, own, with_next, root, shared, rho, step, lapse, work, forms)
+
+
+cdef for_each_processor _state_forms(
+    const double[:, :, ::1] by, const double[:, :, ::1] own, const double[:, :, ::1] with_next,
+    const double[:, ::1] root, const double[::1] shared, const double[:, ::1] rho, const double[:, ::1] step,
+    const double[:, ::1] lapse, double[:, :, ::1] work, double[:, ::1] forms,
+) noexcept nogil:
+    """The same; `work` has E U, value and variance of the states of a station, and of the one before it."""
+    cdef double part, value, variance, square, unknown, known, both, change, correlation, of_step
+    d, w, s = by.shape[1], by.shape[2], rho.shape[1]
+    for i in range(by.shape[0]):
+        here, before = i % 2, (i + 1) % 2
+        work[here, :, :] = 0.0
+        for k in range(s):
+            j = d - s + k
+            for b in range(w - 1):
+                part = by[i, j, b]
+                for c in range(b, w - 1):
+                    work[here, k, c] += part * root[b, c]
+            value = _dot(&by[i, j, 0], &shared[0], w)
+            variance = own[i, j, j] + _dot(&work[here, k, 0], &work[here, k, 0], w - 1)
+            work[here, k, w - 1], work[here, k, w] = value, variance
+            square, unknown = value * value, variance
+            if i > 0:
+                correlation, of_step = rho[i - 1, k], step[i - 1, k] * step[i - 1, k]
+                both = with_next[i - 1, j, j] + _dot(&work[before, k, 0], &work[here, k, 0], w - 1)
+                known, change = work[before, k, w], value - correlation * work[before, k, w - 1]
+                square = change * change / of_step
+                unknown = (variance - correlation * (2.0 * both - correlation * known)) / of_step
+                if lapse[i - 1, k] < INFINITY:
+                    part = change * work[before, k, w - 1] + both - correlation * known
+                    part += correlation * (1.0 - square - unknown)
+                    forms[3, k] += lapse[i - 1, k] * correlation * part / of_step
+            forms[0, k] += square
+            forms[1, k] += 1.0 - unknown
+            forms[2, k] += min(max(1.0 - unknown, 0.0), 1.0)
 
 
 cdef double _dot(const double* x, const double* y, Py_ssize_t n) noexcept nogil:
@@ -274,9 +384,10 @@ cdef double _dot(const double* x, const double* y, Py_ssize_t n) noexcept nogil:
 
 cpdef bint whiten(
     const double[:, :, :] noise, const double[:, :, :] directions, const int64_t[:] component,
-    const double[:] variance, double[:, ::1] work, double[:, :, ::1] factors,
+    const double[:] variance, const double[:, :] weight, double[:, ::1] work, double[:, :, ::1] factors,
 ) noexcept:
-    """Write inverse Cholesky factors of noise + Σ v Z Zᵀ into `factors`; false where a matrix is not positive definite."""
+    """Write inverse Cholesky factors of noise + Σ v Z Zᵀ, their columns times the `weight` (N, n) of rows, into
+    `factors`; false where a matrix is not positive definite."""
     cdef double v, part, total, scale
     cdef Py_ssize_t a, b, c, k
     N, n, q = noise.shape[0], noise.shape[1], directions.shape[2]
@@ -311,4 +422,7 @@ cpdef bint whiten(
                     for b in range(c + 1):
                         factors[k, a, b] -= part * factors[k, c, b]
                 factors[k, a, a] = scale
+            for a in range(n):
+                for b in range(a + 1):
+                    factors[k, a, b] *= weight[k, b]
     return True

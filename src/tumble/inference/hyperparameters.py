@@ -43,6 +43,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from tumble.inference.elimination import along_chains, eliminate, fold
+from tumble.inference.elimination_kernels import scatter_forms, state_forms
 from tumble.inference.linearisation import Linearisation
 from tumble.inference.noise import (
     CORRELATION_TIME,
@@ -235,6 +236,9 @@ class QuadraticForms:
     double: Array
 
 
+NO_FORMS = QuadraticForms(square=np.zeros(0), trace=np.zeros(0), double=np.zeros(0))
+
+
 class Score:
     """The quadratic forms of a solution, each made when it is first asked for."""
 
@@ -246,80 +250,55 @@ class Score:
         )
 
     @cached_property
-    def directions(self) -> tuple[tuple[Array, Array, IntArray], ...]:
-        """Of rests, turns and links the whitened directions W Z (N, r, q) of scatter, what residuals have along them
-        (N, q), and where these stand in SCATTER."""
-        equations, noise = self.solution.equations, self.noise
-        out = list[tuple[Array, Array, IntArray]]()
-        rest, turn, link = noise.weighted_directions
-        for W, (r, _), (Z, place) in (
-            (equations.rest_whitening, self.solution.rest_residuals, rest),
-            (equations.turn_whitening, self.solution.turn_residuals, turn),
-            (equations.link_whitening, self.solution.link_residuals, link),
-        ):
-            WZ = W @ Z
-            out.append((WZ, (r[:, None] @ WZ)[:, 0], place))
-        return tuple(out)
-
-    @cached_property
-    def _products(self) -> list[Array]:
-        """Zᵀ P Z (N, q, q) of the directions within a rest, a turn or a link."""
-        solution = self.solution
-        every = solution.rest_residuals, solution.turn_residuals, solution.link_residuals
-        return [np.swapaxes(WZ, -1, -2) @ (C @ WZ) for (WZ, _, _), (_, C) in zip(self.directions, every, strict=True)]
+    def _scatter_forms(self) -> tuple[Array, Array]:
+        """Sums (c, 2 + c) by component of scatter (`scatter_forms`), and (q, 2) by direction of the scatter of rests.
+        Raises LinAlgError where residuals are beyond all measure."""
+        solution, equations, forms = self.solution, self.solution.equations, np.zeros((len(SCATTER), 2 + len(SCATTER)))
+        whitening = equations.rest_whitening, equations.turn_whitening, equations.link_whitening
+        residuals, singles = (solution.rest_residuals, solution.turn_residuals, solution.link_residuals), list[Array]()
+        for W, (r, C), (Z, place) in zip(whitening, residuals, self.noise.weighted_directions, strict=True):
+            t, q = Z.shape[1:]
+            singles.append(np.zeros((q, 2)))
+            scatter_forms(W, Z, place, r, C, np.empty((3, max(t, q), q)), forms, singles[-1])
+        if not np.isfinite(forms.sum()):
+            raise np.linalg.LinAlgError("residuals are beyond all measure")
+        return forms, singles[0]
 
     @cached_property
     def scatter(self) -> QuadraticForms:
-        """By component of scatter (c,). Raises LinAlgError where residuals are beyond all measure."""
-        square, trace = np.zeros(len(SCATTER)), np.zeros(len(SCATTER))
-        for (_, along, place), products in zip(self.directions, self._products, strict=True):
-            square += np.bincount(place, (along**2).sum(axis=0), len(SCATTER))
-            trace += np.bincount(place, np.einsum("kqq->q", products), len(SCATTER))
-        v, double = self.variances, self.scatter_products.diagonal()
-        if not np.isfinite(square.sum() + trace.sum() + double.sum()):
-            raise np.linalg.LinAlgError("residuals are beyond all measure")
-        return QuadraticForms(square=v * square, trace=v * trace, double=v * v * double)
+        """By component of scatter (c,)."""
+        v, (forms, _) = self.variances, self._scatter_forms
+        return QuadraticForms(
+            square=v * forms[:, 0], trace=v * forms[:, 1], double=v * v * self.scatter_products.diagonal()
+        )
 
-    @cached_property
+    @property
     def scatter_products(self) -> Array:
         """tr PD_aPD_b (c, c) of the components of scatter, by the parts within a rest and within a turn."""
-        out = np.zeros((len(SCATTER), len(SCATTER)))
-        for (_, _, place), products in zip(self.directions, self._products, strict=True):
-            kind = np.eye(len(SCATTER))[place]
-            out += kind.T @ (products**2).sum(axis=0) @ kind
-        return out
+        return self._scatter_forms[0][:, 2:]
 
     @cached_property
     def sensors(self) -> QuadraticForms:
         """By sensor (n,), of its scatter at rest and of its in-run bias."""
-        of_states, (_, along, place) = self.states, self.directions[0]
-        n = self.solution.problem.sensors
-        v = self.variances[place[:n]]
+        of_states, n = self.states, self.solution.problem.sensors
+        square, trace = self._scatter_forms[1][:n].T * self.variances[self.noise.rest_directions[1][:n]]
         return QuadraticForms(
-            square=v * (along[:, :n] ** 2).sum(axis=0) + of_states.square[:n],
-            trace=v * np.einsum("kqq->q", self._products[0])[:n] + of_states.trace[:n],
+            square=square + of_states.square[:n],
+            trace=trace + of_states.trace[:n],
             double=0.5 * SENSED * len(self.solution.problem.link) + of_states.double[:n],
         )
 
     @cached_property
-    def _steps(self) -> tuple[Array, Array, Array]:
-        """Squares of the steps of the states and of those that begin a chain, expected from their values (M, s), the
-        variances of both, and of each step that follows a station the slope by ln τ."""
-        solution, noise = self.solution, self.noise
-        states, here = slice(noise.unknowns - noise.states, None), np.flatnonzero(noise.follows)
-        first = np.append(True, ~noise.follows[:-1])
-        b, root = solution.states, solution.along(states)
-        given, with_next = np.diagonal(solution.conditional_covariances, axis1=-2, axis2=-1)[..., states]
-        variance = given + (root**2).sum(axis=-1)
-        with_next = (with_next[:-1] + (root[:-1] * root[1:]).sum(axis=-1))[here]
-        rho, square, now, after = noise.state_rho[here], noise.state_step[here] ** 2, b[here], b[here + 1]
-        step, known = after - rho * now, variance[here]
-        value = step**2 / square
-        unknown = (variance[here + 1] - rho * (2.0 * with_next - rho * known)) / square
-        lapse = noise.state_lapse[here]
-        growth = np.where(np.isfinite(lapse), lapse, 0.0) * rho
-        by_time = growth * (step * now + with_next - rho * known + rho * (1.0 - value - unknown)) / square
-        return np.concatenate([value, b[first] ** 2]), np.concatenate([unknown, variance[first]]), by_time
+    def _state_forms(self) -> Array:
+        """Sums (4, s) over the first states of all sessions and their steps (`state_forms`)."""
+        solution, noise, s = self.solution, self.noise, self.noise.states
+        forms, work = np.zeros((4, s)), np.empty((2, s, solution.shared.shape[1] + 1))
+        follow, (own, with_next) = solution.equations.back_substitution[2], solution.conditional_covariances
+        every = follow, own, with_next, noise.state_rho, noise.state_step, noise.state_lapse
+        for part, root, shared in zip(solution.problem.parts, solution.roots, solution.shared, strict=True):
+            by, given, with_following, rho, step, lapse = (each[part.stations] for each in every)
+            state_forms(by, given, with_following, root, shared, rho, step, lapse, work, forms)
+        return forms
 
     @cached_property
     def states(self) -> QuadraticForms:
@@ -327,16 +306,13 @@ class Score:
         if not self.noise.states:
             nothing = np.zeros(self.solution.problem.sensors)
             return QuadraticForms(square=nothing, trace=nothing, double=nothing)
-        square, unknown, _ = self._steps
-        known = 1.0 - unknown
-        return QuadraticForms(
-            square=square.sum(axis=0), trace=known.sum(axis=0), double=np.clip(known, 0.0, 1.0).sum(axis=0)
-        )
+        square, trace, double, _ = self._state_forms
+        return QuadraticForms(square=square, trace=trace, double=double)
 
     @cached_property
     def times(self) -> QuadraticForms:
         """Those of which ∂ℓ/∂ln τ by state (s,) is as if of a variance."""
-        slope = self._steps[2].sum(axis=0) if self.noise.states else np.zeros(len(self.states.square))
+        slope = self._state_forms[3] if self.noise.states else np.zeros(len(self.states.square))
         return QuadraticForms(square=slope, trace=np.zeros_like(slope), double=0.25 * self.states.double)
 
     @cached_property
@@ -350,36 +326,48 @@ class Score:
     @cached_property
     def local_priors(self) -> QuadraticForms:
         """By parameter that sessions have beside (q,), of its prior in all of them."""
-        solution = self.solution
-        q, off = solution.local.shape[-1], solution.linearisation.point.local + solution.local
+        solution, q = self.solution, self.solution.local.shape[-1]
+        if q == 0:
+            return NO_FORMS
+        off = solution.linearisation.point.local + solution.local
         each = _of_priors(off, (solution.roots[:, :q] ** 2).sum(axis=-1), solution.problem.local_u)
         return QuadraticForms(
             square=each.square.sum(axis=0), trace=each.trace.sum(axis=0), double=each.double.sum(axis=0)
         )
 
+    @property
+    def _every(self) -> tuple[tuple[type[Hyperparameter], QuadraticForms], ...]:
+        """By kind of hyperparameter."""
+        return (
+            (Scatter, self.scatter),
+            (InRunSize, self.states),
+            (CorrelationTime, self.times),
+            (SensorFactor, self.sensors),
+            (GroupSize, self.priors),
+            (LocalGroupSize, self.local_priors),
+        )
+
     def of(self, hyperparameters: Hyperparameters) -> QuadraticForms:
         """By element of φ (D,)."""
-        every = {
-            Scatter: self.scatter,
-            InRunSize: self.states,
-            CorrelationTime: self.times,
-            SensorFactor: self.sensors,
-            GroupSize: self.priors,
-            LocalGroupSize: self.local_priors,
-        }
-        some = hyperparameters.selection(tuple((kind, len(of.square)) for kind, of in every.items()))
-        square, trace, double = (
-            some @ np.concatenate([getattr(of, name) for of in every.values()])
-            for name in ("square", "trace", "double")
-        )
+        every = self._every
+        some = hyperparameters.selection(tuple((kind, len(forms.square)) for kind, forms in every))
+        names = "square", "trace", "double"
+        square, trace, double = (some @ np.concatenate([getattr(forms, name) for _, forms in every]) for name in names)
         return QuadraticForms(square=square, trace=trace, double=double)
+
+    def gradient(self, hyperparameters: Hyperparameters) -> Array:
+        """The gradient (D,) of ℓ."""
+        every = self._every
+        some = hyperparameters.selection(tuple((kind, len(forms.square)) for kind, forms in every))
+        slopes = np.concatenate([forms.square - forms.trace for _, forms in every])
+        return np.asarray(some @ slopes + self.solution.of_prior[1])
 
 
 def _of_priors(off: Array, variance: Array, size: Array) -> QuadraticForms:
     """The forms of priors of standard deviations `size` by values and variances."""
-    square = np.where(size > 0.0, size, np.inf) ** 2
-    learned = 1.0 - variance / square
-    return QuadraticForms(square=off**2 / square, trace=learned, double=np.clip(learned, 0.0, 1.0))
+    information = np.divide(1.0, size**2, out=np.zeros_like(size), where=size > 0.0)
+    learned = 1.0 - variance * information
+    return QuadraticForms(square=off**2 * information, trace=learned, double=np.minimum(np.maximum(learned, 0.0), 1.0))
 
 
 def size_factors(
@@ -484,16 +472,13 @@ def _factor(name: str, words: str, too_small: float, members: slice | IntArray) 
 
 def scaled(problem: Problem, hyperparameters: Hyperparameters, phi: Array) -> tuple[Problem, VarianceComponents]:
     """The problem with the priors of its groups as large as φ (D,) says, and the components of variance; or stacks."""
-    p, values = np.maximum(phi, 0.0), np.exp(phi)
-
-    def factors(kind: type[Hyperparameter], count: int) -> Array:
-        return np.exp(p @ hyperparameters.members(kind, count))
-
+    values, m, q, n = np.exp(phi), len(problem.usual_u) - 1, len(problem.usual_local_u), problem.sensors
+    some = hyperparameters.selection(((GroupSize, m), (LocalGroupSize, q), (SensorFactor, n)))
+    factors = np.exp(np.maximum(phi, 0.0) @ some)
+    prior_u = np.empty((*phi.shape[:-1], 1 + m))
+    prior_u[..., 0], prior_u[..., 1:] = problem.usual_u[0], problem.usual_u[1:] * factors[..., :m]
+    local_u, unlike = problem.usual_local_u * factors[..., m : m + q], factors[..., m + q :]
     components: dict[str, Any] = {h.name: values[..., i] for i, h in enumerate(hyperparameters) if not h.bounded}
-    prior_u = np.broadcast_to(problem.usual_u, (*phi.shape[:-1], len(problem.usual_u))).copy()
-    prior_u[..., 1:] *= factors(GroupSize, len(problem.usual_u) - 1)
-    local_u = problem.usual_local_u * factors(LocalGroupSize, len(problem.usual_local_u))
-    unlike = factors(SensorFactor, problem.sensors)
     none = dict.fromkeys(SCATTER, np.zeros(phi.shape[:-1])[()])
     return problem.with_sizes(prior_u, local_u), VarianceComponents(**(none | components), unlike=unlike)
 
@@ -508,18 +493,18 @@ def solution_at(linearisation: Linearisation, hyperparameters: Hyperparameters, 
     """The solution, with ℓ, at φ (D,) or at a stack (P, D) of them; the linearisation has priors of any size."""
     problem, components = scaled(linearisation.problem, hyperparameters, phi)
     here = linearisation.with_priors(problem).with_components(components)
-    return add_priors(here, eliminate_rests(here), phi, hyperparameters.log_prior(phi)[0].sum(axis=-1))
+    return add_priors(here, eliminate_rests(here), phi=phi, of_prior=hyperparameters.log_prior(phi))
 
 
 def score(hyperparameters: Hyperparameters, solution: Solution) -> tuple[Array, Array]:
     """Gradient (D,) of ℓ, and its information (D, D) as far as it is had in closed form: of components of scatter that
     of two together, else each for itself."""
-    score, prior = Score(solution), hyperparameters.log_prior(solution.phi)
+    score = Score(solution)
     forms, some = score.of(hyperparameters), hyperparameters.members(Scatter, len(SCATTER))
     along = some * score.variances
     together = along @ score.scatter_products @ along.T
-    information = 2.0 * together + np.diag(2.0 * (forms.double - together.diagonal()) + prior[2])
-    return forms.square - forms.trace + prior[1], information
+    information = 2.0 * together + np.diag(2.0 * (forms.double - together.diagonal()) + solution.of_prior[2])
+    return score.gradient(hyperparameters), information
 
 
 def average_information(hyperparameters: Hyperparameters, solution: Solution) -> Array:
@@ -536,10 +521,12 @@ def average_information(hyperparameters: Hyperparameters, solution: Solution) ->
     of_scatter = hyperparameters.members(Scatter, len(SCATTER))
     of_sensors = hyperparameters.members(SensorFactor, problem.sensors)
     variates = list[Array]()
-    for number, (WZ, along, place) in enumerate(Score(solution).directions):
-        some = of_scatter[:, place]
+    whitening = equations.rest_whitening, equations.turn_whitening, equations.link_whitening
+    residuals = solution.rest_residuals, solution.turn_residuals, solution.link_residuals
+    for number, (W, (r, _), (Z, place)) in enumerate(zip(whitening, residuals, noise.weighted_directions, strict=True)):
+        WZ, some = W @ Z, of_scatter[:, place]
         some[:, : problem.sensors] += of_sensors if number == 0 else 0.0
-        variates.append((2.0 * noise.variances[place] * along[:, None] * WZ) @ some.T)
+        variates.append((2.0 * noise.variances[place] * (r[:, None] @ WZ) * WZ) @ some.T)
     off = point.values + solution.parameters[1:] - problem.prior_mean[1:]
     of_prior = -2.0 * (off / problem.prior_u[1:])[:, None] * hyperparameters.members(GroupSize, len(off)).T
     off_local = (point.local + solution.local) / problem.local_u
@@ -575,7 +562,7 @@ def average_information(hyperparameters: Hyperparameters, solution: Solution) ->
             fold(local, triangle)
         fold(triangle[q:, q:].copy(order="F"), common)
     R = np.triu(common)[p : p + D, p : p + D]
-    return np.asarray(0.5 * R.T @ R + np.diag(hyperparameters.log_prior(solution.phi)[2]))
+    return np.asarray(0.5 * R.T @ R + np.diag(solution.of_prior[2]))
 
 
 def _variates_of_states(hyperparameters: Hyperparameters, solution: Solution) -> tuple[Array, Array]:

@@ -111,10 +111,6 @@ MIXED = 128
 """Draws of the mixture of Gaussians of which coverage factors are taken."""
 SHIFT = 0.6180339887498949
 """Of a sequence of points to the next, in the unit cube."""
-NUMBERS_AT_ONCE = 60_000
-"""Numbers of matrices whose roots are taken at once: half a megabyte."""
-NEGLIGIBLE_WEIGHT = 1e-4
-"""Of the weight of a point of ψ: sizes of less are left out of the moments there."""
 COVERAGE = 0.9545
 MOST_DEGREES = 1e6
 
@@ -418,30 +414,21 @@ class Triangles:
             **{f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Triangles)}
         )
 
-    def log_likelihood(self, sizes: Array) -> Array:
-        """ln L (K, L), less a constant, of priors of standard deviations `sizes` (K, L, g) of the parameters of the
-        groups. With B = U Uᵀ and b = S h the last row of the root of [[B, b], [bᵀ, 1 + bᵀb]] is U⁻¹ b."""
-        out, g = np.empty(sizes.shape[:2]), sizes.shape[2]
-        many, i = max(1, NUMBERS_AT_ONCE // (sizes.shape[1] * (g + 1) ** 2)), np.arange(g)
-        for first in range(0, len(sizes), many):
-            some = slice(first, first + many)
-            S = sizes[some]
-            B = np.empty((*S.shape[:2], g + 1, g + 1))
-            B[..., :g, :g] = S[..., None] * self.information[some, None] * S[..., None, :]
-            B[..., i, i] += 1.0
-            B[..., g, :g] = b = S * self.right[some, None]
-            B[..., g, g] = 1.0 + (b**2).sum(axis=-1)
-            root = np.linalg.cholesky(B)
-            pivots = np.log(np.diagonal(root, axis1=-2, axis2=-1)[..., :g]).sum(axis=-1)
-            out[some] = 0.5 * (root[..., g, :g] ** 2).sum(axis=-1) - pivots - 0.5 * self.deviance[some, None]
-        return out
-
-    def of_groups(self, point: IntArray, sizes: Array) -> tuple[Array, Array]:
+    def of_groups(self, point: IntArray, sizes: Array) -> tuple[Array, Array, Array]:
         """The values (P, g) and covariances (P, g, g) of the parameters of the groups, with priors of these standard
-        deviations (P, g), each at one of the points (P,)."""
-        B = sizes[:, :, None] * self.information[point] * sizes[:, None, :] + np.eye(sizes.shape[1])
-        covariances = sizes[:, :, None] * np.linalg.inv(B) * sizes[:, None, :]
-        return (covariances @ self.right[point][:, :, None])[:, :, 0], covariances
+        deviations (P, g), each at one of the points (P,), and ln L (P,), less a constant."""
+        both, right, pivots = sizes[:, :, None] * sizes[:, None, :], self.right[point], np.ones(sizes.shape)
+        inverse = both * self.information[point] + np.eye(sizes.shape[1])
+        for B, pivot in zip(inverse, pivots, strict=True) if sizes.shape[1] else ():
+            root, failed = scipy.linalg.lapack.dpotrf(B.T, overwrite_a=1, clean=0)
+            if failed:
+                raise np.linalg.LinAlgError("Matrix is not positive definite")
+            pivot[:] = root.diagonal()
+            scipy.linalg.lapack.dpotri(root, overwrite_c=1)  # in place: above its diagonal B stays
+        covariances = both * np.where(np.tri(sizes.shape[1], dtype=bool), inverse, np.swapaxes(inverse, 1, 2))
+        values = (covariances @ right[:, :, None])[:, :, 0]
+        log_likelihood = 0.5 * ((right * values).sum(axis=1) - self.deviance[point]) - np.log(pivots).sum(axis=1)
+        return values, covariances, log_likelihood
 
 
 def triangles(
@@ -537,14 +524,13 @@ def _densities_of_sizes(fitted: Maximum, sizes: list[int]) -> dict[int, Density]
         every = np.tile(phi, (len(p), 1))
         every[:, i] = p
         S = usual * np.exp(np.maximum(every[:, element], 0.0))
+        point = np.zeros(len(S), dtype=int)
         if at_bound:
             place = np.flatnonzero(element == i)
-            variance = (
-                np.diagonal(triangle.of_groups(np.zeros(1, dtype=int), S[[one]])[1][0])[place] / S[one, place] ** 2
-            )
+            variance = np.diagonal(triangle.of_groups(point[[one]], S[[one]])[1][0])[place] / S[one, place] ** 2
             if 2.0 * np.clip(1.0 - variance, 0.0, 1.0).sum() <= SHOWN:
                 continue
-        likelihood, grid = triangle.log_likelihood(S[None])[0], np.linspace(-3.0 * h.within, p[-1], FINE)
+        likelihood, grid = triangle.of_groups(point, S)[2], np.linspace(-3.0 * h.within, p[-1], FINE)
         out[i] = Density.of(grid, np.interp(grid, p, likelihood - likelihood[0]) + h.log_prior(grid)[0])
     return out
 
@@ -622,7 +608,7 @@ class Draws:
         weight, every = np.cumsum(self.weight.ravel()), self.triangles
         drawn, count = np.unique(np.searchsorted(weight, (np.arange(MIXED) + 0.5) / MIXED), return_counts=True)
         point, size = np.divmod(np.minimum(drawn, len(weight) - 1), self.sizes.shape[1])
-        values, covariances = every.of_groups(point, self.sizes[point, size])
+        values, covariances, _ = every.of_groups(point, self.sizes[point, size])
         means, variance = every.alpha[point], np.diagonal(every.omega, axis1=1, axis2=2)[point]
         for row, k in enumerate(point.tolist()):
             gamma = every.gamma[k]
@@ -637,13 +623,12 @@ def _drawn(fitted: Maximum, proposal: Proposal, count: int, sequence: int) -> Dr
     phi, log_q = proposal.points(fitted.phi, count, sequence)
     sizes = fitted.usual_problem.usual_u[1 + members] * np.exp(np.maximum(phi[:, :, element], 0.0))
     every = triangles(fitted.linearisation, hyperparameters, phi[:, 0], members)
-    log_weight = every.log_likelihood(sizes) + hyperparameters.log_prior(phi)[0].sum(axis=-1) - log_q
-    share = scipy.special.softmax(log_weight, axis=1)
+    log_weight = hyperparameters.log_prior(phi)[0].sum(axis=-1) - log_q
     value, (within, between) = np.zeros_like(every.right), np.zeros((2, *every.information.shape))
-    for k, weight in enumerate(share):
-        some = np.flatnonzero(weight > NEGLIGIBLE_WEIGHT)
-        w = weight[some] / weight[some].sum()
-        values, covariances = every.of_groups(np.full(len(some), k), sizes[k, some])
+    for k, of_point in enumerate(sizes):
+        values, covariances, log_likelihood = every.of_groups(np.full(len(of_point), k), of_point)
+        log_weight[k] += log_likelihood
+        w = scipy.special.softmax(log_weight[k])
         value[k], within[k] = w @ values, np.tensordot(w, covariances, axes=1)
         off = values - value[k]
         between[k] = (off.T * w) @ off

@@ -6,7 +6,6 @@ Jacobians in closed form.
 
 from __future__ import annotations
 
-from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -148,8 +147,8 @@ class Linearisation:
     def _changed(self, **fields: Any) -> Linearisation:
         """The same rows with other fields, and with what does not depend on these, which is made but once."""
         self.ordered  # noqa: B018
-        out = copy(self)
-        vars(out).update(fields)
+        out = object.__new__(Linearisation)
+        vars(out).update(vars(self) | fields)
         return out
 
     def with_components(self, components: VarianceComponents) -> Linearisation:
@@ -569,11 +568,13 @@ def _attitude_rows(problem: Problem, point: Point) -> Array:
 def prior_rows(problem: Problem, point: Point, array: Array) -> Array:
     """Measured gravity and the prior of the parameters, whitened: a triangle, of a diagonal and a right-hand side; with
     the rows (R, p + 1) of what arrays say of themselves in motion."""
-    expected, u = problem.prior_mean - np.append(point.gravity, point.values), problem.prior_u
+    expected, u = problem.prior_mean.copy(), problem.prior_u
+    expected[0] -= point.gravity
+    expected[1:] -= point.values
     rows, i = np.swapaxes(np.zeros((*u.shape[:-1], u.shape[-1] + 1, u.shape[-1] + 1)), -1, -2), np.arange(u.shape[-1])
     if problem.prior.covariance is None:
-        rows[..., i, i] = np.divide(1.0, u, out=np.zeros_like(u), where=u > 0.0)
-        rows[..., :-1, -1] = rows[..., i, i] * expected
+        weight = np.divide(1.0, u, out=np.zeros_like(u), where=u > 0.0)
+        rows[..., i, i], rows[..., :-1, -1] = weight, weight * expected
     else:
         rows[..., :-1, :-1] = root_of_inverse(problem.prior.covariance)
         rows[..., :-1, -1] = rows[..., :-1, :-1] @ expected

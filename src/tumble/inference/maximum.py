@@ -46,6 +46,7 @@ from tumble.inference.hyperparameters import (
     Hyperparameters,
     InRunSize,
     Scatter,
+    Score,
     average_information,
     hyperparameters_of,
     score,
@@ -208,7 +209,7 @@ def maximum(
             step *= min(1.0, radius / float(np.abs(step).max()))
             step = np.where(bounded, np.maximum(solution.phi + step, 0.0), solution.phi + step) - solution.phi
             tried = solution_at(linearisation, hyperparameters, solution.phi + step)
-            tried_gradient, _ = score(hyperparameters, tried)
+            tried_gradient = Score(tried).gradient(hyperparameters)
             expected = float(gradient @ step - 0.5 * step @ B @ step)
             gained = float(tried.log_posterior - solution.log_posterior)
             B = _updated(B, step, gradient - tried_gradient)

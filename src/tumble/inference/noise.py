@@ -131,9 +131,8 @@ class VarianceComponents:
 
     def in_run(self, accelerometers: int, gyros: int) -> tuple[Array, Array]:
         """Standard deviations and correlation times (n,) of the in-run biases of sensors, accelerometers first."""
-        size, time = [self.accel_in_run] * accelerometers, [self.accel_time] * accelerometers
-        sigma = _stacked(size + [self.gyro_in_run] * gyros)
-        tau = _stacked(time + [self.gyro_time] * gyros)
+        both = (self.accel_in_run, self.gyro_in_run), (self.accel_time, self.gyro_time)
+        sigma, tau = (_stacked(list(kinds)).repeat((accelerometers, gyros), axis=-1) for kinds in both)
         return sigma * self.unlike if self.unlike.size else sigma, tau
 
 
@@ -187,8 +186,10 @@ class NoiseModel:
     components: VarianceComponents = NO_COMPONENTS
 
     def at(self, components: VarianceComponents) -> NoiseModel:
-        """The same with other components of variance."""
-        return replace(self, components=components)
+        """The same with other components of variance, and with what does not depend on these, made but once."""
+        out = replace(self, components=components)
+        vars(out).update(_seen=self._seen, whole=self.whole)
+        return out
 
     @property
     def weights(self) -> tuple[Array, Array, Array]:
@@ -205,23 +206,35 @@ class NoiseModel:
         return self.components.variances
 
     @cached_property
+    def whole(self) -> bool:
+        """Whether all rows have their whole weight."""
+        return all(bool(np.all(w == 1.0)) for w in self.weights)
+
+    @cached_property
+    def _seen(self) -> tuple[tuple[Array, IntArray], ...]:
+        """The directions Z of the scatter of rests, turns and links, and their places in SCATTER. Rows that are left
+        out have no scatter, of which they show nothing."""
+        every = self.rest_directions, self.turn_directions, self.link_directions
+        if self.whole:
+            return every
+        pairs = zip(every, self.weights, strict=True)
+        return tuple((Z * (w > OMITTED)[:, :, None], place) for (Z, place), w in pairs)
+
+    @cached_property
     def directions(self) -> tuple[tuple[Array, IntArray], ...]:
-        """The directions Z of the scatter of rests, turns and links, those of sensors unlike others longer, and their
-        places in SCATTER. Rows that are left out have no scatter, of which they show nothing."""
-        every, unlike = (self.rest_directions, self.turn_directions, self.link_directions), self.components.unlike
-        seen = [
-            Z if np.all(w > OMITTED) else Z * (w > OMITTED)[:, :, None]
-            for (Z, _), w in zip(every, self.weights, strict=True)
-        ]
-        if unlike.size:
-            others = np.ones((*unlike.shape[:-1], seen[0].shape[-1] - unlike.shape[-1]))
-            seen[0] = seen[0] * np.concatenate([unlike, others], axis=-1)[..., None, None, :]
-        return tuple((Z, place) for Z, (_, place) in zip(seen, every, strict=True))
+        """The same, those of sensors unlike others longer."""
+        (Z, place), *others = self._seen
+        unlike = self.components.unlike
+        if not unlike.size:
+            return self._seen
+        longer = np.ones((*unlike.shape[:-1], Z.shape[-1]))
+        longer[..., : unlike.shape[-1]] = unlike
+        return (Z * longer[..., None, None, :], place), *others
 
     @property
     def weighted_directions(self) -> tuple[tuple[Array, IntArray], ...]:
         """The same, longer where rows count less: their whitening has the weights in it."""
-        if all(np.all(w == 1.0) for w in self.weights):
+        if self.whole:
             return self.directions
         each = zip(self.directions, self.weights, strict=True)
         return tuple((Z / w[:, :, None], place) for (Z, place), w in each)
@@ -246,7 +259,7 @@ class NoiseModel:
         (J, 9, 9)."""
         variances = self.variances
         every = zip((self.rest, self.turn, self.link), self.directions, self.weights, strict=True)
-        rest, turn, link = (whitening(N, *directions, variances) * w[:, None] for N, directions, w in every)
+        rest, turn, link = (whitening(N, *directions, variances, w) for N, directions, w in every)
         return rest, turn, link
 
     def _of_states(self, of_biases: Array, of_displacements: Array | float) -> Array:

@@ -20,11 +20,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 import scipy
 
-from tumble.inference.elimination import along_chains, eliminate, fold, given_parameters, given_unknowns, put_back
+from tumble.inference.elimination import along_chains, eliminate, fold, given_parameters, put_back
 from tumble.inference.elimination_kernels import residuals
 from tumble.inference.linearisation import Linearisation
 from tumble.inference.noise import NoiseModel, VarianceComponents
@@ -76,16 +77,6 @@ class NormalEquations:
         """The unknowns of the rests given others (`tumble.inference.elimination.put_back`)."""
         return put_back(self.rest_factors)
 
-    def reduced_rows(self, problem: Problem) -> tuple[Array, Array, Array]:
-        """Whitened rows of rests (N, r, w), of turns (K, t, w) and of links (J, 9, w) with the unknowns of the stations
-        as they follow from all others."""
-        follow = self.back_substitution[2]
-        return (
-            given_unknowns(self.rest_rows, follow, problem.station),
-            given_unknowns(self.turn_rows, follow, problem.before_turn),
-            given_unknowns(self.link_rows, follow, problem.before_link),
-        )
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Solution:
@@ -107,9 +98,9 @@ class Solution:
         The sum of squares that is left, priors included.
     deviance
         −2 ln of the restricted likelihood, less its constant.
-    phi, log_prior
-        The hyperparameters (D,) it is at, and the logarithm of their prior density less a constant; empty and 0 where
-        components of variance were given.
+    phi, of_prior
+        The hyperparameters (D,) it is at, and of each the logarithm of its prior density less a constant, its
+        derivative, and the curvature of its negative (3, D); empty where components of variance were given.
     """
 
     linearisation: Linearisation
@@ -120,7 +111,7 @@ class Solution:
     square: Array
     deviance: Array
     phi: Array = field(default_factory=lambda: np.zeros(0))
-    log_prior: Array | float = 0.0
+    of_prior: Array = field(default_factory=lambda: np.zeros((3, 0)))
 
     @property
     def problem(self) -> Problem:
@@ -135,7 +126,7 @@ class Solution:
     @property
     def log_posterior(self) -> Array:
         """ℓ(φ) (23)."""
-        return np.asarray(self.log_prior - 0.5 * self.deviance)
+        return np.asarray(self.of_prior[0].sum(axis=-1) - 0.5 * self.deviance)
 
     @cached_property
     def shared(self) -> Array:
@@ -219,18 +210,18 @@ class Solution:
 
             1 − A S Aᵀ − (E U)(E U)ᵀ"""
         problem, equations, out = self.problem, self.equations, list[tuple[Array, Array]]()
-        own, with_next = self.conditional_covariances
+        (own, with_next), follow = self.conditional_covariances, equations.back_substitution[2]
         kinds = (
             (equations.rest_rows, problem.station, [part.rests for part in problem.parts]),
             (equations.turn_rows, problem.before_turn, [part.turns for part in problem.parts]),
             (equations.link_rows, problem.before_link, [slice(None)] * problem.moves),
         )
-        for (rows, before, parts), E in zip(kinds, equations.reduced_rows(problem), strict=True):
-            K, t = rows.shape[:2]
-            residual, covariance, work = np.zeros((K, t)), np.zeros((K, t, t)), np.empty((t, rows.shape[2]))
+        for rows, before, parts in kinds:
+            (K, t, columns), width = rows.shape, follow.shape[-1]
+            residual, covariance, work = np.zeros((K, t)), np.zeros((K, t, t)), np.empty((t, columns + width))
             for part, root, shared in zip(parts, self.roots, self.shared, strict=False):
-                of = rows[part], E[part], before[part]
-                residuals(*of, own, with_next, root, shared, residual[part], covariance[part], work)
+                here = rows[part], before[part], follow, own, with_next
+                residuals(*here, root, shared, residual[part], covariance[part], work)
             out.append((residual, covariance))
         return out
 
@@ -255,7 +246,7 @@ def eliminate_rests(linearisation: Linearisation) -> NormalEquations:
     joints = joint_rows(linearisation, turn, link) if states else turn
     begins = np.zeros((d, d + width))  # a chain of states begins as its process is
     begins[d - states :, d - states : d] = np.eye(states)
-    for at in np.ndindex(*stack):
+    for at in product(*map(range, stack)):
         for part, triangle in zip(problem.parts, triangles[at], strict=True):
             between, links = (
                 joints[at][part.stations if states else part.turns],
@@ -280,7 +271,7 @@ def whiten(
 ) -> tuple[Array, Array, Array]:
     """The whitened rows of rests, turns and links as the elimination has them: after the unknowns of the stations what
     a session has beside, then gravity and the common parameters."""
-    noise, s = linearisation.noise, linearisation.noise.states
+    problem, noise, s = linearisation.problem, linearisation.noise, linearisation.noise.states
     n, d = sum(noise.sensors), noise.unknowns - noise.states
     rows = linearisation.ordered
     if noise.biases == 0:  # without their columns
@@ -288,9 +279,11 @@ def whiten(
         rows = np.delete(rows[0], one, axis=2), np.delete(rows[1], both, axis=2), np.delete(rows[2], both, axis=2)
     rest, turn, link = (W @ x for W, x in zip((rest_whitening, turn_whitening, link_whitening), rows, strict=True))
     if s:
-        d = noise.unknowns
-        for by_states in (rest[..., d - s : d], *(x[..., k * d - s : k * d] for x in (turn, link) for k in (1, 2))):
-            by_states *= noise.state_sigma[..., None, None, :]
+        d, sigma = noise.unknowns, noise.state_sigma[..., None, None, :]
+        rest[..., d - s : d] *= sigma
+        for joint in (turn, link) if problem.moves else (turn,):
+            joint[..., d - s : d] *= sigma
+            joint[..., 2 * d - s : 2 * d] *= sigma
     return rest, turn, link
 
 
@@ -327,26 +320,22 @@ def session_links(part: SessionSpan, *, chained: bool) -> IntArray:
     return np.append(np.arange(len(part.link) - 1), -1) if chained else part.link
 
 
-def add_priors(
-    linearisation: Linearisation,
-    equations: NormalEquations,
-    phi: Array | None = None,
-    log_prior: Array | float = 0.0,
-) -> Solution:
+def add_priors(linearisation: Linearisation, equations: NormalEquations, **at_phi: Array) -> Solution:
     """The solution of normal equations with the priors of a linearisation, those of single sessions folded in first,
-    what these have beside eliminated, and then the common ones."""
+    what these have beside eliminated, and then the common ones; `at_phi` are the fields of hyperparameters."""
     problem = linearisation.problem
-    q, S, p, u = len(problem.usual_local_u), len(problem.parts), linearisation.prior.shape[-1] - 1, problem.prior_u
-    stack = np.broadcast_shapes(linearisation.prior.shape[:-2], equations.session_factors.shape[:-3])
+    q, S, p = len(problem.usual_local_u), len(problem.parts), linearisation.prior.shape[-1] - 1
+    stack = max(linearisation.prior.shape[:-2], equations.session_factors.shape[:-3], key=len)
 
     def stacked(x: Array, axes: int) -> Array:
         return np.broadcast_to(x, (*stack, *x.shape[x.ndim - axes :])) if stack else x
 
     factors, prior = stacked(equations.session_factors, 3), stacked(linearisation.prior, 2)
     local_u, residuals = stacked(problem.local_u, 1), stacked(linearisation.local_prior, 2)
-    parameters, local = np.zeros((*stack, p)), np.zeros((*stack, S, q))
-    roots, pivots, square = np.zeros((*stack, S, q + p, q + p)), np.empty((*stack, S * q + p)), np.empty(stack)
-    for at in np.ndindex(*stack):
+    further_u = stacked(problem.prior_u[..., 1 + problem.instrument.linear_count :], 1)
+    parameters, local, roots = np.zeros((*stack, p)), np.zeros((*stack, S, q)), np.zeros((*stack, S, q + p, q + p))
+    diagonals, square = np.empty((*stack, 2 * S * q + p + further_u.shape[-1])), np.empty(stack)
+    for at in product(*map(range, stack)):
         triangle, heads = fold_sessions(prior[at], factors[at], local_u[at], residuals[at])
         exact = int(triangle[0, 0] == 0.0)  # gravity, of which the step is zero then
         root = np.zeros((p, p))
@@ -354,9 +343,10 @@ def add_priors(
         parameters[at][exact:] = root[exact:, exact:] @ triangle[exact:p, p]
         for s, head in enumerate(heads):
             local[at][s], roots[at][s] = _local_solution(head, parameters[at], root)
-        pivots[at], square[at] = np.concatenate([h.diagonal() for h in (*heads, triangle[:p])]), triangle[p, p] ** 2
-    sizes = _logarithms(u[..., 1 + problem.instrument.linear_count :]) + S * _logarithms(problem.local_u)
-    deviance = 2.0 * (_logarithms(pivots) + sizes) + rests_deviance(equations) + square
+        pivots = [rows.diagonal() for rows in (*heads, triangle[:p])]
+        np.concatenate([*pivots, further_u[at], *(S * [local_u[at]])], out=diagonals[at])
+        square[at] = triangle[p, p] ** 2
+    deviance = 2.0 * _logarithms(diagonals) + rests_deviance(equations) + square
     return Solution(
         linearisation=linearisation,
         equations=equations,
@@ -365,8 +355,7 @@ def add_priors(
         roots=roots,
         square=square,
         deviance=deviance,
-        phi=np.zeros(0) if phi is None else phi,
-        log_prior=log_prior,
+        **at_phi,
     )
 
 

@@ -44,11 +44,11 @@ from tumble.inference.problem import unseen_rate
 from tumble.rotation import skew
 from tumble.units import Array, IntArray
 
-Roots = dict[str, Array]
-"""By source roots F (N, r, k) of its covariances of rows, S = F Fᵀ."""
+Covariances = dict[str, Array]
+"""By source its covariances S (N, r, r) of rows."""
 
 
-def noise_roots(linearisation: Linearisation) -> tuple[Roots, Roots, Roots]:
+def noise_covariances(linearisation: Linearisation) -> tuple[Covariances, Covariances, Covariances]:
     """The sources of the noise of the rows of rests, of turns and of links; where the Earth's rate is not known, it
     turns what the velocities go with, too."""
     problem, noise = linearisation.problem, linearisation.noise
@@ -77,22 +77,16 @@ def noise_roots(linearisation: Linearisation) -> tuple[Roots, Roots, Roots]:
         in_turns["earth"] = earth * along @ np.swapaxes(along, 1, 2)
     in_turns["turn.gyro.noise"] = noise.turn - sum(in_turns.values())
 
-    def roots(sources: dict[str, Array], directions: tuple[Array, IntArray]) -> Roots:
-        out, (Z, place) = dict[str, Array](), directions
-        for name, S in sources.items():
-            size = np.sqrt(np.maximum(np.diagonal(S, axis1=1, axis2=2), 0.0))
-            unit = np.where(size > 0.0, size, 1.0)
-            value, vectors = np.linalg.eigh(S / unit[:, :, None] / unit[:, None, :])
-            F = size[:, :, None] * vectors * np.sqrt(np.maximum(value, 0.0))[:, None]
-            out[name] = F[:, :, F.any(axis=(0, 1))]
+    def with_scatter(sources: Covariances, directions: tuple[Array, IntArray]) -> Covariances:
+        out, (Z, place) = {name: S for name, S in sources.items() if S.any()}, directions
         for number in np.unique(place).tolist():
-            sigma = float(getattr(noise.components, SCATTER[number]))
-            if sigma > 0.0:
-                out[f"{SCATTER[number]}.scatter"] = sigma * Z[:, :, place == number]
+            along = float(getattr(noise.components, SCATTER[number])) * Z[:, :, place == number]
+            if along.any():
+                out[f"{SCATTER[number]}.scatter"] = along @ np.swapaxes(along, 1, 2)
         return out
 
     of_links = {"link.noise": noise.link} if linearisation.problem.moves else {}
-    rest, turn, link = map(roots, (rests, in_turns, of_links), noise.directions)
+    rest, turn, link = map(with_scatter, (rests, in_turns, of_links), noise.directions)
     return rest, turn, link
 
 
@@ -108,40 +102,41 @@ def contributions(solution: Solution) -> dict[str, Array]:
         equations.turn_whitening / turn_weights[:, None],
         equations.link_whitening / noise.link_weights[:, None],
     )
-    roots, reduced = noise_roots(linearisation.with_components(noise.components)), equations.reduced_rows(problem)
+    covariances = noise_covariances(linearisation.with_components(noise.components))
     every = equations.rest_rows, equations.turn_rows, equations.link_rows
     mean = session_mean_bias(equations) if equations.wanders and len(problem.parts) == 1 else None
     out = dict[str, Array]()
 
-    def add(name: str, K: Array) -> None:
-        """Kᵀ K of rows (…, y)."""
-        K = K.reshape(-1, K.shape[-1])
-        out[name] = out.get(name, 0.0) + K.T @ K
+    def add(name: str, K: Array, SK: Array | None = None) -> None:
+        """Kᵀ K of rows (…, y), or Kᵀ S K."""
+        SK = K if SK is None else SK
+        out[name] = out.get(name, 0.0) + K.reshape(-1, K.shape[-1]).T @ SK.reshape(-1, K.shape[-1])
 
     for s, part in enumerate(problem.parts):
         # Z (39): of the unknowns of the rests what is beside that by the others, N, concerns the biases alone
-        Y, stations, first = np.eye(q + size)[q:], part.stations, part.stations.start + part.first
-        N = None
+        Y, stations = np.eye(q + size)[q:], part.stations
         if mean is not None:
             Y[biases] += mean[0][:, :-1]
+        Z_x = solution.roots[s] @ (solution.roots[s].T @ Y.T)
+        Z = times(follow[stations, :, :-1], Z_x)
+        if mean is not None:
             N = inverse @ np.swapaxes(mean[1], -1, -2)
             along_chains(by_next, N)
-        Z_x = solution.roots[s] @ (solution.roots[s].T @ Y.T)
+            Z[..., biases] += N
 
         # covariances by source (38)
         links, station, before = slice(None if problem.moves else 0), problem.station[part.rests], problem.before_link
-        places = (part.rests, (station,)), (part.turns, (first, first + 1)), (links, (before, before + 1))
-        for F_by_source, W, E, rows, (some, ends) in zip(roots, whitening, reduced, every, places, strict=True):
-            K = times(E[some, :, :-1], Z_x)
-            if N is not None:
-                for e, after in enumerate(ends):
-                    K[..., biases] += rows[some, :, e * d : (e + 1) * d] @ N[after]
-            for name, F in F_by_source.items():
-                add(name, np.swapaxes(W[some] @ F[some], -1, -2) @ K)
+        ends_of_rests = (station - stations.start,)
+        places = (part.rests, ends_of_rests), (part.turns, (part.first, part.first + 1)), (links, (before, before + 1))
+        for sources, W, rows, (some, ends) in zip(covariances, whitening, every, places, strict=True):
+            K = times(rows[some, :, len(ends) * d : -1], Z_x)
+            for e, after in enumerate(ends):
+                K += rows[some, :, e * d : (e + 1) * d] @ Z[after]
+            H = np.swapaxes(W[some], -1, -2) @ K
+            for name, S in sources.items():
+                add(name, H, S[some] @ H)
         if noise.states:
-            states = times(follow[stations, d - noise.states :, :-1], Z_x)
-            if N is not None:
-                states[..., biases] += N[stations, d - noise.states :]
+            states = Z[:, d - noise.states :]
             rho, step = noise.state_rho[stations][:-1, :, None], noise.state_step[stations][:-1, :, None]
             for K in (states[:1], (states[1:] - rho * states[:-1]) / step):
                 add("accel.in_run", K[:, : min(accelerometers, noise.biases)])
