@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import sqlite3
 import struct
 import subprocess
@@ -400,6 +401,16 @@ def test_a_damaged_recording_is_refused_in_one_line(name: str, record: Array, tm
         messages(path)
     assert str(path) in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+def test_what_python_says_of_a_damaged_recording_stays_away(record: Array, tmp_path: Path) -> None:
+    write_bag2(tmp_path / "bag", record)
+    metadata = tmp_path / "bag" / "metadata.yaml"
+    text = metadata.read_text()
+    assert re.search(r"\n  version: \d", text)
+    metadata.write_text(re.sub(r"\n  version: \d", "\n  version:", text))
+    with pytest.raises(InputError, match="found it damaged or incomplete: Invalid bag metadata: TypeError"):
+        messages(tmp_path / "bag")
 
 
 def test_what_a_library_prints_of_a_damaged_recording_stays_away(

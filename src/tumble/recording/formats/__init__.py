@@ -176,6 +176,10 @@ def _rows(path: Path, message: Message) -> Iterator[pl.DataFrame]:
         yield from message.rows()
 
 
+OF_PYTHON = TypeError, AttributeError, NameError, LookupError, AssertionError
+"""Errors whose text speaks of the program, and not of the file."""
+
+
 @contextmanager
 def _intact(path: Path) -> Iterator[None]:
     """Whatever a reader's library says of a damaged recording, then or while its rows are read, becomes one line. An
@@ -187,7 +191,7 @@ def _intact(path: Path) -> Iterator[None]:
     except OSError as error:
         raise InputError(f"{path}: expected a readable file, found: {error.strerror or error}") from None
     except Exception as error:  # each reader's library has errors of its own, and struct.error, IndexError and more
-        of_python = isinstance(error, TypeError | AttributeError | NameError | LookupError | AssertionError)
+        of_python = isinstance(error, OF_PYTHON)
         last = [str(frame.f_globals.get("__name__")) for frame, _ in walk_tb(error.__traceback__)][-2:]
         here = any(
             name.startswith("tumble.recording.formats.") for name in last
@@ -195,6 +199,11 @@ def _intact(path: Path) -> Iterator[None]:
         if of_python and not isinstance(error, LookupError) and here:
             raise
         words = type(error).__name__ if of_python else " ".join(str(error).split()) or type(error).__name__
+        cause = error.__context__
+        while cause is not None:  # some libraries quote what Python said
+            if isinstance(cause, OF_PYTHON) and str(cause):
+                words = words.replace(" ".join(str(cause).split()), type(cause).__name__)
+            cause = cause.__context__
         raise InputError(f"{path}: expected an intact recording, found it damaged or incomplete: {words}") from None
 
 
