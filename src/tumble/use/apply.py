@@ -280,11 +280,12 @@ def _corrected(
                         )
                     steps /= np.maximum(np.floor(steps / interval + 0.5), 1.0)
                 intervals = steps[:, None]
-            means = {
-                part.kind: part.readings(table) / (intervals if intervals is not None and part.increments else 1.0)
-                for part in parts
-                if part.kind in ("accel", "gyro")
-            }
+            with np.errstate(invalid="ignore"):  # damaged readings or steps give readings that are no numbers
+                means = {
+                    part.kind: part.readings(table) / (intervals if intervals is not None and part.increments else 1.0)
+                    for part in parts
+                    if part.kind in ("accel", "gyro")
+                }
             now = stream.add(means["accel"], means.get("gyro"), time, celsius)
             waiting.append((table, intervals))
         for kind, vectors in (("accel", now.force), ("gyro", now.rate)):
