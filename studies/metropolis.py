@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from tumble.inference.estimate import Outcome
-from tumble.inference.hyperparameters import log_prior, score, solution_at
+from tumble.inference.hyperparameters import score, solution_at
 from tumble.inference.integral import SHOWN, conditional, posterior
 from tumble.inference.maximum import Maximum, maximum
 from tumble.inference.normal_equations import Solution
@@ -96,7 +96,7 @@ def sampled(fitted: Maximum, draws: int, seed: int) -> tuple[Array, Array, float
             there = evaluated(fitted, tried).log_posterior
             if (
                 np.log(rng.uniform())
-                < there - log_prior(entries, tried)[0, size] - value + log_prior(entries, phi)[0, size]
+                < there - entries.log_prior(tried)[0, size] - value + entries.log_prior(phi)[0, size]
             ):
                 phi, value = tried, there
         path.append(phi[walking])

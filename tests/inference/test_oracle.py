@@ -26,7 +26,6 @@ from tumble.inference.hyperparameters import (
     Scatter,
     SensorFactor,
     average_information,
-    log_prior,
     score,
     solution_at,
 )
@@ -77,7 +76,7 @@ def test_likelihood_score_and_estimate_are_those_of_dense_matrices(name: str, se
 
     # the likelihood and its score
     assert here.deviance == pytest.approx(found.deviance, abs=1e-9)
-    gradient, of_prior = score(hyperparameters, here)[0], log_prior(hyperparameters, phi)[1]
+    gradient, of_prior = score(hyperparameters, here)[0], hyperparameters.log_prior(phi)[1]
     variates = list[Array]()
     for h, slope in zip(hyperparameters, gradient - of_prior, strict=True):
         if isinstance(h, (Scatter, InRunSize, CorrelationTime)):
@@ -95,7 +94,7 @@ def test_likelihood_score_and_estimate_are_those_of_dense_matrices(name: str, se
     # average information, in units of its diagonal or of the 1 that a prior has
     Q = np.array(variates)
     expected_information = 0.5 * Q @ found.projector @ Q.T
-    information = average_information(hyperparameters, here) - np.diag(log_prior(hyperparameters, phi)[2])
+    information = average_information(hyperparameters, here) - np.diag(hyperparameters.log_prior(phi)[2])
     size = np.sqrt(np.maximum(expected_information.diagonal(), 1.0))
     np.testing.assert_allclose((information - expected_information) / np.outer(size, size), 0.0, atol=1e-7)
 

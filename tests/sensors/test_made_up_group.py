@@ -4,6 +4,7 @@ accelerometer times the square of the force along body X."""
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -33,11 +34,15 @@ SIZE = 5e-5
 """s²/m, over instruments."""
 
 
-def by_square_of_x(block: Block) -> Array:
-    """∂K/∂θ (n, 15, n)."""
-    out = np.zeros((block.size, FUNCTIONS, block.size))
-    out[:, PRODUCTS.start + PAIRS.index((0, 0)), :] = np.eye(block.size)
-    return out
+def by_square(axis: int) -> Callable[[Block], Array]:
+    """∂K/∂θ (n, 15, n) of a block, one parameter a sensor, by the square of the force along a body axis."""
+
+    def regressors(block: Block) -> Array:
+        out = np.zeros((block.size, FUNCTIONS, block.size))
+        out[block.channels, PRODUCTS.start + PAIRS.index((axis, axis)), np.arange(block.size)] = 1.0
+        return out
+
+    return regressors
 
 
 @pytest.fixture(autouse=True)
@@ -51,7 +56,7 @@ def made_up(monkeypatch: pytest.MonkeyPatch) -> ParameterGroup:
         suffixes=lambda block: block.sensors,
         limit=1e-2,
         usual=dict.fromkeys(("navigation", "tactical", "mems", "consumer"), SIZE),
-        regressors=by_square_of_x,
+        regressors=by_square(0),
     )
     monkeypatch.setattr(parameters, "FURTHER", [*parameters.FURTHER, group])
     return group
@@ -59,13 +64,6 @@ def made_up(monkeypatch: pytest.MonkeyPatch) -> ParameterGroup:
 
 def test_gyros_have_one_of_products_of_forces(monkeypatch: pytest.MonkeyPatch) -> None:
     """A g²-sensitivity of 30 °/h/g², which turns by far more than first order leaves to what is integrated anew."""
-
-    def along_z(block: Block) -> Array:
-        out = np.zeros((block.size, FUNCTIONS, block.size))
-        each = np.arange(block.size)
-        out[block.channels, PRODUCTS.start + PAIRS.index((2, 2)), each] = 1.0
-        return out
-
     size = float(np.radians(30.0)) / 3600.0 / 9.81**2
     group = ParameterGroup(
         name="gyro.g2",
@@ -75,7 +73,7 @@ def test_gyros_have_one_of_products_of_forces(monkeypatch: pytest.MonkeyPatch) -
         suffixes=lambda block: block.sensors,
         limit=1e-3,
         usual=dict.fromkeys(("navigation", "tactical", "mems", "consumer"), size),
-        regressors=along_z,
+        regressors=by_square(2),
     )
     monkeypatch.setattr(parameters, "FURTHER", [*parameters.FURTHER, group])
     scenario = drawn()

@@ -483,12 +483,6 @@ def scaled(problem: Problem, hyperparameters: Hyperparameters, phi: Array) -> tu
     return problem.with_sizes(prior_u, local_u), VarianceComponents(**(none | components), unlike=unlike)
 
 
-def log_prior(hyperparameters: Hyperparameters, phi: Array) -> Array:
-    """Of every element the logarithm of the prior density of φ (D,), less a constant, its derivative, and the curvature
-    of its negative (3, D)."""
-    return hyperparameters.log_prior(phi)
-
-
 def solution_at(linearisation: Linearisation, hyperparameters: Hyperparameters, phi: Array) -> Solution:
     """The solution, with ℓ, at φ (D,) or at a stack (P, D) of them; the linearisation has priors of any size."""
     problem, components = scaled(linearisation.problem, hyperparameters, phi)

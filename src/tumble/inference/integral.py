@@ -56,7 +56,6 @@ from tumble.inference.hyperparameters import (
     Hyperparameters,
     InRunSize,
     Score,
-    log_prior,
     scaled,
     solution_at,
 )
@@ -366,7 +365,7 @@ def _densities_of_times(fitted: Maximum, spread: Callable[[Array], Array]) -> di
         rows[:, size] += spread(phi[time]) - spread(knots[-1])
     flat = every.reshape(-1, len(phi))
     posterior = solution_at(fitted.linearisation, hyperparameters, flat).log_posterior
-    likelihood = (posterior - log_prior(hyperparameters, flat)[0].sum(axis=-1)).reshape(every.shape[:2])
+    likelihood = (posterior - hyperparameters.log_prior(flat)[0].sum(axis=-1)).reshape(every.shape[:2])
     for time, x, y in zip(times.values(), knots, likelihood, strict=True):
         h = hyperparameters[time]
         grid = np.linspace(x[0] - h.within, x[-1] + h.within, FINE)
@@ -792,7 +791,7 @@ def degrees_of(factor: Array) -> Array:
 def _summary(fitted: Maximum, phi: Array, weight: Array) -> Array:
     """Median and the limits of the middle 68 % of every hyperparameter (D, 3); of those that are not integrated over by
     the curvature at the maximum."""
-    out, prior_curvature = np.empty((len(fitted.phi), 3)), log_prior(fitted.hyperparameters, fitted.phi)[2]
+    out, prior_curvature = np.empty((len(fitted.phi), 3)), fitted.hyperparameters.log_prior(fitted.phi)[2]
     for i, h in enumerate(fitted.hyperparameters):
         at, order = fitted.phi[i], np.argsort(phi[:, i])
         limits = at + np.array([0.0, -1.0, 1.0]) / np.sqrt(max(fitted.curvature[i, i], prior_curvature[i]))

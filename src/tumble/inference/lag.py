@@ -140,14 +140,14 @@ def maximum_with_lags(start: Linearisation, iterations: int) -> tuple[Maximum, A
     for kind, i in lags.items():
         at_lags, own = solutions(kind), coefficients(fitted.problem, kind)
         about = fitted.point.values[i] + LAGS_ABOUT
-        grid, weight, found = resolved(at_lags, np.append(0.0, about[about > 0.0]))
+        grid, weight, at_grid = resolved(at_lags, np.append(0.0, about[about > 0.0]))
         prior = np.exp(-0.5 * penalty(kind, grid)) * widths(grid)
-        log_odds = [log_odds_of_change(each[own][:, [*own, -1]], prior_u[own]) for each in found]
+        log_odds = [log_odds_of_change(each[own][:, [*own, -1]], prior_u[own]) for each in at_grid]
         change = float(scipy.special.expit(scipy.special.logsumexp(log_odds, b=prior / prior.sum())))
         means[i] = change * float(weight @ grid)
         spread[i, i] = weight @ (grid - means[i]) ** 2
         (held_one,) = at_lags(means[[i]])[1]
-        every = np.vstack([without(held_one, own)[None], found])[:, others][:, :, [*others, -1]]
+        every = np.vstack([without(held_one, own)[None], at_grid])[:, others][:, :, [*others, -1]]
         more = greater_by(every, held_one[others][:, [*others, -1]], np.append(1.0 - change, change * weight))
         spread[np.ix_(others, others)] += more
     return again(means), spread
