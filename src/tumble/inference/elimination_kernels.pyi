@@ -41,12 +41,10 @@ def residuals(
 def scatter_forms(
     whitening: Array,
     directions: Array,
-    place: IntArray,
     residual: Array,
     covariance: Array,
     work: Array,
     forms: Array,
-    single: Array,
 ) -> None: ...
 def state_forms(
     by: Array,

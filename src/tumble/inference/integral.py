@@ -55,7 +55,7 @@ from tumble.inference.hyperparameters import (
     Hyperparameter,
     Hyperparameters,
     InRunSize,
-    Score,
+    quadratic_forms,
     scaled,
     solution_at,
 )
@@ -257,7 +257,7 @@ class Proposal:
     def about(fitted: Maximum) -> Proposal:
         """The proposal by the score and the average information at the maximum."""
         hyperparameters, solution, phi, B = fitted.hyperparameters, fitted.solution, fitted.phi, fitted.curvature
-        forms, densities = Score(solution).of(hyperparameters), dict[int, Density]()
+        forms, densities = quadratic_forms(hyperparameters, solution), dict[int, Density]()
         sizes = [i for i, h in enumerate(hyperparameters) if isinstance(h, GroupSize)]
         if sizes:
             densities |= _densities_of_sizes(fitted, sizes)
@@ -280,7 +280,7 @@ class Proposal:
         densities |= _densities_of_times(fitted, spread)
         for i in (each for each in outer if each not in densities):
             h = hyperparameters[i]
-            density = partial(_size_density, h, phi[i], (forms.square[i], forms.trace[i]), curvature[i])
+            density = partial(_size_density, h, phi[i], tuple(forms[:, i]), curvature[i])
             if i in times:
                 in_run[i] = times[i], density
             else:
@@ -514,10 +514,10 @@ def _densities_of_sizes(fitted: Maximum, sizes: list[int]) -> dict[int, Density]
     members, element = members_of(fitted, np.array(sizes))
     triangle = triangles(fitted.linearisation, hyperparameters, phi[None], members)
     usual, out = fitted.usual_problem.usual_u[1 + members], dict[int, Density]()
-    double, one = Score(fitted.solution).of(hyperparameters).double, int(np.argmin(np.abs(KNOTS - 1.0)))
+    learned, one = quadratic_forms(hyperparameters, fitted.solution)[1], int(np.argmin(np.abs(KNOTS - 1.0)))
     for i in sizes:
         h, at_bound = hyperparameters[i], phi[i] <= 0.0
-        curvature = 2.0 * float(double[i]) + h.within**-2 if at_bound else fitted.curvature[i, i]
+        curvature = 2.0 * float(learned[i]) + h.within**-2 if at_bound else fitted.curvature[i, i]
         size = max(curvature, h.within**-2) ** -0.5
         p = max(phi[i], 0.0) + KNOTS * size if at_bound else np.linspace(0.0, phi[i] + KNOTS[-1] * size, 2 * len(KNOTS))
         every = np.tile(phi, (len(p), 1))

@@ -46,9 +46,9 @@ from tumble.inference.hyperparameters import (
     Hyperparameters,
     InRunSize,
     Scatter,
-    Score,
     average_information,
     hyperparameters_of,
+    score,
     solution_at,
 )
 from tumble.inference.linearisation import Linearisation, linearise
@@ -243,7 +243,7 @@ def likeliest_phi(
         Whether ℓ would gain by B no more than GAIN by each element.
     """
     exact, linearisation, bounded = B is None, solution.linearisation, hyperparameters.bounded
-    gradient, enough = Score(solution).gradient(hyperparameters), GAIN * max(1, len(hyperparameters))
+    gradient, enough = score(hyperparameters, solution), GAIN * max(1, len(hyperparameters))
     if B is None:
         B = average_information(hyperparameters, solution)
     for _ in range(STEPS):
@@ -261,7 +261,7 @@ def likeliest_phi(
         step *= min(1.0, radius / float(np.abs(step).max()))
         step = np.where(bounded, np.maximum(solution.phi + step, 0.0), solution.phi + step) - solution.phi
         tried = solution_at(linearisation, hyperparameters, solution.phi + step)
-        tried_gradient = Score(tried).gradient(hyperparameters)
+        tried_gradient = score(hyperparameters, tried)
         expected = float(gradient @ step - 0.5 * step @ B @ step)
         gained = float(tried.log_posterior - solution.log_posterior)
         B = _updated(B, step, gradient - tried_gradient)
