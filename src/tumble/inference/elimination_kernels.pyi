@@ -58,3 +58,9 @@ def state_forms(
     work: Array,
     forms: Array,
 ) -> None: ...
+def fold_sizes(
+    information: Array, right: Array, size: Array, factor: Array, value: Array, log_likelihood: Array
+) -> None: ...
+def mean_covariance(
+    factor: Array, size: Array, weight: Array, least: float, work: Array, covariance: Array
+) -> None: ...

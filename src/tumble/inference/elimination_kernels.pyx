@@ -5,7 +5,7 @@ Sums are taken in the order that is written: a compiler that may choose another 
 compilation to the next, and rows of a campaign would differ in the last digit from process to process.
 """
 
-from libc.math cimport INFINITY, sqrt
+from libc.math cimport INFINITY, log, sqrt
 from libc.stdint cimport int64_t
 
 from tumble.processors cimport for_each_processor
@@ -409,3 +409,101 @@ cpdef bint whiten(
                 for b in range(a + 1):
                     factors[k, a, b] *= weight[k, b]
     return True
+
+
+def fold_sizes(
+    const double[:, :] information, const double[:] right, const double[:, :] size, double[:, :, ::1] factor,
+    double[:, ::1] value, double[::1] log_likelihood,
+):
+    """Fold priors of parameters c ~ N(0, S²) into what is known of these: Cholesky factors of B = 1 + S Λ S.
+
+    information, right : Λ (g, g) and h (g,).
+    size : standard deviations S (L, g) of L priors.
+    factor (L, g, g) : of every prior the upper triangle R, B = Rᵀ R.
+    value (L, g) : S B⁻¹ S h.
+    log_likelihood (L,) : ½ hᵀ S B⁻¹ S h − ½ ln |B|; no number where B is not positive definite.
+    """
+    with nogil:
+        _fold_sizes(information, right, size, factor, value, log_likelihood)
+
+
+cdef for_each_processor _fold_sizes(
+    const double[:, :] information, const double[:] right, const double[:, :] size, double[:, :, ::1] factor,
+    double[:, ::1] value, double[::1] log_likelihood,
+) noexcept nogil:
+    cdef double part, total, determinant
+    cdef double* row
+    cdef double* other
+    g = right.shape[0]
+    for n in range(size.shape[0]):
+        for a in range(g):
+            row = &factor[n, a, 0]
+            for b in range(a, g):
+                row[b] = size[n, a] * information[a, b] * size[n, b]
+            row[a] += 1.0
+        total, determinant = 0.0, 0.0
+        for k in range(g):
+            row = &factor[n, k, 0]
+            determinant += log(row[k])  # of what is less than zero it is no number
+            part = 1.0 / sqrt(row[k])
+            for b in range(k, g):
+                row[b] *= part
+            for a in range(k + 1, g):
+                part, other = row[a], &factor[n, a, 0]
+                if part != 0.0:
+                    for b in range(a, g):
+                        other[b] -= part * row[b]
+            part = size[n, k] * right[k]
+            for a in range(k):
+                part -= factor[n, a, k] * value[n, a]
+            value[n, k] = part / row[k]
+            total += value[n, k] * value[n, k]
+        log_likelihood[n] = 0.5 * (total - determinant)
+        for a in range(g - 1, -1, -1):
+            part = value[n, a]
+            for b in range(a + 1, g):
+                part -= factor[n, a, b] * value[n, b]
+            value[n, a] = part / factor[n, a, a]
+        for a in range(g):
+            value[n, a] *= size[n, a]
+
+
+def mean_covariance(
+    const double[:, :, ::1] factor, const double[:, :] size, const double[:] weight, double least,
+    double[:, ::1] work, double[:, ::1] covariance,
+):
+    """Σ w S B⁻¹ S (g, g) over the priors of `fold_sizes` whose `weight` (L,) is above the `least`; `work` (g, g) is
+    memory."""
+    with nogil:
+        _mean_covariance(factor, size, weight, least, work, covariance)
+
+
+cdef for_each_processor _mean_covariance(
+    const double[:, :, ::1] factor, const double[:, :] size, const double[:] weight, double least,
+    double[:, ::1] work, double[:, ::1] covariance,
+) noexcept nogil:
+    cdef double part
+    cdef double* row
+    cdef const double* other
+    g = covariance.shape[0]
+    covariance[:, :] = 0.0
+    for n in range(factor.shape[0]):
+        if not weight[n] > least:
+            continue
+        for a in range(g - 1, -1, -1):  # R⁻¹
+            row, part = &work[a, 0], 1.0 / factor[n, a, a]
+            for c in range(a + 1, g):
+                row[c] = 0.0
+            row[a] = part
+            for b in range(a + 1, g):
+                part, other = factor[n, a, b] * row[a], &work[b, 0]
+                if part != 0.0:
+                    for c in range(b, g):
+                        row[c] -= part * other[c]
+        for a in range(g):
+            for b in range(a, g):
+                part = weight[n] * size[n, a] * size[n, b]
+                covariance[a, b] += part * _dot(&work[a, b], &work[b, b], g - b)
+    for a in range(g):
+        for b in range(a):
+            covariance[a, b] = covariance[b, a]
