@@ -567,6 +567,8 @@ class Draws:
     value, within, between : (K, g), (K, g, g) and (K, g, g)
         At each point the mean of the parameters of the groups over the sizes, the mean of their covariances, and the
         covariance of their values.
+    step, variance : (K, 1 + m)
+        At each point the mean step of gravity and the parameters, and their variances.
     """
 
     phi: Array
@@ -576,6 +578,8 @@ class Draws:
     value: Array
     within: Array
     between: Array
+    step: Array
+    variance: Array
 
     @staticmethod
     def joined(parts: Sequence[Draws]) -> Draws:
@@ -598,6 +602,12 @@ class Draws:
     def weight(self) -> Array:
         """The weights (K, L) of all draws."""
         return np.asarray(self.smoothed[0][:, None] * scipy.special.softmax(self.log_weight, axis=1))
+
+    @property
+    def u(self) -> Array:
+        """Standard uncertainties (1 + m,) of gravity and the parameters."""
+        weight = self.smoothed[0]
+        return np.asarray(np.sqrt(weight @ self.variance + weight @ (self.step - weight @ self.step) ** 2))
 
     def moments(self, *, process: bool = False) -> tuple[Array, Array, Array]:
         """The mean step (1 + m,), the mean of the covariances at the draws (1 + m, 1 + m), and the covariance of the
@@ -645,6 +655,7 @@ def _drawn(fitted: Maximum, proposal: Proposal, count: int, sequence: int) -> Dr
         value[k], within[k] = w @ folded.values, folded.covariance(w)
         off = folded.values - value[k]
         between[k] = (off.T * w) @ off
+    variance = np.diagonal(every.omega, axis1=1, axis2=2) + ((every.gamma @ (within + between)) * every.gamma).sum(axis=2)
     return Draws(
         phi=phi,
         log_weight=log_weight,
@@ -653,12 +664,14 @@ def _drawn(fitted: Maximum, proposal: Proposal, count: int, sequence: int) -> Dr
         value=value,
         within=within,
         between=between,
+        step=every.alpha + (every.gamma @ value[:, :, None])[:, :, 0],
+        variance=variance,
     )
 
 
 def _u_error(drawn: Sequence[Draws]) -> float:
     """Half the difference of u by two sets of draws, relative, of the parameter of which it is largest."""
-    first, second = (np.sqrt(np.diag(within + between)) for _, within, between in (each.moments() for each in drawn))
+    first, second = (each.u for each in drawn)
     return float(np.max(np.abs(first - second) / np.maximum(first + second, 1e-300)))
 
 
