@@ -120,7 +120,7 @@ def test_the_score_is_the_derivative_of_the_likelihood(name: str) -> None:
     at = started(SESSIONS[name]())
     entries = maximum(at, iterations=1).hyperparameters
     phi, step = away_from_bounds(entries), 1e-4
-    gradient, _ = score(entries, solution_at(at, entries, phi))
+    gradient = score(entries, solution_at(at, entries, phi))
     kinds = dict[tuple[object, ...], list[int]]()
     for i, h in enumerate(entries):
         key = (type(h),) if h.bounded else (type(h), h.name)
@@ -141,7 +141,7 @@ def test_the_score_is_the_derivative_with_rows_that_count_less_and_rows_left_out
     entries, step = maximum(at, iterations=1).hyperparameters, 1e-4
     at, phi = replace(at, noise=at.noise.weighted(rest, turn, at.noise.link_weights)), away_from_bounds(entries)
     here = solution_at(at, entries, phi)
-    gradient, _ = score(entries, here)
+    gradient = score(entries, here)
     for i, h in enumerate(entries):
         by_one = step * np.eye(len(phi))[i]
         more, less = (solution_at(at, entries, phi + sign * by_one) for sign in (1.0, -1.0))
