@@ -35,14 +35,23 @@ importance sampling). With the step m and covariance V at each draw
 
 and the coverage factor k of a parameter is the half width at 95.45 % of its mixture of Gaussians over its u, of which
 u is half where a few points far out would make it more. The two sequences are independent: half the difference of what
-each finds for u is the error of u by the points. As long as it exceeds SETTLED of u, or few points count, there are
-twice as many, by further sequences, until there are MOST_POINTS.
+each finds is its error by the points. Where it exceeds SETTLED of u, few points count, or the shape of the weights
+exceeds HEAVY (Vehtari et al.: such a mean need not exist), the proposal misses a part of the posterior: two modes, or
+tails that reach farther than its own. Then the points become walkers, two sets of them, each moved by a Metropolis step
+whose proposal is the difference of two others of its set (differential evolution Markov chain, ter Braak 2006),
+
+    ψ_i' = ψ_i + γ (ψ_j − ψ_k) + ε,   γ = 2.38/√(2 D) and at times 1
+
+which takes the shape of the posterior from the walkers and needs no proposal any more. The sizes at each are drawn
+anew at every move, so that the mean of their weights is an unbiased likelihood of ψ' and the chain is exact
+(pseudo-marginal, Andrieu and Roberts 2009). The second half of what each set has been at counts, until the two agree within SETTLED or
+LONGEST moves are made.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property, partial
 
 import numpy as np
@@ -75,10 +84,18 @@ from tumble.inference.normal_equations import (
 from tumble.inference.uncertainty_budget import contributions, scaled_to
 from tumble.units import Array, IntArray
 
-POINTS, MOST_POINTS = 32, 256
-"""Points of ψ, at first, twice as many where there are no sizes of groups to be folded in, and at most."""
-SIZES = 16
-"""Sizes of groups that are folded into the triangle of each."""
+POINTS = 32
+"""Points of ψ, at first; twice as many where there are no sizes of groups to be folded in."""
+SIZES, WALKED_SIZES = 16, 4
+"""Sizes of groups that are folded into the triangle of each point, and of each walker at a move."""
+WALKERS = 32
+"""Of a set, at least; and twice as many as ψ has elements, whose differences span its space."""
+ROUND, LONGEST, THINNED = 16, 96, 4
+"""Moves after which the two sets are compared, moves at most, and of how many one is kept: the next is much alike."""
+JUMPS = 0.1
+"""The part of the moves by a whole difference, from one mode to another."""
+HEAVY = 0.7
+"""The shape of the distribution of weights above which a mean of so many points is not to be relied on."""
 SPARE = 3
 """Points of each sequence more than ψ has elements, at least: fewer have no covariance that could be made right."""
 MOST_PARAMETERS = 200
@@ -100,10 +117,10 @@ DEFENCE = 0.15
 REACH = 8.0
 """Standard deviations that densities along standard deviations reach."""
 SETTLED, ROUGH = 0.07, 0.1
-"""Of u, for the parameter of which it is largest: an error by the points above which there are twice as many, and above
-which it is said."""
+"""Of u, for the parameter of which it is largest: an error by the points above which walkers go on, and above which it
+is said."""
 FEW = 4.0
-"""Effective points of a sequence: two of fewer may agree by chance, and there are twice as many."""
+"""Effective points of a sequence: two of fewer may agree by chance."""
 SHOWN = 0.2
 """Twice the members of a group of which the session learns something where it is as large as its prior allows for: of
 less, its size is not shown at all, and stays that of the sheet."""
@@ -159,15 +176,11 @@ def posterior(fitted: Maximum, *, integrate: bool = True) -> Posterior:
         return _at_maximum(fitted)
     np.empty(KEPT_MEMORY, dtype=np.uint8)
     count = max(POINTS if len(proposal.inner) else 2 * POINTS, 2 * (len(proposal.outer) + SPARE)) // 2
-    drawn, sets = [_drawn(fitted, proposal, count, sequence) for sequence in (0, 1)], 1
-    while 2 * count * sets < MOST_POINTS:
-        if _u_error(drawn) < SETTLED and min(each.effective for each in drawn) > FEW:
-            break
-        for sequence in range(2 * sets, 4 * sets):
-            more = _drawn(fitted, proposal, count, sequence)
-            drawn[sequence % 2] = Draws.joined([drawn[sequence % 2], more])
-        sets *= 2
-    error, both = _u_error(drawn), Draws.joined(drawn)
+    drawn = [_drawn(fitted, proposal, *proposal.points(fitted.phi, count, k), SIZES, k) for k in (0, 1)]
+    shape = Draws.joined(drawn).smoothed[1]
+    if shape > HEAVY or _error(drawn) > SETTLED or min(each.effective for each in drawn) < FEW:
+        drawn = _walked(fitted, proposal)
+    error, both = _error(drawn), Draws.joined(drawn)
     mean, within, between = both.moments()
     sources = scaled_to(contributions(_typical(fitted, both)), within) | {"hyperparameters": between}
     covariance = np.sum(list(sources.values()), axis=0)
@@ -184,7 +197,7 @@ def posterior(fitted: Maximum, *, integrate: bool = True) -> Posterior:
         process_covariance=process_within + process_between,
         points=len(both.triangles.right),
         effective=both.effective,
-        pareto=both.smoothed[1],
+        pareto=shape,
         u_error=error,
         hyperparameters=_summary(fitted, both.phi.reshape(both.weight.size, -1), both.weight.ravel()),
     )
@@ -298,25 +311,28 @@ class Proposal:
         )
 
     def points(self, best: Array, count: int, sequence: int) -> tuple[Array, Array]:
-        """φ (points, sizes, D) and ln q (points, sizes), less a constant."""
-        sizes = SIZES if len(self.inner) else 1
-        phi, log_q = np.tile(best, (count, sizes, 1)), np.zeros((count, sizes))
-        normal = normal_points(count, len(self.outer), sequence)
-        log_q -= 0.5 * (normal**2).sum(axis=1)[:, None]
+        """ψ in points φ (count, D) of a sequence, all else as at `best`, and ln q (count,), less a constant."""
+        phi, normal = np.tile(best, (count, 1)), normal_points(count, len(self.outer), sequence)
+        log_q = -0.5 * (normal**2).sum(axis=1)
         along = dict(zip(self.outer.tolist(), (normal @ self.root.T).T, strict=True))
         for i in sorted(along, key=self.in_run.__contains__):
+            density = self.densities.get(i)
             if i in self.in_run:
-                time, density = self.in_run[i]
-                seen = self.spread(phi[:, 0, time]) - self.spread(best[time])
-                values, log_density = density(seen).drawn(along[i])
-            else:
-                values, log_density = self.densities[i].drawn(along[i])
-            phi[:, :, i] = values[:, None]
-            log_q += log_density[:, None]
-        for i, z in zip(self.inner.tolist(), normal_points(count * sizes, len(self.inner), sequence).T, strict=True):
+                time, of_shift = self.in_run[i]
+                density = of_shift(self.spread(phi[:, time]) - self.spread(best[time]))
+            assert density is not None
+            phi[:, i], log_density = density.drawn(along[i])
+            log_q += log_density
+        return phi, log_q
+
+    def with_sizes(self, phi: Array, count: int, sequence: int) -> tuple[Array, Array]:
+        """So many sizes of groups at each φ (K, D): φ (K, count, D), and ln q (K, count) of these sizes."""
+        count = count if len(self.inner) else 1
+        phi, log_q = np.repeat(phi[:, None], count, axis=1), np.zeros((len(phi), count))
+        for i, z in zip(self.inner.tolist(), normal_points(log_q.size, len(self.inner), sequence).T, strict=True):
             values, log_density = self.densities[i].drawn(z)
-            phi[:, :, i] = values.reshape(count, sizes)
-            log_q += (log_density - 0.5 * z**2).reshape(count, sizes)
+            phi[:, :, i] = values.reshape(log_q.shape)
+            log_q += (log_density - 0.5 * z**2).reshape(log_q.shape)
         return phi, log_q
 
 
@@ -416,6 +432,10 @@ class Triangles:
             **{f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Triangles)}
         )
 
+    def chosen(self, points: IntArray) -> Triangles:
+        """Some of the points."""
+        return Triangles(**{f.name: getattr(self, f.name)[points] for f in fields(Triangles)})
+
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Folded:
@@ -430,7 +450,11 @@ class Folded:
     @staticmethod
     def of(information: Array, right: Array, sizes: Array) -> Folded:
         """Priors of these sizes folded into Λ (g, g) and h (g,)."""
-        values, log_likelihood, factors = np.empty(sizes.shape), np.empty(len(sizes)), np.empty((*sizes.shape, len(right)))
+        values, log_likelihood, factors = (
+            np.empty(sizes.shape),
+            np.empty(len(sizes)),
+            np.empty((*sizes.shape, len(right))),
+        )
         fold_sizes(information, right, sizes, factors, values, log_likelihood)
         if not np.isfinite(log_likelihood.sum()):
             raise np.linalg.LinAlgError("Matrix is not positive definite")
@@ -588,10 +612,21 @@ class Draws:
         arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
         return Draws(triangles=Triangles.joined([part.triangles for part in parts]), **arrays)
 
+    def chosen(self, points: IntArray) -> Draws:
+        """Some of the points, one as often as it is named."""
+        names = [each.name for each in fields(Draws) if each.name != "triangles"]
+        arrays = {name: getattr(self, name)[points] for name in names}
+        return Draws(triangles=self.triangles.chosen(points), **arrays)
+
+    @cached_property
+    def likelihood(self) -> Array:
+        """The logarithms of the weights (K,) of the points, each the mean over its sizes."""
+        return np.asarray(scipy.special.logsumexp(self.log_weight, axis=1) - np.log(self.log_weight.shape[1]))
+
     @cached_property
     def smoothed(self) -> tuple[Array, float]:
         """The weights (K,) of the points, and their shape."""
-        return smoothed(scipy.special.logsumexp(self.log_weight, axis=1))
+        return smoothed(self.likelihood)
 
     @property
     def effective(self) -> float:
@@ -640,12 +675,13 @@ class Draws:
         return means, np.sqrt(variance), count / MIXED
 
 
-def _drawn(fitted: Maximum, proposal: Proposal, count: int, sequence: int) -> Draws:
-    """So many points of ψ of a sequence, with sizes at each."""
+def _drawn(fitted: Maximum, proposal: Proposal, phi: Array, log_q: Array, count: int, sequence: int) -> Draws:
+    """Draws at points of ψ in φ (K, D), whose ln q is (K,), with `count` sizes of groups at each."""
     hyperparameters, (members, element) = fitted.hyperparameters, members_of(fitted, proposal.inner)
-    phi, log_q = proposal.points(fitted.phi, count, sequence)
+    phi, log_q_sizes = proposal.with_sizes(phi, count, sequence)
     sizes = fitted.usual_problem.usual_u[1 + members] * np.exp(np.maximum(phi[:, :, element], 0.0))
     every = triangles(fitted.linearisation, hyperparameters, phi[:, 0], members)
+    log_q = log_q[:, None] + log_q_sizes
     log_weight = hyperparameters.log_prior(phi)[0].sum(axis=-1) - log_q - 0.5 * every.deviance[:, None]
     value, (within, between) = np.zeros_like(every.right), np.zeros((2, *every.information.shape))
     for k, of_point in enumerate(sizes if len(members) else ()):
@@ -655,7 +691,9 @@ def _drawn(fitted: Maximum, proposal: Proposal, count: int, sequence: int) -> Dr
         value[k], within[k] = w @ folded.values, folded.covariance(w)
         off = folded.values - value[k]
         between[k] = (off.T * w) @ off
-    variance = np.diagonal(every.omega, axis1=1, axis2=2) + ((every.gamma @ (within + between)) * every.gamma).sum(axis=2)
+    variance = np.diagonal(every.omega, axis1=1, axis2=2) + ((every.gamma @ (within + between)) * every.gamma).sum(
+        axis=2
+    )
     return Draws(
         phi=phi,
         log_weight=log_weight,
@@ -669,10 +707,70 @@ def _drawn(fitted: Maximum, proposal: Proposal, count: int, sequence: int) -> Dr
     )
 
 
-def _u_error(drawn: Sequence[Draws]) -> float:
-    """Half the difference of u by two sets of draws, relative, of the parameter of which it is largest."""
-    first, second = (each.u for each in drawn)
-    return float(np.max(np.abs(first - second) / np.maximum(first + second, 1e-300)))
+def _error(drawn: Sequence[Draws]) -> float:
+    """Half the difference of two sets of draws, of the parameter of which it is largest: that of u, relative, or that
+    of the value, in u."""
+    (first, second), (mean, other) = (each.u for each in drawn), (each.smoothed[0] @ each.step for each in drawn)
+    difference = np.maximum(np.abs(first - second), np.abs(mean - other))
+    return float(np.max(difference / np.maximum(first + second, 1e-300)))
+
+
+def _walked(fitted: Maximum, proposal: Proposal) -> list[Draws]:
+    """Two sets of draws by walkers that begin at points of the proposal, until they agree or LONGEST moves are made."""
+    rng, number, history = np.random.default_rng(0), max(WALKERS, 2 * len(proposal.outer)), list[Draws]()
+    starts = list[Array]()
+    for k in (2, 3):
+        points = _drawn(fitted, proposal, *proposal.points(fitted.phi, 2 * number, k), WALKED_SIZES, k)
+        starts.append(points.phi[_flattened(points.likelihood, number, rng), 0])
+    phi = np.concatenate(starts)
+    walkers, drawn = _drawn(fitted, proposal, phi, np.zeros(len(phi)), WALKED_SIZES, 4), list[Draws]()
+    for move in range(1, LONGEST + 1):
+        walkers = _moved(fitted, proposal, walkers, rng, 2 * move + 3)
+        if move % THINNED == 0:
+            history.append(replace(walkers, log_weight=walkers.log_weight - walkers.likelihood[:, None]))
+        if move % ROUND == 0 and move > ROUND:
+            counted = history[len(history) // 2 :]
+            drawn = [
+                Draws.joined([each.chosen(one) for each in counted]) for one in np.arange(2 * number).reshape(2, -1)
+            ]
+            if _error(drawn) < SETTLED:
+                break
+    return drawn
+
+
+def _flattened(log_weight: Array, number: int, rng: np.random.Generator) -> IntArray:
+    """Points by weights levelled until half of `number` count: where walkers begin, wider than the posterior."""
+    level = log_weight - log_weight.max()
+    while np.exp(level).sum() ** 2 < 0.5 * number * np.exp(2.0 * level).sum():
+        level = 0.8 * level
+    share = np.cumsum(scipy.special.softmax(level))
+    return np.minimum(np.searchsorted(share, (np.arange(number) + rng.uniform()) / number), len(level) - 1)
+
+
+def _moved(fitted: Maximum, proposal: Proposal, walkers: Draws, rng: np.random.Generator, sequence: int) -> Draws:
+    """The walkers of two sets after a move of each: half of a set by differences of the other half, and that by those
+    of the first."""
+    outer, number = proposal.outer, len(walkers.phi) // 2
+    order = np.array([number * k + rng.permutation(number) for k in (0, 1)])
+    gamma, shape = 2.38 / np.sqrt(2.0 * len(outer)), (2, number // 2)
+    for half in (0, 1):
+        moving, others = order[:, half::2][:, : shape[1]], order[:, 1 - half :: 2]
+        first = rng.integers(others.shape[1], size=shape)
+        second = (first + rng.integers(1, others.shape[1], size=shape)) % others.shape[1]
+        psi = walkers.phi[:, 0, outer]
+        difference = psi[np.take_along_axis(others, first, 1)] - psi[np.take_along_axis(others, second, 1)]
+        length = np.where(rng.uniform(size=shape) < JUMPS, 1.0, gamma * rng.uniform(0.3, 1.0, shape))
+        phi = walkers.phi[moving.ravel(), 0]
+        step = length[:, :, None] * difference + 1e-3 * rng.standard_normal(difference.shape)
+        phi[:, outer] += step.reshape(len(phi), -1)
+        tried = _drawn(fitted, proposal, phi, np.zeros(len(phi)), WALKED_SIZES, 2 * sequence + half)
+        gain = tried.likelihood - walkers.likelihood[moving.ravel()]
+        points = np.arange(2 * number)
+        points[moving.ravel()] = np.where(
+            np.log(rng.uniform(size=len(phi))) < gain, 2 * number + np.arange(len(phi)), moving.ravel()
+        )
+        walkers = Draws.joined([walkers, tried]).chosen(points)
+    return walkers
 
 
 def _typical(fitted: Maximum, draws: Draws) -> Solution:
