@@ -342,20 +342,3 @@ def test_a_failed_device_is_withdrawn_until_it_is_calibrated_again(registry: Reg
     assert "withdrawn until calibrated again: conditional fail" in due_table([first]).rows[0][-1]
     added(registry, serial="Z", log="again", performed=day("2026-02-10"), occasion="incoming")
     assert not any(item.withdrawn for item in registry.due())
-
-
-def test_a_drift_towards_a_limit_is_due_before_the_calendar_says_so(registry: Registry) -> None:
-    """0.4 mg a year from 3 mg, the limit at 5 mg: it is met after five years, one after the last calibration."""
-    put_in_force(registry, 'format = 1\ninterval_months = 36\n[periodic]\n"accel.bias" = "5 mg"')
-    for year, off in enumerate((0.01, -0.01, 0.0, -0.01, 0.01)):
-        values = {"accel.bias.x": (3.0 + 0.4 * year + off) * MG}
-        added(registry, performed=day(f"{2020 + year}-03-01"), log=str(year), values=values)
-    (item,) = registry.due(date(2024, 6, 1))
-    assert str(item.by_calendar) == "2027-03-01"
-    assert item.by_drift is not None
-    assert item.by_drift.name == "accel.bias.x"
-    assert item.drifts
-    assert abs((item.by_drift.expected.date() - date(2025, 3, 1)).days) < 20
-    assert str(item.day) < str(item.by_drift.expected.date())
-    assert item.by_drift == registry.trend("A-0007").forecasts[0]
-    assert "by the drift of accel.bias.x" in due_table([item]).rows[0][-1]

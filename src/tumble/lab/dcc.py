@@ -31,8 +31,7 @@ from tumble.export.exported import Exported, models, not_held, origin, shown
 from tumble.files import FilePath
 from tumble.lab.certificate import RELATES, STATES, Certificate, check_certificate, judged_by, read_certificate
 from tumble.lab.conformity import RISK, RULE, Verdict, verdicts
-from tumble.lab.scope import statement_of_scope, within_scope
-from tumble.result.calibration import Calibration, read_calibration
+from tumble.result.calibration import Calibration
 from tumble.result.correction import linear_example
 from tumble.result.coverage import PROBABILITY, degrees_of_freedom
 from tumble.result.further import described
@@ -87,9 +86,7 @@ def dcc(calibration: Calibration, *, certificate: Certificate | FilePath) -> Exp
     if not isinstance(certificate, Certificate):
         certificate = read_certificate(Path(certificate))
     by_kind = models(calibration)
-    calibration, scope = within_scope(calibration, certificate.laboratory.scope)
-    as_found = None if certificate.as_found is None else read_calibration(certificate.as_found)
-    check_certificate(certificate, calibration, as_found)
+    check_certificate(certificate, calibration)
     limits = judged_by(certificate)
     judged = () if limits is None else tuple(verdicts(calibration, limits))
     losses = (*LOSSES, *not_held(calibration))
@@ -98,7 +95,6 @@ def dcc(calibration: Calibration, *, certificate: Certificate | FilePath) -> Exp
     provenance, circumstances = calibration.provenance, calibration.provenance.circumstances
     name, _, release = (provenance.software or "tumble 0").partition(" ")
     alike = [verdict for verdict in judged if verdict.frame == calibration.frame]
-    within = [statement_of_scope(scope)] if certificate.laboratory.scope else []
     content = (
         _environment()
         .get_template("dcc.xml.j2")
@@ -108,14 +104,14 @@ def dcc(calibration: Calibration, *, certificate: Certificate | FilePath) -> Exp
             days=certificate.days(calibration),
             state=STATES[certificate.state],
             device=calibration.device,
-            declarations=[RELATES, *within, *certificate.remarks],
+            declarations=[RELATES, *certificate.remarks],
             traced="; ".join((*certificate.traceability, *circumstances.equipment)),
             origin="; ".join(origin(calibration)),
             method=calibration.method,
             equipment=circumstances.equipment,
             conditions=_conditions(calibration),
             probability=f"{PROBABILITY:g}",
-            parameters=[_parameter(p, alike, scope.get(p.name, "")) for p in parameters],
+            parameters=[_parameter(p, alike) for p in parameters],
             covariance=None if covariance is None else _covariance(parameters, covariance[np.ix_(inertial, inertial)]),
             models={_TITLES[kind]: _model(kind, model) for kind, model in by_kind.items()},
             statements=[_conformity(verdict, certificate.agreed) for verdict in judged],
@@ -174,7 +170,7 @@ def _conformity(verdict: Verdict, agreed: str | None) -> dict[str, Any]:
     }
 
 
-def _parameter(parameter: Parameter, judged: Sequence[Verdict], scope: str) -> dict[str, Any]:
+def _parameter(parameter: Parameter, judged: Sequence[Verdict]) -> dict[str, Any]:
     """A parameter with U, in words, and the verdicts by limits in its frame."""
     statements = []
     for verdict, judgement in ((check, each) for check in judged for each in check.judgements):
@@ -183,9 +179,8 @@ def _parameter(parameter: Parameter, judged: Sequence[Verdict], scope: str) -> d
             largest = max((abs(limit) for limit in between if np.isfinite(limit)), default=0.0)
             size, unit = shown_in(judgement.name, judgement.unit, largest)
             low, high = (f"{limit / size:.6g}" for limit in between)
-            over = "" if judgement.at is None else f", worst at {judgement.at:.1f} degC: {judgement.value:g}"
             statement = {"name": f"{verdict.occasion} check", "agreed": None, "norm": None}
-            statement |= {"declaration": f"limits {low} to {high} {unit}{over}"}
+            statement |= {"declaration": f"limits {low} to {high} {unit}"}
             statements.append(statement | {"conformity": _CONFORMITY[judgement.result]})
     behind = "no uncertainty is stated"
     if parameter.u is not None:
@@ -193,7 +188,7 @@ def _parameter(parameter: Parameter, judged: Sequence[Verdict], scope: str) -> d
         behind = known if dof is None else f"u was estimated with {dof:.3g} degrees of freedom"
     return {
         "name": parameter.name,
-        "words": "; ".join(filter(None, (described(parameter.name), behind, scope))),
+        "words": "; ".join(filter(None, (described(parameter.name), behind))),
         "quantity": _real(parameter.value, parameter.u, parameter.unit, degrees_of_freedom(parameter)),
         "statements": statements,
     }

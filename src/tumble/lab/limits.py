@@ -2,8 +2,7 @@
 
 [incoming] and [periodic] give them by parameter ("accel.bias.x") or by kind ("accel.bias"); the longer name goes
 before. A limit is "5 mg", which is ±5 mg about zero, or a table: min, max, or deviation, which is about the type's
-systematic value in the calibration file that `systematic` names. With temperature_degC = [-20, 60] limits hold at every
-temperature between these.
+systematic value in the calibration file that `systematic` names.
 """
 
 from __future__ import annotations
@@ -43,15 +42,13 @@ class Limit:
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Limits:
     """Acceptance limits of a device type by check and by parameter or kind; its systematic values (SI); months between
-    the calibrations of a type, and of the devices, by serial number, that have their own; the `temperatures`, °C,
-    between which the limits hold, where they are not those at the reference."""
+    the calibrations of a type, and of the devices, by serial number, that have their own."""
 
     frame: str
     checks: Mapping[Occasion, Mapping[str, Limit]]
     systematic: Mapping[str, float]
     months: int | None
     device_months: Mapping[str, int]
-    temperatures: tuple[float, float] | None = None
 
     def of(self, name: str, occasion: Occasion) -> tuple[float, float] | None:
         """The lowest and the highest value (SI) of a parameter; None where it has no limit."""
@@ -80,7 +77,7 @@ def months_later(day: date, months: int) -> date:
 
 
 _Months = Annotated[int, Field(ge=1, le=1200)]
-_MONTHS, _ENDS = "a whole number of months from 1 to 1200", "the lowest and the highest, as [-20, 60]"
+_MONTHS = "a whole number of months from 1 to 1200"
 
 
 class _LimitsFile(BaseModel):
@@ -95,15 +92,11 @@ class _LimitsFile(BaseModel):
     device_interval_months: dict[str, _Months] = Field(
         default={}, description=f"a table of serial numbers, each with {_MONTHS}"
     )
-    temperature_degC: tuple[float, float] | None = Field(default=None, strict=False, description=_ENDS)  # noqa: N815
     incoming: dict[str, Any] = Field(default={}, description="a table of limits")
     periodic: dict[str, Any] = Field(default={}, description="a table of limits")
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        low, high = self.temperature_degC or (0.0, 1.0)
-        if not -273.15 <= low < high <= 1000.0:
-            raise ValueError(f"temperature_degC: expected {_ENDS}, found [{low:g}, {high:g}]")
         if not any(self.checks.values()):
             raise ValueError("expected limits in [incoming] or [periodic], found none")
         return self
@@ -192,5 +185,4 @@ def parse_limits(text: str, systematic: str | None, name: str) -> Limits:
         systematic=values,
         months=file.interval_months,
         device_months=file.device_interval_months,
-        temperatures=file.temperature_degC,
     )
