@@ -19,12 +19,11 @@ from typing import Any, get_args, get_type_hints
 import numpy as np
 import polars as pl
 import pytest
-from matplotlib.figure import Figure
 
 import tumble
 import tumble.types
 from tests.support import ROOT
-from tests.support.calibrated import of_device, with_fields
+from tests.support.calibrated import of_device
 from tests.support.shared import calibrated, session
 from tumble.errors import InputError, MissingExtraError
 from tumble.inference.estimate import Outcome
@@ -265,18 +264,6 @@ def test_a_pandas_frame_is_made_with_pandas_and_refused_without(
     pandas.DataFrame = dict  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "pandas", pandas)
     assert calibration.to_pandas()["name"] == [p.name for p in calibration.parameters]
-
-
-def test_a_calibration_is_drawn_on_given_axes(calibration: tumble.Calibration) -> None:
-    axes = Figure().add_subplot()
-    calibration.plot(axes)
-    residuals = np.array([rest.residual for rest in calibration.evidence.rests])
-    drawn = np.asarray(axes.lines[-1].get_ydata())
-    assert np.corrcoef(drawn, residuals)[0, 1] == pytest.approx(1.0)
-    assert axes.get_title() == "Calibration of mems-4: joint, 21 parameters, accepted"
-    axes = Figure().add_subplot()
-    with_fields(calibration, rests=()).plot(axes)
-    assert [label.get_text() for label in axes.get_xticklabels()] == [p.name for p in calibration.parameters]
 
 
 # -------------------- apply --------------------

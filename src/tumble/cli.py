@@ -9,8 +9,6 @@ import gc
 import os
 import re
 import signal
-import sys
-import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
@@ -180,10 +178,9 @@ def _command(name: str) -> click.Command | None:
 
 @click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.option("-q", "--quiet", is_flag=True, help="Results, reasons and errors alone: no notes on standard error.")
-@click.option("-v", "--verbose", is_flag=True, help="At the end, the versions, the time and the memory it took.")
 @click.version_option(__version__, prog_name="tumble")
 @click.pass_context
-def main(context: click.Context, quiet: bool, verbose: bool) -> None:  # noqa: ARG001 (`tell` reads it)
+def main(context: click.Context, quiet: bool) -> None:  # noqa: ARG001 (`tell` reads it)
     """Calibrate strapdown inertial measurement units on equipment that is not precise."""
     from tumble.recording.panic import COMMAND_LINE
 
@@ -191,9 +188,6 @@ def main(context: click.Context, quiet: bool, verbose: bool) -> None:  # noqa: A
     context.call_on_close(_ended_in_order())
     context.call_on_close(partial(COMMAND_LINE.reset, COMMAND_LINE.set(True)))
     warnings.filterwarnings("ignore", message="(Duplicate|Unreadable) variable")  # of scipy, on a damaged MATLAB file
-    if verbose:
-        started = time.monotonic()
-        context.call_on_close(lambda: _say_what_it_took(time.monotonic() - started))
 
 
 def _ended_in_order() -> Callable[[], object]:
@@ -228,17 +222,3 @@ def _ended_in_order() -> Callable[[], object]:
     undo.callback(signal.signal, signal.SIGTERM, signal.signal(signal.SIGTERM, end))
     threading.Thread(target=end_if_stuck, name="stuck", daemon=True).start()
     return undo.close
-
-
-def _say_what_it_took(seconds: float) -> None:
-    import platform
-    from importlib.metadata import version
-
-    versions = [f"{name} {version(name)}" for name in ("numpy", "polars")]
-    said = [f"tumble {__version__}", f"Python {platform.python_version()}", *versions, f"{seconds:.2f} s"]
-    with suppress(ImportError):  # not on Windows
-        import resource
-
-        most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
-        said.append(f"at most {most / 1e6:.0f} MB")
-    click.echo(", ".join(said), err=True)

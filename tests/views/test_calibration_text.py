@@ -11,7 +11,6 @@ import pytest
 from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
-from matplotlib.figure import Figure
 
 from tests.support.calibrated import calibration, with_fields
 from tumble.cli import main
@@ -307,11 +306,6 @@ def test_a_calibration_shows_priors_and_what_was_learned(full: Calibration) -> N
     frame = full.to_polars()
     assert frame["learned"].to_list()[-4:] == [0.99, 0.04, 0.9999, 0.5]
     assert frame["k"].to_list() == [p.k for p in full.parameters]
-    axes = Figure().add_subplot()
-    full.plot(axes)
-    assert axes.get_title().endswith("25 parameters, accepted")
-    hollow = [line for line in axes.lines if line.get_markerfacecolor() == "none"]
-    assert sum(len(np.asarray(line.get_xdata())) for line in hollow) == 1
 
 
 def test_sentences_are_not_broken_in_a_pipe_and_tables_are(capsys: pytest.CaptureFixture[str]) -> None:

@@ -45,7 +45,6 @@ from tumble.units import Array
 if TYPE_CHECKING:
     import pandas as pd
     import polars as pl
-    from matplotlib.axes import Axes
 
     from tumble.recording.arrays import Temperatures
 
@@ -134,11 +133,6 @@ class Calibration(CalibrationData):
         """Table of the parameters as plain text: values in the field's units with standard and expanded uncertainty,
         and, if they have any, coverage factor, degrees of freedom, prior and learned fraction."""
         return str(_views().as_text(self))
-
-    def plot(self, axes: Axes) -> None:
-        """Draw the residual of every rest, |corrected reading| − g, on matplotlib axes, and the scatter between rests
-        as a band; without rests the parameters in units of their uncertainty, hollow where a prior gives it."""
-        _views().draw(self, axes)
 
     def to_polars(self) -> pl.DataFrame:
         """The parameters as a polars frame, a row each, in SI: name, value, u, unit, deviation, run_to_run, and

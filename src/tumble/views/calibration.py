@@ -11,7 +11,6 @@ import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from itertools import chain
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,7 +21,6 @@ from tumble.result.accepted import accepted_kinds
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import without_expanded
 from tumble.result.further import (
-    BY_PRIOR,
     accepted_groups,
     by_group,
     decided_by_priors,
@@ -36,7 +34,7 @@ from tumble.result.further import (
 from tumble.result.parts import Parameter
 from tumble.result.unaided import improvement
 from tumble.run.calibrate import ITERATED_METHODS
-from tumble.sensors.parameters import group_name, sensor_kind, within_group
+from tumble.sensors.parameters import group_name, within_group
 from tumble.units import Array, engineering
 from tumble.views.blocks import Block, Items, Table, table
 from tumble.views.numbers import (
@@ -52,9 +50,6 @@ from tumble.views.numbers import (
     with_expanded,
 )
 from tumble.views.render.terminal import text_of
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 WHAT_AN_INCREMENT_SAYS = (
     "All iterations work on the same readings. What a later one adds is the error that the one before made by its "
@@ -423,33 +418,3 @@ def _short(calibration: Calibration) -> list[Block]:
     notes = tuple(f"note: {note}" for note in calibration.provenance.notes)
     blocks: list[Block] = [calibration.headline, *([Items(items=sentences)] if sentences else [])]
     return [*blocks, whole_table(calibration), *([Items(items=notes)] if notes else [])]
-
-
-_COLOURS = {"accel": "#1f4e79", "gyro": "#c0561a", "mag": "#3d7d52"}
-
-
-def draw(calibration: Calibration, axes: Axes) -> None:
-    """The residual of every rest on axes, with the scatter between rests as a band; without rests the parameters in
-    units of their uncertainty, hollow where the prior rather than the data knows them."""
-    axes.axhline(0.0, color="0.7", linewidth=0.8)
-    axes.set_title(calibration.headline, fontsize="medium")
-    if calibration.evidence.rests:
-        residual = np.array([rest.residual for rest in calibration.evidence.rests])
-        size, unit = engineering("m/s^2", float(np.abs(residual).max()))
-        fit, colour = calibration.evidence.fits.get("accelerometers"), _COLOURS["accel"]
-        if fit is not None and fit.scatter > 0.0:
-            band = fit.scatter / size
-            axes.axhspan(-band, band, color=colour, alpha=0.12, linewidth=0, label="scatter between rests")
-            axes.legend(frameon=False)
-        number = np.arange(1, len(residual) + 1)
-        axes.vlines(number, 0.0, residual / size, color=colour, linewidth=1.0)
-        axes.plot(number, residual / size, "o", color=colour, markersize=4.0)
-        axes.set(xlabel="rest", ylabel=f"|f| − g, {unit}")
-        return
-    shown = [(i, p, p.value / p.u) for i, p in enumerate(p for p in calibration.parameters if p.u) if p.u]
-    for i, p, ratio in shown:
-        colour = _COLOURS.get(sensor_kind(p.name), "#6b7785")
-        face = colour if p.learned is None or p.learned >= BY_PRIOR else "none"
-        axes.plot(i, ratio, "o", color=colour, markerfacecolor=face, markersize=4)
-    axes.set_xticks(range(len(shown)), [p.name for _, p, _ in shown], rotation=90)
-    axes.set_ylabel("value / u")

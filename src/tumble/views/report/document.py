@@ -173,14 +173,13 @@ def reasons_of(sources: Sequence[ReportedFile]) -> list[str]:
 
 def _sections(source: ReportedFile, inserted: Sequence[Section], key: str) -> Iterator[Section | None]:
     """All sections on a calibration in their order; `key` begins the names of its figures."""
-    calibration, recordings = source.calibration, recording.recordings(source.calibration)
+    calibration = source.calibration
     yield result.result(calibration, f"{key}-improvement")
     yield from inserted
     origin = calibration.provenance
     yield notes(*further.remarks(calibration), *origin.assumptions, *origin.notes)
     yield from annexes(calibration, key)
     yield result.unknown(calibration)
-    yield from (recording.noise(each) for each in recordings)
     yield provenance(source)
 
 
