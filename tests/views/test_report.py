@@ -51,7 +51,6 @@ from tumble.views.render.pages import page as to_page
 from tumble.views.render.pages import pdf as to_pdf
 from tumble.views.render.pictures import drawn
 from tumble.views.report.document import ReportedFile, report_of, sources_of, write_report
-from tumble.views.report.figures import farthest_from
 from tumble.views.report.result import compared
 
 SHORT = Setup.of(grade="tactical", rest=10.0, rate_deg_s=45.0, sample_rate=50.0)
@@ -242,11 +241,6 @@ def test_parameters_are_put_into_words(name: str, said: str) -> None:
 )
 def test_numbers_are_written_as_in_print(text: str, wanted: str) -> None:
     assert text == wanted
-
-
-def test_the_farthest_direction_from_six_faces_is_a_vertex_of_the_cube() -> None:
-    faces = np.vstack([np.eye(3), -np.eye(3)])
-    assert farthest_from(faces) == pytest.approx(np.arccos(1.0 / np.sqrt(3.0)), abs=0.02)
 
 
 # -------------------- one file that needs nothing --------------------

@@ -161,9 +161,9 @@ def judge(
 
 def judge_value(value: float, u: float | None, low: float, high: float, dof: float | None = None) -> Result:
     """The verdict on a value with its standard uncertainty and degrees of freedom (module docstring); undecided without
-    one, with too few for a U, or where a limit is not a number."""
+    one, or with too few for a U."""
     U = None if u is None else expanded_of(u, dof)
-    if U is None or math.isnan(low) or math.isnan(high):
+    if U is None:
         return "undecided"
     inside = min(value - low, high - value)
     if inside >= 0.0:

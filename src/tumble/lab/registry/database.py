@@ -84,7 +84,6 @@ LIMITS = Table(
     Column("number", Integer, primary_key=True),
     Column("model", Text, nullable=False, index=True),
     Column("file", Text, nullable=False),  # the TOML file
-    Column("systematic", Text),  # the calibration file it names
     Column("added", _Moment, nullable=False),
     sqlite_autoincrement=True,
 )

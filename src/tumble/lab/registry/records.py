@@ -48,21 +48,20 @@ class Record:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LimitsRecord:
-    """Acceptance limits of a device type: the text of their TOML `file` and of the calibration file with the
-    `systematic` values of the type, if they name one; `in_force` unless later ones of the type replace them."""
+    """Acceptance limits of a device type: the text of their TOML `file`; `in_force` unless later ones of the type
+    replace them."""
 
     json_fields: ClassVar = ("number", "model", "added", "in_force", "file")
 
     number: int
     model: str
     file: str
-    systematic: str | None
     added: datetime
     in_force: bool
 
     def parsed(self) -> Limits:
         """The limits as they judge."""
-        return parse_limits(self.file, self.systematic, f"limits {self.number}")
+        return parse_limits(self.file, f"limits {self.number}")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

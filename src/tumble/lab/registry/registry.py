@@ -17,10 +17,11 @@ from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from tumble.documents import text_of_document
 from tumble.errors import InputError, needs_extra
 from tumble.files import FilePath
 from tumble.lab.conformity import Verdict, verdict_at
-from tumble.lab.limits import Limits, Occasion, read_limits
+from tumble.lab.limits import Limits, Occasion, parse_limits
 from tumble.lab.registry.records import Due, LimitsRecord, Record, State
 from tumble.result.accepted import accepted_part
 from tumble.result.calibration import Calibration, calibration_of, text_and_name
@@ -169,11 +170,12 @@ class Registry:
         Raises InputError, one line, for a file that cannot be used."""
         from tumble.lab.registry.database import LIMITS
 
-        text, systematic = read_limits(Path(file))
+        text = text_of_document(Path(file))
+        parse_limits(text, str(file))
         with self.database.writing() as rows:
             in_force = rows.limits_in_force(model)
-            if in_force is None or (in_force.file, in_force.systematic) != (text, systematic):
-                rows.add(LIMITS, model=model, file=text, systematic=systematic)
+            if in_force is None or in_force.file != text:
+                rows.add(LIMITS, model=model, file=text)
                 in_force = rows.limits()[-1]
             return in_force
 

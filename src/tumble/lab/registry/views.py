@@ -73,8 +73,7 @@ def limits_table(limits: Iterable[LimitsRecord]) -> Table:
 
 def limits_blocks(limits: LimitsRecord) -> list[Block]:
     """Limits as they were given."""
-    named = "" if limits.systematic is None else " · systematic values kept with them"
-    head = f"limits {limits.number} · type {limits.model} · in force from {day_of(limits.added)}{named}"
+    head = f"limits {limits.number} · type {limits.model} · in force from {day_of(limits.added)}"
     return [head, Items(items=(limits.file.rstrip(),)), RULE, RISK]
 
 

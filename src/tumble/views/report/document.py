@@ -187,18 +187,15 @@ def annexes(calibration: Calibration, key: str, *, short: bool = False) -> Itera
     """How a calibration is applied, and what it rests on; `short`, as in a certificate, without figures of recordings
     and budget, and of the groups beyond the linear model with their parameters alone."""
     recordings = recording.recordings(calibration)
-
-    def named(figure: str) -> str:
-        return "" if short else f"{key}-{figure}"
-
     yield application.application(calibration)
     yield result.launches(calibration)
     yield result.beyond(calibration, groups=not short)
     yield over_temperature.section(calibration, f"{key}-temperature")
     yield recording.sites(recordings)
-    yield from (recording.found(each, named(f"sphere{i}")) for i, each in enumerate(recordings))
-    yield from (recording.residuals(each, named(f"residuals{i}")) for i, each in enumerate(recordings))
-    yield budget_section(calibration, named("budget"))
+    yield from map(recording.found, recordings)
+    names = ("" if short else f"{key}-residuals{i}" for i in range(len(recordings)))
+    yield from map(recording.residuals, recordings, names)
+    yield budget_section(calibration, short=short)
     yield result.correlations(calibration)
 
 

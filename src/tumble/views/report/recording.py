@@ -97,23 +97,12 @@ def sites(all_of_them: Sequence[RecordedSession]) -> Section | None:
 # -------------------- programme and what was found --------------------
 
 
-def found(recording: RecordedSession, name: str) -> Section | None:
-    """Every rest and every turn against the programme, and, with the `name` of a figure, where the vertical was in
-    the body."""
+def found(recording: RecordedSession) -> Section | None:
+    """Every rest and every turn against the programme."""
     if not recording.recorded.rests:
         return None
-    sphere, verticals = None, recording.verticals()
-    if name and verticals is not None:
-        nominal = np.array([p.vertical_b for p in recording.positions() if p is not None]).reshape(-1, 3)
-        gap = figures.farthest_from(verticals) / DEGREE
-        sphere = Figure(
-            svg=figures.sphere(name, verticals, nominal),
-            caption="Orientation coverage: where the vertical was in the body at each rest, on both sides of the "
-            f"sphere. The direction farthest from any rest is {gap:.0f}° away from the nearest.",
-            width=figures.SPHERE,
-        )
-    sentence, (rests, turns, *_) = _programme_said(recording), tables_of(recording)
-    return section(recording.titled("Programme and what was found"), sentence, rests, sphere, turns)
+    rests, turns, _ = tables_of(recording)
+    return section(recording.titled("Programme and what was found"), _programme_said(recording), rests, turns)
 
 
 def tables_of(recording: RecordedSession) -> tuple[Table | None, Table | None, Table | None]:
