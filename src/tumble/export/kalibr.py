@@ -94,20 +94,9 @@ def noise_of_rests(calibration: Calibration) -> NoiseDensities:
 
 
 def kalibr(calibration: Calibration, *, noise: NoiseDensities | Session | FilePath | None = None) -> Exported:
-    """Write the file of a calibration and of the noise densities of its device.
-
-    Parameters
-    ----------
-    calibration
-        Three accelerometers and three gyros, both right-handed.
-    noise
-        The densities, or a session whose longest rest shows them; by default those of the calibration's rests.
-
-    Returns
-    -------
-    Exported
-        YAML below the line `%YAML:1.0`, as OpenCV reads it.
-    """
+    """The file of a calibration of three accelerometers and three gyros, both right-handed, and of the noise densities
+    of its device: YAML below the line `%YAML:1.0`, as OpenCV reads it. `noise` are the densities, or a session whose
+    longest rest shows them; by default those of the calibration's rests."""
     held = {"gyro.g_sensitivity"}
     by_kind = triads(calibration, "kalibr", held=held)
     if noise is None:

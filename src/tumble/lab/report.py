@@ -69,29 +69,11 @@ _FOR_THE_OPERATOR = ("[", "`", "--", "tumble ", "let ")
 def write_judged_report(
     calibrations: Calibration | FilePath | Sequence[Calibration | FilePath], out: FilePath, limits: FilePath
 ) -> list[str]:
-    """Write the report of calibrations of one device with the verdict by acceptance limits.
+    """Write the report of calibrations of one device, or of their files, into an .html file, with the verdict by a file
+    of acceptance limits.
 
-    Parameters
-    ----------
-    calibrations
-        A calibration or its file, or several of one device.
-    out
-        The file to write: .html.
-    limits
-        File with acceptance limits.
-
-    Returns
-    -------
-    list of str
-        Why a calibration is not accepted, and what is not within the limits.
-
-    Raises
-    ------
-    InputError
-        For files that cannot be used.
-    MissingExtraError
-        Without the extra `tumble[lab]`.
-    """
+    Returns why a calibration is not accepted, and what is not within the limits. Raises InputError for files that
+    cannot be used, MissingExtraError without the extra `tumble[lab]`."""
     ending_in(Path(out), ".html")
     acceptance, sources = limits_of(Path(limits)), sources_of(calibrations)
     checks = [verdicts(source.calibration, acceptance) for source in sources]
@@ -102,29 +84,12 @@ def write_judged_report(
 def write_certificate(
     calibrations: Calibration | FilePath | Sequence[Calibration | FilePath], out: FilePath, certificate: FilePath
 ) -> list[str]:
-    """Write the certificate of a calibration.
+    """Write the certificate of one calibration, or of its file, into an .html or .pdf file; `certificate` is the file
+    with laboratory, customer, dates and statements.
 
-    Parameters
-    ----------
-    calibrations
-        One calibration or its file.
-    out
-        The file to write: .html or .pdf.
-    certificate
-        File with laboratory, customer, dates and statements.
-
-    Returns
-    -------
-    list of str
-        Why the calibration is not accepted, and what is not within the limits that the certificate names.
-
-    Raises
-    ------
-    InputError
-        For files that cannot be used, several calibrations, and a calibration without a date.
-    MissingExtraError
-        Without the extra `tumble[lab]`.
-    """
+    Returns why the calibration is not accepted, and what is not within the limits that the certificate names. Raises
+    InputError for files that cannot be used, several calibrations, and a calibration without a date, MissingExtraError
+    without the extra `tumble[lab]`."""
     ending_in(Path(out), ".html", ".pdf")
     stated, sources = read_certificate(Path(certificate)), sources_of(calibrations)
     acceptance = judged_by(stated)

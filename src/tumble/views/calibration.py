@@ -85,24 +85,12 @@ def calibration_blocks(
     """What `tumble calibrate` prints: the verdict, what the calibration improves, the parameters, remarks, and the next
     command.
 
-    Parameters
-    ----------
-    calibration
-        The result.
-    truth
-        True values by the names of parameters, where they are known.
-    others
-        Calibrations of the same sessions by other methods.
-    every
-        Show all parameters, tables of groups, rests, turns, fits, launches, iterations and methods, and all remarks and
-        notes. Without it there are the accepted parameters of the linear model, a row a group where nothing stands
-        beside each, a line on launches, iterations and other methods, and as many remarks, of MOST_REMARKS, as leave
-        room for the whole on MOST_LINES lines.
-    budget
-        Show what every u is made of.
-    file, session
-        Where the calibration is written and what it is of, for the next command.
-    """
+    With `every` there are all parameters, tables of groups, rests, turns, fits, launches, iterations and methods, and
+    all remarks and notes; without it the accepted parameters of the linear model, a row a group where nothing stands
+    beside each, a line on launches, iterations and other methods, and as many remarks, of MOST_REMARKS, as leave room
+    for the whole on MOST_LINES lines. With `budget` it shows what every u is made of. `truth` are true values by the
+    names of parameters, `others` calibrations of the same sessions by other methods, `file` and `session` where the
+    calibration is written and what it is of."""
     parameters, evidence = calibration.parameters, calibration.evidence
     if not every:
         outcome = calibration.outcome

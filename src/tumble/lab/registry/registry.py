@@ -267,23 +267,11 @@ class Registry:
     def launches(
         self, *, serial: str | None = None, model: str | None = None, frame: str = "accelerometer"
     ) -> tuple[LaunchVariances, ...]:
-        """The launches behind calibrations, for `check_calibration` and `calibrate_launches`.
+        """The launches behind the calibrations of a device, or of a type of devices, with variances in a `frame`, for
+        `check_calibration` and `calibrate_launches`; calibrations that cannot be taken to the frame are left out.
 
         Calibrations of one launch each are launches of their device, too, if they are by one method and it was not
-        adjusted between them.
-
-        Parameters
-        ----------
-        serial, model
-            A device, or a type of devices.
-        frame
-            Frame of the variances; calibrations that cannot be taken to it are left out.
-
-        Raises
-        ------
-        InputError
-            If no device has two launches.
-        """
+        adjusted between them. Raises InputError if no device has two launches."""
         variances = list[LaunchVariances | None]()
         single = defaultdict[tuple[str, int, str], list[Calibration]](list)
         adjusted = Counter[str]()

@@ -102,20 +102,8 @@ def write_document(document: Document, out: FilePath) -> None:
 
 
 def report_of(sources: Sequence[ReportedFile], further_sections: Sequence[Sequence[Section]] = ()) -> Document:
-    """The report of calibrations of one device.
-
-    Parameters
-    ----------
-    sources
-        The calibrations.
-    further_sections
-        Sections that stand after the result of each calibration.
-
-    Raises
-    ------
-    InputError
-        For calibrations of several devices.
-    """
+    """The report of calibrations of one device, with further sections after the result of each. Raises InputError for
+    calibrations of several devices."""
     calibrations, first, several = [source.calibration for source in sources], sources[0].calibration, len(sources) > 1
     for source in sources[1:]:
         if source.calibration.serial != first.serial:
