@@ -207,21 +207,30 @@ def _largest(calibration: Calibration, changes: Mapping[str, float]) -> str:
 
 
 def parameter_table(
-    calibration: Calibration, parameters: Sequence[Parameter], truth: Mapping[str, float] | None = None
+    calibration: Calibration,
+    parameters: Sequence[Parameter],
+    truth: Mapping[str, float] | None = None,
+    *,
+    whole: bool = False,
 ) -> Table:
     """Parameters with their standard uncertainties; where a coverage factor is not 2, with U = k u; where there are
     any, with deviations from the systematic values and from launch to launch; with `truth`, also true values and the
-    distance from them in units of u."""
-    several, expanded = bool(calibration.evidence.launches), other_factors(parameters)
-    passport = any(p.deviation is not None for p in parameters)
+    distance from them in units of u; the `whole` with U, degrees of freedom, priors and learned fractions."""
+    several, factors = bool(calibration.evidence.launches), other_factors(parameters)
+    passport, priors = (any(getattr(p, name) is not None for p in parameters) for name in ("deviation", "prior"))
 
     def row(p: Parameter, size: float, unit: str) -> dict[str, str]:
         value, u = cells(p.value, p.u, size)
         row = {"mean" if several else "value": value, "u (k=1)": u}
-        row |= {"k": factor(p) if p.u else "", "U (95 %)": with_expanded(p, size)[1]} if expanded else {}
+        row |= {"k": factor(p) if p.u else ""} if factors else {}
+        row |= {"U (95 %)": with_expanded(p, size)[1]} if factors or whole else {}
         row |= {"run to run": to_digits_of(p.run_to_run, p.u, size)} if several else {}
         row |= {"deviation": to_digits_of(p.deviation, p.u, size)} if passport else {}
         row |= {"unit": unit}
+        if whole:
+            row["dof"] = "" if p.dof is None else f"{p.dof:.0f}" if p.k else f"{p.dof:.1g}"
+        if whole and priors:
+            row |= {"prior": "" if p.prior is None else f"{p.prior / size:.2g}", "learned": percent(p.learned)}
         if truth is None:
             return row
         true = truth.get(p.name) if p.u else None
@@ -248,24 +257,6 @@ def compact_table(parameters: Sequence[Parameter]) -> Table:
 
 _BESIDE = 3
 """Parameters on a row."""
-
-
-def whole_table(calibration: Calibration) -> Table:
-    """All parameters with u and U = k u; where there are any, with coverage factors other than 2 and degrees of
-    freedom, priors and learned fractions."""
-    parameters = calibration.parameters
-    factors, priors = other_factors(parameters), any(p.prior is not None for p in parameters)
-
-    def row(p: Parameter, size: float, unit: str) -> dict[str, str]:
-        value, u = cells(p.value, p.u, size)
-        row = {"value": value, "u": u, "U (95 %)": with_expanded(p, size)[1], "unit": unit}
-        if factors:
-            row |= {"k": factor(p), "dof": "" if p.dof is None else f"{p.dof:.0f}" if p.k else f"{p.dof:.1g}"}
-        if priors:
-            row |= {"prior": "" if p.prior is None else f"{p.prior / size:.2g}", "learned": percent(p.learned)}
-        return row
-
-    return quantity_table(parameters, shown_units(parameters), row)
 
 
 def group_table(calibration: Calibration, *, of_a_page: bool = False) -> Table:
@@ -388,16 +379,14 @@ def as_html(calibration: Calibration) -> str:
     def each(tag: str, texts: Iterable[str]) -> str:
         return "".join(f"<{tag}>{escape(text)}</{tag}>" for text in texts)
 
-    def html(block: Block) -> str:
-        if isinstance(block, str):
-            return f"<p><b>{escape(block)}</b></p>"
-        if isinstance(block, Items):
-            return f"<ul>{each('li', block.items)}</ul>"
-        assert isinstance(block, Table)
-        rows = "".join(f"<tr>{each('td', row)}</tr>" for row in block.rows)
-        return f"<table><thead><tr>{each('th', block.columns)}</tr></thead><tbody>{rows}</tbody></table>"
-
-    return f"<div>{''.join(map(html, _short(calibration)))}</div>"
+    html = []
+    for block in _short(calibration):
+        if isinstance(block, Table):
+            rows = "".join(f"<tr>{each('td', row)}</tr>" for row in block.rows)
+            html.append(f"<table><tr>{each('th', block.columns)}</tr>{rows}</table>")
+        else:
+            html.append(f"<ul>{each('li', block.items)}</ul>" if isinstance(block, Items) else each("h4", [str(block)]))
+    return f"<div>{''.join(html)}</div>"
 
 
 def _short(calibration: Calibration) -> list[Block]:
@@ -405,4 +394,8 @@ def _short(calibration: Calibration) -> list[Block]:
     sentences = (*outcome.reasons, *remarks_of(calibration))
     notes = tuple(f"note: {note}" for note in calibration.provenance.notes)
     blocks: list[Block] = [calibration.headline, *([Items(items=sentences)] if sentences else [])]
-    return [*blocks, whole_table(calibration), *([Items(items=notes)] if notes else [])]
+    return [
+        *blocks,
+        parameter_table(calibration, calibration.parameters, whole=True),
+        *([Items(items=notes)] if notes else []),
+    ]
