@@ -10,18 +10,6 @@ selftest              reference cases on the user's machine, and a record of the
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from tumble.lazy import names_of
 
-if TYPE_CHECKING:
-    from tumble.lab.registry.registry import Registry as Registry
-    from tumble.lab.registry.registry import open_registry as open_registry
-
-__all__ = ["Registry", "open_registry"]
-
-
-def __getattr__(name: str) -> Any:
-    """The registry is imported when it is first used."""
-    if name not in __all__:
-        raise AttributeError(f"module 'tumble.lab' has no attribute {name!r}")
-    return getattr(import_module("tumble.lab.registry.registry"), name)
+__all__, __getattr__ = names_of(__name__, __file__)
