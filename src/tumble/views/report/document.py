@@ -112,7 +112,7 @@ def report_of(sources: Sequence[ReportedFile], further_sections: Sequence[Sequen
                 f"found {source.calibration.serial!r}; make a report for each device"
             )
     titles = titles_of(calibrations)
-    parts = [Part(title="Comparison", sections=(result.compared(titles, calibrations),))] if several else []
+    parts = []
     for i, (source, title) in enumerate(zip(sources, titles, strict=True)):
         inserted = further_sections[i] if further_sections else ()
         sections = tuple(each for each in _sections(source, inserted, f"c{i + 1}") if each is not None)

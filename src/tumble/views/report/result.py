@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection
 from dataclasses import replace
 
 import numpy as np
 
-from tumble.errors import CalibrationError
 from tumble.result.accepted import accepted_kinds
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import expanded
@@ -221,42 +220,6 @@ def launches(calibration: Calibration) -> Section | None:
         for launch in calibration.evidence.launches
     )
     return section("Launches", *blocks, Facts(rows=digests))
-
-
-def compared(titles: Sequence[str], calibrations: Sequence[Calibration]) -> Section:
-    """Every parameter of several calibrations side by side, in the frame of the first: methods on one log, or launches
-    and dates."""
-    first, digests = calibrations[0], {calibration.provenance.log_sha256 for calibration in calibrations}
-    one_log = len(digests) == 1 and None not in digests
-    title = "Methods compared" if one_log else "Calibrations compared"
-    try:
-        alike = [c.in_frame(first.frame) for c in calibrations]
-    except CalibrationError as error:
-        return section(title, f"They cannot be compared: {error}")
-    if not first.parameters:
-        return section(title, "The first calibration has no parameters to compare.")
-
-    def row(p: Parameter, size: float, unit: str) -> dict[str, str]:
-        same = [each.get(p.name) for each in alike]
-        shown = ["" if q is None else " ± ".join(x or NONE for x in with_expanded(q, size)) for q in same]
-        values = [q.value for q in same if q is not None]
-        spread = max(values) - min(values)
-        if not one_log:
-            spread = float(np.std(values, ddof=1)) if len(values) > 1 else np.nan
-        last = to_digits_of(None if np.isnan(spread) else spread, expanded(p), size)
-        return dict(zip(titles, shown, strict=True)) | {"range" if one_log else "spread": last, "unit": unit}
-
-    meaning = (
-        "The calibrations are of one log: its noise is common to all of them, so that methods should agree within much "
-        "less than U."
-        if one_log
-        else "The spread is the standard deviation of the values."
-    )
-    parameters = alike[0].parameters
-    side_by_side = quantity_table(
-        parameters, shown_units(parameters), row, caption="Value ± U.", dense=len(titles) > 2 or len(parameters) > 21
-    )
-    return section(title, f"All in the frame “{first.frame}”. {meaning}", side_by_side)
 
 
 def correlations(calibration: Calibration) -> Section | None:
