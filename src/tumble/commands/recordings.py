@@ -117,7 +117,7 @@ def inspect(recording: Path, picture: Path | None, **options: Any) -> None:
         with session_folders([recording], options) as (folder,):
             observed = inspect_session(folder, progress=tell.with_progress)
     except GyrosAloneError:
-        from tumble.views.gyros_alone import gyro_blocks
+        from tumble.views.inspection import gyro_blocks
 
         found = gyros_of(recording, ask.given_of(stated))
         tell.show(found.segmentation, lambda: gyro_blocks(found))
