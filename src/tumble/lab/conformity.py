@@ -135,14 +135,14 @@ def judge(
     by_key = limits.checks.get(occasion)
     if not by_key:
         return None
-    known = {p.name: p for p in parameters}
-    named = [*known, *unobservable]
+    values = {p.name: p for p in parameters}
+    named = [*values, *unobservable]
     judged = []
     for name in [*named, *(key for key in by_key if not any(meant_by(key, each) for each in named))]:
         ends = limits.of(name, occasion)
         if ends is None:
             continue
-        p = known.get(name)
+        p = values.get(name)
         value, u, dof = (None, None, None) if p is None else (p.value, p.u, p.dof)
         result = "undecided" if value is None else judge_value(value, u, *ends, dof=dof)
         judgement = LimitJudgement(

@@ -106,8 +106,8 @@ def _limit(key: str, value: Any, where: str) -> tuple[float, float]:
             f"{where}: {expected} {key!r}{did_you_mean(key, (group.name for group in groups()))}"
         ) from None
     typed = value if isinstance(value, dict) else {"size": value}
-    known = set(typed) <= {"min", "max"} if isinstance(value, dict) else True
-    if not typed or not known or not all(isinstance(text, str) for text in typed.values()):
+    right_keys = set(typed) <= {"min", "max"} if isinstance(value, dict) else True
+    if not typed or not right_keys or not all(isinstance(text, str) for text in typed.values()):
         raise ValueError(f"{where}: expected {_FORMS}, found {value!r}")
     try:
         sizes = {name: quantity_of(kind, text) for name, text in typed.items()}

@@ -289,7 +289,9 @@ def _instability_and_drift(points: Sequence[Point]) -> tuple[float | None, Drift
         return None, None
     count = np.array([max(len(each), 1) for each in of_launches])
     # variances of the points without τ²: of the mean of launches, and the least that there is
-    own = np.array([sum(each) / len(each) ** 2 if each else v for each, v in zip(of_launches, variance, strict=True)])
+    of_mean = np.array(
+        [sum(each) / len(each) ** 2 if each else v for each, v in zip(of_launches, variance, strict=True)]
+    )
     least = np.array([v if each else 0.0 for each, v in zip(of_launches, variance, strict=True)])
 
     # a column for the level of each stretch between adjustments and, where any has two times, one of the years
@@ -302,7 +304,7 @@ def _instability_and_drift(points: Sequence[Point]) -> tuple[float | None, Drift
 
     def line(tau: float) -> tuple[Array, Array, float]:
         """Weighted least squares: Qᵀy and R of the whitened columns, and chi-square of the residuals."""
-        u = np.sqrt(np.maximum(least, own + tau**2 / count))
+        u = np.sqrt(np.maximum(least, of_mean + tau**2 / count))
         Q, R = np.linalg.qr(X / u[:, None])
         z = Q.T @ (y / u)
         return z, R, float(np.sum((y / u - Q @ z) ** 2))

@@ -134,82 +134,69 @@ def _of_interest(parameters: Sequence[Q], kept: Collection[str], *, every: bool)
 # -------------------- a trend --------------------
 
 
-def trend_blocks(found: Trend, *, every: bool) -> list[Block]:
+def trend_blocks(trend: Trend, *, every: bool) -> list[Block]:
     """Every parameter of a device over its calibrations: history, latest value, limits, run to run, drift, the last
     change, and the verdict on the latest value; of those beyond the linear model that have no limits and have not
     changed only how many there are, unless `every` one is wanted."""
-    shown, caption = _of_interest(found.parameters, {*found.limits, *found.changed}, every=every)
-    limited, launched = bool(found.limits), any(each.run_to_run is not None for each in found.parameters)
+    shown, caption = _of_interest(trend.parameters, {*trend.limits, *trend.changed}, every=every)
+    launched = any(each.run_to_run is not None for each in trend.parameters)
 
-    def row(trend: ParameterTrend, size: float, unit: str) -> dict[str, str]:
-        latest, drift = trend.points[-1], trend.drift
+    def row(parameter: ParameterTrend, size: float, unit: str) -> dict[str, str]:
+        latest, drift = parameter.points[-1], parameter.drift
         value, U = with_expanded(latest, size)
-        low, high = (limit_cell(limit, size) for limit in found.limits.get(trend.name, (nan, nan)))
-        known = drift is not None and drift.expanded is not None
-        per_year, per_year_u = cells(drift.per_year, drift.expanded, size) if drift and known else ("", "")
-        return {
-            "history": sparkline([p.value for p in trend.points]),
-            "latest": value,
-            "U": U,
-            **({"lowest": low, "highest": high} if limited else {}),
-            **({"run to run": _deviation(trend.run_to_run, size)} if launched else {}),
-            "drift/year": per_year,
-            "U (95 %)": per_year_u,
-            **_change_cells(trend.last_change, size),
-            "unit": unit,
-            **({"verdict": found.verdicts(trend).get(latest.number, "")} if limited else {}),
-        }
+        row = {"history": sparkline([p.value for p in parameter.points]), "latest": value, "U": U}
+        if trend.limits:
+            low, high = trend.limits.get(parameter.name, (nan, nan))
+            row |= {"lowest": limit_cell(low, size), "highest": limit_cell(high, size)}
+        if launched:
+            row["run to run"] = _deviation(parameter.run_to_run, size)
+        per_year, U = ("", "")
+        if drift is not None and drift.expanded is not None:
+            per_year, U = cells(drift.per_year, drift.expanded, size)
+        row |= {"drift/year": per_year, "U (95 %)": U, **_change_cells(parameter.last_change, size), "unit": unit}
+        return row | ({"verdict": trend.verdicts(parameter).get(latest.number, "")} if trend.limits else {})
 
-    parameters = quantity_table(shown, _units(found), row, words=("history", "verdict"), caption=caption)
-    days = {p.number: day_of(p.performed) for trend in found.parameters for p in trend.points}
+    days = {p.number: day_of(p.performed) for parameter in trend.parameters for p in parameter.points}
     first, last = min(days.values()), max(days.values())
     since = f"one calibration, of {first}" if len(days) == 1 else f"{len(days)} calibrations from {first} to {last}"
-    device, changes = device_name(found.serial, found.latest.model), change_lines(found)
     return [
-        f"device {device} · {since} · frame {found.frame}",
-        parameters,
-        *([Items(items=tuple(changes))] if changes else []),
+        f"device {device_name(trend.serial, trend.latest.model)} · {since} · frame {trend.frame}",
+        quantity_table(shown, _units(trend), row, words=("history", "verdict"), caption=caption),
+        *([Items(items=tuple(change_lines(trend)))] if trend.comparison is not None else []),
     ]
 
 
-def change_lines(found: Trend) -> list[str]:
+def change_lines(trend: Trend) -> list[str]:
     """What has changed since the calibration before, in sentences."""
-    lines = [] if found.comparison is None else judged_lines(found.comparison)
+    lines = [] if trend.comparison is None else judged_lines(trend.comparison)
     return [f"the latest against the one before: {line}" if i == 0 else line for i, line in enumerate(lines)]
 
 
-def history_blocks(found: Trend) -> list[Block]:
-    """The one parameter of `found` in every calibration, with verdicts by the limits that are in force."""
-    (trend,) = found.parameters
-    (size, unit), verdicts, drift = _units(found)[trend.name], found.verdicts(trend), trend.drift
-    changes = {change.later: change for change in trend.changes}
+def history_blocks(trend: Trend) -> list[Block]:
+    """The one parameter of a trend in every calibration, with verdicts by the limits that are in force."""
+    (parameter,) = trend.parameters
+    (size, unit), verdicts, drift = _units(trend)[parameter.name], trend.verdicts(parameter), parameter.drift
+    changes = {change.later: change for change in parameter.changes}
 
     def row(point: Point) -> dict[str, str]:
         change, (value, U) = changes.get(point.number), with_expanded(point, size)
-        return {
-            "record": str(point.number),
-            "performed": day_of(point.performed),
-            "state": point.state,
-            "value": value,
-            "U": U,
-            "launches": str(len(point.launches) or 1),
-            **_change_cells(change, size),
-            "unit": unit,
-            "": "adjusted" if change is not None and change.adjustment else "",
-            **({"verdict": verdicts[point.number]} if verdicts else {}),
-        }
+        row = {"record": str(point.number), "performed": day_of(point.performed), "state": point.state}
+        row |= {"value": value, "U": U, "launches": str(len(point.launches) or 1), **_change_cells(change, size)}
+        row |= {"unit": unit, "": "adjusted" if change is not None and change.adjustment else ""}
+        return row | ({"verdict": verdicts[point.number]} if verdicts else {})
 
     lines = []
     if verdicts:
-        low, high = (limit_cell(limit, size) for limit in found.limits[trend.name])
+        low, high = (limit_cell(limit, size) for limit in trend.limits[parameter.name])
         lines += [f"limits: {low} to {high} {unit}", RULE]
-    if trend.run_to_run is not None:
+    if parameter.run_to_run is not None:
         lines.append(
-            f"run to run: {_deviation(trend.run_to_run, size)} {unit}, the standard deviation of launches "
-            f"({trend.run_to_run_degrees} degrees of freedom)"
+            f"run to run: {_deviation(parameter.run_to_run, size)} {unit}, the standard deviation of launches "
+            f"({parameter.run_to_run_degrees} degrees of freedom)"
         )
-    if trend.instability is not None:
-        lines.append(f"instability beyond the stated u, per power-on: {_deviation(trend.instability, size)} {unit}")
+    if parameter.instability is not None:
+        deviation = _deviation(parameter.instability, size)
+        lines.append(f"instability beyond the stated u, per power-on: {deviation} {unit}")
     if drift is None:
         lines.append(
             "drift: not known; it takes two calibrations at different times without an adjustment between them"
@@ -220,17 +207,17 @@ def history_blocks(found: Trend) -> list[Block]:
     else:
         value, U = cells(drift.per_year, drift.expanded, size)
         lines.append(f"drift: {value} ± {U} {unit} a year (95 %, Student's t with {drift.degrees} degrees of freedom)")
-    device, history = device_name(found.serial, found.latest.model), sparkline([p.value for p in trend.points])
+    device, history = device_name(trend.serial, trend.latest.model), sparkline([p.value for p in parameter.points])
     return [
-        f"{trend.name} of device {device} · frame {found.frame} · {history}",
-        table(map(row, trend.points), words=("record", "performed", "state", "unit", "", "verdict")),
+        f"{parameter.name} of device {device} · frame {trend.frame} · {history}",
+        table(map(row, parameter.points), words=("record", "performed", "state", "unit", "", "verdict")),
         Items(items=tuple(lines)),
     ]
 
 
-def _units(found: Trend) -> Units:
+def _units(trend: Trend) -> Units:
     """The unit in which each parameter is shown."""
-    return units_of_values((t.name, p.value, t.unit) for t in found.parameters for p in t.points)
+    return units_of_values((t.name, p.value, t.unit) for t in trend.parameters for p in t.points)
 
 
 def sparkline(values: Sequence[float]) -> str:
