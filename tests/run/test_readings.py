@@ -20,7 +20,7 @@ from tumble.run.from_readings import AT_REST, calibrate_readings, paper_form
 from tumble.run.readings_table import ReadingsTable, read_table
 from tumble.sensors.grades import GRADES
 from tumble.sensors.parameters import units_of, usual_sizes
-from tumble.units import DEGREE, G_STANDARD, Array
+from tumble.units import G_STANDARD, Array
 
 HEADER = "ux,uy,uz"
 NEGATIVE = "-2.4,-2.4,-2.4"

@@ -206,7 +206,7 @@ def ellipsoid(
     force: bool,
     **options: Any,
 ) -> None:
-    """Calibrate three accelerometers from READINGS.csv, their mean readings in nine or more positions of any orientation.
+    """Calibrate three accelerometers from READINGS.csv, their mean readings in nine or more positions.
 
     The table has a header with the names of three columns, one per channel, and a row per position.
     """

@@ -34,7 +34,7 @@ from tumble.run.from_estimate import reference_of
 from tumble.sensors.parameters import usual_sizes
 from tumble.units import ZERO_CELSIUS, Array
 from tumble.use.check import CheckedRest, FieldCheck, accepted_for_check, check_session, prior_at_check, tested
-from tumble.use.corrector import LATEST, Ranges, Stream, white_noise
+from tumble.use.corrector import LATEST, Ranges, Stream
 
 SHAKEN = 10.0
 """Times the noise of the calibration's rests: more is movement."""
@@ -89,7 +89,7 @@ class StreamCheck:
         self.session, self.rate = session, sample_rate
         self.rests, self.moved = list[CheckedRest](), tuple[MovedBias, ...]()
         self._gyro = None if accepted.gyro is None else session.gyro_block
-        self._white, self._ranges = white_noise(accepted), Ranges.of(accepted)
+        self._white, self._ranges = _white_noise(accepted), Ranges.of(accepted)
         heat = 1 if session.log.temperature is None else len(session.log.temperature.columns)
         self._stream = Stream(
             self.calibration.compensator,
@@ -228,6 +228,15 @@ class StreamCheck:
             **tested(self._chain.result(self.moved)),
             notes=(*self.calibration.provenance.absent, note),
         )
+
+
+def _white_noise(calibration: Calibration) -> dict[str, Array]:
+    """Density (n,) of the white noise of "accel" and "gyro" in the rests of a calibration, unit/√Hz."""
+    by_kind = {
+        kind: [sensors.noise for rest in calibration.evidence.rests if (sensors := getattr(rest, kind)) is not None]
+        for kind in ("accel", "gyro")
+    }
+    return {kind: np.sqrt(np.mean(np.square(noise), axis=0)) for kind, noise in by_kind.items() if noise}
 
 
 @checked
