@@ -69,22 +69,8 @@ def readings_at(calibration: CalibrationData, kind: SensorKind, force: Array, ra
 
 
 def linear_model(calibration: CalibrationData, kind: SensorKind, held: Container[str] = ()) -> SensorModel:
-    """Matrix and bias that fit the whole model best.
-
-    Parameters
-    ----------
-    calibration
-        A calibration of such sensors.
-    kind
-        "accel" or "gyro".
-    held
-        Groups beyond the linear model that a program applies itself, and that are not fitted.
-
-    Returns
-    -------
-    SensorModel
-        That of the calibration where it has no other groups.
-    """
+    """Matrix and bias that fit the whole model of "accel" or "gyro" best: those of the calibration where it has no
+    other groups. Groups beyond the linear model that are `held`, which a program applies itself, are not fitted."""
     model = calibration.accel if kind == "accel" else calibration.gyro
     assert model is not None
     fitted = _without(calibration, held)
@@ -106,16 +92,9 @@ def linear_model(calibration: CalibrationData, kind: SensorKind, held: Container
 def errors_left(
     calibration: CalibrationData, kind: SensorKind, correct: Callable[[Array], Array], held: Container[str] = ()
 ) -> Array:
-    """Errors (N,) of corrected vectors, SI: of the specific force in all attitudes at rest, or of the rate about all
-    axes in 1 g, at the rate of the session.
-
-    Parameters
-    ----------
-    calibration, kind, held
-        As in `linear_model`.
-    correct
-        What is made of readings (N, n): vectors (N, 3).
-    """
+    """Errors (N,), SI, of the vectors (N, 3) that `correct` makes of readings (N, n), without the groups that are
+    `held`: of the specific force in all attitudes at rest, or of the rate about all axes in 1 g, at the rate of the
+    session."""
     rate = np.zeros_like(DENSE) if kind == "accel" else session_rate(calibration) * DENSE[:, [1, 2, 0]]
     true = G_STANDARD * DENSE if kind == "accel" else rate
     readings = readings_at(_without(calibration, held), kind, G_STANDARD * DENSE, rate)
@@ -159,17 +138,9 @@ def linear_example(kind: str, model: SensorModel) -> Example:
 
 
 def examples(compensator: Compensator, kinds: Sequence[SensorKind], warmer: float = 0.0) -> dict[SensorKind, Example]:
-    """Readings of six decimals of these kinds of sensors, and what the whole correction makes of them.
-
-    Parameters
-    ----------
-    compensator
-        The correction.
-    kinds
-        "accel" before "gyro", whose example is in the force of that of the accelerometers, or in none without them.
-    warmer
-        Temperature of the sensors above their references, K.
-    """
+    """Readings of six decimals of these kinds of sensors, "accel" before "gyro", and what the whole correction makes of
+    them where the sensors are `warmer` than their references, K. The example of gyros is in the force of that of the
+    accelerometers, or in none without them."""
     out, force = dict[SensorKind, Example](), np.zeros((1, 3))
     for kind in kinds:
         reading, celsius = linear_example(kind, compensator.model(kind)).reading, compensator.reference(kind) + warmer

@@ -219,6 +219,25 @@ def readings_of_session(session: Session) -> dict[str, Readings]:
     }
 
 
+def check_sensors(calibration: Calibration, session: Session) -> None:
+    """Raises InputError for a session of other sensors than those of a calibration, or with counts or volts that are
+    worth something else."""
+    for kind, now in readings_of_session(session).items():
+        model, then = getattr(calibration, kind), calibration.provenance.readings.get(kind)
+        if model is not None and len(model.bias) != len(now.columns):
+            raise InputError(
+                f"{session.name}: log.{kind}: expected the {len(model.bias)} sensors of the calibration of "
+                f"{calibration.serial!r}, found {len(now.columns)}"
+            )
+        raw = then is not None and {now.unit, then.unit} & {"count", "V"}
+        if then is not None and raw and (now.unit, now.scale, now.offset) != (then.unit, then.scale, then.offset):
+            raise InputError(
+                f"{session.name}: log.{kind}: expected {then.unit} with the nominal scale and offset of the "
+                f"calibration of {calibration.serial!r}, {then.scale} and {then.offset}, found {now.unit} with {now.scale} and "
+                f"{now.offset}; state them as they were"
+            )
+
+
 # -------------------- rests and turns --------------------
 
 

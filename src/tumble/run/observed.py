@@ -209,25 +209,12 @@ def _observed(session: Session, reduction: Reduction, rests: tuple[Stretch, ...]
 
 
 def observations_for_calibration(observed: Observed, *, joint: bool = False) -> Observations | Outcome:
-    """What a method sees of a session: the positions of its programme, or all rests where it has none.
+    """What a method sees of a session: the positions of its programme, or all rests where it has none; an Outcome where
+    there is nothing to calibrate with.
 
-    Parameters
-    ----------
-    observed
-        What the log shows.
-    joint
-        Whether they are for the method joint, which follows a device with few rests through its motion, and gyros whose
-        biases jump, and takes the magnetometer in. For others gyros that jump are left out, as spoiled ones always are.
-
-    Returns
-    -------
-    Observations or Outcome
-        The latter where there is nothing to calibrate with.
-
-    Raises
-    ------
-    ProgrammeError
-        For a recording that does not go through the programme.
+    The method `joint` follows a device with few rests through its motion, and gyros whose biases jump, and takes the
+    magnetometer in. For others gyros that jump are left out, as spoiled ones always are. Raises ProgrammeError for a
+    recording that does not go through the programme.
     """
     if joint and (moving := _in_motion(observed)) is not None:
         return moving

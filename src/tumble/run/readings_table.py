@@ -222,23 +222,10 @@ def positions_of(table: ReadingsTable, rows_per_position: int = 1) -> ReadingsTa
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Nominal:
-    """What readings are worth, and gravity.
-
-    Attributes
-    ----------
-    unit, per : str
-        Unit of the readings, and that which a raw scale is per; the same where they are not raw.
-    scale : (3,) array
-        Output per m/s² of each channel, signed by polarity.
-    gravity : float
-        Gravity, m/s².
-    gravity_u : float or None
-        Its standard uncertainty; None where gravity at the place is the unit.
-    estimated : bool
-        Whether the sizes of the scale were taken from the readings themselves.
-    assumed : tuple of str
-        Columns whose polarity nothing states.
-    """
+    """What readings are worth: their unit, that which a raw scale is `per` (the same where they are not raw), the
+    output per m/s² (3,) of the channels, signed by polarity, and gravity, m/s², with its standard uncertainty, None
+    where gravity at the place is the unit. Whether the sizes of the scale were `estimated` from the readings
+    themselves, and the columns whose polarity is `assumed`, since nothing states it."""
 
     unit: str
     per: str

@@ -78,25 +78,12 @@ NO_VIBRATION = Vibration()
 
 @dataclass(frozen=True, kw_only=True)
 class Scenario:
-    """Everything that a simulated session is made of, apart from chance.
+    """Everything that a simulated session is made of, apart from chance: a set-up, whose spreads are not used, blocks
+    of sensors, the true values of all parameters, SI, as truth.json has them, a vibration throughout the log, and the
+    temperatures, with which parameters change.
 
     Errors of table and mounting are rotations uniform within ± about each axis: of the mounting for the launch (body
     axes), of the table for every position (geographic axes).
-
-    Attributes
-    ----------
-    setup : Setup
-        Programme, site and noise; its spreads are not used.
-    accel, gyro : Block
-        The sensors.
-    truth : mapping of str to float
-        True values of all parameters, SI, which truth.json has.
-    vibration : Vibration
-        Vibration throughout the log.
-    serial : str
-        Serial number of the device.
-    climate : Climate or None
-        Temperatures of the session, with which parameters change.
     """
 
     setup: Setup

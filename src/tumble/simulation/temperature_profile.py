@@ -34,21 +34,9 @@ NODES = 128
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Climate:
-    """Temperatures of thermometers and sensors throughout a session.
-
-    Attributes
-    ----------
-    time : (N,) array
-        Times from the start of the session, s, between which temperatures change linearly.
-    kelvin : (N, T) array
-        Temperatures of the thermometers, K.
-    reference : float
-        Temperature at which the true parameters have their values, K.
-    lags : mapping of str to float
-        Lags of the sensors behind their thermometers, s, by kind.
-    span : (float or (T,) array, float or (T,) array)
-        Middle and half the range of the temperatures, K, of which the hysteresis is made.
-    """
+    """Temperatures (N, T), K, of thermometers throughout a session, between times (N,), s, linear; the temperature, K,
+    at which the true parameters have their values; the lags of the sensors behind their thermometers, s, by kind; and
+    of each thermometer the middle and half the range, of which the hysteresis is made."""
 
     time: Array
     kelvin: Array

@@ -58,7 +58,7 @@ from tumble.result.coverage import by_gravity, shared_gravity
 from tumble.result.launch_variances import LaunchVariances, launch_variances
 from tumble.result.record import reference_of_parameter
 from tumble.run.calibrate import grade_of
-from tumble.run.from_estimate import readings_of_session, reference_of, references_of
+from tumble.run.from_estimate import check_sensors, reference_of, references_of
 from tumble.run.observed import inspect_session, observations_for_calibration
 from tumble.sensors.grades import GRADES, TURN_ON, spread_of
 from tumble.sensors.instrument import Instrument
@@ -68,7 +68,6 @@ from tumble.use.apply import check_device
 from tumble.use.positions import PositionResiduals, residuals_in, table_observations
 
 _FITS = {"accel": "accelerometers", "gyro": "gyro rests", "turn": "gyro turns", "velocity": "velocities of turns"}
-_RAW = ("count", "V")
 
 USUAL_DEGREES = 4.0
 """Degrees of freedom with which the variances of a grade count: these are known to a third."""
@@ -348,20 +347,7 @@ def accepted_for_check(calibration: Calibration | FilePath) -> Calibration:
 def check_session(calibration: Calibration, session: Session) -> None:
     """Raise InputError for a session of another device than the calibration's, or of other sensors."""
     check_device(calibration, session)
-    for block, model in ((session.accel_block, calibration.accel), (session.gyro_block, calibration.gyro)):
-        if block is not None and model is not None and len(model.bias) != block.size:
-            raise InputError(
-                f"{session.name}: log.{block.kind}: expected the {len(model.bias)} sensors of the calibration, found "
-                f"{block.size}"
-            )
-    for kind, now in readings_of_session(session).items():
-        then = calibration.provenance.readings.get(kind)
-        raw = then is not None and (now.unit in _RAW or then.unit in _RAW)
-        if then is not None and raw and (now.scale, now.offset) != (then.scale, then.offset):
-            raise InputError(
-                f"{session.name}: log.{kind}: expected the nominal scale and offset of the calibration, {then.scale} "
-                f"and {then.offset}, found {now.scale} and {now.offset}"
-            )
+    check_sensors(calibration, session)
 
 
 def _launches(calibration: Calibration, others: Sequence[LaunchVariances]) -> Sequence[LaunchVariances]:

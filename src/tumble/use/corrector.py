@@ -97,24 +97,9 @@ class Ranges:
 class Stream:
     """Corrects the rows of one stream.
 
-    Parameters
-    ----------
-    compensator
-        The correction.
-    interval
-        Usual interval of samples, s.
-    blocks
-        Accelerometers and gyros of the stream, with their thermometers.
-    heat
-        Number of thermometers.
-    gyros
-        Whether rates are corrected.
-    ranges
-        Ranges outside of which samples are flagged.
-    zero
-        0 °C in the unit of the temperatures.
-    latest
-        LATEST, or 0 for stamps that are in order.
+    `interval` is that of samples, s, `blocks` are the sensors of the stream and `heat` its number of thermometers,
+    which read 0 °C as `zero`. Without `gyros` no rates are corrected. Samples outside of the `ranges` are flagged;
+    `latest` is LATEST, or 0 for stamps that are in order.
     """
 
     def __init__(

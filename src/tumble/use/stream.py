@@ -54,30 +54,12 @@ Event: TypeAlias = CheckedRest | Notice
 
 
 class StreamCheck:
-    """Checks a calibration with a stream of readings.
+    """Checks an accepted calibration, or its file, with a stream of readings, of which a session, or its folder, has
+    columns, sensors and site: `rests` are those so far, with quiet stretches that are not used, and `moved` the biases
+    that have changed during the stream.
 
-    Parameters
-    ----------
-    calibration
-        An accepted calibration with uncertainties, or its file.
-    session
-        A session that describes the columns, sensors and site of the stream, or its folder.
-    sample_rate
-        Samples per second.
-
-    Attributes
-    ----------
-    rests : list of CheckedRest
-        The rests so far, with quiet stretches that are not used.
-    moved : tuple of MovedBias
-        Biases that have changed during the stream.
-
-    Raises
-    ------
-    CalibrationError
-        For a calibration that is not accepted, has no uncertainties, or is in the frame of the case.
-    InputError
-        For a session of another device or of other sensors.
+    Raises CalibrationError for a calibration that is not accepted, has no uncertainties, or is in the frame of the
+    case, and InputError for a session of another device or of other sensors.
     """
 
     def __init__(self, calibration: Calibration | FilePath, session: Session | FilePath, *, sample_rate: float) -> None:
@@ -211,13 +193,8 @@ class StreamCheck:
         return replace(rest, u=u * abs(upward), sigmas=-sigmas)
 
     def result(self) -> FieldCheck:
-        """All rests so far as one check, with the biases that have moved among its changes.
-
-        Raises
-        ------
-        InputError
-            If there was no rest.
-        """
+        """All rests so far as one check, with the biases that have moved among its changes. Raises InputError if there
+        was no rest."""
         if self._chain is None:
             raise InputError(f"{self.session.name}: expected rests to check with, found none")
         origin = f", guessed from {self._guessed_from}; [device] grade states another" if self._guessed_from else ""
