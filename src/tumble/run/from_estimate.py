@@ -232,8 +232,8 @@ def check_sensors(calibration: Calibration, session: Session) -> None:
         raw = then is not None and {now.unit, then.unit} & {"count", "V"}
         if then is not None and raw and (now.unit, now.scale, now.offset) != (then.unit, then.scale, then.offset):
             raise InputError(
-                f"{session.name}: log.{kind}: expected {then.unit} with the nominal scale and offset of the "
-                f"calibration of {calibration.serial!r}, {then.scale} and {then.offset}, found {now.unit} with {now.scale} and "
+                f"{session.name}: log.{kind}: expected the unit, scale and offset of the calibration of "
+                f"{calibration.serial!r}, {then.unit}, {then.scale}, {then.offset}, found {now.unit}, {now.scale}, "
                 f"{now.offset}; state them as they were"
             )
 

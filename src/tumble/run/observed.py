@@ -56,7 +56,8 @@ class Observed(Judged):
     """What a session's log shows: the `digest` of its content, perhaps still on its way, the gaps that were bridged,
     the rests and turns that were found and rejected, and the observations of all of them (None where nothing rests);
     `faults`, in sentences, are what is wrong with the recording, `gyro_faults` what spoils the gyros alone, and
-    `gyro_bias_faults` what spoils nothing but their biases.
+    `gyro_bias_faults` what spoils nothing but their biases. When it was `recorded`, ISO 8601, is by the log's own
+    times; `notes` are what is remarkable in these.
 
     `trial` are the observations, or, where no rest was found with the gyros, those of the rests that the accelerometers
     alone show: in a wrong unit every turn is too slow to be one."""
@@ -74,9 +75,7 @@ class Observed(Judged):
     gyro_faults: tuple[str, ...] = ()
     gyro_bias_faults: tuple[str, ...] = ()
     recorded: str | None = None
-    """When, ISO 8601, by the log's own times."""
     notes: tuple[str, ...] = ()
-    """What is remarkable in the times of the log, in words."""
 
     @property
     def sha256(self) -> str:

@@ -4,16 +4,14 @@ All the time the Earth turns. With n and θ of a move and L₀ the attitude at i
 
     L(t) = exp([nθ×]) L₀,   ω = n θ̇ + Ω,   f = (g + v) e_U        geographic frame; v: vibration, vertical
 
-A sample is the mean over the interval that ends at its time stamp, in the body frame. Since Lᵀn is constant,
+A sample is the mean of the readings over the interval that ends at its time stamp, of late accelerometers so much
+earlier, by forces Lᵀf and rates Lᵀω in the body, with R = exp([nθ×]),
 
-    mean Lᵀω = L₀ᵀ( n Δθ/h + mean(R)ᵀ Ω ),   mean Lᵀf = L₀ᵀ mean((g + v) Rᵀ) e_U
-    Rᵀ = nnᵀ + cos θ (I − nnᵀ) − sin θ [n×]
+    Lᵀ = L₀ᵀ Rᵀ,   Rᵀ = nnᵀ + cos θ (I − nnᵀ) − sin θ [n×]
 
-so that a move is three scalar series: Δθ, and the means of cos θ and sin θ. The means are Gauss–Legendre
-sums over panels that end wherever a sample ends or θ(t) is not smooth, exact to rounding; moves need not
-begin or end with a sample. The reading of a linear instrument is `matrix @ mean + bias + noise`; of another the mean is
-taken of the readings, with f + [ω̇×]r + [ω×]²r at an accelerometer with lever arm r, and with late accelerometers, of
-the interval so much earlier. Parameters that change with temperature have the value of the middle of the sample.
+and f + [ω̇×]r + [ω×]²r at an accelerometer with lever arm r. The means are Gauss–Legendre sums over panels that end
+wherever a sample ends or θ(t) is not smooth, exact to rounding; moves need not begin or end with a sample. Parameters
+that change with temperature have at rest the value of the middle of the sample.
 """
 
 from __future__ import annotations
@@ -28,7 +26,6 @@ from tumble.earth import earth_rate
 from tumble.errors import InputError
 from tumble.planning.itinerary import Itinerary
 from tumble.rotation import UP, skew
-from tumble.sensors.instrument import is_linear
 from tumble.sensors.model import Block
 from tumble.simulation.scenario import Scenario, itinerary
 from tumble.simulation.sensors import SimulatedBlock
@@ -156,44 +153,31 @@ class _SampledBlock:
         n, earth = move / total if total > 0.0 else UP, np.array(earth_rate(scenario.setup.latitude))
         whole = math.floor(start * fs)  # time within the move, in samples, so that nothing is lost late in a log
         passed = (first - whole) - (start * fs - whole)
-        samples = np.arange(last - first + 1.0)
+        samples = np.arange(last - first + 0.0)
         panels = _panels(scenario, total, passed, last - first)
         nodes = panels[:-1, None] + np.diff(panels)[:, None] * _NODES
         theta = profile.angle((nodes + passed) / fs, total)
-        waves = np.stack([np.ones_like(theta), np.cos(theta), np.sin(theta)])
-        vertical, vibration = np.full(1, scenario.setup.gravity), scenario.vibration
+        rate, change = (each[..., None] for each in profile.rates((nodes + passed) / fs, total))
+        waves = np.stack([np.ones_like(theta), np.cos(theta), np.sin(theta)], axis=-1)
+        vertical, vibration = np.full_like(theta, scenario.setup.gravity), scenario.vibration
         if vibration.amplitude > 0.0:
             seconds = (first + nodes - self.late * fs) / fs
-            vertical = vertical + vibration.amplitude * np.sin(2.0 * np.pi * vibration.frequency * seconds)
-        if np.any(self.sensors.arms) or not is_linear(self.sensors.block, self.sensors.coefficients):
-            rate, change = profile.rates((nodes + passed) / fs, total)
-            earth_b, axis_b = np.moveaxis(waves, 0, -1) @ _turning(n, earth) @ L, n @ L
-            means = self.read(
-                (np.moveaxis(vertical * waves, 0, -1) @ _turning(n, UP) @ L).reshape(-1, 3),
-                (earth_b + rate[..., None] * axis_b).reshape(-1, 3),
-                (change[..., None] * axis_b - rate[..., None] * np.cross(axis_b, earth_b)).reshape(-1, 3),
-                (first + nodes).ravel() / fs,
-            )
-            return _means(np.moveaxis(means.reshape(*theta.shape, -1), -1, 0), panels, samples)
-        when = (first + samples[:-1] + 0.5) / fs
-        if self.sensors.block.kind == "accel":
-            force = _means(vertical * waves, panels, samples) @ _turning(n, UP) @ L
-            return self.read(force, np.zeros_like(force), np.zeros_like(force), when)
-        turned = np.diff(profile.angle((samples + passed) / fs, total)) * fs
-        mean_rate = (_means(waves, panels, samples) @ _turning(n, earth) + np.outer(turned, n)) @ L
-        return self.read(np.zeros_like(mean_rate), mean_rate, np.zeros_like(mean_rate), when)
+            vertical += vibration.amplitude * np.sin(2.0 * np.pi * vibration.frequency * seconds)
+        earth_b, axis_b = waves @ _turning(n, earth) @ L, n @ L
+        readings = self.read(
+            (vertical[..., None] * waves @ _turning(n, UP) @ L).reshape(-1, 3),
+            (earth_b + rate * axis_b).reshape(-1, 3),
+            (change * axis_b - rate * np.cross(axis_b, earth_b)).reshape(-1, 3),
+            (first + nodes).ravel() / fs,
+        )
+        integrals = np.einsum("pnk,n,p->pk", readings.reshape(*theta.shape, -1), _WEIGHTS, np.diff(panels))
+        return np.asarray(np.add.reduceat(integrals, np.searchsorted(panels, samples), axis=0))
 
 
 def _turning(n: Array, vector: Array) -> Array:
     """Rows a, b, c with Rᵀ vector = a + b cos θ + c sin θ, R the rotation by θ about n."""
     along = n * (n @ vector)
     return np.stack([along, vector - along, -np.cross(n, vector)])
-
-
-def _means(values: Array, panels: Array, samples: Array) -> Array:
-    """Means over every sample, (samples, k), of k series given at the nodes of every panel, (k, P, 6)."""
-    integrals = (values @ _WEIGHTS) * np.diff(panels)
-    return np.asarray(np.add.reduceat(integrals, np.searchsorted(panels, samples[:-1]), axis=1).T)
 
 
 def _panels(scenario: Scenario, total: float, passed: float, samples: int) -> Array:
