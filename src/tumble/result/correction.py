@@ -231,26 +231,26 @@ def corrected_readings(
     temperature: Temperatures | None,
 ) -> tuple[Array, Array | None]:
     """Specific force and angular rate (..., 3) of readings (..., n), see `Calibration.apply`."""
-    judged = (calibration.outcome.accel,) if gyro is None else (calibration.outcome.accel, calibration.outcome.gyro)
-    if not any(judged):
-        reasons = "; ".join(calibration.outcome.reasons)
-        raise CalibrationError(f"calibration: expected accepted accelerometers or gyros, found: {reasons}")
-    compensator = calibration.compensator
-
-    def checked(block: Block | None, kind: str, given: npt.ArrayLike) -> Array:
-        """One number for each sensor and sample."""
-        readings = numbers_of(kind, given, increments=dt is not None)
+    outcome = calibration.outcome
+    if not outcome.accel and (gyro is None or not outcome.gyro):
+        raise CalibrationError(
+            f"calibration: expected accepted accelerometers or gyros, found: {'; '.join(outcome.reasons)}"
+        )
+    compensator, readings = calibration.compensator, dict[str, Array]()
+    for kind, given in (("accel", accel), ("gyro", gyro)):
+        block: Block | None = getattr(compensator, kind)
+        if given is None:
+            continue
+        numbers = numbers_of(kind, given, increments=dt is not None)
         if block is None:
             raise InputError(f"{kind} readings: expected none, for the calibration has no {kind}, found some")
-        if readings.shape[-1:] != (block.size,):
+        if numbers.shape[-1:] != (block.size,):
             raise InputError(
                 f"{kind} readings: expected {block.size} numbers a sample, one for each sensor of the calibration, "
-                f"found an array of shape {readings.shape}"
+                f"found an array of shape {numbers.shape}"
             )
-        return readings
-
-    force_readings = checked(compensator.accel, "accel", accel)
-    shape, interval = force_readings.shape[:-1], np.ones(1)
+        readings[kind] = numbers
+    shape, interval = readings["accel"].shape[:-1], np.ones(1)
     if dt is not None:  # an interval for each sample; one for all of them is repeated
         intervals = numbers_of("dt", dt)
         if intervals.shape not in ((), shape):
@@ -259,20 +259,17 @@ def corrected_readings(
             raise InputError(f"dt: expected intervals above 0 s, found {intervals.min():g}")
         interval = np.ravel(np.broadcast_to(intervals, shape))[:, None]
     celsius = given_temperatures(temperature, compensator, shape)
-    force = compensator.force(force_readings.reshape(-1, compensator.accel.size) / interval, celsius["accel"])
+    force = compensator.force(readings["accel"].reshape(-1, compensator.accel.size) / interval, celsius["accel"])
     felt = np.full((*shape, 3), np.nan) if calibration.accel is None else (force * interval).reshape(*shape, 3)
     if gyro is None:
         return felt, None
-    rate_readings = checked(compensator.gyro, "gyro", gyro)
-    assert compensator.gyro is not None
-    if rate_readings.shape[:-1] != shape and not (compensator.linear and dt is None):
+    turned = readings["gyro"]
+    if turned.shape[:-1] != shape and not (compensator.linear and dt is None):
         raise InputError(
-            f"gyro readings: expected as many samples as of the accelerometers, {shape}, found the shape "
-            f"{rate_readings.shape}"
+            f"gyro readings: expected as many samples as of the accelerometers, {shape}, found the shape {turned.shape}"
         )
-    turned = rate_readings.reshape(-1, compensator.gyro.size) / interval
-    rate = compensator.rate(turned, force, celsius["gyro"]) * interval
-    return felt, rate.reshape(*rate_readings.shape[:-1], 3)
+    rate = compensator.rate(turned.reshape(-1, turned.shape[-1]) / interval, force, celsius["gyro"]) * interval
+    return felt, rate.reshape(*turned.shape[:-1], 3)
 
 
 def given_temperatures(

@@ -16,15 +16,14 @@ with the degrees of freedom of s_p², the only part of s² that was estimated (G
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import scipy
 
 from tumble.result.calibration import Calibration
 from tumble.result.parts import CalibratedTemperature
-from tumble.result.record import reference_of_parameter
-from tumble.sensors.parameters import to_temperature
+from tumble.result.record import to_references
 from tumble.units import Array
 
 UNLIKE = 1e-3
@@ -102,9 +101,7 @@ def at_temperature(
     for launch in launches:
         move, C = np.eye(len(names)), launch.covariance_of(names)
         if temperature.reference is not None:
-            moved = replace(launch, temperature=temperature)
-            warmer = [reference_of_parameter(moved, name) - reference_of_parameter(launch, name) for name in names]
-            move = to_temperature(names, np.array(warmer))
+            move = to_references(launch, names, temperature)
         values.append(move @ [launch[n].value for n in names])
         covariances.append(move @ (np.zeros_like(move) if C is None else C) @ move.T)
     return np.array(values), np.array(covariances)

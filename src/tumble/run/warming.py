@@ -60,7 +60,7 @@ from tumble.result.parts import (
     SourceContributions,
     learned_fraction,
 )
-from tumble.result.record import reference_of_parameter
+from tumble.result.record import to_references
 from tumble.result.uncertainty_budget import contributions_of
 from tumble.run.from_estimate import (
     LAGS,
@@ -285,10 +285,9 @@ def _with_coefficients(
     at, known = [base.parameters[i].name for i in kept], base.reference_temperature is not None
     names, first = [*at, *new], len(kept)
     move = np.eye(len(estimate.names))
-    if known:
+    if known:  # from the references of this recording
         own = replace(base, temperature=_temperature(session, observations))
-        warmer = [reference_of_parameter(base, n) - reference_of_parameter(own, n) for n in estimate.names]
-        move = to_temperature(estimate.names, np.array(warmer))
+        move = to_references(own, estimate.names, base.temperature)
     move = move[[estimate.names.index(name) for name in new]]
     budget = estimate.budget.carried(move)
     of_data = move @ estimate.covariance @ move.T

@@ -56,13 +56,13 @@ from tumble.result.accepted import accepted_part
 from tumble.result.calibration import Calibration, calibration_from
 from tumble.result.coverage import by_gravity, shared_gravity
 from tumble.result.launch_variances import LaunchVariances, launch_variances
-from tumble.result.record import reference_of_parameter
+from tumble.result.record import to_references
 from tumble.run.calibrate import grade_of
 from tumble.run.from_estimate import check_sensors, reference_of, references_of
 from tumble.run.observed import inspect_session, observations_for_calibration
 from tumble.sensors.grades import GRADES, TURN_ON, spread_of
 from tumble.sensors.instrument import Instrument
-from tumble.sensors.parameters import group_of, shown_in, to_temperature, usual_sizes, variable_of
+from tumble.sensors.parameters import group_of, shown_in, usual_sizes, variable_of
 from tumble.units import ZERO_CELSIUS, engineering
 from tumble.use.apply import check_device
 from tumble.use.positions import PositionResiduals, residuals_in, table_observations
@@ -399,9 +399,7 @@ def prior_at_check(
     # at the temperature of the check
     now, J = references_of(observations), np.eye(len(with_gravity))
     if calibration.reference_temperature is not None and now:
-        at_check = replace(calibration, temperature=replace(calibration.temperature, references=now))
-        warmer = [reference_of_parameter(at_check, name) - reference_of_parameter(calibration, name) for name in names]
-        J[1:, 1:] = to_temperature(names, np.array(warmer))
+        J[1:, 1:] = to_references(calibration, names, replace(calibration.temperature, references=now))
     # s² and 1/ν_s of another power-on, Eq. (2)
     single = len(calibration.evidence.launches) < 2 and not calibration.evidence.together
     others = _launches(calibration, launches)
