@@ -82,14 +82,6 @@ class Calibration(CalibrationData):
         Rests, turns, fits, budget and launches behind the parameters.
     provenance : Provenance
         Recording and software that it comes from.
-    serial, model : str, and str or None
-        Serial number and type of the device.
-    reference_temperature : float or None
-        °C, at which parameters that change with temperature have their values; of several thermometers the mean.
-    temperature_range : (float, float) or None
-        The lowest and the highest temperature, °C, that the rests of all launches have of every sensor.
-    compensator : Compensator
-        What corrects readings, also of sensors that are not accepted.
     """
 
     def __eq__(self, other: object) -> bool:

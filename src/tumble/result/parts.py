@@ -439,30 +439,15 @@ _PerParameter, _PerSession = Field(max_length=MOST_PARAMETERS), Field(max_length
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Evidence:
-    """Data and fit behind the parameters of a calibration.
+    """Data and fit behind the parameters of a calibration: the rests and turns that were used, with their residuals; by
+    group of residuals chi-square, degrees of freedom and estimated scatter; the quantities of the noise model that were
+    estimated (scatter, in-run biases, sizes of groups of parameters), and how the posterior was integrated over them;
+    contributions to the u of every parameter by source, empty in a frame other than that of the estimate; the increment
+    of every parameter in each iteration; and the sessions whose calibrations were averaged, or that were estimated
+    together.
 
-    Attributes
-    ----------
-    rests, turns : tuple
-        Rests and turns that were used, with their residuals.
-    fits : mapping of str to Fit
-        Chi-square, degrees of freedom and estimated scatter by group of residuals.
-    hyperparameters : tuple
-        Quantities of the noise model that were estimated: scatter, in-run biases, sizes of groups of parameters.
-    integral : Integral or None
-        How the posterior was integrated over the hyperparameters.
-    process_bias : tuple
-        Biases as the means of their processes, about which those of the next minutes vary; the parameters are those of
-        the session. Empty unless the frame is that of the accelerometers.
-    budget : tuple
-        Contributions to the u of every parameter by source; empty in a frame other than that of the estimate.
-    iterations : tuple of mapping
-        Increment of every parameter in each iteration.
-    launches : tuple of Launch
-        Sessions whose calibrations were averaged.
-    together : tuple of Member
-        Sessions that were estimated together.
-    """
+    `process_bias` has biases as the means of their processes, about which those of the next minutes vary; the
+    parameters are those of the session. Empty unless the frame is that of the accelerometers."""
 
     rests: Rests = ()
     turns: Turns = ()
@@ -480,37 +465,15 @@ class Evidence:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Provenance:
-    """Recording, circumstances and software that a calibration comes from.
+    """Recording, circumstances and software that a calibration comes from: the SHA-256 of the log (of several logs, of
+    the list of theirs), program and version, the time of computing (ISO 8601), and the devices of the type whose
+    calibrations served as prior; the place, the samples per second and the relative standard uncertainty of the time
+    base, as it is in the scale factors of the gyros; date, operator, equipment and air; the name of the programme; and
+    of "accel", "gyro" and "mag" columns, unit and nominal scale.
 
-    Attributes
-    ----------
-    log_sha256 : str or None
-        SHA-256 of the log; of several logs, of the list of theirs.
-    software : str or None
-        Program and version.
-    created : str or None
-        Time of computing, ISO 8601.
-    prior : str or None
-        Devices of the same type whose calibrations served as prior.
-    site : Site or None
-        Place of the recording.
-    sample_rate : float or None
-        Samples per second of the recording.
-    clock_u : float
-        Relative standard uncertainty of the time base, as it is in the scale factors of the gyros.
-    circumstances : Circumstances
-        Date, operator, equipment and air of the recording.
-    programme : str or None
-        Name of the programme.
-    readings : mapping of str to Readings
-        Columns, unit and nominal scale of "accel", "gyro" and "mag".
-    notes : tuple of str
-        Remarks on the recording and the estimate.
-    assumptions : tuple of str
-        What was taken for granted of the log and the place, and what to state instead.
-    absent : tuple of str
-        Sensors of the device that the calibration does not have, and why.
-    """
+    In sentences, the `notes` are remarks on the recording and the estimate, the `assumptions` what was taken for
+    granted of the log and the place, and what to state instead, and `absent` the sensors of the device that the
+    calibration does not have, and why."""
 
     log_sha256: str | None = None
     software: str | None = None

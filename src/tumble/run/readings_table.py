@@ -53,25 +53,12 @@ UNITS = {name: ACCEL_UNITS[name].factor for name in ("g", "m/s^2")}
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ReadingsTable:
-    """A table of readings.
+    """A table of readings (N, 3) as written, with the lines of the file that they stand in, and of each column the step
+    of the last digit that is written in it.
 
-    Attributes
-    ----------
-    path, columns, sha256
-        The file, the names of its three columns, and the SHA-256 of its content.
-    values : (N, 3) array
-        Readings as written, the means of positions of several rows.
-    lines : tuple of int
-        Line of the file that each reading stands in, of positions that of their first row.
-    steps : (3,) array
-        Step of the last digit that is written in each column.
-    rows : int
-        Rows of a position.
-    covariance : (3, 3) array or None
-        Of a mean, from the scatter within positions, with its `degrees` of freedom; None for one row a position.
-    left_out : tuple of str
-        What was left out, in words.
-    """
+    Of positions of several `rows`, values are the means and lines those of the first rows; the `covariance` (3, 3) of a
+    mean is from the scatter within positions, with its `degrees` of freedom, None where each is one row. `left_out`
+    says in words what was left out."""
 
     path: Path
     columns: tuple[str, ...]

@@ -100,16 +100,9 @@ _NODES = 2000
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TemperatureProfile:
-    """Temperatures of a session.
-
-    Attributes
-    ----------
-    celsius : tuple of float
-        Temperatures, °C, at equal steps from the start to the end; one if it stays the same.
-    heating : tuple of (float, float)
-        Rise of each thermometer after power-on, K, and the time constant, s, with which it is reached: one for all
-        sensors, two for accelerometers and gyros, or one a sensor.
-    """
+    """Temperatures of a session: those, °C, at equal steps from the start to the end, one if it stays the same; and the
+    rise of each thermometer after power-on, K, with the time constant, s, by which it is reached: one for all sensors,
+    two for accelerometers and gyros, or one a sensor."""
 
     celsius: tuple[float, ...]
     heating: tuple[tuple[float, float], ...] = ((0.0, 600.0),)

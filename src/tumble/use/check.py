@@ -75,22 +75,12 @@ USUAL_DEGREES = 4.0
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CheckedRest:
-    """A rest, or a position of a table, compared with gravity.
+    """A rest, or a position of a table, compared with gravity: the difference of gravity less the modulus of the
+    corrected reading, m/s², its standard uncertainty, and the ratio of both, in a stream as the calibration and the
+    rests before predict it, None, or not a number, if nothing predicts the rest; with times, s, and temperature, °C.
 
-    Attributes
-    ----------
-    label : str
-        Name of the rest or the position.
-    difference : float
-        Gravity less the modulus of the corrected reading, m/s².
-    u, sigmas : float or None
-        Standard uncertainty of the difference, m/s², and the difference in units of it; in a stream as the calibration
-        and the rests before predict it. None, or not a number, if nothing predicts the rest.
-    start, stop, celsius : float or None
-        Times, s, and temperature, °C.
-    outside, judged, why : tuple of str, JudgedRest or None, str
-        In a stream only: which of "temperature" and "force" are outside of the calibrated range, the tests of the
-        biases by this rest, and why a quiet stretch is not used as a rest.
+    In a stream only: which of "temperature" and "force" are `outside` of the calibrated range, the tests of the biases
+    by this rest, and `why` a quiet stretch is not used as a rest.
     """
 
     label: str
@@ -109,28 +99,12 @@ class CheckedRest:
 class FieldCheck(Judged):
     """Result of the check of a calibration.
 
-    Attributes
-    ----------
-    source : str
-        The session, table or stream.
-    rests : tuple of CheckedRest
-        Its rests or positions; if `left_out`, those of the calibration, each left out in turn.
-    rest_limit : float or None
-        What the largest |difference|/u exceeds by chance in one of 100 cases; None in a stream.
-    turns : int
-        Turns between the rests that were used.
-    changes : tuple of ChangedParameter
-        What has changed.
-    parameters : tuple of ParameterTest
-        The test of every parameter that the rests and turns determine; empty if the rests alone decide.
-    largest, limit : float or None
-        The largest |change|/u of these, and what it exceeds by chance in CHANCE of all checks.
-    unseen : tuple of str
-        Groups of parameters that the rests and turns do not determine.
-    misfit : Fit or None
-        Residuals that no change explains; `rests_agree` if they are those of the turns alone.
-    notes : tuple of str
-        What was assumed.
+    `rests` are those of the session, table or stream; if `left_out`, those of the calibration, each left out in turn.
+    `rest_limit` is what their largest |difference|/u exceeds by chance in one of 100 cases, None in a stream. Of
+    `turns` so many were used. `changes` is what has changed, `parameters` the test of every parameter that rests and
+    turns determine, empty if the rests alone decide, with the `largest` |change|/u and the `limit` that it exceeds by
+    chance in CHANCE of all checks; `unseen` are groups of parameters that they do not determine. `misfit` are residuals
+    that no change explains; `rests_agree` if they are those of the turns alone. `notes` say what was assumed.
     """
 
     json_fields: ClassVar = (

@@ -41,21 +41,12 @@ _ROWS = 1 << 12
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
 class Corrected(Brief):
-    """Corrected samples in the order in which they came, as views of memory that the next block overwrites.
+    """Corrected samples in the order in which they came, as views of memory that the next block overwrites: stamps
+    (N,), s, specific force (N, 3), m/s², and angular rate (N, 3), rad/s, None without gyros.
 
-    Attributes
-    ----------
-    time : (N,) array
-        Stamps, s.
-    force : (N, 3) array
-        Specific force, m/s².
-    rate : (N, 3) array or None
-        Angular rate, rad/s; None without gyros.
-    flags : (N,) array
-        Sum of 1, 2 and 4 for a temperature, a rate and a force outside of the calibrated range.
-    temperature : (N, T) array
-        Temperatures of the sensors that follow each thermometer, K; where accelerometers and gyros have other lags
-        (N, 2 T), those of the accelerometers first.
+    `flags` (N,) are the sums of 1, 2 and 4 for a temperature, a rate and a force outside of the calibrated range.
+    `temperature` (N, T) is that of the sensors that follow each thermometer, K; where accelerometers and gyros have
+    other lags (N, 2 T), those of the accelerometers first.
     """
 
     time: Array
