@@ -127,7 +127,7 @@ def mean_of_launches(runs: Sequence[Run], *, alike: Sequence[LaunchVariances] = 
                 f"{run.session.name}: expected a launch of device {first.serial!r} like the first session, found "
                 f"{run.calibration.serial!r}; calibrate each device by itself"
             )
-    check_recordings([(r.session.name, d, _means(r.calibration)) for r, d in zip(runs, digests, strict=True)])
+    check_recordings([run.session for run in runs], digests)
     names = [name for name in first if all(name in launch for launch in launches)]
     references = [launch.temperature.references for launch in launches]
     alike_sensors = _common([{kind: len(celsius) for kind, celsius in each.items()} for each in references]) or ()
@@ -327,6 +327,13 @@ def _by_source(
 # -------------------- what the launches have in common --------------------
 
 
+def check_recordings(sessions: Sequence[Session], digests: Sequence[str]) -> None:
+    """Raises InputError where two sessions are one: of logs with the same SHA-256, without the same parts."""
+    for (one, digest), (other, other_digest) in combinations(zip(sessions, digests, strict=True), 2):
+        if digest == other_digest and one.excluded == other.excluded:
+            raise InputError(f"{other.name}: holds the same recording as {one.name}; name every recording once")
+
+
 def digest_of_all(digests: Iterable[str]) -> str:
     """The SHA-256 of those of several logs."""
     return hashlib.sha256("\n".join(digests).encode()).hexdigest()
@@ -412,52 +419,3 @@ def _mean_model(frame: Frame, block: Block | None, values: Mapping[str, float]) 
     if not set(convention.names) <= set(values):
         return None
     return convention.model(np.array([values[name] for name in convention.names]))
-
-
-# -------------------- whether two recordings are one, given twice: in other formats, or with other digits -----------
-
-
-CLOSE = 0.5
-"""Standard uncertainties of the noise of a mean: rounding changes it by less, and another recording of the same
-attitude, whose means differ by √2 of them, is as close in six channels once in 2,500 times."""
-SHARE = 0.5
-"""Of the rests of the shorter recording, that have one like them in the other; chance makes two of them once in
-millions."""
-EQUAL = 1e-9
-"""Relative: means of equal numbers that were added up in another way."""
-
-Means = tuple[Array, Array]
-"""Mean readings (N, n) of all channels at rest, and the standard uncertainties (N, n) of their noise."""
-
-
-def check_recordings(recordings: Sequence[tuple[str, str, Means]]) -> None:
-    """Raises InputError where two recordings, each with its name, the SHA-256 of the log and what its rests read, are
-    one: they read the same to rounding, or neither rests and they are of one log."""
-    for (name, digest, means), (other, other_digest, other_means) in combinations(recordings, 2):
-        if same_recording(means, other_means) or (digest == other_digest and not len(means[0])):
-            raise InputError(
-                f"{other}: holds the same recording as {name}, their rests read the same to rounding; name every "
-                "recording once"
-            )
-
-
-def same_recording(first: Means, second: Means) -> bool:
-    """Whether rests of two recordings read the same values to rounding."""
-    fewer = min(len(first[0]), len(second[0]))
-    if not fewer or first[0].shape[1] != second[0].shape[1]:
-        return False
-    apart = np.abs(first[0][:, None] - second[0][None])
-    near = CLOSE * np.minimum(first[1][:, None], second[1][None]) + EQUAL * np.abs(first[0][:, None])
-    alike = np.any(np.all(apart <= near, axis=2), axis=1)
-    return bool(np.count_nonzero(alike) >= max(SHARE * fewer, 1))
-
-
-def _means(calibration: Calibration) -> Means:
-    """What the sensors read in the rests of a calibration."""
-    means, u = [], []
-    for rest in calibration.evidence.rests:
-        sensors = [each for each in (rest.accel, rest.gyro) if each is not None]
-        if sensors:
-            means.append(np.concatenate([each.mean for each in sensors]))
-            u.append(np.concatenate([each.noise for each in sensors]) / np.sqrt(rest.stop - rest.start))
-    return (np.array(means), np.array(u)) if means else (np.empty((0, 0)), np.empty((0, 0)))

@@ -29,7 +29,7 @@ from tumble.result.calibration import Calibration
 from tumble.result.parts import Member, Parameter, learned_fraction
 from tumble.run.calibrate import assumptions, by_reference_clock, estimated, provenance_of, systematic_of
 from tumble.run.from_estimate import result_of, without_result
-from tumble.run.launches import Means, check_recordings, circumstances_of_all, digest_of_all
+from tumble.run.launches import check_recordings, circumstances_of_all, digest_of_all
 from tumble.run.observed import Progress, inspect_session, observations_in_parts
 from tumble.sensors.frames import Frame
 from tumble.units import DEGREE, ZERO_CELSIUS
@@ -110,8 +110,7 @@ def calibrate_together(
     provenance = provenance_of(digest_of_all(member.log_sha256 for member in members))
     if faults:
         return without_result(first, "joint", Outcome(reasons=tuple(faults)), provenance)
-    digests = [member.log_sha256 for member in members]
-    check_recordings(list(zip(names, digests, map(_means, observations), strict=True)))
+    check_recordings(described, [member.log_sha256 for member in members])
     for name, each in zip(names, observations, strict=True):
         if each.rests.temperature is None:
             raise InputError(f"{name}: expected temperatures in the log, found none that are numbers")
@@ -214,10 +213,3 @@ def _check_alike(sessions: Sequence[Session]) -> None:
                 f"{session.name}: expected the place of the first session, {place(first.site)}, found "
                 f"{place(ours)}; give the same [site]"
             )
-
-
-def _means(observations: Observations) -> Means:
-    """What the sensors read in the rests of a session."""
-    rests = observations.rests
-    variances = [np.diagonal(C, axis1=1, axis2=2) for C in (rests.accel_covariance, rests.gyro_covariance)]
-    return np.hstack([rests.accel, rests.gyro]), np.sqrt(np.hstack(variances))

@@ -117,9 +117,8 @@ class Scenario:
     @cached_property
     def instrument(self) -> Instrument:
         """The instrument whose true values are given."""
-        variables: tuple[Variable, ...] = ("time",)
-        if self.climate is not None:
-            variables = ("time", "temperature", "temperature²", "hysteresis")
+        thermal: tuple[Variable, ...] = ("temperature", "temperature²", "hysteresis")
+        variables: tuple[Variable, ...] = ("time", *(() if self.climate is None else thermal))
         return Instrument.of(self.accel, self.gyro, tuple({group_name(name) for name in self.truth}), variables)
 
     @property
@@ -209,7 +208,7 @@ MOST_POSITIONS = 100_000
 def _check(scenario: Scenario) -> None:
     """Raise InputError if a scenario is one nothing can be recorded of."""
     setup, vibration = scenario.setup, scenario.vibration
-    sizes = [("sample rate", setup.sample_rate, "Hz"), ("rate", setup.turn_rate / DEGREE, "deg/s")]
+    sizes = (("sample rate", setup.sample_rate, "Hz"), ("rate", setup.turn_rate / DEGREE, "deg/s"))
     for what, value, unit in (*sizes, ("ramp", setup.ramp, "s")):
         if not 0.0 < value < math.inf:
             raise InputError(f"{what}: expected more than 0, in {unit}, found {value:g}")
@@ -217,20 +216,18 @@ def _check(scenario: Scenario) -> None:
     for what, rest in (("first rest", max(setup.rest, setup.first_rest)), ("rest", setup.rest)):
         if not shortest <= rest < math.inf:
             raise InputError(f"{what}: expected at least two samples, {shortest:g} s, found {rest:g} s")
-    highest = _MAX_CYCLES_PER_SAMPLE * setup.sample_rate
+    highest, by_hand = _MAX_CYCLES_PER_SAMPLE * setup.sample_rate, setup.by_hand
     if vibration.amplitude > 0.0 and not 0.0 < vibration.frequency <= highest:
         raise InputError(
             f"vibration: expected more than 0 and at most {highest:g} Hz (ten cycles a sample), "
             f"found {vibration.frequency:g} Hz"
         )
-    if (positions := setup.by_hand) is not None:
-        if not 1 <= positions <= MOST_POSITIONS:
-            least = "least 1" if positions < 1 else f"most {MOST_POSITIONS}"
-            raise InputError(f"positions: expected at {least}, found {Decimal(positions):.6g}")
-    else:
-        for what, error in (("table error", setup.table_error), ("mounting error", setup.mounting_error)):
-            if not 0.0 <= error < math.inf:
-                raise InputError(f"{what}: expected 0 or more, in deg, found {error / DEGREE:g}")
+    if by_hand is not None and not 1 <= by_hand <= MOST_POSITIONS:
+        least = "least 1" if by_hand < 1 else f"most {MOST_POSITIONS}"
+        raise InputError(f"positions: expected at {least}, found {Decimal(by_hand):.6g}")
+    for what, error in (("table error", setup.table_error), ("mounting error", setup.mounting_error)):
+        if by_hand is None and not 0.0 <= error < math.inf:
+            raise InputError(f"{what}: expected 0 or more, in deg, found {error / DEGREE:g}")
     missing = sorted(set(scenario.names) ^ set(scenario.truth))
     if missing:
         raise InputError(
