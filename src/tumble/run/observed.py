@@ -223,8 +223,7 @@ def observations_for_calibration(observed: Observed, *, joint: bool = False) -> 
     reduction, match, torn = matched
     if joint and observed.gyro_bias_faults:
         reduction = without_jump(reduction, match, observed.session.gyro_block)
-    every = _observed_again(observed, reduction, match)
-    every = with_mended_samples(replace(every, notes=(*observed.notes, *every.notes, *torn))).with_blows()
+    every = _observed_again(observed, reduction, match, torn)
     spoiled = observed.gyro_faults or (observed.gyro_bias_faults and not joint)
     every = every.of_accelerometers() if spoiled else every
     return every if joint else every.without_magnetometer()
@@ -273,19 +272,20 @@ def observations_in_parts(observed: Observed, least: int = 1) -> tuple[Observati
         return matched
     reduction, match_of_rests, torn = matched
     match, numbers = in_parts(reduction, match_of_rests, least)
-    parts = _observed_again(observed, reduction, match)
-    parts = with_mended_samples(replace(parts, notes=(*observed.notes, *parts.notes, *torn))).with_blows()
-    return held(parts), numbers
+    return held(_observed_again(observed, reduction, match, torn)), numbers
 
 
-def _observed_again(observed: Observed, reduction: Reduction, match: Segmentation) -> Observations:
-    """The observations of these rests and turns, made anew where they are others."""
-    session, before = observed.session, observed.observations
-    if before is not None and match.rests == observed.segmentation.rests and reduction is observed.reduction:
-        return replace(before, programme=match.programme, position=match.position)
-    arrays = None if before is None or observed.gyro_bias_faults else before.arrays
-    again = observe(reduction, match.rests, session.accel_block, session.gyro_block, session.site, arrays)
-    return replace(again, programme=match.programme, position=match.position)
+def _observed_again(
+    observed: Observed, reduction: Reduction, match: Segmentation, notes: tuple[str, ...]
+) -> Observations:
+    """The observations of these rests and turns, made anew where they are others, with mended samples and further
+    notes."""
+    session, again = observed.session, observed.observations
+    if again is None or match.rests != observed.segmentation.rests or reduction is not observed.reduction:
+        arrays = None if again is None or observed.gyro_bias_faults else again.arrays
+        again = observe(reduction, match.rests, session.accel_block, session.gyro_block, session.site, arrays)
+    again = replace(again, programme=match.programme, position=match.position)
+    return with_mended_samples(replace(again, notes=(*observed.notes, *again.notes, *notes))).with_blows()
 
 
 def _matched(observed: Observed) -> tuple[Reduction, Segmentation, tuple[str, ...]] | Outcome:
