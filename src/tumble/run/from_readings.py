@@ -38,7 +38,6 @@ from tumble.methods.ellipsoid_fit import TRIAD, EllipsoidFit, fit_ellipsoid
 from tumble.methods.group_sizes import with_groups
 from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
-from tumble.reduction.rests.rests import Rests
 from tumble.result.calibration import Calibration
 from tumble.result.parts import CalibratedDevice, Evidence, Readings
 from tumble.run.calibrate import provenance_of
@@ -51,6 +50,7 @@ from tumble.run.readings_table import (
     nominal_of,
     positions_of,
     read_table,
+    rests_of,
     sizes_seen,
     table_of,
 )
@@ -59,7 +59,6 @@ from tumble.sensors.grades import GRADES
 from tumble.sensors.grades import grade as grade_named
 from tumble.sensors.parameters import FURTHER, Terms, prior_sizes
 from tumble.units import Array, engineering, fitting_units, is_near_one
-from tumble.usual_setup import MOVE, ON_TABLE
 
 SCATTER_SAID = 1e-3
 """Scatter of the positions, in parts of gravity, that is said: u has it, but good instruments have less, or it is that
@@ -256,17 +255,7 @@ def _site(nominal: Nominal) -> Site:
 
 def _rests(table: ReadingsTable, nominal: Nominal, noise: Array) -> Observations:
     """The readings as the mean readings of rests, with the covariance `noise` (3, 3) of each."""
-    readings = nominal.to_si(table.values)
-    N = len(readings)
-    none, start = np.zeros((N, 0)), np.asarray(np.arange(N) * (ON_TABLE.rest + MOVE))
-    white = Rests.of_white_noise(start, start + ON_TABLE.rest, accel=readings, gyro=none, densities=(0.0, 0.0))
-    covariance = np.broadcast_to(noise, (N, 3, 3))
-    return Observations(
-        accel_block=TRIAD,
-        gyro_block=None,
-        site=_site(nominal),
-        rests=replace(white, accel_covariance=covariance, accel_drift=none, accel_noise=none),
-    )
+    return rests_of(nominal.to_si(table.values), noise, TRIAD, _site(nominal))
 
 
 def _fitted(table: ReadingsTable, nominal: Nominal, bad: float) -> tuple[EllipsoidFit | Refusal, Array]:

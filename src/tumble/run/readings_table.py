@@ -35,7 +35,12 @@ from tumble.documents import check_regular
 from tumble.earth import NORMAL_GRAVITY_U
 from tumble.errors import InputError
 from tumble.recording.columns.names import columns_by_name
+from tumble.recording.session import Site
+from tumble.reduction.observations import Observations
+from tumble.reduction.rests.rests import Rests
+from tumble.sensors.model import Block
 from tumble.units import ACCEL_UNITS, G_STANDARD, Array, IntArray
+from tumble.usual_setup import MOVE, ON_TABLE
 
 TELLING = 0.3
 """A channel's polarity is told by a position in which up has at least this part along it, in the fit and as stated."""
@@ -202,6 +207,16 @@ def positions_of(table: ReadingsTable, rows_per_position: int = 1) -> ReadingsTa
         degrees=degrees,
         left_out=left_out,
     )
+
+
+def rests_of(readings: Array, covariance: Array, block: Block, site: Site) -> Observations:
+    """Mean readings (N, 3), m/s², with the covariance (3, 3) of each, as rests in the order and at the pace of an
+    operator's sheet."""
+    N = len(readings)
+    none, start = np.zeros((N, 0)), np.asarray(np.arange(N) * (ON_TABLE.rest + MOVE))
+    rests = Rests.of_white_noise(start, start + ON_TABLE.rest, accel=readings, gyro=none, densities=(0.0, 0.0))
+    rests = replace(rests, accel_covariance=np.broadcast_to(covariance, (N, 3, 3)), accel_drift=none, accel_noise=none)
+    return Observations(accel_block=block, gyro_block=None, site=site, rests=rests)
 
 
 # -------------------- what the readings are worth --------------------
