@@ -206,23 +206,23 @@ _HOUR = 3600.0
 _AT_TEN = 1e-6 / (10.0 * DEGREE) ** 2
 _SIZES: Mapping[str, float] = {
     "ng": 1e-3 * MICRO_G, "µg": MICRO_G, "mg": 1e3 * MICRO_G, "ppb": 1e-9, "ppm": 1e-6, "arcsec": ARCSEC,
-    "°/h": DEGREE_PER_HOUR, "°/s": DEGREE, "µs": 1e-6, "ms": 1e-3, "s": 1.0, "mm": 1e-3,
+    "°/h": DEGREE_PER_HOUR, "°/s": DEGREE, "°/√h": DEGREE / 60.0, "µs": 1e-6, "ms": 1e-3, "s": 1.0, "mm": 1e-3,
     "µg/g²": 1e-6 / G_STANDARD, "mg/g²": 1e-3 / G_STANDARD, "µg/g³": 1e-6 / G_STANDARD**2,
     "mg/g³": 1e-3 / G_STANDARD**2, "°/h/g": DEGREE_PER_HOUR / G_STANDARD, "°/s/g": DEGREE / G_STANDARD,
     "ppm at 100 °/s": 0.01 * _AT_TEN, "ppm at 10 °/s": _AT_TEN,
 }  # fmt: skip
-"""SI, of the units in the table."""
+"""SI, of the units in the tables."""
 
 
-def _size(written: float | str) -> float:
-    """A size in SI, or in a unit of the table."""
+def size_of(written: float | str) -> float:
+    """A size that is written in SI, or with a unit of the tables."""
     number, _, unit = str(written).partition(" ")
     return float(number) * _SIZES[unit] if unit else float(number)
 
 
 def _usual(row: Mapping[str, Any], key: str = "usual") -> dict[str, float]:
     """The sizes of a row by grade."""
-    return dict(zip(("navigation", "tactical", "mems", "consumer"), map(_size, row.get(key, ())), strict=False))
+    return dict(zip(("navigation", "tactical", "mems", "consumer"), map(size_of, row.get(key, ())), strict=False))
 
 
 def _shown(units: Iterable[str], per: str = "", size: float = 1.0) -> tuple[tuple[float, str], ...]:
@@ -239,7 +239,7 @@ def _entry(row: Mapping[str, Any]) -> ParameterGroup:
         unit=row["unit"],
         words=row["words"],
         suffixes=_SUFFIXES[row.get("named", "sensors")],
-        limit=_size(row["limit"]),
+        limit=size_of(row["limit"]),
         shown=_shown(row.get("shown", ())),
         usual=_usual(row),
         regressors=_REGRESSORS.get(row.get("regressors", "")),
