@@ -31,7 +31,7 @@ from tumble.inference.prior import DevicePrior, with_prior
 from tumble.inference.sources import by_time_base, clocked, source
 from tumble.recording.arrays import SensorArrays, session_of_arrays
 from tumble.recording.log import Log
-from tumble.recording.session import LogSpec, Session
+from tumble.recording.session import Session
 from tumble.recording.session_file import session_from
 from tumble.reduction.observations import Observations
 from tumble.result.calibration import Calibration, calibration_from, read_calibration
@@ -343,9 +343,8 @@ def estimated(
     observations = with_grade(session, observations)
     if prior is not None:
         observations = replace(observations, in_run={**observations.in_run, **prior.in_run})
-    notes = (*observations.notes, *by_reference_clock(session.log))
-    unstamped = session.log.unstamped
-    observations = replace(observations, start=start, notes=notes, by_clock=by_clock, unstamped=unstamped)
+    notes, unstamped = observations.notes, session.log.unstamped
+    observations = replace(observations, start=start, by_clock=by_clock, unstamped=unstamped)
     try:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # damaged samples, of which it breaks down
             estimate = linear_model.linear_joint(observations) if linear_joint else method(observations)
@@ -397,17 +396,6 @@ def assumptions(session: Session) -> tuple[str, ...]:
         )
     out += [f"doubt: {log.doubt}"] if log.doubt else []
     return tuple(out)
-
-
-def by_reference_clock(log: LogSpec) -> tuple[str, ...]:
-    """A note of what the second clock of a log says of the first, where there is one."""
-    if log.reference_clock is None:
-        return ()
-    corrected = " and ".join(clocked(log.time_base_u, log.increments)) or "no parameter"
-    return (
-        f"by '{log.reference_clock.column}' a second of the log's clock is {1e6 * (log.clock_rate - 1.0):+.1f} ppm "
-        f"longer than one, to {1e6 * log.time_base_u:.2g} ppm: {corrected} corrected for it",
-    )
 
 
 def provenance_of(log_sha256: str) -> Provenance:

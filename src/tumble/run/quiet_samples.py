@@ -17,7 +17,6 @@ from tumble.recording.log import Chunk, Log, open_log
 from tumble.recording.session import Session
 from tumble.recording.session_file import SESSION_FILE, session_from, session_of, session_of_gyros
 from tumble.reduction.noise.allan_deviation import allan_deviation, pooled
-from tumble.reduction.noise.filter_values import FilterValue, filter_values
 from tumble.reduction.noise.wavelet_moments import Panel, identify
 from tumble.run.observed import Progress, inspect_session
 from tumble.units import DEGREE, G_STANDARD, Array
@@ -44,17 +43,12 @@ class RecordedNoise(Brief):
     """Allan deviations and noise coefficients of the accelerometers and of the gyros, the sample rate, Hz, where they
     are from in words, and what is not sure about the log, and what hangs on it."""
 
-    json_fields: ClassVar = ("source", "rate", "panels", "filters", "doubt")
+    json_fields: ClassVar = ("source", "rate", "panels", "doubt")
 
     panels: tuple[Panel, ...]
     rate: float
     source: str
     doubt: str = ""
-
-    @property
-    def filters(self) -> list[FilterValue]:
-        """The values that filters ask for."""
-        return filter_values(self.panels, self.rate)
 
 
 @checked

@@ -27,7 +27,7 @@ from tumble.reduction.observations import Observations
 from tumble.reduction.together import joined
 from tumble.result.calibration import Calibration
 from tumble.result.parts import Member, Parameter, learned_fraction
-from tumble.run.calibrate import assumptions, by_reference_clock, estimated, provenance_of, systematic_of
+from tumble.run.calibrate import assumptions, estimated, provenance_of, systematic_of
 from tumble.run.from_estimate import result_of, without_result
 from tumble.run.launches import check_recordings, circumstances_of_all, digest_of_all
 from tumble.run.observed import Progress, inspect_session, observations_in_parts
@@ -164,18 +164,14 @@ def _with_clocks(sessions: Sequence[Session], members: Sequence[Member]) -> tupl
     worst = max(turned, key=lambda i: sessions[i].log.time_base_u)
     least = min(sessions[i].log.time_base_u for i in turned)
     most = sessions[worst].log
-    notes = tuple(
-        f"{member.session}: {note}"
-        for session, member in zip(sessions, members, strict=True)
-        for note in by_reference_clock(session.log)
-    )
+    notes: tuple[str, ...] = ()
     if most.time_base_u > 1.01 * least and clocked(most.time_base_u, most.increments):
-        notes += (
+        notes = (
             f"the clocks of the sessions are known to {1e6 * least:.2g} to {1e6 * most.time_base_u:.2g} ppm: u has "
             f"that of {members[worst].session}, the largest",
         )
     first = sessions[0]
-    return replace(first, log=replace(first.log, clock_u=most.clock_u, reference_clock=None)), notes
+    return replace(first, log=replace(first.log, clock_u=most.clock_u)), notes
 
 
 def _check_alike(sessions: Sequence[Session]) -> None:
