@@ -34,6 +34,7 @@ from tumble.methods.paper.four_stages import (
     course_of_programme,
     one_pass,
 )
+from tumble.methods.paper.gyros import axes_and_angles
 from tumble.planning.setup import NAMES
 from tumble.programme.positions import Programme
 from tumble.rotation import rotation_matrix, rotation_vector_near
@@ -75,13 +76,13 @@ class PaperProgramme:
         nominal = np.array([position.matrix for position in programme.positions])
         _METHODS[method].check(nominal[:, 1], TRIAD)
         course = course_of_programme(programme, turn_rate=turn_rate, latitude=latitude)
-        moves = [m.angle * m.axis for m in programme.moves if m.axis is not None and m.angle is not None]
+        axes, angles = axes_and_angles(programme)
         return PaperProgramme(
             method=method,
             course=course,
             nominal=nominal,
             first=np.array([turn.first for series in course.series for turn in series], dtype=np.int64),
-            moves=np.array(moves).reshape(-1, 3),
+            moves=angles[:, None] * axes,
         )
 
 

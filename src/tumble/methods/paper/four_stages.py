@@ -48,6 +48,7 @@ from tumble.methods.paper.gyros import (
     RecordedTurn,
     Series,
     along_vertical,
+    axes_and_angles,
     check_directions,
     horizontal_differences,
     known_turns,
@@ -242,11 +243,10 @@ def course_of(observations: Observations, method: PaperMethod) -> ProgrammeCours
 def course_of_programme(programme: Programme, *, turn_rate: float, latitude: float) -> ProgrammeCourse:
     """The course of a recording of a programme's known turns alone, at this rate, rad/s."""
     known = [k for series in known_turns(programme) for k in series]
-    angles = np.array([programme.moves[k].angle for k in known], dtype=float)
     return ProgrammeCourse(
         nominal=np.array([position.vertical_b for position in programme.positions]),
         series=_series(programme, np.arange(len(programme.positions)), known),
-        duration=np.abs(angles) / turn_rate,
+        duration=np.abs(axes_and_angles(programme)[1]) / turn_rate,
         earth_rate=np.array(earth_rate(latitude)),
         matrix=programme_matrix(programme)[0],
     )
