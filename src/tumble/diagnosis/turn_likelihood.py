@@ -16,9 +16,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import permutations, product
-from typing import Any
 
 import numpy as np
 
@@ -39,30 +38,28 @@ _SCALES = math.log(1e6)
 """The range of the logarithm of a scale of which nothing is known."""
 
 
-def _width(value: float, words: str, why: str) -> Any:
-    return field(default=value, metadata={"words": words, "why": why})
-
-
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Widths:
     """What the cost of a hypothesis hangs on, in one record, so that a study can sweep it."""
 
-    # fmt: off
-    scale: float = _width(
-        0.015, "standard deviation of ln of a scale factor over its nominal value", "±3 % in data sheets of MEMS")
-    offset: float = _width(
-        0.03, "the same of the length of gravity where rests do not show the zero", "offsets of 50 mg on three axes")
-    vertical: float = _width(
-        0.06, "standard deviation of a vertical, rad", "offsets of 50 mg before and behind a turn")
-    axes: float = _width(0.03, "the same, part of the angle of a turn", "axes and scale factors of small sensors")
-    damaged: float = _width(0.05, "share of turns of which the gyros do not say where they led", "clipped, cut, torn")
-    exchanged: float = _width(0.03, "share of logs whose gyros have other axes or signs", "chosen by hand")
-    named_wrongly: float = _width(0.003, "share of gyros in another unit than their name says", "chosen by hand")
-    turning: float = _width(1.2, "standard deviation of ln of the rate of turning by hand or on a table over 1 rad/s",
-                            "from 10 to 500 °/s")
-    near: float = _width(6.0, "two candidates are near each other up to this difference of their cost",
-                         "the second is 20 times less likely, as of columns")
-    # fmt: on
+    scale: float = 0.015
+    """Standard deviation of ln of a scale factor over its nominal value: ±3 % in data sheets of MEMS."""
+    offset: float = 0.03
+    """The same of the length of gravity where rests do not show the zero: offsets of 50 mg on three axes."""
+    vertical: float = 0.06
+    """Standard deviation of a vertical, rad: offsets of 50 mg before and behind a turn."""
+    axes: float = 0.03
+    """The same, part of the angle of a turn: axes and scale factors of small sensors."""
+    damaged: float = 0.05
+    """Share of turns of which the gyros do not say where they led: clipped, cut, torn."""
+    exchanged: float = 0.03
+    """Share of logs whose gyros have other axes or signs, chosen by hand."""
+    named_wrongly: float = 0.003
+    """Share of gyros in another unit than their name says, chosen by hand."""
+    turning: float = 1.2
+    """Standard deviation of ln of the rate of turning by hand or on a table over 1 rad/s, from 10 to 500 °/s."""
+    near: float = 6.0
+    """Two candidates are near each other up to this difference of their cost: the second is 20 times less likely."""
 
 
 WIDTHS = Widths()

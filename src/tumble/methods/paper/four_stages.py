@@ -90,22 +90,6 @@ SCALAR = PaperMethod(name="scalar", accelerometers=by_modulus, check=check_for_m
 SCALAR_NOMINAL = PaperMethod(name="scalar-nominal", accelerometers=by_modulus_nominal, check=check_for_modulus)
 
 
-def sequential(observations: Observations, iterations: int = 2, *, intervals: bool = True) -> Estimate:
-    """Estimate of the paper's method with the sequential vector method for accelerometers. Raises as `iterated`."""
-    return iterated(observations, SEQUENTIAL, iterations, intervals)
-
-
-def scalar(observations: Observations, iterations: int = 2, *, intervals: bool = True) -> Estimate:
-    """Estimate of the paper's method with the scalar method on all rests, in the estimated orientation. Raises as
-    `iterated`."""
-    return iterated(observations, SCALAR, iterations, intervals)
-
-
-def scalar_nominal(observations: Observations, iterations: int = 2, *, intervals: bool = True) -> Estimate:
-    """The same in the orientation of the programme, which the paper compares it with. Raises as `iterated`."""
-    return iterated(observations, SCALAR_NOMINAL, iterations, intervals)
-
-
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ProgrammeCourse:
     """Rests and turns of a session by its programme: nominal verticals (N, 3) in the body, series
@@ -167,19 +151,15 @@ def one_pass(
         return accel, gyro
     matrix = course.matrix if matrix is None else matrix
     assert matrix is not None
-    x = solved(matrix, differences(course, rates, force, turn(gyro), gyro))
+    attitude = triad(force, gyro.apply(rates))
+    y = horizontal_differences(course.series, attitude, force, turn(gyro), course.duration, course.earth_rate)
+    x = solved(matrix, y)
     sensitivity = axes @ triad_model(np.zeros_like(x[..., :3]), x[..., :3], x[..., 3:]).matrix
     if integral is not None:
         unbiased = integral - course.duration[:, None] * gyro.bias[..., None, :]
         scaled = compensated(replace(gyro, bias=np.zeros_like(gyro.bias)), unbiased, axes)
         sensitivity = sensitivity + spare_sensitivities(scaled, axes)
     return accel, composed(gyro, SensorModel(matrix=sensitivity, bias=np.zeros_like(bias)), axes)
-
-
-def differences(course: ProgrammeCourse, rates: Array, force: Array, C: Array, model: SensorModel) -> Array:
-    """y (..., 2T) of the indirect method for a gyro model and the turns integrated about it."""
-    attitude = triad(force, model.apply(rates))
-    return horizontal_differences(course.series, attitude, force, C, course.duration, course.earth_rate)
 
 
 # The course of a session
@@ -276,7 +256,9 @@ def _series(programme: Programme, position: IntArray, first: Sequence[int]) -> t
 # Iterations
 
 
-def iterated(observations: Observations, method: PaperMethod, iterations: int, intervals: bool = True) -> Estimate:
+def iterated(
+    observations: Observations, iterations: int = 2, *, method: PaperMethod, intervals: bool = True
+) -> Estimate:
     """The estimate after so many iterations, at least one, with covariance. The first starts from what is known of the
     sensors (`Observations.start`). Scatter and sizes of groups are the maximum of `joint`, with `intervals` integrated.
     Raises InputError."""
@@ -522,3 +504,11 @@ def _estimate(
         return estimate
     problem, shown = groups_in_data(observations)
     return with_left_out(estimate, problem, derivative @ shown, left_out_sizes(problem, beside))
+
+
+sequential = partial(iterated, method=SEQUENTIAL)
+"""The estimate of the paper's method with the sequential vector method for accelerometers."""
+scalar = partial(iterated, method=SCALAR)
+"""The same with the scalar method on all rests, in the estimated orientation."""
+scalar_nominal = partial(iterated, method=SCALAR_NOMINAL)
+"""The same in the orientation of the programme, which the paper compares it with."""
