@@ -34,6 +34,7 @@ from tumble.errors import InputError, ProgrammeError, SessionError
 from tumble.inference.estimate import Estimate
 from tumble.inference.joint import joint
 from tumble.inference.noise import VarianceComponents, typical_noise
+from tumble.inference.problem import Problem
 from tumble.inference.sources import Source, UncertaintyBudget, source
 from tumble.methods.least_squares import solved
 from tumble.methods.paper.accelerometers import (
@@ -265,17 +266,15 @@ def iterated(
     if iterations < 1:
         raise InputError(f"iterations: expected at least 1, found {iterations}")
     launch = _SessionData.of(observations, method)
-    values = np.concatenate([observations.start_values(block) for block in launch.blocks])
-    derivative = np.zeros((len(values), len(launch.data)))
-    increments = []
-    for _ in range(iterations):
-        turned = launch.turned(launch.after_pass(launch.data, values, None))
-        by_data, by_start = launch.derivatives(values, turned)
-        after = launch.after_pass(launch.data, values, turned)
-        derivative = by_data + by_start @ derivative
-        increments.append(after - values)
-        values = after
-    return _estimate(launch, values, derivative, tuple(increments), intervals)
+    return _estimate(launch, *launch.passes(iterations), intervals)
+
+
+def moved_by_groups(observations: Observations, method: PaperMethod, iterations: int = 2) -> tuple[Problem, Array]:
+    """The likelihood with the groups that a method takes as nothing, and by how much one of each parameter of these
+    moves its result (m, k). Raises as `iterated`."""
+    _, derivative, _ = _SessionData.of(observations, method).passes(iterations)
+    problem, shown = groups_in_data(observations)
+    return problem, derivative @ shown
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -396,6 +395,17 @@ class _SessionData:
         high, low = np.split(self.after_pass(shifted[:, :d], shifted[:, d:], turned), 2)
         both = (high - low).T / (2.0 * steps)
         return both[:, :d], both[:, d:]
+
+    def passes(self, iterations: int) -> tuple[Array, Array, tuple[Array, ...]]:
+        """Values (m,) after so many passes, their derivative (m, d) with respect to the data, and the increments."""
+        values = np.concatenate([self.observations.start_values(block) for block in self.blocks])
+        derivative, increments = np.zeros((len(values), len(self.data))), list[Array]()
+        for _ in range(iterations):
+            turned = self.turned(self.after_pass(self.data, values, None))
+            by_data, by_start = self.derivatives(values, turned)
+            increments.append(self.after_pass(self.data, values, turned) - values)
+            derivative, values = by_data + by_start @ derivative, values + increments[-1]
+        return values, derivative, tuple(increments)
 
     def limit(self, values: Array, turned: _Turned | None, u: Array) -> tuple[Array, bool]:
         """Where the passes lead from values (m,) of uncertainty u, with the turns to first order, and whether they get
