@@ -359,7 +359,8 @@ def test_scatter_between_rests_is_found_and_counted() -> None:
     assert noisy.budget is not None
     of_noisy = {each.name: each.u or 0.0 for each in noisy.budget.sources}
     for kind, noise in (("accel", ACCEL_NOISE), ("gyro", GYRO_NOISE)):
-        assert np.hypot(*(of_noisy.get(f"{kind}.{what}", 0.0) for what in ("scatter", "in_run"))) > 5 * noise
+        scatter, in_run = (of_noisy.get(f"{kind}.{what}", 0.0) for what in ("scatter", "in_run"))
+        assert np.hypot(scatter, in_run) > 5 * noise
     assert np.all(noisy.u > 2 * quiet.u)
     assert np.abs((noisy.values - values) / noisy.u).max() < 4.0
 
@@ -433,7 +434,8 @@ def test_two_rests_in_one_position_are_used_both(pipeline: Pipeline) -> None:
     seen = observations(values, np.random.default_rng(13))
     twice = np.sort(np.append(np.arange(15), [1]))
     rests = rows_of(seen.rests, twice)
-    rests = replace(rests, start=140.0 * np.arange(16), stop=120.0 + 140.0 * np.arange(16))
+    start = 140.0 * np.arange(16.0)
+    rests = replace(rests, start=np.asarray(start), stop=np.asarray(start + 120.0))
     split = _with_pause(seen, rests, twice)
     np.testing.assert_allclose(pipeline(split).values / SIZES, pipeline(seen).values / SIZES, atol=2e-3)
 
