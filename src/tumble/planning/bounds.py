@@ -12,9 +12,6 @@ sizes of the groups beyond the linear model as priors, the covariance is the Cra
 
 All moves between rests are in the log, about one axis each at a constant rate (`tumble.planning.steady_turns`). Errors
 of table and mounting are not in the answer, as the attitudes are unknowns: a degree changes it by parts of a thousand.
-
-Sources. With C the covariance and Σ_i W_iᵀW_i its inverse, the information of each source i, the part of source i is
-C W_iᵀW_i C, and the parts add up to C. A prior of size s of parameter j is W = e_jᵀ/s.
 """
 
 from __future__ import annotations
@@ -30,21 +27,15 @@ from tumble.brief import Brief
 from tumble.diagnosis.linear_model import left_out, moves_by_likelihood
 from tumble.earth import earth_rate
 from tumble.errors import InputError
+from tumble.inference.estimate import DETERMINED, SEEN
 from tumble.inference.hyperparameters import size_factors
 from tumble.inference.linearisation import Linearisation, linearise
 from tumble.inference.noise import VarianceComponents
-from tumble.inference.normal_equations import (
-    eliminate_rests,
-    fold_sessions,
-    joint_rows,
-    mean_by_common,
-    session_mean_bias,
-    whiten,
-)
+from tumble.inference.normal_equations import joint_rows, solve, whiten
 from tumble.inference.problem import Point, Problem
 from tumble.inference.sources import by_time_base, clocked
 from tumble.inference.turns_about import TurnsAbout
-from tumble.methods.least_squares import least_squares
+from tumble.inference.uncertainty_budget import contributions
 from tumble.planning.expected_sizes import expected
 from tumble.planning.in_motion import Motion, MotionCourse, courses_of, observed_in_motion
 from tumble.planning.itinerary import Itinerary, itinerary_of
@@ -195,60 +186,35 @@ def bound_by(seen: Linearisation, rate: float, clock_u: float = 0.0) -> Bound:
         Rate of the turns, rad/s: the natural unit of gyro biases.
     clock_u
         Relative standard uncertainty of the time base.
-
-    Notes
-    -----
-    With the columns of the linear parameters last, the triangle of all unknowns is R = (F X; 0 L), and L that of the
-    linear ones, whatever the others are. Gravity that is exact has no column.
     """
     problem, instrument = seen.problem, seen.problem.instrument
     linear, m = instrument.linear_count, len(instrument.names)
-    spread, own = problem.spread[:linear], slice(1, 1 + linear)
-    equations = eliminate_rests(seen)
-    size = problem.prior_u.copy()
-    size[own] = 0.0
-    prior = np.diag(np.divide(1.0, size, out=np.zeros(1 + m), where=size > 0.0))
-    triangle = np.diag(np.append(np.diag(prior), 0.0))
-    triangle, heads = fold_sessions(triangle, equations.session_factors, problem.local_u, seen.local_prior)
-    triangle = triangle[:-1, :-1]
-    others = np.setdiff1d(np.flatnonzero(triangle.any(axis=0)), np.arange(1, 1 + linear))
-    R, k = np.asarray(np.linalg.qr(np.hstack([triangle[:, others], triangle[:, own]]), mode="r")), len(others)
-    L = R[k : k + linear, k:]
-    solution = least_squares(L, np.zeros(len(L)), spread)
-    determined = np.hstack([solution.gain, spread[:, None] * solution.null.T])
-    root = np.zeros((1 + m, determined.shape[1] + k))
-    root[own, : determined.shape[1]] = determined
-    root[others] = np.hstack([-np.linalg.solve(R[:k, :k], R[:k, k:]) @ determined, np.linalg.inv(R[:k, :k])])
+    parts = {name: covariance[1:, 1:] for name, covariance in contributions(solve(seen.with_priors(problem))).items()}
+    covariance = np.sum(list(parts.values()), axis=0)
 
+    # what the data determine no better than to DETERMINED times their spread is left to the limits of parameters
+    spread, of_linear = problem.spread[:linear], covariance[:linear, :linear]
+    variance, vectors = np.linalg.eigh(of_linear / np.outer(spread, spread))
+    unseen = vectors[:, variance > DETERMINED**-2].T
     natural_sizes = {"m/s^2": problem.observations.site.gravity, "rad/s": rate, "1": 1.0, "rad": 1.0}
     natural = np.array([natural_sizes[unit] for unit in instrument.units[:linear]])
-    length = np.linalg.svd(root[own] / natural[:, None], compute_uv=False)
-    null = solution.null * spread / natural
-    null /= np.linalg.norm(null, axis=1, keepdims=True)
+    null = unseen * spread / natural
+    lengths = np.sqrt(np.linalg.eigvalsh(of_linear / np.outer(natural, natural)))
 
-    # biases are means over the session of their processes
-    mean, wander = np.eye(1 + m), np.zeros((1 + m, 1 + m))
-    if equations.wanders:
-        by_shared, noise = session_mean_bias(equations)
-        by, by_local = mean_by_common(by_shared, heads[0])
-        mean[1 + problem.biases] += by[:, :-1]
-        wander[np.ix_(1 + problem.biases, 1 + problem.biases)] = (
-            np.einsum("ibd,icd->bc", noise, noise) + by_local @ by_local.T
-        )
     # sensors that read rates and forces have the time base in their scale factors; increments would not
     clock = by_time_base(instrument.names, clocked(clock_u, {"accel": False, "gyro": False}))
-    gain = mean @ root @ root.T
-    covariance = (gain @ mean.T + wander)[1:, 1:] + np.outer(clock, clock)
-    parts = {GRAVITY: prior[:1], **{name: prior[1:][own] for name, own in instrument.members.items()}}
-    sources = {name: ((gain @ W.T)[1:] ** 2).sum(axis=1) for name, W in parts.items()} | {CLOCK: clock**2}
+    covariance = covariance + np.outer(clock, clock)
+    priors = {name: f"prior.{name}" for name in instrument.members}
+    sources = {name: np.diag(parts[part]) for name, part in {GRAVITY: "gravity", **priors}.items() if part in parts}
+    sources[CLOCK] = clock**2
     return Bound(
         names=instrument.names,
         units=instrument.units,
         linear=linear,
         covariance=covariance,
-        observable=np.append(solution.observable, np.ones(m - linear, dtype=bool)),
-        null=null,
-        condition=np.inf if len(null) else float(length[0]) / max(float(length[-1]), np.finfo(float).tiny),
+        observable=np.append(np.sqrt((unseen**2).sum(axis=0)) < SEEN, np.ones(m - linear, dtype=bool)),
+        null=null / np.linalg.norm(null, axis=1, keepdims=True),
+        condition=np.inf if len(null) else float(lengths[-1] / lengths[0]),
         sources={NOISE: np.maximum(np.diag(covariance) - sum(sources.values()), 0.0), **sources},
     )
 
