@@ -258,7 +258,7 @@ def quadratic_forms(hyperparameters: Hyperparameters, solution: Solution) -> Arr
     of_states = np.zeros((3, max(s, n)))
     if s:
         work = np.empty((2, s, solution.shared.shape[1] + 1))
-        follow, (own, with_next) = equations.back_substitution[2], solution.conditional_covariances
+        follow, (own, with_next) = equations.follow, solution.conditional_covariances
         every = follow, own, with_next, noise.state_rho, noise.state_step, noise.state_lapse
         for part, root, shared in zip(problem.parts, solution.roots, solution.shared, strict=True):
             by, given, with_following, rho, step, lapse = (each[part.stations] for each in every)
