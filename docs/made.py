@@ -214,6 +214,11 @@ def simulated(which: str) -> str:
     return str(makers[which](results, kinds))
 
 
+def further(which: str) -> str:
+    """A table of the simulated recordings of other kinds, or what these are."""
+    return pages.further_kinds() if which == "kinds" else pages.further_table(pages.all_results()["further"], which)
+
+
 def recorded(which: str) -> str:
     """A table or list of the real recordings, by its name."""
     results = real.read_results()
