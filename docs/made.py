@@ -15,6 +15,7 @@ import numpy as np
 
 from evidence import pages
 from evidence.real import page as real
+from evidence.real import waved
 from evidence.simulated.kinds import KINDS
 
 
@@ -233,6 +234,7 @@ def recorded(which: str) -> str:
         "answered": lambda: table(
             ["program", "cases", "accelerometers", "gyros", "neither", "s, median"], real.answered(results)
         ),
+        "waved": lambda: waved.waved_table(waved.read_results()),
         "simulated_by_others": lambda: table(heads, real.of_others(results)),
     }[which]()
 

@@ -455,6 +455,10 @@ def figure(name: str, results: Mapping[str, Results]) -> str:
         from evidence.real.page import real_figure
 
         return real_figure(keys)
+    if of_set == "waved":
+        from evidence.real.waved import read_results
+
+        return str(read_results()["made"][keys[1]])[:12]
     if of_set not in SESSIONS:
         part, key = keys
         value = of_study(of_set)[part][key]
