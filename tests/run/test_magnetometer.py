@@ -397,7 +397,7 @@ def test_an_estimate_over_temperature_says_that_it_leaves_the_magnetometer_out(t
     found = calibrate_together(folders)
     assert found.mag is None
     assert [note for note in found.provenance.notes if note.startswith("magnetometer: ")] == [
-        "magnetometer: several sessions in one estimate leave it out; calibrate one alone for its hard and soft iron"
+        "magnetometer: several sessions in one estimate leave it out; calibrate one alone for hard and soft iron"
     ]
 
 

@@ -74,8 +74,8 @@ class Recording:
 
 
 def record(
-    motion: Motion, seed: int, *, rate: float = 200.0, noise: Noise = Noise(), errors: float = 1.0, further: float = 0.0,
-    latitude: float | None = None,
+    motion: Motion, seed: int, *, rate: float = 200.0, noise: Noise = Noise(), errors: float = 1.0,
+    further: float = 0.0, latitude: float | None = None,
 ) -> Recording:  # fmt: skip
     """A recording of an instrument with errors drawn at random: biases 0.05 m/s² and 0.6 °/s, scale factors 0.6 %, axes
     4 mrad, times `errors`; accelerometer axes are a lower triangle, so that the first is the body's. Times `further`,
@@ -128,7 +128,10 @@ def record(
     gyro_matrix = np.eye(3) + np.diag(rng.normal(0, scale, 3)) + off - np.diag(np.diag(off))
     accel_bias, gyro_bias = rng.normal(0, bias[0], 3), rng.normal(0, bias[1], 3)
     quadratic, cubic, both_signs = (own.normal(0, further * size, 3) for size in (5e-5 / G, 1e-4 / G**2, 5e-5))
-    of_gyros, by_force = own.normal(0, 1e-4 * further, 3), own.normal(0, np.radians(30.0 / 3600.0) / G * further, (3, 3))
+    of_gyros, by_force = (
+        own.normal(0, 1e-4 * further, 3),
+        own.normal(0, np.radians(30.0 / 3600.0) / G * further, (3, 3)),
+    )
     along = np.einsum("kpp->kp", forces)
     read = np.einsum("kpj,pj->kp", forces, accel_matrix)
     read += quadratic * along**2 + cubic * along**3 + both_signs * np.abs(along)

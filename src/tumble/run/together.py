@@ -121,7 +121,7 @@ def calibrate_together(
     first, clocks = _with_clocks(described, members)
     if any(session.log.magnetometer is not None for session in described):
         clocks += (
-            "magnetometer: several sessions in one estimate leave it out; calibrate one alone for its hard and soft iron",
+            "magnetometer: several sessions in one estimate leave it out; calibrate one alone for hard and soft iron",
         )
     joint_observations = replace(joint_observations, notes=(*joint_observations.notes, *clocks))
     estimate = estimated(first, joint_observations, joint, systematic, "full")
