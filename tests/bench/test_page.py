@@ -121,6 +121,7 @@ def test_every_state_of_a_session_by_keyboard_alone(tmp_path: Path, monkeypatch:
             shown.until("h1", "Calibrated")
             rows = browser.js("[...document.querySelectorAll('#numbers tbody tr')].map(r => r.innerText)")
             assert len(rows) == len(read_calibration(tmp_path / "launch" / "calibration.json").parameters)
+            assert browser.js("document.getElementById('groups').hidden")  # the numbers of the result stand alone
             browser.press("i")
             running(bench, lambda: "record 1" in browser.text("#registered"))
             browser.press("p")

@@ -119,15 +119,17 @@ function figures() {
   }
 }
 
+/** The estimate so far. Once there is a calibration its numbers are in its table, and of the estimate the rests are left. */
 function estimate() {
-  const found = state.estimate;
+  const { estimate: found, result } = state;
   const busy = state.estimating ? " …" : "";
-  say(of("estimated"), (found ? `Estimate from ${found.rests} rests${found.enough ? ": all that is wanted is reached" : ""}` : "No estimate yet") + busy);
+  say(of("estimated"), result ? "Rests" : (found ? `Estimate from ${found.rests} rests${found.enough ? ": all that is wanted is reached" : ""}` : "No estimate yet") + busy);
   const { groups: bars, residuals: left, next, cause } = found || { groups: [], residuals: [], next: "", cause: "" };
   groups(of("groups"), bars);
   residuals(of("residuals"), left);
   show(of("rests"), left.length > 0);
-  say(of("next"), next ? `Best next: ${next}` : "");
+  show(of("groups"), !result);
+  say(of("next"), next && !result ? `Best next: ${next}` : "");
   say(of("cause"), cause);
   show(of("cause"), Boolean(cause));
 }
