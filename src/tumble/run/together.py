@@ -116,6 +116,10 @@ def calibrate_together(
             raise InputError(f"{name}: expected temperatures in the log, found none that are numbers")
     joint_observations = joined(observations, [member.session for member in members], numbers)
     first, clocks = _with_clocks(described, members)
+    if any(session.log.magnetometer is not None for session in described):
+        clocks += (
+            "magnetometer: several sessions in one estimate leave it out; calibrate one alone for hard and soft iron",
+        )
     joint_observations = replace(joint_observations, notes=(*joint_observations.notes, *clocks))
     estimate = estimated(first, joint_observations, joint, systematic, "full")
     if isinstance(estimate, Outcome):
