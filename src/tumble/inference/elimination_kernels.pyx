@@ -127,23 +127,20 @@ cdef bint _reflect(
     return True
 
 
-def put_back(
-    const double[:, :, ::1] factor, double[:, :, ::1] inverse, double[:, :, ::1] by_next, double[:, :, ::1] by,
-):
+def put_back(const double[:, :, ::1] factor, double[:, :, ::1] inverse, double[:, :, ::1] by_next):
     """Solve rows (N, d, 2d + w) for the unknowns of the rests: inverses (N, d, d) of their triangles, rows and columns
-    of unknowns that nothing shows being zero, and less these times the other columns, (N, d, d) and (N, d, w)."""
+    of unknowns that nothing shows being zero, and less these times the columns of the next rest (N, d, d)."""
     with nogil:
-        _put_back(factor, inverse, by_next, by)
+        _put_back(factor, inverse, by_next)
 
 
 cdef for_each_processor _put_back(
-    const double[:, :, ::1] factor, double[:, :, ::1] inverse, double[:, :, ::1] by_next, double[:, :, ::1] by,
+    const double[:, :, ::1] factor, double[:, :, ::1] inverse, double[:, :, ::1] by_next,
 ) noexcept nogil:
     cdef double part
     d = factor.shape[1]
     inverse[:, :, :] = 0.0
     by_next[:, :, :] = 0.0
-    by[:, :, :] = 0.0
     for i in range(factor.shape[0]):
         for a in range(d - 1, -1, -1):
             if factor[i, a, a] != 0.0:
@@ -158,8 +155,6 @@ cdef for_each_processor _put_back(
                 if part != 0.0:
                     for c in range(d):
                         by_next[i, a, c] -= part * factor[i, b, d + c]
-                    for c in range(by.shape[2]):
-                        by[i, a, c] -= part * factor[i, b, 2 * d + c]
 
 
 def follow(const double[:, :, ::1] by_next, double[:, :, ::1] values):

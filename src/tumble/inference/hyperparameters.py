@@ -25,7 +25,8 @@ priors. With D = ∂V/∂v, P the projector onto residuals and r = y − X x̂, 
     ∂ℓ/∂ln σ = v (rᵀPDPr − tr PD)
 
 For rows of a prior or of a step of unit variance, v rᵀPDPr is the sum of the squares of their residuals, v tr PD that
-of 1 − Var e, what the data say of them. Of the correlation time, with e_k the steps over √(1 − ρ²), by Fisher's identity (25)
+of 1 − Var e, what the data say of them. Of the correlation time, with e_k the steps over √(1 − ρ²), by Fisher's
+identity (25)
 
     ∂ℓ/∂ln τ = Σ ρ Δt/τ · (E[(β_{k+1} − ρ β_k) β_k] + ρ (1 − E e²)) / (1 − ρ²)
 
@@ -249,7 +250,7 @@ def quadratic_forms(hyperparameters: Hyperparameters, solution: Solution) -> Arr
         of_directions.append(np.zeros((2, len(place))))
         scatter_forms(W, Z, r, C, np.empty(Z.shape[1]), of_directions[-1])
         of_directions[-1] *= noise.variances[place]
-        np.add.at(of_scatter, (slice(None), place), of_directions[-1])
+        of_scatter += of_directions[-1] @ (place[:, None] == np.arange(len(SCATTER)))
     if not np.isfinite(of_scatter.sum()):
         raise np.linalg.LinAlgError("residuals are beyond all measure")
 
@@ -257,7 +258,7 @@ def quadratic_forms(hyperparameters: Hyperparameters, solution: Solution) -> Arr
     of_states = np.zeros((3, max(s, n)))
     if s:
         work = np.empty((2, s, solution.shared.shape[1] + 1))
-        follow, (own, with_next) = equations.back_substitution[2], solution.conditional_covariances
+        follow, (own, with_next) = equations.follow, solution.conditional_covariances
         every = follow, own, with_next, noise.state_rho, noise.state_step, noise.state_lapse
         for part, root, shared in zip(problem.parts, solution.roots, solution.shared, strict=True):
             by, given, with_following, rho, step, lapse = (each[part.stations] for each in every)
@@ -267,7 +268,9 @@ def quadratic_forms(hyperparameters: Hyperparameters, solution: Solution) -> Arr
     # priors
     off = point.values + solution.parameters[1:] - problem.prior_mean[1:]
     of_priors = _forms_of_priors(off, (solution.roots[0, q + 1 :] ** 2).sum(axis=-1), problem.prior_u[1:])
-    of_local = _forms_of_priors(point.local + solution.local, (solution.roots[:, :q] ** 2).sum(axis=-1), problem.local_u)
+    of_local = _forms_of_priors(
+        point.local + solution.local, (solution.roots[:, :q] ** 2).sum(axis=-1), problem.local_u
+    )
 
     forms = (
         (Scatter, of_scatter),
@@ -313,19 +316,19 @@ def hyperparameters_of(problem: Problem, noise: NoiseModel, seen: BoolArray) -> 
     undisturbed = problem.prior.undisturbed
 
     # components of scatter: each stands beside the noise along its directions
-    both = (
-        (noise.rest, *noise.rest_directions),
-        (noise.turn, *noise.turn_directions),
-        (noise.link, *noise.link_directions),
-    )
+    beside: list[list[Array]] = [[] for _ in SCATTER]
+    for covariance, (Z, place) in (
+        (noise.rest, noise.rest_directions),
+        (noise.turn, noise.turn_directions),
+        (noise.link, noise.link_directions),
+    ):
+        length, size = (Z**2).sum(axis=1), ((covariance @ Z) * Z).sum(axis=1)
+        for number in set(place.tolist()):
+            own = (place == number) & (length > 0.0)
+            beside[number].append(size[own] / length[own] ** 2)
     for number, (name, (unit, words)) in enumerate(SCATTER_WORDS.items()):
-        beside = [np.zeros(0)]
-        for covariance, Z, place in both if seen[number] and not (undisturbed and name in REST_SCATTER) else ():
-            along = Z[:, :, place == number]
-            length = (along**2).sum(axis=1)
-            size = np.einsum("kaq,kab,kbq->kq", along, covariance, along)
-            beside.append(size[length > 0.0] / length[length > 0.0] ** 2)
-        if len(every := np.concatenate(beside)):
+        every = np.concatenate([np.zeros(0), *beside[number]])
+        if seen[number] and len(every) and not (undisturbed and name in REST_SCATTER):
             usual = 1.0 if name in LINK_SCATTER else float(np.sqrt(np.median(every)))
             out.append(Scatter(name=name, unit=unit, words=words, usual=usual, members=slice(number, number + 1)))
 

@@ -450,11 +450,8 @@ class Folded:
     @staticmethod
     def of(information: Array, right: Array, sizes: Array) -> Folded:
         """Priors of these sizes folded into Λ (g, g) and h (g,)."""
-        values, log_likelihood, factors = (
-            np.empty(sizes.shape),
-            np.empty(len(sizes)),
-            np.empty((*sizes.shape, len(right))),
-        )
+        factors = np.empty((*sizes.shape, len(right)))
+        values, log_likelihood = np.empty(sizes.shape), np.empty(len(sizes))
         fold_sizes(information, right, sizes, factors, values, log_likelihood)
         if not np.isfinite(log_likelihood.sum()):
             raise np.linalg.LinAlgError("Matrix is not positive definite")
@@ -560,7 +557,7 @@ def _densities_of_sizes(fitted: Maximum, sizes: list[int]) -> dict[int, Density]
         curvature = 2.0 * float(learned[i]) + h.within**-2 if at_bound else fitted.curvature[i, i]
         size = max(curvature, h.within**-2) ** -0.5
         p = max(phi[i], 0.0) + KNOTS * size if at_bound else np.linspace(0.0, phi[i] + KNOTS[-1] * size, 2 * len(KNOTS))
-        inverse = np.linalg.inv(covariance[np.ix_(own, own)])  # beside the priors of all others
+        inverse = np.asarray(np.linalg.inv(covariance[np.ix_(own, own)]), dtype=float)  # beside the priors of all others
         sized = usual[own] * np.exp(p)[:, None]
         folded = Folded.of(inverse - np.diag(S[own] ** -2), inverse @ value[own], sized)
         if at_bound:
@@ -691,9 +688,7 @@ def _drawn(fitted: Maximum, proposal: Proposal, phi: Array, log_q: Array, count:
         value[k], within[k] = w @ folded.values, folded.covariance(w)
         off = folded.values - value[k]
         between[k] = (off.T * w) @ off
-    variance = np.diagonal(every.omega, axis1=1, axis2=2) + ((every.gamma @ (within + between)) * every.gamma).sum(
-        axis=2
-    )
+    of_groups = ((every.gamma @ (within + between)) * every.gamma).sum(axis=2)
     return Draws(
         phi=phi,
         log_weight=log_weight,
@@ -703,7 +698,7 @@ def _drawn(fitted: Maximum, proposal: Proposal, phi: Array, log_q: Array, count:
         within=within,
         between=between,
         step=every.alpha + (every.gamma @ value[:, :, None])[:, :, 0],
-        variance=variance,
+        variance=np.diagonal(every.omega, axis1=1, axis2=2) + of_groups,
     )
 
 

@@ -92,26 +92,28 @@ def maximum_with_lags(start: Linearisation, iterations: int) -> tuple[Maximum, A
 
     def solutions(kind: str) -> Callable[[Array], tuple[Array, Array]]:
         """−2 ln of the posterior of lags of a kind, and with them covariances and values (L, m, m + 1) of the
-        parameters. Each begins with the φ, and its curvature, of the lag next to it."""
+        parameters. Each begins with φ between those of the lags about it."""
         values, i = fitted.point.values, lags[kind]
         here = held(values, replace(fitted.linearisation, point=fitted.point))
-        known = {float(values[i]): (fitted.phi, fitted.curvature)}
+        known, B = {float(values[i]): fitted.phi}, fitted.curvature
 
-        def at_lags(tried: Array) -> tuple[Array, Array]:
+        def at(tried: Array) -> tuple[Array, Array]:
+            nonlocal B
             deviance, both = penalty(kind, tried), np.empty((len(tried), len(values), len(values) + 1))
             for k in np.argsort(np.abs(tried - values[i])):
                 lag, other = float(tried[k]), values.copy()
                 other[i] = lag
                 there = here.at_lags(here.problem.with_lags(other), other)
-                phi, B = known[min(known, key=lambda other: abs(other - lag))]
-                at_next = solution_at(there, fitted.hyperparameters, phi)
-                solution, B, *_ = likeliest_phi(fitted.hyperparameters, at_next, B)
-                known[lag], found = (solution.phi, B), conditional(solution)
+                before, every = zip(*sorted(known.items()), strict=True)
+                phi = np.array([np.interp(lag, before, element) for element in np.transpose(every)])
+                solution = solution_at(there, fitted.hyperparameters, phi)
+                solution, B, *_ = likeliest_phi(fitted.hyperparameters, solution, B)
+                known[lag], found = solution.phi, conditional(solution)
                 deviance[k] -= 2.0 * found.value
                 both[k, :, :-1], both[k, :, -1] = found.covariance[1:, 1:], values + found.step[1:]
             return deviance, both
 
-        return at_lags
+        return at
 
     def goodness(fit: Maximum) -> float:
         """ln of the posterior of φ and the lags."""
@@ -120,13 +122,13 @@ def maximum_with_lags(start: Linearisation, iterations: int) -> tuple[Maximum, A
 
     fitted = likeliest(held(start.point.values, start), iterations)
     for left in reversed(range(LAG_ROUNDS)):
-        grids = {kind: resolved(solutions(kind), LAGS) for kind in lags}
+        at_lags = {kind: solutions(kind) for kind in lags}
+        grids = {kind: resolved(at_lags[kind], LAGS) for kind in lags}
         values, moved = fitted.point.values.copy(), False
         for kind, (grid, weight, _) in grids.items():
             values[lags[kind]] = grid[np.argmax(weight / widths(grid))]
-            moved |= abs(values[lags[kind]] - fitted.point.values[lags[kind]]) > NEAR * np.sqrt(
-                weight @ (grid - weight @ grid) ** 2
-            )
+            u = np.sqrt(weight @ (grid - weight @ grid) ** 2)
+            moved |= abs(values[lags[kind]] - fitted.point.values[lags[kind]]) > NEAR * u
         if not (left and moved):
             break
         other = again(values)
@@ -142,7 +144,7 @@ def maximum_with_lags(start: Linearisation, iterations: int) -> tuple[Maximum, A
         change = float(scipy.special.expit(scipy.special.logsumexp(log_odds, b=prior / prior.sum())))
         means[i] = change * float(weight @ grid)
         spread[i, i] = weight @ (grid - means[i]) ** 2
-        (held_one,) = solutions(kind)(means[[i]])[1]
+        (held_one,) = at_lags[kind](means[[i]])[1]
         every = np.vstack([without(held_one, own)[None], at_grid])[:, others][:, :, [*others, -1]]
         more = greater_by(every, held_one[others][:, [*others, -1]], np.append(1.0 - change, change * weight))
         spread[np.ix_(others, others)] += more

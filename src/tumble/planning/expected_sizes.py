@@ -94,7 +94,6 @@ def _products(solution: Solution) -> Array:
     return out
 
 
-
 def _expected_scatter(degrees: float, *, of_turns: bool = False) -> float:
     """Root mean square of x = σ/s in the median session with so many degrees of freedom; its prior is e^{−x}, that of
     turns (1 + x)⁻²."""
