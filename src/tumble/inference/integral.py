@@ -44,8 +44,8 @@ whose proposal is the difference of two others of its set (differential evolutio
 
 which takes the shape of the posterior from the walkers and needs no proposal any more. The sizes at each are drawn
 anew at every move, so that the mean of their weights is an unbiased likelihood of ψ' and the chain is exact
-(pseudo-marginal, Andrieu and Roberts 2009). The second half of what each set has been at counts, until the two agree within SETTLED or
-LONGEST moves are made.
+(pseudo-marginal, Andrieu and Roberts 2009). The second half of what each set has been at counts, until the two agree
+within SETTLED or LONGEST moves are made.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ DEFENCE = 0.15
 """The part of the prior in the density along a correlation time."""
 REACH = 8.0
 """Standard deviations that densities along standard deviations reach."""
-SETTLED, ROUGH = 0.07, 0.1
+SETTLED = 0.1
 """Of u, for the parameter of which it is largest: an error by the points above which walkers go on, and above which it
 is said."""
 FEW = 4.0
@@ -151,7 +151,7 @@ class Posterior:
     points, effective, pareto
         How many points there were, their effective number, and the Pareto shape of the weights.
     u_error
-        The largest error of a u by the points, relative; 0 of the maximum alone.
+        The largest error by the points, of a u, relative, or of a value, in u; 0 of the maximum alone.
     hyperparameters : (D, 3)
         Median, lower and upper limit of the middle 68 % of every hyperparameter, SI.
     """
@@ -177,10 +177,11 @@ def posterior(fitted: Maximum, *, integrate: bool = True) -> Posterior:
     np.empty(KEPT_MEMORY, dtype=np.uint8)
     count = max(POINTS if len(proposal.inner) else 2 * POINTS, 2 * (len(proposal.outer) + SPARE)) // 2
     drawn = [_drawn(fitted, proposal, *proposal.points(fitted.phi, count, k), SIZES, k) for k in (0, 1)]
-    shape = Draws.joined(drawn).smoothed[1]
+    both = Draws.joined(drawn)
+    shape, effective = both.smoothed[1], both.effective
     if shape > HEAVY or _error(drawn) > SETTLED or min(each.effective for each in drawn) < FEW:
-        drawn = _walked(fitted, proposal)
-    error, both = _error(drawn), Draws.joined(drawn)
+        drawn, effective = _walked(fitted, proposal)
+        both = Draws.joined(drawn)
     mean, within, between = both.moments()
     sources = scaled_to(contributions(_typical(fitted, both)), within) | {"hyperparameters": between}
     covariance = np.sum(list(sources.values()), axis=0)
@@ -196,9 +197,9 @@ def posterior(fitted: Maximum, *, integrate: bool = True) -> Posterior:
         process_step=process_mean,
         process_covariance=process_within + process_between,
         points=len(both.triangles.right),
-        effective=both.effective,
+        effective=effective,
         pareto=shape,
-        u_error=error,
+        u_error=_error(drawn),
         hyperparameters=_summary(fitted, both.phi.reshape(both.weight.size, -1), both.weight.ravel()),
     )
 
@@ -557,7 +558,9 @@ def _densities_of_sizes(fitted: Maximum, sizes: list[int]) -> dict[int, Density]
         curvature = 2.0 * float(learned[i]) + h.within**-2 if at_bound else fitted.curvature[i, i]
         size = max(curvature, h.within**-2) ** -0.5
         p = max(phi[i], 0.0) + KNOTS * size if at_bound else np.linspace(0.0, phi[i] + KNOTS[-1] * size, 2 * len(KNOTS))
-        inverse = np.asarray(np.linalg.inv(covariance[np.ix_(own, own)]), dtype=float)  # beside the priors of all others
+        inverse = np.asarray(
+            np.linalg.inv(covariance[np.ix_(own, own)]), dtype=float
+        )  # beside the priors of all others
         sized = usual[own] * np.exp(p)[:, None]
         folded = Folded.of(inverse - np.diag(S[own] ** -2), inverse @ value[own], sized)
         if at_bound:
@@ -710,10 +713,12 @@ def _error(drawn: Sequence[Draws]) -> float:
     return float(np.max(difference / np.maximum(first + second, 1e-300)))
 
 
-def _walked(fitted: Maximum, proposal: Proposal) -> list[Draws]:
-    """Two sets of draws by walkers that begin at points of the proposal, until they agree or LONGEST moves are made."""
-    rng, number, history = np.random.default_rng(0), max(WALKERS, 2 * len(proposal.outer)), list[Draws]()
-    starts = list[Array]()
+def _walked(fitted: Maximum, proposal: Proposal) -> tuple[list[Draws], float]:
+    """Two sets of draws by walkers that begin at points of the proposal, until they agree or LONGEST moves are made.
+
+    Returned with their effective number, that of independent draws whose means scatter as those of the walkers."""
+    rng, number = np.random.default_rng(0), max(WALKERS, 2 * len(proposal.outer))
+    starts, history, counted = list[Array](), list[Draws](), list[Draws]()
     for k in (2, 3):
         points = _drawn(fitted, proposal, *proposal.points(fitted.phi, 2 * number, k), WALKED_SIZES, k)
         starts.append(points.phi[_flattened(points.likelihood, number, rng), 0])
@@ -725,12 +730,14 @@ def _walked(fitted: Maximum, proposal: Proposal) -> list[Draws]:
             history.append(replace(walkers, log_weight=walkers.log_weight - walkers.likelihood[:, None]))
         if move % ROUND == 0 and move > ROUND:
             counted = history[len(history) // 2 :]
-            drawn = [
-                Draws.joined([each.chosen(one) for each in counted]) for one in np.arange(2 * number).reshape(2, -1)
-            ]
+            sets = np.arange(2 * number).reshape(2, number)
+            drawn = [Draws.joined([each.chosen(one) for each in counted]) for one in sets]
             if _error(drawn) < SETTLED:
                 break
-    return drawn
+    steps = np.array([each.step for each in counted])
+    scatter, of_means = steps.var(axis=(0, 1)), steps.mean(axis=0).var(axis=0)
+    varies = scatter > 0.0
+    return drawn, 2 * number * float((scatter[varies] / of_means[varies]).min()) if varies.any() else np.inf
 
 
 def _flattened(log_weight: Array, number: int, rng: np.random.Generator) -> IntArray:
@@ -837,7 +844,7 @@ def conditional(solution: Solution) -> Conditional:
 
 def rough(integral: Integral) -> bool:
     """Whether an integral rests on a few points: by the error of u, or by their effective number."""
-    return integral.u_error > ROUGH or (integral.points > 1 and integral.effective < 2.0 * FEW)
+    return integral.u_error > SETTLED or (integral.points > 1 and integral.effective < 2.0 * FEW)
 
 
 def normal_points(points: int, dimensions: int, sequence: int = 0) -> Array:
