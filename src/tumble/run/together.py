@@ -116,6 +116,9 @@ def calibrate_together(
     turned = [session.log for session, member in zip(described, members, strict=True) if member.turns]
     clock = max(turned or [session.log for session in described], key=lambda log: log.time_base_u)
     first = replace(first, log=replace(first.log, clock_u=clock.clock_u))
+    if any(session.log.magnetometer is not None for session in described):
+        note = "magnetometer: several sessions in one estimate leave it out; calibrate one alone for hard and soft iron"
+        joint_observations = replace(joint_observations, notes=(*joint_observations.notes, note))
     estimate = estimated(first, joint_observations, joint, systematic, "full")
     if isinstance(estimate, Outcome):
         return without_result(first, "joint", estimate, provenance)
