@@ -63,21 +63,10 @@ TERMS: Mapping[str, str] = {
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DatasheetRow:
-    """A parameter of a type, SI.
-
-    Parameters
-    ----------
-    term
-        What the standards call it (`TERMS`).
-    least, typical, most, between
-        Least, mean and largest value of the units, and their standard deviation.
-    run_to_run
-        Standard deviation from launch to launch; None if no unit has several launches.
-    u
-        Root mean square of the standard uncertainties that the recordings leave.
-    low, high
-        The tolerance interval.
-    """
+    """A parameter of a type, SI, with the `term` of the standards (`TERMS`): least, mean and largest value of the units
+    and their standard deviation `between` them; the standard deviation from launch to launch, None if no unit has
+    several; `u`, the root mean square of the standard uncertainties that the recordings leave; and the tolerance
+    interval from `low` to `high`."""
 
     name: str
     term: str
