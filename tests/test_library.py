@@ -9,7 +9,6 @@ import pickle
 import re
 import subprocess
 import sys
-import types
 from collections.abc import Callable
 from dataclasses import fields, replace
 from html.parser import HTMLParser
@@ -25,7 +24,7 @@ import tumble.types
 from tests.support import ROOT
 from tests.support.calibrated import of_device
 from tests.support.shared import calibrated, session
-from tumble.errors import InputError, MissingExtraError
+from tumble.errors import InputError
 from tumble.inference.estimate import Outcome
 from tumble.planning.setup import Setup
 from tumble.recording.arrays import session_of_arrays
@@ -252,18 +251,6 @@ def test_a_polars_frame_has_the_parameters_in_si(calibration: tumble.Calibration
     assert frame["value"].to_list() == [p.value for p in calibration.parameters]
     assert frame["u"].to_list() == [p.u for p in calibration.parameters]
     assert frame.schema["deviation"] == pl.Float64
-
-
-def test_a_pandas_frame_is_made_with_pandas_and_refused_without(
-    calibration: tumble.Calibration, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(MissingExtraError, match="pip install pandas"):
-        calibration.to_pandas()
-    pandas = types.ModuleType("pandas")
-    pandas.DataFrame = dict  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "pandas", pandas)
-    assert calibration.to_pandas()["name"] == [p.name for p in calibration.parameters]
 
 
 # -------------------- apply --------------------

@@ -54,7 +54,6 @@ from tumble.result.parts import TurnResult as TurnResult
 from tumble.result.uncertainty_budget import BudgetLine as BudgetLine
 from tumble.run.from_readings import ReadingsCalibration as ReadingsCalibration
 from tumble.run.quiet_samples import RecordedNoise as RecordedNoise
-from tumble.run.readings_table import ReadingsDescription as ReadingsDescription
 from tumble.run.readings_table import ReadingsTable as ReadingsTable
 from tumble.sensors.compensation import Compensator as Compensator
 from tumble.sensors.grades import NoiseModel as NoiseModel

@@ -8,7 +8,7 @@ R_IMUtoACC = 1, which is the frame `accelerometer`: with M = L Q, L lower triang
 rotation, Ta = L of the accelerometers, and of the gyros seen in the frame Q of the accelerometers Tw = L, R_IMUtoGYRO =
 Q. Nothing of either matrix is lost. Kalibr calls them M and C_gyro_i.
 
-The noise densities are continuous-time, those that stand for the processes of `noise`: `filter_values`.
+The noise densities are continuous-time, those that stand for the processes of `noise`: `densities`.
 
 Source: OpenVINS, documentation and VioManagerOptions; Kalibr, wiki "IMU noise model" and "Multi IMU and IMU intrinsic
 calibration"; Rehder et al., Extending Kalibr, ICRA 2016.
@@ -34,7 +34,7 @@ from tumble.export.templates import laid_out
 from tumble.files import FilePath
 from tumble.recording.session import Session
 from tumble.recording.session_file import session_from
-from tumble.reduction.noise.filter_values import Densities, densities
+from tumble.reduction.noise.densities import Densities, densities
 from tumble.result.calibration import Calibration
 from tumble.result.correction import linear_example
 from tumble.result.parts import SensorsAtRest

@@ -9,7 +9,7 @@ import numpy as np
 
 from tumble.inference.sources import Source
 from tumble.result.calibration import Calibration
-from tumble.result.uncertainty_budget import REFERENCES, BudgetLine, shares_by_group, what_would_help, with_references
+from tumble.result.uncertainty_budget import REFERENCES, BudgetLine, shares_by_group, with_references
 from tumble.sensors.parameters import beyond_linear, sensor_kind, shown_in
 from tumble.views.blocks import Block, Section, Table, section, table
 from tumble.views.numbers import cells, percent, shown_units, significant
@@ -20,12 +20,11 @@ REST = "all others"
 
 
 def budget_blocks(calibration: Calibration, *, every: bool = False) -> list[Block]:
-    """What would help most, and the shares of sources in u² of the groups of the linear model; with `every`, the table
-    of each of its parameters too. Nothing without a budget."""
+    """The shares of sources in u² of the groups of the linear model; with `every`, the table of each of its parameters
+    too. Nothing without a budget."""
     if not calibration.evidence.budget:
         return []
-    helps = what_would_help(calibration)
-    blocks: list[Block] = [*([f"{helps}."] if helps else []), share_table(calibration)]
+    blocks: list[Block] = [share_table(calibration)]
     if every:
         blocks += [parameter_budget(calibration, name) for name in calibration if not beyond_linear(name)]
     return blocks
