@@ -161,9 +161,7 @@ def _turn(task: Task, progress: Progress) -> Screen:
         "screen": "turn",
         "headline": "Hold still: the unit is not yet at rest" if arrived else f"Turn now {label}",
         **_where(task, progress, at),
-        "early": ""
-        if progress.judged[-1].enough
-        else f"rest {at} was left before its mean was known as well as is wanted",
+        "early": "" if progress.judged[-1].enough else f"rest {at} was left before its mean was known well enough",
         "turn": {"done": degrees[0], "angle": degrees[1], "rate": degrees[2], "full_scale": degrees[3]},
     }
 

@@ -28,7 +28,6 @@ KNOCK_SECONDS = 5.0
 LEFT_BY_THE_NEXT = ("wrong position", "wrong way", "wrong turn")
 """Faults of a rest that is left out once the right position follows it."""
 
-
 UNIT_FACTOR = 2.0
 """Accelerometers that read gravity wrong by more are in another unit than the session says."""
 UNIT_SHARE = 0.25

@@ -61,12 +61,8 @@ class Blocks:
     @staticmethod
     def of(reduction: Reduction, session: Session) -> Blocks:
         """The blocks of a reduction."""
-        parts, gyro, files, edges = (
-            [f for f in reduction.files if len(f)],
-            session.gyro_block,
-            list[File](),
-            np.empty(0),
-        )
+        parts, gyro = [file for file in reduction.files if len(file)], session.gyro_block
+        files, edges = list[File](), np.empty(0)
         for part in parts:
             shift = float(edges[-1] - part.edges[0]) if len(edges) else 0.0
             files.append(File(number=part.file, first=max(len(edges) - 1, 0), shift=shift))
