@@ -35,17 +35,18 @@ importance sampling). With the step m and covariance V at each draw
 
 and the coverage factor k of a parameter is the half width at 95.45 % of its mixture of Gaussians over its u, of which
 u is half where a few points far out would make it more. The two sequences are independent: half the difference of what
-each finds is its error by the points. Where it exceeds SETTLED of u, few points count, or the shape of the weights
-exceeds HEAVY (Vehtari et al.: such a mean need not exist), the proposal misses a part of the posterior: two modes, or
-tails that reach farther than its own. Then the points become walkers, two sets of them, each moved by a Metropolis step
-whose proposal is the difference of two others of its set (differential evolution Markov chain, ter Braak 2006),
+each finds, for u or for a value in parts of u, is the error by the points. As long as it exceeds SETTLED, or few points
+count, there are twice as many, by further sequences, until there are MOST_POINTS.
 
-    ψ_i' = ψ_i + γ (ψ_j − ψ_k) + ε,   γ = 2.38/√(2 D) and at times 1
+If then it still does, or fewer than MANY count, the proposal misses a part of the posterior: two modes, or tails that
+reach farther than its own. The points become walkers, two sets of them, each moved by a Metropolis step along the
+difference of two others of its set (differential evolution Markov chain, ter Braak 2006),
+
+    ψ_i' = ψ_i + γ (ψ_j − ψ_k) + ε,   γ ≤ 2.38/√(2 D), and at times 1
 
 which takes the shape of the posterior from the walkers and needs no proposal any more. The sizes at each are drawn
 anew at every move, so that the mean of their weights is an unbiased likelihood of ψ' and the chain is exact
-(pseudo-marginal, Andrieu and Roberts 2009). The second half of what each set has been at counts, until the two agree
-within SETTLED or LONGEST moves are made.
+(pseudo-marginal, Andrieu and Roberts 2009). The second half of MOVES counts, each walker alike.
 """
 
 from __future__ import annotations
@@ -84,18 +85,16 @@ from tumble.inference.normal_equations import (
 from tumble.inference.uncertainty_budget import contributions, scaled_to
 from tumble.units import Array, IntArray
 
-POINTS = 32
-"""Points of ψ, at first; twice as many where there are no sizes of groups to be folded in."""
+POINTS, MOST_POINTS = 32, 256
+"""Points of ψ, at first, twice as many where there are no sizes of groups to be folded in, and at most."""
 SIZES, WALKED_SIZES = 16, 4
 """Sizes of groups that are folded into the triangle of each point, and of each walker at a move."""
 WALKERS = 32
 """Of a set, at least; and twice as many as ψ has elements, whose differences span its space."""
-ROUND, LONGEST, THINNED = 16, 96, 4
-"""Moves after which the two sets are compared, moves at most, and of how many one is kept: the next is much alike."""
+MOVES, THINNED = 96, 4
+"""Moves of the walkers, and of how many one is kept: the next is much like it."""
 JUMPS = 0.1
 """The part of the moves by a whole difference, from one mode to another."""
-HEAVY = 0.7
-"""The shape of the distribution of weights above which a mean of so many points is not to be relied on."""
 SPARE = 3
 """Points of each sequence more than ψ has elements, at least: fewer have no covariance that could be made right."""
 MOST_PARAMETERS = 200
@@ -117,10 +116,11 @@ DEFENCE = 0.15
 REACH = 8.0
 """Standard deviations that densities along standard deviations reach."""
 SETTLED = 0.1
-"""Of u, for the parameter of which it is largest: an error by the points above which walkers go on, and above which it
+"""Of u, for the parameter of which it is largest: an error by the points above which there are more, and above which it
 is said."""
-FEW = 4.0
-"""Effective points of a sequence: two of fewer may agree by chance."""
+FEW, MANY = 4.0, 16.0
+"""Effective points of a sequence: two of fewer may agree by chance; and of all where there had to be more: fewer are of
+a proposal that misses a part of the posterior."""
 SHOWN = 0.2
 """Twice the members of a group of which the session learns something where it is as large as its prior allows for: of
 less, its size is not shown at all, and stays that of the sheet."""
@@ -176,10 +176,20 @@ def posterior(fitted: Maximum, *, integrate: bool = True) -> Posterior:
         return _at_maximum(fitted)
     np.empty(KEPT_MEMORY, dtype=np.uint8)
     count = max(POINTS if len(proposal.inner) else 2 * POINTS, 2 * (len(proposal.outer) + SPARE)) // 2
-    drawn = [_drawn(fitted, proposal, *proposal.points(fitted.phi, count, k), SIZES, k) for k in (0, 1)]
+
+    def of_sequence(number: int) -> Draws:
+        return _drawn(fitted, proposal, *proposal.points(fitted.phi, count, number), SIZES, number)
+
+    drawn, sets = [of_sequence(number) for number in (0, 1)], 1
+    while not (settled := _error(drawn) < SETTLED and min(each.effective for each in drawn) > FEW):
+        if 2 * count * sets >= MOST_POINTS:
+            break
+        for number in range(2 * sets, 4 * sets):
+            drawn[number % 2] = Draws.joined([drawn[number % 2], of_sequence(number)])
+        sets *= 2
     both = Draws.joined(drawn)
-    shape, effective = both.smoothed[1], both.effective
-    if shape > HEAVY or _error(drawn) > SETTLED or min(each.effective for each in drawn) < FEW:
+    effective, shape = both.effective, both.smoothed[1]
+    if not settled or (sets > 1 and effective < MANY):
         drawn, effective = _walked(fitted, proposal)
         both = Draws.joined(drawn)
     mean, within, between = both.moments()
@@ -714,26 +724,22 @@ def _error(drawn: Sequence[Draws]) -> float:
 
 
 def _walked(fitted: Maximum, proposal: Proposal) -> tuple[list[Draws], float]:
-    """Two sets of draws by walkers that begin at points of the proposal, until they agree or LONGEST moves are made.
+    """Two sets of draws by walkers that begin at points of the proposal.
 
     Returned with their effective number, that of independent draws whose means scatter as those of the walkers."""
     rng, number = np.random.default_rng(0), max(WALKERS, 2 * len(proposal.outer))
-    starts, history, counted = list[Array](), list[Draws](), list[Draws]()
+    starts, counted = list[Array](), list[Draws]()
     for k in (2, 3):
         points = _drawn(fitted, proposal, *proposal.points(fitted.phi, 2 * number, k), WALKED_SIZES, k)
         starts.append(points.phi[_flattened(points.likelihood, number, rng), 0])
     phi = np.concatenate(starts)
-    walkers, drawn = _drawn(fitted, proposal, phi, np.zeros(len(phi)), WALKED_SIZES, 4), list[Draws]()
-    for move in range(1, LONGEST + 1):
-        walkers = _moved(fitted, proposal, walkers, rng, 2 * move + 3)
-        if move % THINNED == 0:
-            history.append(replace(walkers, log_weight=walkers.log_weight - walkers.likelihood[:, None]))
-        if move % ROUND == 0 and move > ROUND:
-            counted = history[len(history) // 2 :]
-            sets = np.arange(2 * number).reshape(2, number)
-            drawn = [Draws.joined([each.chosen(one) for each in counted]) for one in sets]
-            if _error(drawn) < SETTLED:
-                break
+    walkers = _drawn(fitted, proposal, phi, np.zeros(len(phi)), WALKED_SIZES, 4)
+    for move in range(MOVES):
+        walkers = _moved(fitted, proposal, walkers, rng, move + 3)
+        if move >= MOVES // 2 and move % THINNED == 0:
+            counted.append(replace(walkers, log_weight=walkers.log_weight - walkers.likelihood[:, None]))
+    sets = np.arange(2 * number).reshape(2, number)
+    drawn = [Draws.joined([each.chosen(one) for each in counted]) for one in sets]
     steps = np.array([each.step for each in counted])
     scatter, of_means = steps.var(axis=(0, 1)), steps.mean(axis=0).var(axis=0)
     varies = scatter > 0.0
