@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from tumble.inference.estimate import Outcome
-from tumble.inference.hyperparameters import score, solution_at
+from tumble.inference.hyperparameters import quadratic_forms, solution_at
 from tumble.inference.integral import SHOWN, conditional, posterior
 from tumble.inference.maximum import Maximum, maximum
 from tumble.inference.normal_equations import Solution
@@ -55,13 +55,13 @@ class Compared:
 
 def shown(fitted: Maximum) -> list[int]:
     """The elements of φ of which the session shows something, or that are no sizes."""
-    out, information = list[int](), score(fitted.hyperparameters, fitted.solution)[1]
+    out = list[int]()
     for i, h in enumerate(fitted.hyperparameters):
         phi = fitted.phi.copy()
-        phi[i] += information[i, i] ** -0.5
+        phi[i] += fitted.curvature[i, i] ** -0.5
         at_bound = h.bounded and fitted.phi[i] <= 0.0
-        there = score(fitted.hyperparameters, evaluated(fitted, phi))[1]
-        if not at_bound or there[i, i] - h.within**-2 > SHOWN:
+        _, trace = quadratic_forms(fitted.hyperparameters, evaluated(fitted, phi))
+        if not at_bound or 2.0 * trace[i] > SHOWN:
             out.append(i)
     return out
 
@@ -78,7 +78,7 @@ def sampled(fitted: Maximum, draws: int, seed: int) -> tuple[Array, Array, float
     every = shown(fitted)
     walking, sizes = ([i for i in every if entries[i].bounded is bounded] for bounded in (False, True))
     phi, D = fitted.phi.copy(), len(walking)
-    steps = np.linalg.inv(score(entries, fitted.solution)[1][np.ix_(walking, walking)])
+    steps = np.linalg.inv(fitted.curvature[np.ix_(walking, walking)])
     value, path, accepted = evaluated(fitted, phi).log_posterior, list[Array](), 0
     means, within = list[Array](), np.zeros((1 + len(fitted.point.values),) * 2)
     for i in range(-burn, draws):

@@ -27,7 +27,7 @@ from tumble.inference.hyperparameters import (
     score,
     solution_at,
 )
-from tumble.inference.integral import conditional, members_of, posterior, smoothed, triangles
+from tumble.inference.integral import Folded, conditional, members_of, posterior, smoothed, triangles
 from tumble.inference.joint import joint
 from tumble.inference.linearisation import Linearisation, linearise
 from tumble.inference.maximum import Maximum, Status, maximum, without_outliers
@@ -120,7 +120,7 @@ def test_the_score_is_the_derivative_of_the_likelihood(name: str) -> None:
     at = started(SESSIONS[name]())
     entries = maximum(at, iterations=1).hyperparameters
     phi, step = away_from_bounds(entries), 1e-4
-    gradient, _ = score(entries, solution_at(at, entries, phi))
+    gradient = score(entries, solution_at(at, entries, phi))
     kinds = dict[tuple[object, ...], list[int]]()
     for i, h in enumerate(entries):
         key = (type(h),) if h.bounded else (type(h), h.name)
@@ -141,7 +141,7 @@ def test_the_score_is_the_derivative_with_rows_that_count_less_and_rows_left_out
     entries, step = maximum(at, iterations=1).hyperparameters, 1e-4
     at, phi = replace(at, noise=at.noise.weighted(rest, turn, at.noise.link_weights)), away_from_bounds(entries)
     here = solution_at(at, entries, phi)
-    gradient, _ = score(entries, here)
+    gradient = score(entries, here)
     for i, h in enumerate(entries):
         by_one = step * np.eye(len(phi))[i]
         more, less = (solution_at(at, entries, phi + sign * by_one) for sign in (1.0, -1.0))
@@ -465,15 +465,16 @@ def test_sizes_folded_into_a_triangle_are_those_of_the_whole_elimination(name: s
     members, element = members_of(fitted, groups)
     every = triangles(fitted.linearisation, hyperparameters, phi[:1], members)
     sizes = fitted.usual_problem.usual_u[1 + members] * np.exp(phi[:, element])
-    c, covariance, likelihood = every.of_groups(np.zeros(2, dtype=int), sizes)
+    folded = Folded.of(every.information[0], every.right[0], sizes)
     (alpha,), (gamma,), (omega,) = every.alpha, every.gamma, every.omega
     for k in range(2):
         solution = solution_at(fitted.linearisation, hyperparameters, phi[k])
         expected = conditional(solution)
         u = np.sqrt(np.maximum(np.diag(expected.covariance), 1e-300))
-        assert likelihood[k] == pytest.approx(-0.5 * float(solution.deviance), abs=1e-6)
-        np.testing.assert_allclose((alpha + gamma @ c[k] - expected.step)[1:] / u[1:], 0.0, atol=1e-6)
-        whole = omega + gamma @ covariance[k] @ gamma.T
+        likelihood = folded.log_likelihood[k] - 0.5 * every.deviance[0]
+        assert likelihood == pytest.approx(-0.5 * float(solution.deviance), abs=1e-6)
+        np.testing.assert_allclose((alpha + gamma @ folded.values[k] - expected.step)[1:] / u[1:], 0.0, atol=1e-6)
+        whole = omega + gamma @ folded.covariance(np.eye(2)[k]) @ gamma.T
         np.testing.assert_allclose((whole - expected.covariance) / np.outer(u, u), 0.0, atol=1e-6)
 
 

@@ -114,15 +114,14 @@ def fold(rows: Array, triangle: Array, triangular: bool = False) -> None:
         triangle[:] = folded[0]
 
 
-def put_back(factor: Array) -> tuple[Array, Array, Array]:
-    """The rows of all rests solved for their unknowns: what these are known to given all others, R⁻¹ (N, d, d), how
-    they go with those of the next rest, A (N, d, d), and along the chain with the parameters, [∂δ/∂x | −δ at x = 0]
-    (N, d, p + 1). An unknown that nothing shows is zero, and without variance."""
+def put_back(factor: Array) -> tuple[Array, Array]:
+    """The rows of all rests solved for their unknowns: what these are known to given all others, R⁻¹ (…, N, d, d), and
+    how they go with those of the next rest, A (…, N, d, d). An unknown that nothing shows is zero, and without
+    variance."""
     *stack, d, width = factor.shape
-    inverse, by_next, by = (np.empty((*stack, d, columns)) for columns in (d, d, width - 2 * d))
-    kernels.put_back(*(each.reshape(-1, d, each.shape[-1]) for each in (factor, inverse, by_next, by)))
-    along_chains(by_next, by)
-    return inverse, by_next, by
+    inverse, by_next = np.empty((*stack, d, d)), np.empty((*stack, d, d))
+    kernels.put_back(factor.reshape(-1, d, width), inverse.reshape(-1, d, d), by_next.reshape(-1, d, d))
+    return inverse, by_next
 
 
 def along_chains(by_next: Array, values: Array) -> None:

@@ -14,7 +14,7 @@ def eliminate_rests(
     length: Array,
     parts: Array,
 ) -> int: ...
-def put_back(factor: Array, inverse: Array, by_next: Array, by: Array) -> None: ...
+def put_back(factor: Array, inverse: Array, by_next: Array) -> None: ...
 def follow(by_next: Array, values: Array) -> None: ...
 def carry_back(inverse: Array, by_next: Array, own: Array, with_next: Array) -> None: ...
 def whiten(
@@ -41,12 +41,10 @@ def residuals(
 def scatter_forms(
     whitening: Array,
     directions: Array,
-    place: IntArray,
     residual: Array,
     covariance: Array,
     work: Array,
     forms: Array,
-    single: Array,
 ) -> None: ...
 def state_forms(
     by: Array,
@@ -59,4 +57,10 @@ def state_forms(
     lapse: Array,
     work: Array,
     forms: Array,
+) -> None: ...
+def fold_sizes(
+    information: Array, right: Array, size: Array, factor: Array, value: Array, log_likelihood: Array
+) -> None: ...
+def mean_covariance(
+    factor: Array, size: Array, weight: Array, least: float, work: Array, covariance: Array
 ) -> None: ...

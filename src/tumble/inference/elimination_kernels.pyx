@@ -5,7 +5,7 @@ Sums are taken in the order that is written: a compiler that may choose another 
 compilation to the next, and rows of a campaign would differ in the last digit from process to process.
 """
 
-from libc.math cimport INFINITY, sqrt
+from libc.math cimport INFINITY, log, sqrt
 from libc.stdint cimport int64_t
 
 from tumble.processors cimport for_each_processor
@@ -127,23 +127,20 @@ cdef bint _reflect(
     return True
 
 
-def put_back(
-    const double[:, :, ::1] factor, double[:, :, ::1] inverse, double[:, :, ::1] by_next, double[:, :, ::1] by,
-):
+def put_back(const double[:, :, ::1] factor, double[:, :, ::1] inverse, double[:, :, ::1] by_next):
     """Solve rows (N, d, 2d + w) for the unknowns of the rests: inverses (N, d, d) of their triangles, rows and columns
-    of unknowns that nothing shows being zero, and less these times the other columns, (N, d, d) and (N, d, w)."""
+    of unknowns that nothing shows being zero, and less these times the columns of the next rest (N, d, d)."""
     with nogil:
-        _put_back(factor, inverse, by_next, by)
+        _put_back(factor, inverse, by_next)
 
 
 cdef for_each_processor _put_back(
-    const double[:, :, ::1] factor, double[:, :, ::1] inverse, double[:, :, ::1] by_next, double[:, :, ::1] by,
+    const double[:, :, ::1] factor, double[:, :, ::1] inverse, double[:, :, ::1] by_next,
 ) noexcept nogil:
     cdef double part
     d = factor.shape[1]
     inverse[:, :, :] = 0.0
     by_next[:, :, :] = 0.0
-    by[:, :, :] = 0.0
     for i in range(factor.shape[0]):
         for a in range(d - 1, -1, -1):
             if factor[i, a, a] != 0.0:
@@ -158,8 +155,6 @@ cdef for_each_processor _put_back(
                 if part != 0.0:
                     for c in range(d):
                         by_next[i, a, c] -= part * factor[i, b, d + c]
-                    for c in range(by.shape[2]):
-                        by[i, a, c] -= part * factor[i, b, 2 * d + c]
 
 
 def follow(const double[:, :, ::1] by_next, double[:, :, ::1] values):
@@ -264,50 +259,34 @@ cdef for_each_processor _residuals(
 
 
 cpdef void scatter_forms(
-    const double[:, :, :] whitening, const double[:, :, :] directions, const int64_t[:] place,
-    const double[:, ::1] residual, const double[:, :, ::1] covariance, double[:, :, ::1] work, double[:, ::1] forms,
-    double[:, ::1] single,
+    const double[:, :, :] whitening, const double[:, :, :] directions, const double[:, ::1] residual,
+    const double[:, :, ::1] covariance, double[::1] work, double[:, ::1] forms,
 ) noexcept:
-    """Add up what the score of scatter is of: with W Z whitened directions, r the residuals and C their covariance.
+    """Add up what the score of scatter is of: with W z a whitened direction, r the residuals and C their covariance.
 
-    whitening, directions, place : W (K, t, t), lower triangles, Z (K, t, q), and the components (q,) these are of.
+    whitening, directions : W (K, t, t), lower triangles, and z, the columns of (K, t, q).
     residual, covariance : r (K, t) and C (K, t, t).
-    work (3, t or q, q) : memory.
-    forms (c, 2 + c) : by component sums of (Zᵀ Wᵀ r)², of the diagonal of Zᵀ Wᵀ C W Z, and of the squares of all of it.
-    single (q, 2) : the first two by direction.
+    work (t,) : memory.
+    forms (2, q) : sums of (zᵀ Wᵀ r)² and of zᵀ Wᵀ C W z.
     """
-    cdef double part, total
+    cdef double part, along, square
     cdef Py_ssize_t a, b, c, k
     K, t, q = directions.shape[0], directions.shape[1], directions.shape[2]
     for k in range(K):
-        work[:, :, :] = 0.0
-        for a in range(t):  # W Z
-            for b in range(a + 1):
-                part = whitening[k, a, b]
-                if part != 0.0:
-                    for c in range(q):
-                        work[0, a, c] += part * directions[k, b, c]
-        for a in range(t):  # C W Z
-            for b in range(t):
-                part = covariance[k, a, b]
-                for c in range(q):
-                    work[1, a, c] += part * work[0, b, c]
-        for a in range(t):
-            for b in range(q):
-                part = work[0, a, b]
-                if part != 0.0:
-                    for c in range(q):
-                        work[2, b, c] += part * work[1, a, c]
-        for b in range(q):
-            total = 0.0
+        for c in range(q):
+            along, square = 0.0, 0.0
             for a in range(t):
-                total += residual[k, a] * work[0, a, b]
-            single[b, 0] += total * total
-            single[b, 1] += work[2, b, b]
-            forms[place[b], 0] += total * total
-            forms[place[b], 1] += work[2, b, b]
-            for c in range(q):
-                forms[place[b], 2 + place[c]] += work[2, b, c] * work[2, b, c]
+                part = 0.0
+                for b in range(a + 1):
+                    part += whitening[k, a, b] * directions[k, b, c]
+                work[a] = part
+                along += residual[k, a] * part
+                part = 0.5 * covariance[k, a, a] * part
+                for b in range(a):
+                    part += covariance[k, a, b] * work[b]
+                square += 2.0 * work[a] * part
+            forms[0, c] += along * along
+            forms[1, c] += square
 
 
 def state_forms(
@@ -323,7 +302,7 @@ def state_forms(
     rho, step, lapse (N, s) : correlation with the next, standard deviation of the step to it, time over τ; no step
     follows where that is infinite.
     work (2, s, w + 1) : memory.
-    forms (4, s) : sums of the squares, of 1 less their variances, of that between 0 and 1, and of slopes by ln τ.
+    forms (3, s) : sums of the squares, of 1 less their variances, and of slopes by ln τ.
     """
     with nogil:
         _state_forms(by, own, with_next, root, shared, rho, step, lapse, work, forms)
@@ -359,10 +338,9 @@ cdef for_each_processor _state_forms(
                 if lapse[i - 1, k] < INFINITY:
                     part = change * work[before, k, w - 1] + both - correlation * known
                     part += correlation * (1.0 - square - unknown)
-                    forms[3, k] += lapse[i - 1, k] * correlation * part / of_step
+                    forms[2, k] += lapse[i - 1, k] * correlation * part / of_step
             forms[0, k] += square
             forms[1, k] += 1.0 - unknown
-            forms[2, k] += min(max(1.0 - unknown, 0.0), 1.0)
 
 
 cdef double _dot(const double* x, const double* y, Py_ssize_t n) noexcept nogil:
@@ -426,3 +404,101 @@ cpdef bint whiten(
                 for b in range(a + 1):
                     factors[k, a, b] *= weight[k, b]
     return True
+
+
+def fold_sizes(
+    const double[:, :] information, const double[:] right, const double[:, :] size, double[:, :, ::1] factor,
+    double[:, ::1] value, double[::1] log_likelihood,
+):
+    """Fold priors of parameters c ~ N(0, S²) into what is known of these: Cholesky factors of B = 1 + S Λ S.
+
+    information, right : Λ (g, g) and h (g,).
+    size : standard deviations S (L, g) of L priors.
+    factor (L, g, g) : of every prior the upper triangle R, B = Rᵀ R.
+    value (L, g) : S B⁻¹ S h.
+    log_likelihood (L,) : ½ hᵀ S B⁻¹ S h − ½ ln |B|; no number where B is not positive definite.
+    """
+    with nogil:
+        _fold_sizes(information, right, size, factor, value, log_likelihood)
+
+
+cdef for_each_processor _fold_sizes(
+    const double[:, :] information, const double[:] right, const double[:, :] size, double[:, :, ::1] factor,
+    double[:, ::1] value, double[::1] log_likelihood,
+) noexcept nogil:
+    cdef double part, total, determinant
+    cdef double* row
+    cdef double* other
+    g = right.shape[0]
+    for n in range(size.shape[0]):
+        for a in range(g):
+            row = &factor[n, a, 0]
+            for b in range(a, g):
+                row[b] = size[n, a] * information[a, b] * size[n, b]
+            row[a] += 1.0
+        total, determinant = 0.0, 0.0
+        for k in range(g):
+            row = &factor[n, k, 0]
+            determinant += log(row[k])  # of what is less than zero it is no number
+            part = 1.0 / sqrt(row[k])
+            for b in range(k, g):
+                row[b] *= part
+            for a in range(k + 1, g):
+                part, other = row[a], &factor[n, a, 0]
+                if part != 0.0:
+                    for b in range(a, g):
+                        other[b] -= part * row[b]
+            part = size[n, k] * right[k]
+            for a in range(k):
+                part -= factor[n, a, k] * value[n, a]
+            value[n, k] = part / row[k]
+            total += value[n, k] * value[n, k]
+        log_likelihood[n] = 0.5 * (total - determinant)
+        for a in range(g - 1, -1, -1):
+            part = value[n, a]
+            for b in range(a + 1, g):
+                part -= factor[n, a, b] * value[n, b]
+            value[n, a] = part / factor[n, a, a]
+        for a in range(g):
+            value[n, a] *= size[n, a]
+
+
+def mean_covariance(
+    const double[:, :, ::1] factor, const double[:, :] size, const double[:] weight, double least,
+    double[:, ::1] work, double[:, ::1] covariance,
+):
+    """Σ w S B⁻¹ S (g, g) over the priors of `fold_sizes` whose `weight` (L,) is above the `least`; `work` (g, g) is
+    memory."""
+    with nogil:
+        _mean_covariance(factor, size, weight, least, work, covariance)
+
+
+cdef for_each_processor _mean_covariance(
+    const double[:, :, ::1] factor, const double[:, :] size, const double[:] weight, double least,
+    double[:, ::1] work, double[:, ::1] covariance,
+) noexcept nogil:
+    cdef double part
+    cdef double* row
+    cdef const double* other
+    g = covariance.shape[0]
+    covariance[:, :] = 0.0
+    for n in range(factor.shape[0]):
+        if not weight[n] > least:
+            continue
+        for a in range(g - 1, -1, -1):  # R⁻¹
+            row, part = &work[a, 0], 1.0 / factor[n, a, a]
+            for c in range(a + 1, g):
+                row[c] = 0.0
+            row[a] = part
+            for b in range(a + 1, g):
+                part, other = factor[n, a, b] * row[a], &work[b, 0]
+                if part != 0.0:
+                    for c in range(b, g):
+                        row[c] -= part * other[c]
+        for a in range(g):
+            for b in range(a, g):
+                part = weight[n] * size[n, a] * size[n, b]
+                covariance[a, b] += part * _dot(&work[a, b], &work[b, b], g - b)
+    for a in range(g):
+        for b in range(a):
+            covariance[a, b] = covariance[b, a]

@@ -22,11 +22,11 @@ size. A prior is never narrowed.
 The score. All but the correlation times are variances v of rows: of rests, of turns, of the steps of a process, of
 priors. With D = ∂V/∂v, P the projector onto residuals and r = y − X x̂, by ln σ, σ² = v (24) to (26),
 
-    ∂ℓ/∂ln σ = v (rᵀPDPr − tr PD),     information 2 v² tr PDPD
+    ∂ℓ/∂ln σ = v (rᵀPDPr − tr PD)
 
 For rows of a prior or of a step of unit variance, v rᵀPDPr is the sum of the squares of their residuals, v tr PD that
-of 1 − Var e, what the data say of them. Of D by the scatter the part within a rest and within a turn is taken for the
-information. Of the correlation time, with e_k the steps over √(1 − ρ²), by Fisher's identity (25)
+of 1 − Var e, what the data say of them. Of the correlation time, with e_k the steps over √(1 − ρ²), by Fisher's
+identity (25)
 
     ∂ℓ/∂ln τ = Σ ρ Δt/τ · (E[(β_{k+1} − ρ β_k) β_k] + ρ (1 − E e²)) / (1 − ρ²)
 
@@ -82,8 +82,6 @@ SHEET, STATED, GUESSED = 2.0, 3.0, 10.0
 one that is guessed."""
 UNLIKE = 3.0
 """The same of the scatter and the in-run bias of a sensor, over those of the others of its kind."""
-SENSED = 0.2
-"""Of the rests: what the scatter of a single sensor is told by at first, until its curvature is known."""
 LEAST_DEGREES = 0.5
 """Of freedom: a component of scatter of which the fit leaves less is not estimated. It is by what is left of it, in the
 end by rounding, that its variance would be divided."""
@@ -227,147 +225,75 @@ class Hyperparameters(tuple[Hyperparameter, ...]):
 # -------------------- score --------------------
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class QuadraticForms:
-    """What the score of a variance v is made of: `square` v rᵀPDPr, `trace` v tr PD, and `double` v² tr PDPD."""
+def quadratic_forms(hyperparameters: Hyperparameters, solution: Solution) -> Array:
+    """The squares v rᵀPDPr and the traces v tr PD (2, D) of the variances of which the elements of φ are; of a
+    correlation time their difference is its slope.
 
-    square: Array
-    trace: Array
-    double: Array
+    Raises
+    ------
+    LinAlgError
+        Where residuals are beyond all measure.
+    """
+    problem, equations, noise, point = (
+        solution.problem,
+        solution.equations,
+        solution.equations.noise,
+        solution.linearisation.point,
+    )
+    n, s, q = problem.sensors, noise.states, solution.local.shape[-1]
 
+    # scatter, and that of each sensor at rest
+    of_scatter, of_directions = np.zeros((2, len(SCATTER))), list[Array]()
+    whitening = equations.rest_whitening, equations.turn_whitening, equations.link_whitening
+    residuals = solution.rest_residuals, solution.turn_residuals, solution.link_residuals
+    for W, (r, C), (Z, place) in zip(whitening, residuals, noise.weighted_directions, strict=True):
+        of_directions.append(np.zeros((2, len(place))))
+        scatter_forms(W, Z, r, C, np.empty(Z.shape[1]), of_directions[-1])
+        of_directions[-1] *= noise.variances[place]
+        of_scatter += of_directions[-1] @ (place[:, None] == np.arange(len(SCATTER)))
+    if not np.isfinite(of_scatter.sum()):
+        raise np.linalg.LinAlgError("residuals are beyond all measure")
 
-NO_FORMS = QuadraticForms(square=np.zeros(0), trace=np.zeros(0), double=np.zeros(0))
-
-
-class Score:
-    """The quadratic forms of a solution, each made when it is first asked for."""
-
-    def __init__(self, solution: Solution) -> None:
-        self.solution, self.noise, self.variances = (
-            solution,
-            solution.equations.noise,
-            solution.equations.noise.variances,
-        )
-
-    @cached_property
-    def _scatter_forms(self) -> tuple[Array, Array]:
-        """Sums (c, 2 + c) by component of scatter (`scatter_forms`), and (q, 2) by direction of the scatter of rests.
-        Raises LinAlgError where residuals are beyond all measure."""
-        solution, equations, forms = self.solution, self.solution.equations, np.zeros((len(SCATTER), 2 + len(SCATTER)))
-        whitening = equations.rest_whitening, equations.turn_whitening, equations.link_whitening
-        residuals, singles = (solution.rest_residuals, solution.turn_residuals, solution.link_residuals), list[Array]()
-        for W, (r, C), (Z, place) in zip(whitening, residuals, self.noise.weighted_directions, strict=True):
-            t, q = Z.shape[1:]
-            singles.append(np.zeros((q, 2)))
-            scatter_forms(W, Z, place, r, C, np.empty((3, max(t, q), q)), forms, singles[-1])
-        if not np.isfinite(forms.sum()):
-            raise np.linalg.LinAlgError("residuals are beyond all measure")
-        return forms, singles[0]
-
-    @cached_property
-    def scatter(self) -> QuadraticForms:
-        """By component of scatter (c,)."""
-        v, (forms, _) = self.variances, self._scatter_forms
-        return QuadraticForms(
-            square=v * forms[:, 0], trace=v * forms[:, 1], double=v * v * self.scatter_products.diagonal()
-        )
-
-    @property
-    def scatter_products(self) -> Array:
-        """tr PD_aPD_b (c, c) of the components of scatter, by the parts within a rest and within a turn."""
-        return self._scatter_forms[0][:, 2:]
-
-    @cached_property
-    def sensors(self) -> QuadraticForms:
-        """By sensor (n,), of its scatter at rest and of its in-run bias."""
-        of_states, n = self.states, self.solution.problem.sensors
-        square, trace = self._scatter_forms[1][:n].T * self.variances[self.noise.rest_directions[1][:n]]
-        return QuadraticForms(
-            square=square + of_states.square[:n],
-            trace=trace + of_states.trace[:n],
-            double=0.5 * SENSED * len(self.solution.problem.link) + of_states.double[:n],
-        )
-
-    @cached_property
-    def _state_forms(self) -> Array:
-        """Sums (4, s) over the first states of all sessions and their steps (`state_forms`)."""
-        solution, noise, s = self.solution, self.noise, self.noise.states
-        forms, work = np.zeros((4, s)), np.empty((2, s, solution.shared.shape[1] + 1))
-        follow, (own, with_next) = solution.equations.back_substitution[2], solution.conditional_covariances
+    # first states of all sessions and their steps
+    of_states = np.zeros((3, max(s, n)))
+    if s:
+        work = np.empty((2, s, solution.shared.shape[1] + 1))
+        follow, (own, with_next) = equations.follow, solution.conditional_covariances
         every = follow, own, with_next, noise.state_rho, noise.state_step, noise.state_lapse
-        for part, root, shared in zip(solution.problem.parts, solution.roots, solution.shared, strict=True):
+        for part, root, shared in zip(problem.parts, solution.roots, solution.shared, strict=True):
             by, given, with_following, rho, step, lapse = (each[part.stations] for each in every)
-            state_forms(by, given, with_following, root, shared, rho, step, lapse, work, forms)
-        return forms
+            state_forms(by, given, with_following, root, shared, rho, step, lapse, work, of_states)
+    of_times = np.stack([of_states[2], np.zeros(of_states.shape[1])])
 
-    @cached_property
-    def states(self) -> QuadraticForms:
-        """By state (s,), in-run biases of the sensors first; `double` takes a step for known or unknown."""
-        if not self.noise.states:
-            nothing = np.zeros(self.solution.problem.sensors)
-            return QuadraticForms(square=nothing, trace=nothing, double=nothing)
-        square, trace, double, _ = self._state_forms
-        return QuadraticForms(square=square, trace=trace, double=double)
+    # priors
+    off = point.values + solution.parameters[1:] - problem.prior_mean[1:]
+    of_priors = _forms_of_priors(off, (solution.roots[0, q + 1 :] ** 2).sum(axis=-1), problem.prior_u[1:])
+    of_local = _forms_of_priors(
+        point.local + solution.local, (solution.roots[:, :q] ** 2).sum(axis=-1), problem.local_u
+    )
 
-    @cached_property
-    def times(self) -> QuadraticForms:
-        """Those of which ∂ℓ/∂ln τ by state (s,) is as if of a variance."""
-        slope = self._state_forms[3] if self.noise.states else np.zeros(len(self.states.square))
-        return QuadraticForms(square=slope, trace=np.zeros_like(slope), double=0.25 * self.states.double)
-
-    @cached_property
-    def priors(self) -> QuadraticForms:
-        """By parameter (m,), of its prior."""
-        solution, problem = self.solution, self.solution.problem
-        q = solution.local.shape[-1]
-        off = solution.linearisation.point.values + solution.parameters[1:] - problem.prior_mean[1:]
-        return _of_priors(off, (solution.roots[0, q + 1 :] ** 2).sum(axis=-1), problem.prior_u[1:])
-
-    @cached_property
-    def local_priors(self) -> QuadraticForms:
-        """By parameter that sessions have beside (q,), of its prior in all of them."""
-        solution, q = self.solution, self.solution.local.shape[-1]
-        if q == 0:
-            return NO_FORMS
-        off = solution.linearisation.point.local + solution.local
-        each = _of_priors(off, (solution.roots[:, :q] ** 2).sum(axis=-1), solution.problem.local_u)
-        return QuadraticForms(
-            square=each.square.sum(axis=0), trace=each.trace.sum(axis=0), double=each.double.sum(axis=0)
-        )
-
-    @property
-    def _every(self) -> tuple[tuple[type[Hyperparameter], QuadraticForms], ...]:
-        """By kind of hyperparameter."""
-        return (
-            (Scatter, self.scatter),
-            (InRunSize, self.states),
-            (CorrelationTime, self.times),
-            (SensorFactor, self.sensors),
-            (GroupSize, self.priors),
-            (LocalGroupSize, self.local_priors),
-        )
-
-    def of(self, hyperparameters: Hyperparameters) -> QuadraticForms:
-        """By element of φ (D,)."""
-        every = self._every
-        some = hyperparameters.selection(tuple((kind, len(forms.square)) for kind, forms in every))
-        names = "square", "trace", "double"
-        square, trace, double = (some @ np.concatenate([getattr(forms, name) for _, forms in every]) for name in names)
-        return QuadraticForms(square=square, trace=trace, double=double)
-
-    def gradient(self, hyperparameters: Hyperparameters) -> Array:
-        """The gradient (D,) of ℓ."""
-        every = self._every
-        some = hyperparameters.selection(tuple((kind, len(forms.square)) for kind, forms in every))
-        slopes = np.concatenate([forms.square - forms.trace for _, forms in every])
-        return np.asarray(some @ slopes + self.solution.of_prior[1])
+    forms = (
+        (Scatter, of_scatter),
+        (InRunSize, of_states[:2]),
+        (CorrelationTime, of_times),
+        (SensorFactor, of_directions[0][:, :n] + of_states[:2, :n]),
+        (GroupSize, of_priors),
+        (LocalGroupSize, of_local.sum(axis=1)),
+    )
+    some = hyperparameters.selection(tuple((kind, of.shape[1]) for kind, of in forms))
+    return np.asarray(np.concatenate([of for _, of in forms], axis=1) @ some.T)
 
 
-def _of_priors(off: Array, variance: Array, size: Array) -> QuadraticForms:
-    """The forms of priors of standard deviations `size` by values and variances."""
+def _forms_of_priors(off: Array, variance: Array, size: Array) -> Array:
+    """Squares and traces (2, …) of priors of standard deviations `size` by values and variances."""
     information = np.divide(1.0, size**2, out=np.zeros_like(size), where=size > 0.0)
-    learned = 1.0 - variance * information
-    return QuadraticForms(square=off**2 * information, trace=learned, double=np.minimum(np.maximum(learned, 0.0), 1.0))
+    return np.stack([off**2 * information, 1.0 - variance * information])
+
+
+def score(hyperparameters: Hyperparameters, solution: Solution) -> Array:
+    """The gradient (D,) of ℓ."""
+    square, trace = quadratic_forms(hyperparameters, solution)
+    return np.asarray(square - trace + solution.of_prior[1])
 
 
 def size_factors(
@@ -390,19 +316,19 @@ def hyperparameters_of(problem: Problem, noise: NoiseModel, seen: BoolArray) -> 
     undisturbed = problem.prior.undisturbed
 
     # components of scatter: each stands beside the noise along its directions
-    both = (
-        (noise.rest, *noise.rest_directions),
-        (noise.turn, *noise.turn_directions),
-        (noise.link, *noise.link_directions),
-    )
+    beside: list[list[Array]] = [[] for _ in SCATTER]
+    for covariance, (Z, place) in (
+        (noise.rest, noise.rest_directions),
+        (noise.turn, noise.turn_directions),
+        (noise.link, noise.link_directions),
+    ):
+        length, size = (Z**2).sum(axis=1), ((covariance @ Z) * Z).sum(axis=1)
+        for number in set(place.tolist()):
+            own = (place == number) & (length > 0.0)
+            beside[number].append(size[own] / length[own] ** 2)
     for number, (name, (unit, words)) in enumerate(SCATTER_WORDS.items()):
-        beside = [np.zeros(0)]
-        for covariance, Z, place in both if seen[number] and not (undisturbed and name in REST_SCATTER) else ():
-            along = Z[:, :, place == number]
-            length = (along**2).sum(axis=1)
-            size = np.einsum("kaq,kab,kbq->kq", along, covariance, along)
-            beside.append(size[length > 0.0] / length[length > 0.0] ** 2)
-        if len(every := np.concatenate(beside)):
+        every = np.concatenate([np.zeros(0), *beside[number]])
+        if seen[number] and len(every) and not (undisturbed and name in REST_SCATTER):
             usual = 1.0 if name in LINK_SCATTER else float(np.sqrt(np.median(every)))
             out.append(Scatter(name=name, unit=unit, words=words, usual=usual, members=slice(number, number + 1)))
 
@@ -488,17 +414,6 @@ def solution_at(linearisation: Linearisation, hyperparameters: Hyperparameters, 
     problem, components = scaled(linearisation.problem, hyperparameters, phi)
     here = linearisation.with_priors(problem).with_components(components)
     return add_priors(here, eliminate_rests(here), phi=phi, of_prior=hyperparameters.log_prior(phi))
-
-
-def score(hyperparameters: Hyperparameters, solution: Solution) -> tuple[Array, Array]:
-    """Gradient (D,) of ℓ, and its information (D, D) as far as it is had in closed form: of components of scatter that
-    of two together, else each for itself."""
-    score = Score(solution)
-    forms, some = score.of(hyperparameters), hyperparameters.members(Scatter, len(SCATTER))
-    along = some * score.variances
-    together = along @ score.scatter_products @ along.T
-    information = 2.0 * together + np.diag(2.0 * (forms.double - together.diagonal()) + solution.of_prior[2])
-    return score.gradient(hyperparameters), information
 
 
 def average_information(hyperparameters: Hyperparameters, solution: Solution) -> Array:

@@ -48,6 +48,7 @@ from functools import cached_property, partial
 import numpy as np
 import scipy
 
+from tumble.inference.elimination_kernels import fold_sizes, mean_covariance
 from tumble.inference.estimate import Integral
 from tumble.inference.hyperparameters import (
     CorrelationTime,
@@ -55,7 +56,7 @@ from tumble.inference.hyperparameters import (
     Hyperparameter,
     Hyperparameters,
     InRunSize,
-    Score,
+    quadratic_forms,
     scaled,
     solution_at,
 )
@@ -106,6 +107,8 @@ FEW = 4.0
 SHOWN = 0.2
 """Twice the members of a group of which the session learns something where it is as large as its prior allows for: of
 less, its size is not shown at all, and stays that of the sheet."""
+NO_WEIGHT = 1e-12
+"""Of the sizes at a point: one that counts for nothing."""
 MIXED = 128
 """Draws of the mixture of Gaussians of which coverage factors are taken."""
 SHIFT = 0.6180339887498949
@@ -257,7 +260,7 @@ class Proposal:
     def about(fitted: Maximum) -> Proposal:
         """The proposal by the score and the average information at the maximum."""
         hyperparameters, solution, phi, B = fitted.hyperparameters, fitted.solution, fitted.phi, fitted.curvature
-        forms, densities = Score(solution).of(hyperparameters), dict[int, Density]()
+        forms, densities = quadratic_forms(hyperparameters, solution), dict[int, Density]()
         sizes = [i for i, h in enumerate(hyperparameters) if isinstance(h, GroupSize)]
         if sizes:
             densities |= _densities_of_sizes(fitted, sizes)
@@ -280,7 +283,7 @@ class Proposal:
         densities |= _densities_of_times(fitted, spread)
         for i in (each for each in outer if each not in densities):
             h = hyperparameters[i]
-            density = partial(_size_density, h, phi[i], (forms.square[i], forms.trace[i]), curvature[i])
+            density = partial(_size_density, h, phi[i], tuple(forms[:, i]), curvature[i])
             if i in times:
                 in_run[i] = times[i], density
             else:
@@ -413,21 +416,32 @@ class Triangles:
             **{f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Triangles)}
         )
 
-    def of_groups(self, point: IntArray, sizes: Array) -> tuple[Array, Array, Array]:
-        """The values (P, g) and covariances (P, g, g) of the parameters of the groups, with priors of these standard
-        deviations (P, g), each at one of the points (P,), and ln L (P,), less a constant."""
-        both, right, pivots = sizes[:, :, None] * sizes[:, None, :], self.right[point], np.ones(sizes.shape)
-        inverse = both * self.information[point] + np.eye(sizes.shape[1])
-        for B, pivot in zip(inverse, pivots, strict=True) if sizes.shape[1] else ():
-            root, failed = scipy.linalg.lapack.dpotrf(B.T, overwrite_a=1, clean=0)
-            if failed:
-                raise np.linalg.LinAlgError("Matrix is not positive definite")
-            pivot[:] = root.diagonal()
-            scipy.linalg.lapack.dpotri(root, overwrite_c=1)  # in place: above its diagonal B stays
-        covariances = both * np.where(np.tri(sizes.shape[1], dtype=bool), inverse, np.swapaxes(inverse, 1, 2))
-        values = (covariances @ right[:, :, None])[:, :, 0]
-        log_likelihood = 0.5 * ((right * values).sum(axis=1) - self.deviance[point]) - np.log(pivots).sum(axis=1)
-        return values, covariances, log_likelihood
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Folded:
+    """The parameters c of groups with priors of L standard deviations `sizes` (L, g) folded into what is known of them:
+    their `values` (L, g), ln L (L,) less its value where they are zero, and `factors` of B (L, g, g)."""
+
+    sizes: Array
+    values: Array
+    log_likelihood: Array
+    factors: Array
+
+    @staticmethod
+    def of(information: Array, right: Array, sizes: Array) -> Folded:
+        """Priors of these sizes folded into Λ (g, g) and h (g,)."""
+        factors = np.empty((*sizes.shape, len(right)))
+        values, log_likelihood = np.empty(sizes.shape), np.empty(len(sizes))
+        fold_sizes(information, right, sizes, factors, values, log_likelihood)
+        if not np.isfinite(log_likelihood.sum()):
+            raise np.linalg.LinAlgError("Matrix is not positive definite")
+        return Folded(sizes=sizes, values=values, log_likelihood=log_likelihood, factors=factors)
+
+    def covariance(self, weight: Array) -> Array:
+        """The mean (g, g) of the covariances of c, by weights (L,) of the sizes; those that have none are left out."""
+        out = np.empty(self.factors.shape[1:])
+        mean_covariance(self.factors, self.sizes, weight, NO_WEIGHT, np.empty(out.shape), out)
+        return out
 
 
 def triangles(
@@ -512,25 +526,27 @@ def _densities_of_sizes(fitted: Maximum, sizes: list[int]) -> dict[int, Density]
     """The densities along those sizes of groups of which the session shows something, through the maximum."""
     hyperparameters, phi = fitted.hyperparameters, fitted.phi
     members, element = members_of(fitted, np.array(sizes))
-    triangle = triangles(fitted.linearisation, hyperparameters, phi[None], members)
-    usual, out = fitted.usual_problem.usual_u[1 + members], dict[int, Density]()
-    double, one = Score(fitted.solution).of(hyperparameters).double, int(np.argmin(np.abs(KNOTS - 1.0)))
+    triangle, out = triangles(fitted.linearisation, hyperparameters, phi[None], members), dict[int, Density]()
+    usual = fitted.usual_problem.usual_u[1 + members]
+    S = usual * np.exp(np.maximum(phi[element], 0.0))
+    every = Folded.of(triangle.information[0], triangle.right[0], S[None])
+    covariance, value = every.covariance(np.ones(1)), every.values[0]
+    learned, one = quadratic_forms(hyperparameters, fitted.solution)[1], int(np.argmin(np.abs(KNOTS - 1.0)))
     for i in sizes:
-        h, at_bound = hyperparameters[i], phi[i] <= 0.0
-        curvature = 2.0 * float(double[i]) + h.within**-2 if at_bound else fitted.curvature[i, i]
+        h, at_bound, own = hyperparameters[i], phi[i] <= 0.0, np.flatnonzero(element == i)
+        curvature = 2.0 * float(learned[i]) + h.within**-2 if at_bound else fitted.curvature[i, i]
         size = max(curvature, h.within**-2) ** -0.5
         p = max(phi[i], 0.0) + KNOTS * size if at_bound else np.linspace(0.0, phi[i] + KNOTS[-1] * size, 2 * len(KNOTS))
-        every = np.tile(phi, (len(p), 1))
-        every[:, i] = p
-        S = usual * np.exp(np.maximum(every[:, element], 0.0))
-        point = np.zeros(len(S), dtype=int)
+        inverse = np.asarray(np.linalg.inv(covariance[np.ix_(own, own)]), dtype=float)  # beside the priors of all others
+        sized = usual[own] * np.exp(p)[:, None]
+        folded = Folded.of(inverse - np.diag(S[own] ** -2), inverse @ value[own], sized)
         if at_bound:
-            place = np.flatnonzero(element == i)
-            variance = np.diagonal(triangle.of_groups(point[[one]], S[[one]])[1][0])[place] / S[one, place] ** 2
+            variance = np.diag(folded.covariance(np.eye(len(p))[one])) / sized[one] ** 2
             if 2.0 * np.clip(1.0 - variance, 0.0, 1.0).sum() <= SHOWN:
                 continue
-        likelihood, grid = triangle.of_groups(point, S)[2], np.linspace(-3.0 * h.within, p[-1], FINE)
-        out[i] = Density.of(grid, np.interp(grid, p, likelihood - likelihood[0]) + h.log_prior(grid)[0])
+        grid = np.linspace(-3.0 * h.within, p[-1], FINE)
+        likelihood = np.interp(grid, p, folded.log_likelihood - folded.log_likelihood[0])
+        out[i] = Density.of(grid, likelihood + h.log_prior(grid)[0])
     return out
 
 
@@ -552,6 +568,8 @@ class Draws:
     value, within, between : (K, g), (K, g, g) and (K, g, g)
         At each point the mean of the parameters of the groups over the sizes, the mean of their covariances, and the
         covariance of their values.
+    step, variance : (K, 1 + m)
+        At each point the mean step of gravity and the parameters, and their variances.
     """
 
     phi: Array
@@ -561,6 +579,8 @@ class Draws:
     value: Array
     within: Array
     between: Array
+    step: Array
+    variance: Array
 
     @staticmethod
     def joined(parts: Sequence[Draws]) -> Draws:
@@ -583,6 +603,12 @@ class Draws:
     def weight(self) -> Array:
         """The weights (K, L) of all draws."""
         return np.asarray(self.smoothed[0][:, None] * scipy.special.softmax(self.log_weight, axis=1))
+
+    @property
+    def u(self) -> Array:
+        """Standard uncertainties (1 + m,) of gravity and the parameters."""
+        weight = self.smoothed[0]
+        return np.asarray(np.sqrt(weight @ self.variance + weight @ (self.step - weight @ self.step) ** 2))
 
     def moments(self, *, process: bool = False) -> tuple[Array, Array, Array]:
         """The mean step (1 + m,), the mean of the covariances at the draws (1 + m, 1 + m), and the covariance of the
@@ -607,12 +633,11 @@ class Draws:
         weight, every = np.cumsum(self.weight.ravel()), self.triangles
         drawn, count = np.unique(np.searchsorted(weight, (np.arange(MIXED) + 0.5) / MIXED), return_counts=True)
         point, size = np.divmod(np.minimum(drawn, len(weight) - 1), self.sizes.shape[1])
-        values, covariances, _ = every.of_groups(point, self.sizes[point, size])
         means, variance = every.alpha[point], np.diagonal(every.omega, axis1=1, axis2=2)[point]
-        for row, k in enumerate(point.tolist()):
-            gamma = every.gamma[k]
-            means[row] += gamma @ values[row]
-            variance[row] += ((gamma @ covariances[row]) * gamma).sum(axis=1)
+        for row, (k, of_point) in enumerate(zip(point.tolist(), self.sizes[point, size], strict=True)):
+            gamma, folded = every.gamma[k], Folded.of(every.information[k], every.right[k], of_point[None])
+            means[row] += gamma @ folded.values[0]
+            variance[row] += ((gamma @ folded.covariance(np.ones(1))) * gamma).sum(axis=1)
         return means, np.sqrt(variance), count / MIXED
 
 
@@ -622,15 +647,16 @@ def _drawn(fitted: Maximum, proposal: Proposal, count: int, sequence: int) -> Dr
     phi, log_q = proposal.points(fitted.phi, count, sequence)
     sizes = fitted.usual_problem.usual_u[1 + members] * np.exp(np.maximum(phi[:, :, element], 0.0))
     every = triangles(fitted.linearisation, hyperparameters, phi[:, 0], members)
-    log_weight = hyperparameters.log_prior(phi)[0].sum(axis=-1) - log_q
+    log_weight = hyperparameters.log_prior(phi)[0].sum(axis=-1) - log_q - 0.5 * every.deviance[:, None]
     value, (within, between) = np.zeros_like(every.right), np.zeros((2, *every.information.shape))
-    for k, of_point in enumerate(sizes):
-        values, covariances, log_likelihood = every.of_groups(np.full(len(of_point), k), of_point)
-        log_weight[k] += log_likelihood
+    for k, of_point in enumerate(sizes if len(members) else ()):
+        folded = Folded.of(every.information[k], every.right[k], of_point)
+        log_weight[k] += folded.log_likelihood
         w = scipy.special.softmax(log_weight[k])
-        value[k], within[k] = w @ values, np.tensordot(w, covariances, axes=1)
-        off = values - value[k]
+        value[k], within[k] = w @ folded.values, folded.covariance(w)
+        off = folded.values - value[k]
         between[k] = (off.T * w) @ off
+    of_groups = ((every.gamma @ (within + between)) * every.gamma).sum(axis=2)
     return Draws(
         phi=phi,
         log_weight=log_weight,
@@ -639,12 +665,14 @@ def _drawn(fitted: Maximum, proposal: Proposal, count: int, sequence: int) -> Dr
         value=value,
         within=within,
         between=between,
+        step=every.alpha + (every.gamma @ value[:, :, None])[:, :, 0],
+        variance=np.diagonal(every.omega, axis1=1, axis2=2) + of_groups,
     )
 
 
 def _u_error(drawn: Sequence[Draws]) -> float:
     """Half the difference of u by two sets of draws, relative, of the parameter of which it is largest."""
-    first, second = (np.sqrt(np.diag(within + between)) for _, within, between in (each.moments() for each in drawn))
+    first, second = (each.u for each in drawn)
     return float(np.max(np.abs(first - second) / np.maximum(first + second, 1e-300)))
 
 

@@ -37,25 +37,21 @@ from dataclasses import replace
 import numpy as np
 import scipy
 
-from tumble.inference.hyperparameters import score, solution_at
-from tumble.inference.integral import Conditional, conditional, coverage_factors
+from tumble.inference.hyperparameters import solution_at
+from tumble.inference.integral import conditional, coverage_factors
 from tumble.inference.linearisation import Linearisation, linearise
-from tumble.inference.maximum import Maximum, likeliest, maximum
-from tumble.inference.normal_equations import Solution
+from tumble.inference.maximum import Maximum, likeliest, likeliest_phi, maximum
 from tumble.inference.problem import Problem
 from tumble.sensors.parameters import THERMAL, sensor_kind, variable_of
 from tumble.units import Array
 
-LAGS = np.array([0.0, 5.0, 10.0, 25.0, 50.0, 100.0, 200.0, 400.0, 800.0])
-"""s: lags from which the best is sought."""
-_APART = np.concatenate([[0.5], 2.0 ** np.arange(0.0, 10.5)])
-LAGS_ABOUT = np.concatenate([-_APART[::-1], [0.0], _APART])
-"""s: from the lag that is held, where its likelihood is taken at first, and at zero."""
+LAGS = np.array([0.0, 5.0, 10.0, 25.0, 50.0, 100.0, 200.0, 400.0, 800.0, 1600.0])
+"""s: lags at which the likelihood is taken at first."""
+NEAR = 0.3
+"""Standard deviations by which the likeliest lag may be apart from the one that is held."""
 RESOLVED, HALVINGS = 0.2, 10
 """Largest probability of one lag of a grid that resolves the likelihood, half a standard deviation of a Gaussian from
 the next, and how often steps beside likelier ones are halved at most."""
-PHI_STEPS, ENOUGH, SHORTEST = 5, 0.2, -0.9
-"""Steps of φ at a lag at most, twice the gain in ℓ that is not worth one, and twice the shortest of a logarithm."""
 LAG_ROUNDS = 3
 """Solutions with lags of which each shows the one before to be wrong, at most."""
 
@@ -77,60 +73,64 @@ def maximum_with_lags(start: Linearisation, iterations: int) -> tuple[Maximum, A
     spread
         By how much the covariance (m, m) of the parameters is greater because the lags are not known.
     """
-    problem = start.problem
-    lags, spread = problem.lags, np.zeros((len(problem.instrument.names),) * 2)
+    lags, spread = start.problem.lags, np.zeros((len(start.problem.instrument.names),) * 2)
     if not lags:
         return likeliest(start, iterations), spread
-    usual = {kind: problem.observations.usual[f"{kind}.lag"] for kind in lags}
+    usual = {kind: start.problem.observations.usual[f"{kind}.lag"] for kind in lags}
 
     def held(values: Array, near: Linearisation) -> Linearisation:
         """The linearisation where the lags are known to be those among values (m,)."""
-        there = linearise(free.with_lags(values), replace(near.point, values=values), near.about)
+        there = linearise(near.problem.with_lags(values), replace(near.point, values=values), near.about)
         return replace(there, noise=there.noise.weighted(*near.noise.weights))
 
-    def with_lag(values: Array, kind: str, lag: float) -> Array:
-        out = values.copy()
-        out[lags[kind]] = lag
-        return out
+    def again(values: Array) -> Maximum:
+        return maximum(held(values, replace(fitted.linearisation, point=fitted.point)), fitted.phi, iterations)
 
     def penalty(kind: str, lag: Array) -> Array:
         """−2 ln of the prior of a lag, Eq. (1)."""
         return np.asarray(8.0 * np.log1p(0.5 * lag / usual[kind]))
 
-    def again(values: Array) -> Maximum:
-        return maximum(held(values, replace(fitted.linearisation, point=fitted.point)), fitted.phi, iterations)
-
     def solutions(kind: str) -> Callable[[Array], tuple[Array, Array]]:
         """−2 ln of the posterior of lags of a kind, and with them covariances and values (L, m, m + 1) of the
-        parameters."""
+        parameters. Each begins with φ between those of the lags about it."""
+        values, i = fitted.point.values, lags[kind]
+        here = held(values, replace(fitted.linearisation, point=fitted.point))
+        known, B = {float(values[i]): fitted.phi}, fitted.curvature
 
-        def at_lags(tried: Array) -> tuple[Array, Array]:
-            values, every = fitted.point.values, list[Conditional]()
-            here = held(values, replace(fitted.linearisation, point=fitted.point))
-            for lag in tried.tolist():
-                other = with_lag(values, kind, lag)
-                there = here.at_lags(free.with_lags(other), other)
-                every.append(conditional(likeliest_near(fitted, there)))
-            value = np.array([each.value for each in every])
-            both = np.array([np.column_stack([each.covariance[1:, 1:], values + each.step[1:]]) for each in every])
-            return penalty(kind, tried) - 2.0 * value, both
+        def at(tried: Array) -> tuple[Array, Array]:
+            nonlocal B
+            deviance, both = penalty(kind, tried), np.empty((len(tried), len(values), len(values) + 1))
+            for k in np.argsort(np.abs(tried - values[i])):
+                lag, other = float(tried[k]), values.copy()
+                other[i] = lag
+                there = here.at_lags(here.problem.with_lags(other), other)
+                before, every = zip(*sorted(known.items()), strict=True)
+                phi = np.array([np.interp(lag, before, element) for element in np.transpose(every)])
+                solution = solution_at(there, fitted.hyperparameters, phi)
+                solution, B, *_ = likeliest_phi(fitted.hyperparameters, solution, B)
+                known[lag], found = solution.phi, conditional(solution)
+                deviance[k] -= 2.0 * found.value
+                both[k, :, :-1], both[k, :, -1] = found.covariance[1:, 1:], values + found.step[1:]
+            return deviance, both
 
-        return at_lags
+        return at
 
     def goodness(fit: Maximum) -> float:
         """ln of the posterior of φ and the lags."""
-        return float(fit.solution.log_posterior) - 0.5 * sum(
-            float(penalty(kind, fit.point.values[i])) for kind, i in lags.items()
-        )
+        of_lags = [float(penalty(kind, fit.point.values[i])) for kind, i in lags.items()]
+        return float(fit.solution.log_posterior) - 0.5 * sum(of_lags)
 
-    free = problem
     fitted = likeliest(held(start.point.values, start), iterations)
-    free = replace(problem, bias_after=fitted.problem.bias_after)
-    for _ in range(LAG_ROUNDS):
-        values = fitted.point.values
-        for kind in lags:
-            grid, weight, _ = resolved(solutions(kind), LAGS)
-            values = with_lag(values, kind, float(grid[np.argmax(weight / widths(grid))]))
+    for left in reversed(range(LAG_ROUNDS)):
+        at_lags = {kind: solutions(kind) for kind in lags}
+        grids = {kind: resolved(at_lags[kind], LAGS) for kind in lags}
+        values, moved = fitted.point.values.copy(), False
+        for kind, (grid, weight, _) in grids.items():
+            values[lags[kind]] = grid[np.argmax(weight / widths(grid))]
+            u = np.sqrt(weight @ (grid - weight @ grid) ** 2)
+            moved |= abs(values[lags[kind]] - fitted.point.values[lags[kind]]) > NEAR * u
+        if not (left and moved):
+            break
         other = again(values)
         if goodness(other) <= goodness(fitted):
             break
@@ -138,40 +138,17 @@ def maximum_with_lags(start: Linearisation, iterations: int) -> tuple[Maximum, A
     means, prior_u = fitted.point.values.copy(), fitted.problem.prior_u[1:]
     others = np.delete(np.arange(len(means)), list(lags.values()))
     for kind, i in lags.items():
-        at_lags, own = solutions(kind), coefficients(fitted.problem, kind)
-        about = fitted.point.values[i] + LAGS_ABOUT
-        grid, weight, at_grid = resolved(at_lags, np.append(0.0, about[about > 0.0]))
+        (grid, weight, at_grid), own = grids[kind], coefficients(fitted.problem, kind)
         prior = np.exp(-0.5 * penalty(kind, grid)) * widths(grid)
         log_odds = [log_odds_of_change(each[own][:, [*own, -1]], prior_u[own]) for each in at_grid]
         change = float(scipy.special.expit(scipy.special.logsumexp(log_odds, b=prior / prior.sum())))
         means[i] = change * float(weight @ grid)
         spread[i, i] = weight @ (grid - means[i]) ** 2
-        (held_one,) = at_lags(means[[i]])[1]
+        (held_one,) = at_lags[kind](means[[i]])[1]
         every = np.vstack([without(held_one, own)[None], at_grid])[:, others][:, :, [*others, -1]]
         more = greater_by(every, held_one[others][:, [*others, -1]], np.append(1.0 - change, change * weight))
         spread[np.ix_(others, others)] += more
     return again(means), spread
-
-
-def likeliest_near(fitted: Maximum, there: Linearisation) -> Solution:
-    """The solution of other rows at the φ that is likeliest with them: with a lag that is wrong biases seem to wander
-    more. From that of a maximum by Newton's steps s with the curvature there, which of the logarithm of a standard
-    deviation are too long: where squares are r times as large as is expected s = (r − 1)/2 takes the place of
-    (ln r)/2."""
-    hyperparameters, phi, B = fitted.hyperparameters, fitted.phi, fitted.curvature
-    bounded = hyperparameters.bounded
-    best, share = solution_at(there, hyperparameters, phi), 1.0
-    for _ in range(PHI_STEPS):
-        gradient, _ = score(hyperparameters, best)
-        free = np.flatnonzero(~(bounded & (best.phi <= 0.0) & (gradient <= 0.0)))
-        step = np.zeros(len(phi))
-        step[free] = np.linalg.solve(B[np.ix_(free, free)], gradient[free])
-        if float(gradient @ step) < ENOUGH:
-            break
-        step = 0.5 * np.log1p(np.maximum(2.0 * share * step, SHORTEST))
-        after = solution_at(there, hyperparameters, best.phi + step)
-        best, share = (after, 1.0) if after.log_posterior > best.log_posterior else (best, 0.2 * share)
-    return best
 
 
 def without(solution: Array, own: list[int]) -> Array:

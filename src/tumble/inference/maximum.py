@@ -10,9 +10,9 @@ the logarithm of the posterior of φ with x integrated out, r being the residual
 
     x   Gauss–Newton: x ← x + argmin over the rows linearised at x. Turns are integrated again about the current
         parameters wherever the second-order effect of the change since counts.
-    φ   at fixed rows a trust region: s = B⁻¹γ, |s|∞ ≤ Δ, with the analytic score γ, and B, at first the information of
-        the score, then by the updates of Broyden, Fletcher, Goldfarb and Shanno, and where these have settled
-        the average information, with which it goes on where φ has not. Sizes λ = exp(max(p, 0)) have p ≥ 0:
+    φ   at fixed rows a trust region: s = B⁻¹γ, |s|∞ ≤ Δ, with the analytic score γ, and B, at first the average
+        information, then by the updates of Broyden, Fletcher, Goldfarb and Shanno, and where these have settled the
+        average information again, with which it goes on where φ has not. Sizes λ = exp(max(p, 0)) have p ≥ 0:
         below, p has nothing to do with the data.
 
 It ends where a step of x is negligible beside u (CONVERGED) and ½ γᵀB⁻¹γ, what ℓ would still gain, below GAIN
@@ -46,7 +46,6 @@ from tumble.inference.hyperparameters import (
     Hyperparameters,
     InRunSize,
     Scatter,
-    Score,
     average_information,
     hyperparameters_of,
     score,
@@ -184,39 +183,12 @@ def maximum(
     hyperparameters = hyperparameters_of(problem, start.noise, _seen(solve(start, NO_COMPONENTS)))
     if phi is None or len(phi) != len(hyperparameters):
         phi = hyperparameters.centre
-    bounded = hyperparameters.bounded
-    increments, near, gain, enough = list[Array](), False, np.inf, GAIN * max(1, len(phi))
-    radius, B = FURTHEST, np.zeros((0, 0))
+    increments, near, phi_settled, B, radius = list[Array](), False, False, None, FURTHEST
     while True:
         solution = solution_at(linearisation, hyperparameters, phi)
-        gradient, information = score(hyperparameters, solution)
         near = near or len(increments) >= FAR_STEPS or negligible(solution, NEAR)
-        B, exact = information if gain == np.inf else B, False
-
-        # φ by a trust region, at these rows
-        for _ in range(STEPS if near else 0):
-            free = np.flatnonzero(~(bounded & (solution.phi <= 0.0) & (gradient <= 0.0)))
-            step = np.zeros(len(phi))
-            step[free] = np.linalg.solve(B[np.ix_(free, free)], gradient[free])
-            gain = 0.5 * float(gradient @ step)
-            if not np.isfinite(gain):
-                raise np.linalg.LinAlgError("a step over what the model does not know of itself is not finite")
-            if gain < enough and (exact or not negligible(solution)):
-                break
-            if gain < enough:  # settled as far as B tells: once more by the average information
-                B, exact = average_information(hyperparameters, solution), True
-                continue
-            step *= min(1.0, radius / float(np.abs(step).max()))
-            step = np.where(bounded, np.maximum(solution.phi + step, 0.0), solution.phi + step) - solution.phi
-            tried = solution_at(linearisation, hyperparameters, solution.phi + step)
-            tried_gradient = Score(tried).gradient(hyperparameters)
-            expected = float(gradient @ step - 0.5 * step @ B @ step)
-            gained = float(tried.log_posterior - solution.log_posterior)
-            B = _updated(B, step, gradient - tried_gradient)
-            small = gained < 0.1 * expected or expected <= 0.0
-            radius = 0.3 * float(np.abs(step).max()) if small else min(2.0 * radius, FURTHEST)
-            if gained > 0.0:
-                solution, gradient, exact = tried, tried_gradient, False
+        if near:
+            solution, B, radius, phi_settled = likeliest_phi(hyperparameters, solution, B, radius)
         phi = solution.phi
         if known is not None and near and len(phi) == len(known.phi):
             away, below = phi - known.phi, float(known.solution.log_posterior - solution.log_posterior)
@@ -234,19 +206,70 @@ def maximum(
         if len(increments) >= TO_AND_FRO:  # rows that have the blame by turns share it
             rest, turn, link = (np.sqrt(0.5 * (a**2 + b**2)) for a, b in zip(weights, before, strict=True))
             weights = rest, turn, link
-        settled = negligible(solution) and about is linearisation.about and gain < enough and weights_settled
+        settled = negligible(solution) and about is linearisation.about and phi_settled and weights_settled
         if settled or len(increments) >= iterations:
             return Maximum(
                 linearisation=linearisation,
                 hyperparameters=hyperparameters,
                 solution=solution,
                 point=point,
-                curvature=B,
+                curvature=average_information(hyperparameters, solution) if B is None else B,
                 increments=tuple(increments),
                 status=Status.converged if settled else Status.ran_out,
             )
         linearisation = linearise(problem, point, about)
         linearisation = replace(linearisation, noise=linearisation.noise.weighted(*weights))
+
+
+def likeliest_phi(
+    hyperparameters: Hyperparameters, solution: Solution, B: Array | None = None, radius: float = FURTHEST
+) -> tuple[Solution, Array, float, bool]:
+    """The likeliest φ at fixed rows, by a trust region of at most STEPS steps.
+
+    Parameters
+    ----------
+    hyperparameters, solution
+        The elements of φ, and a solution to begin from.
+    B : (D, D)
+        The curvature of −ℓ by φ, as far as it is known; that of the average information where None.
+    radius
+        Δ, the largest step.
+
+    Returns
+    -------
+    solution, B, radius
+        The last solution, with curvature and Δ. Where x has settled, too, B is the average information there.
+    settled
+        Whether ℓ would gain by B no more than GAIN by each element.
+    """
+    exact, linearisation, bounded = B is None, solution.linearisation, hyperparameters.bounded
+    gradient, enough = score(hyperparameters, solution), GAIN * max(1, len(hyperparameters))
+    if B is None:
+        B = average_information(hyperparameters, solution)
+    for _ in range(STEPS):
+        free = np.flatnonzero(~(bounded & (solution.phi <= 0.0) & (gradient <= 0.0)))
+        step = np.zeros(len(gradient))
+        step[free] = np.linalg.solve(B[np.ix_(free, free)], gradient[free])
+        gain = 0.5 * float(gradient @ step)
+        if not np.isfinite(gain):
+            raise np.linalg.LinAlgError("a step over what the model does not know of itself is not finite")
+        if gain < enough and (exact or not negligible(solution)):
+            break
+        if gain < enough:  # settled as far as B tells: once more by the average information
+            B, exact = average_information(hyperparameters, solution), True
+            continue
+        step *= min(1.0, radius / float(np.abs(step).max()))
+        step = np.where(bounded, np.maximum(solution.phi + step, 0.0), solution.phi + step) - solution.phi
+        tried = solution_at(linearisation, hyperparameters, solution.phi + step)
+        tried_gradient = score(hyperparameters, tried)
+        expected = float(gradient @ step - 0.5 * step @ B @ step)
+        gained = float(tried.log_posterior - solution.log_posterior)
+        B = _updated(B, step, gradient - tried_gradient)
+        small = gained < 0.1 * expected or expected <= 0.0
+        radius = 0.3 * float(np.abs(step).max()) if small else min(2.0 * radius, FURTHEST)
+        if gained > 0.0:
+            solution, gradient, exact = tried, tried_gradient, False
+    return solution, B, radius, gain < enough
 
 
 def likeliest(start: Linearisation, iterations: int = MAX_ITERATIONS) -> Maximum:
@@ -257,9 +280,11 @@ def likeliest(start: Linearisation, iterations: int = MAX_ITERATIONS) -> Maximum
     * turns of large scatter: where turns are spoilt, parameters and accelerometers may have taken the blame;
     * groups far larger than usual: scatter may have taken what is theirs;
     * where rests scatter, biases that are anew at every rest, a turn having that of the rest before it or of the rest
-      after it."""
-    best = maximum(start, iterations=iterations)
-    if start.problem.observations.turns is None:
+      after it.
+
+    In motion without turns there is nothing of this."""
+    best, turns = maximum(start, iterations=iterations), start.problem.observations.turns
+    if turns is None or (start.problem.moves and not len(turns)):
         return best
     hyperparameters, starts = best.hyperparameters, list[tuple[float, Array]]()
     centre = np.array([h.centre for h in hyperparameters])
@@ -375,7 +400,7 @@ def _with_gravity_kept(solution: Solution) -> tuple[Array, Array, Array]:
     problem = solution.problem
     if float(problem.prior_u[0]) < PLACE_UNKNOWN * float(problem.prior_mean[0]):
         return solution.parameters, solution.angles, solution.local
-    q, follow = len(problem.local_u), solution.equations.back_substitution[2]
+    q, follow = len(problem.local_u), solution.equations.follow
     by_gravity = solution.parameters[0] / solution.covariance[0, 0]
     with_gravity = zip(problem.parts, solution.session_covariances[:, :, q], strict=True)
     angles = [

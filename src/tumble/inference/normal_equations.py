@@ -73,9 +73,17 @@ class NormalEquations:
         return self.noise.components.wanders
 
     @cached_property
-    def back_substitution(self) -> tuple[Array, Array, Array]:
-        """The unknowns of the rests given others (`tumble.inference.elimination.put_back`)."""
+    def inverses(self) -> tuple[Array, Array]:
+        """R⁻¹ and A of the rests (`tumble.inference.elimination.put_back`)."""
         return put_back(self.rest_factors)
+
+    @cached_property
+    def follow(self) -> Array:
+        """How the unknowns of the rests follow from what is left, along the chain: [∂δ/∂x | −δ at x = 0] (M, d, w)."""
+        inverse, by_next = self.inverses
+        out = -(inverse @ self.rest_factors[..., 2 * self.unknowns :])
+        along_chains(by_next, out)
+        return out
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -151,7 +159,7 @@ class Solution:
     @cached_property
     def unknowns(self) -> Array:
         """The unknowns (M, d) of the stations, by back substitution: angles, velocities where they move, states."""
-        follow, parts = self.equations.back_substitution[2], enumerate(self.problem.parts)
+        follow, parts = self.equations.follow, enumerate(self.problem.parts)
         every = (follow[..., part.stations, :, :] @ self.shared[..., s, None, :, None] for s, part in parts)
         return np.concatenate([each[..., 0] for each in every], axis=-2)
 
@@ -169,12 +177,11 @@ class Solution:
     def conditional_covariances(self) -> Array:
         """Covariances of the unknowns of the rests given all others, with themselves and with those of the next rest
         (2, N, d, d)."""
-        inverse, by_next, _ = self.equations.back_substitution
-        return given_parameters(inverse, by_next)
+        return given_parameters(*self.equations.inverses)
 
     def along(self, unknowns: slice) -> Array:
         """How unknowns of the rests (N, k, p) go with what the others are uncertain by, a root of their covariance."""
-        follow = self.equations.back_substitution[2][..., unknowns, :-1]
+        follow = self.equations.follow[..., unknowns, :-1]
         parts = enumerate(self.problem.parts)
         return np.concatenate(
             [times(follow[..., part.stations, :, :], self.roots[..., s, :, :]) for s, part in parts], axis=-3
@@ -210,7 +217,7 @@ class Solution:
 
             1 − A S Aᵀ − (E U)(E U)ᵀ"""
         problem, equations, out = self.problem, self.equations, list[tuple[Array, Array]]()
-        (own, with_next), follow = self.conditional_covariances, equations.back_substitution[2]
+        (own, with_next), follow = self.conditional_covariances, equations.follow
         kinds = (
             (equations.rest_rows, problem.station, [part.rests for part in problem.parts]),
             (equations.turn_rows, problem.before_turn, [part.turns for part in problem.parts]),
@@ -288,9 +295,10 @@ def whiten(
 
 
 def station_rows(problem: Problem, rest: Array) -> Array:
-    """The rows of the rests (N, r, ·) at their stations (M, r, ·), zero at nodes."""
+    """The rows of the rests (N, r, ·) at their stations (M, r, ·), zero at nodes; none (M, 0, ·) without rests."""
     if not problem.moves:
         return rest
+    rest = rest if len(problem.station) else rest[..., :0, :]
     out = np.zeros((*rest.shape[:-3], len(problem.link), *rest.shape[-2:]))
     out[..., problem.station, :, :] = rest
     return out
@@ -301,6 +309,7 @@ def joint_rows(linearisation: Linearisation, turn: Array, link: Array) -> Array:
     its `link` (J, 9, 2 d + w), zero where it has none, and the steps of the s states (19)."""
     problem, noise = linearisation.problem, linearisation.noise
     s, d = noise.states, noise.unknowns
+    turn = turn if len(problem.before_turn) else turn[..., :0, :]
     *stack, _, t, width = turn.shape
     k = link.shape[-2] if problem.moves else 0
     joints = np.zeros((*stack, len(problem.link), t + k + s, width))
@@ -434,7 +443,7 @@ def session_mean_bias(equations: NormalEquations) -> tuple[Array, Array]:
         What it changes with the noise e of every rest, followed along the chain of unknowns
         u_i = A_i u_{i+1} + B_i x + a_i + R_i⁻¹ e_i from the first.
     """
-    inverse, by_next, follow = equations.back_substitution
+    inverse, by_next = equations.inverses
     n = equations.noise.biases
     sigma, first = equations.noise.state_sigma[..., :n], equations.unknowns - equations.noise.states
     biases, (*stack, N, d, _) = slice(first, first + n), inverse.shape
@@ -443,7 +452,8 @@ def session_mean_bias(equations: NormalEquations) -> tuple[Array, Array]:
     back[..., :-1, :, :] = np.swapaxes(by_next[..., -2::-1, :, :], -1, -2)
     along_chains(back, carried)
     by_noise = np.swapaxes(carried[..., ::-1, :, :], -1, -2) @ inverse
-    return sigma[..., None] * follow[..., biases, :].mean(axis=-3), by_noise
+    along, rows = np.swapaxes(by_noise, -3, -2).reshape(*stack, n, -1), equations.rest_factors[..., 2 * d :]
+    return -(along @ rows.reshape(*stack, N * d, -1)), by_noise
 
 
 def mean_by_common(by_shared: Array, head: Array) -> tuple[Array, Array]:

@@ -94,7 +94,7 @@ def contributions(solution: Solution) -> dict[str, Array]:
     """By source the covariance (1 + m, 1 + m) of gravity and the parameters, biases being those of the session where
     there is one and they wander."""
     problem, equations, linearisation = solution.problem, solution.equations, solution.linearisation
-    noise, (inverse, by_next, follow) = equations.noise, equations.back_substitution
+    noise, (inverse, by_next), follow = equations.noise, equations.inverses, equations.follow
     d, q, size, biases = equations.unknowns, solution.local.shape[-1], len(solution.parameters), 1 + problem.biases
     accelerometers, rest_weights, turn_weights = problem.instrument.accel.size, noise.rest_weights, noise.turn_weights
     whitening = (

@@ -5,8 +5,7 @@
 N readings y (N, 3), in units of the true quantity after nominal scale and polarity, lie on an ellipsoid. Its centre is
 the bias; its shape gives M Mᵀ, the lengths of the rows of M (scale factors) and the angles between them
 (nonorthogonality). M is determined up to a rotation, which is chosen so that M is in the accelerometer frame.
-Accelerometers at rest (m = g), magnetometers (m = the field) and gyros on a table that turns at a constant rate (m =
-that rate) are the same problem.
+Of accelerometers at rest m is g.
 
 The algebraic fit of Li & Griffiths gives the ellipsoid without a start (`quadric`).
 
@@ -14,20 +13,11 @@ Geometric fit: least squares on |M⁻¹(y − b)| − m with the covariances of 
 algebraic fit. In programmes that surround the sphere it changes the values by a hundredth of their uncertainties; it is
 there for weights, robustness and covariance.
 
-Readings one after another of a triad that is waved about have similar errors, by coloured noise and by what the model
-does not have, so that u does not fall with their number. Whole blocks of them are then left out in turn (the
-jackknife):
-
-    δ_b = −(Σ − Σ_b)⁻¹ J_bᵀ r_b,   Σ = Σ_b Σ_b = JᵀJ,      cov = (B − 1)/B Σ_b (δ_b − δ̄)(δ_b − δ̄)ᵀ
-
-with B − 1 degrees of freedom. Errors across the vector make it longer by σ²/m, which is added to u of the modulus.
-
 The polarity of a channel is not in the data, since t and −t have the same length: it comes from the nominal scale or
 from roughly known positions (`readings`).
 
 Source, with its numbers: the ellipsoid paper (calibration of a triaxial block of navigation accelerometers by ellipsoid
-fitting), whose sign of Eq. (13), b = A u0, is lost in print. Jackknife: Efron (1982), The Jackknife, the Bootstrap and
-Other Resampling Plans, ch. 3; by blocks Künsch (1989), The Annals of Statistics 17, 1217-1241.
+fitting), whose sign of Eq. (13), b = A u0, is lost in print.
 """
 
 from __future__ import annotations
@@ -53,7 +43,7 @@ from tumble.methods.least_squares import (
 )
 from tumble.methods.quadric import fit_many
 from tumble.sensors.model import Block, SensorModel, to_accelerometer_frame
-from tumble.units import Array, BoolArray, IntArray
+from tumble.units import Array, BoolArray
 
 TRIAD = Block(kind="accel", axes=np.eye(3))
 """Three sensors along X, Y, Z with the parameters bias, scale and the angles yx, zx, zy of their own frame."""
@@ -138,14 +128,12 @@ def fit_ellipsoid(
     covariance: Array | None = None,
     block: Block = TRIAD,
     bad_sigmas: float = BAD_SIGMAS,
-    blocks: IntArray | None = None,
 ) -> EllipsoidFit | Refusal:
     """Calibrate a triad from readings (N, 3) of a vector of length `modulus` in N unknown orientations, in the unit of
     the modulus after nominal scale and polarity, in the frame that `block` fixes.
 
     `covariance` (N, 3, 3) is that of their noise, in addition to which a scatter is estimated; without it all are
-    equally good. A position more than `bad_sigmas` from the fit through the others is left out. For samples one after
-    another, `blocks` (N,) are the numbers, from 0, of the blocks that the jackknife leaves out.
+    equally good. A position more than `bad_sigmas` from the fit through the others is left out.
 
     >>> import numpy as np, tumble
     >>> faces = np.vstack([np.eye(3), -np.eye(3)])
@@ -172,12 +160,11 @@ def fit_ellipsoid(
         covariance=np.broadcast_to(noise + (FLOOR * modulus) ** 2 * np.eye(3), (len(readings), 3, 3)),
         noisy=covariance is not None,
         block=block,
-        blocks=blocks,
     )
     used = np.ones(len(readings), dtype=bool)
     while True:
         found = _fitted(sphere, used)
-        worst = _worst_position(sphere, found, used) if blocks is None else None
+        worst = _worst_position(sphere, found, used)
         bad = worst is not None and worst.sigmas > bad_sigmas
         most = max(1, int(MOST_BAD * len(readings)))
         if worst is None or not bad or worst.rivals or (~used).sum() + 1 > most:
@@ -206,7 +193,6 @@ class _Sphere:
     covariance: Array
     noisy: bool
     block: Block
-    blocks: IntArray | None
 
     def start(self, used: BoolArray) -> Array | None:
         """Parameter values of the algebraic fit; None where there is none."""
@@ -276,17 +262,12 @@ def _fitted(sphere: _Sphere, used: BoolArray) -> EllipsoidFit | None:
     out = np.where(used, sigmas(z, degrees, scatter > 0.0), z)
     if scatter > 0.0:
         out[~used] = as_normal(z[~used], degrees)
-    by_noise, modulus_u = solution.covariance, sphere.modulus_u
-    noise_degrees = float(degrees) if scatter > 0.0 else np.inf
-    if sphere.blocks is not None:
-        by_noise = _jackknife(jacobian, residual, sphere.blocks, spread)
-        noise_degrees, modulus_u = float(sphere.blocks.max()), float(np.hypot(modulus_u, scatter**2 / sphere.modulus))
-    by_modulus = -modulus_u * (solution.gain / sigma[used]).sum(axis=1)
+    by_modulus = -sphere.modulus_u * (solution.gain / sigma[used]).sum(axis=1)
     return EllipsoidFit(
         values=values,
-        covariance=by_noise + np.outer(by_modulus, by_modulus) if sphere.noisy or degrees else None,
+        covariance=solution.covariance + np.outer(by_modulus, by_modulus) if sphere.noisy or degrees else None,
         by_modulus=by_modulus,
-        noise_degrees=noise_degrees,
+        noise_degrees=float(degrees) if scatter > 0.0 else np.inf,
         model=sphere.block.model(values),
         residual=residual * sigma,
         leverage=np.where(used, leverage, 0.0),
@@ -307,17 +288,6 @@ def _fitted(sphere: _Sphere, used: BoolArray) -> EllipsoidFit | None:
 def _excess(square: Array, variance: Array, by_scatter: Array, scatter: float) -> float:
     """χ² of residuals less its mean of nine fewer than there are, with a scatter."""
     return float((square / (variance + scatter**2 * by_scatter)).sum()) - (len(square) - 9)
-
-
-def _jackknife(whitened: Array, residual: Array, blocks: IntArray, spread: Array) -> Array:
-    """Covariance (9, 9) of the module docstring, of samples judged by blocks."""
-    scaled, B = whitened * spread, int(blocks.max()) + 1
-    normal, change = scaled.T @ scaled, np.empty((B, scaled.shape[1]))
-    for b in range(B):
-        J = scaled[blocks == b]
-        change[b] = -spread * np.linalg.solve(normal - J.T @ J, J.T @ residual[blocks == b])
-    away = change - change.mean(axis=0)
-    return np.asarray((B - 1.0) / B * away.T @ away)
 
 
 def _worst_position(sphere: _Sphere, found: EllipsoidFit | None, used: BoolArray) -> WorstPosition | None:

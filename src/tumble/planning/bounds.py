@@ -37,7 +37,7 @@ from tumble.inference.sources import by_time_base, clocked
 from tumble.inference.turns_about import TurnsAbout
 from tumble.inference.uncertainty_budget import contributions
 from tumble.planning.expected_sizes import expected
-from tumble.planning.in_motion import Motion, MotionCourse, courses_of, observed_in_motion
+from tumble.planning.in_motion import Motion, observed_in_motion
 from tumble.planning.itinerary import Itinerary, itinerary_of
 from tumble.planning.setup import ACCEL, GYRO, Setup, check_setup
 from tumble.planning.steady_turns import inertial_turns, steady_samples, white_turns
@@ -111,14 +111,14 @@ def stated(setup: Setup, *, gyros: bool = True, terms: Terms = "full", motion: M
         For values that make no sense, and where there is no noise.
     """
     if motion is not None:
-        return _mean([_stated(course, setup, gyros=True, terms=terms) for course in courses_of(motion)])
+        return _mean([_stated(course, setup, gyros=True, terms=terms) for course in motion.courses])
     if not setup.programme.ordered:
         return _mean_over_orders(setup, lambda each: stated(each, gyros=gyros, terms=terms))
     course = itinerary_of(setup).as_logged(setup.ramp, USUAL.margin_of(setup.rest))
     return _stated(course, setup, gyros=gyros, terms=terms)
 
 
-def _stated(course: Itinerary | MotionCourse, setup: Setup, *, gyros: bool, terms: Terms) -> Bound:
+def _stated(course: Itinerary | Motion, setup: Setup, *, gyros: bool, terms: Terms) -> Bound:
     """What `calibrate` will state of a course."""
     seen = view(course, setup, gyros=gyros)
     seen = expected(seen.with_components(_with_drifts(seen, setup.further)))
@@ -127,7 +127,7 @@ def _stated(course: Itinerary | MotionCourse, setup: Setup, *, gyros: bool, term
     return bound_by(seen, setup.turn_rate, setup.clock_u)
 
 
-def _stated_linear(course: Itinerary | MotionCourse, setup: Setup, whole: Linearisation) -> Bound:
+def _stated_linear(course: Itinerary | Motion, setup: Setup, whole: Linearisation) -> Bound:
     """What an estimate of the linear model states, with what it leaves out, of sizes, and beside scatter, as the
     `whole` likelihood expects them."""
     gyros, components = whole.problem.observations.gyro_block is not None, whole.components
@@ -262,7 +262,7 @@ def _with_drifts(seen: Linearisation, further: Mapping[str, float]) -> VarianceC
     return components
 
 
-def view(course: Itinerary | MotionCourse, setup: Setup, *, gyros: bool) -> Linearisation:
+def view(course: Itinerary | Motion, setup: Setup, *, gyros: bool) -> Linearisation:
     """The likelihood of a course, linearised at perfect sensors and its attitudes, with white noise and in-run biases.
     Raises InputError for values that make no sense, and where there is no noise."""
     check_setup(setup)
@@ -274,7 +274,7 @@ def view(course: Itinerary | MotionCourse, setup: Setup, *, gyros: bool) -> Line
         if level == 0.0 and (gyros or sensors == "accelerometers"):
             raise InputError(f"noise: expected {sensors} with noise, found none; without it there is no bound")
     instrument, about, components = instrument_of(setup, gyros), None, components_of(noise)
-    if isinstance(course, MotionCourse):
+    if isinstance(course, Motion):
         assert instrument.gyro is not None
         observations, attitudes = observed_in_motion(course, setup, instrument.gyro)
         size, time = course.displacement

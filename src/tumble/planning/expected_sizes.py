@@ -23,11 +23,18 @@ from typing import Any
 import numpy as np
 import scipy
 
-from tumble.inference.hyperparameters import LEAST_DEGREES, GroupSize, InRunSize, Scatter, Score, hyperparameters_of
+from tumble.inference.hyperparameters import (
+    LEAST_DEGREES,
+    GroupSize,
+    InRunSize,
+    Scatter,
+    hyperparameters_of,
+    quadratic_forms,
+)
 from tumble.inference.integral import SHOWN
 from tumble.inference.linearisation import Linearisation
 from tumble.inference.noise import SCATTER, TURN_SCATTER
-from tumble.inference.normal_equations import solve
+from tumble.inference.normal_equations import Solution, solve
 from tumble.units import Array
 
 FINE = 400
@@ -43,18 +50,16 @@ def expected(seen: Linearisation) -> Linearisation:
     """A linearised likelihood with the scatter and the sizes of groups that `joint` will find in the median session,
     from one at perfect sensors with the noise of the set-up."""
     problem, components, solution = seen.problem, seen.components, solve(seen)
-    score, usual, found = Score(solution), problem.prior_u[1:], dict[str, Any]()
-    products = score.scatter_products.diagonal()
+    usual, found, products = problem.prior_u[1:], dict[str, Any](), _products(solution)
     hyperparameters = hyperparameters_of(problem, seen.noise, products > 0.0)
-    for h in hyperparameters:
+    for h, learned in zip(hyperparameters, quadratic_forms(hyperparameters, solution)[1].tolist(), strict=True):
         if isinstance(h, Scatter):
             degrees = float(products[SCATTER.index(h.name)]) * h.usual**4
             if degrees > LEAST_DEGREES:
                 found[h.name] = h.usual * _expected_scatter(degrees, of_turns=h.name in TURN_SCATTER)
         elif isinstance(h, InRunSize) and solution.equations.wanders:
-            states = score.states.double[h.members]
-            share = float(np.clip(states.mean() / len(problem.link), 1e-6, 1.0 - 1e-6))
-            every = np.ones(len(states) * len(problem.link))
+            every = np.ones(len(np.arange(seen.noise.unknowns)[h.members]) * len(problem.link))
+            share = float(np.clip(learned / len(every), 1e-6, 1.0 - 1e-6))
             factor = _expected_size(every, (1.0 - share) * every, h.within, two_sided=True)[0]
             found[h.name] = getattr(components, h.name) * float(factor)
     components = replace(components, **found)
@@ -71,6 +76,22 @@ def expected(seen: Linearisation) -> Linearisation:
             sizes[1:][h.members] = s * _expected_size(s, v, h.within) if shown else s
         problem = replace(problem, prior_u=sizes)
     return replace(seen, problem=problem).with_components(components)
+
+
+def _products(solution: Solution) -> Array:
+    """tr (PD)² (c,) of the components of scatter, by the parts within a rest and within a turn."""
+    out, equations, noise = np.zeros(len(SCATTER)), solution.equations, solution.equations.noise
+    for W, (_, C), (Z, place) in zip(
+        (equations.rest_whitening, equations.turn_whitening, equations.link_whitening),
+        (solution.rest_residuals, solution.turn_residuals, solution.link_residuals),
+        noise.weighted_directions,
+        strict=True,
+    ):
+        WZ = W @ Z
+        squares = ((np.swapaxes(WZ, 1, 2) @ C @ WZ) ** 2).sum(axis=0)
+        for number in np.unique(place):
+            out[number] += squares[np.ix_(place == number, place == number)].sum()
+    return out
 
 
 def _expected_scatter(degrees: float, *, of_turns: bool = False) -> float:
