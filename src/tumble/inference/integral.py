@@ -126,7 +126,7 @@ class Posterior:
     step, covariance : (1 + m,) and (1 + m, 1 + m)
         The mean step from the last linearisation, and the covariance, biases being the means over the session.
     sources
-        The covariance by its sources (`tumble.inference.uncertainty_budget`).
+        The covariance by its sources (`tumble.inference.uncertainty_budget`); empty where they were not asked for.
     degrees : (m,)
         Degrees of freedom of Student's t with the same coverage factor.
     process_step, process_covariance : (n,) and (n, n)
@@ -152,11 +152,12 @@ class Posterior:
     hyperparameters: Array
 
 
-def posterior(fitted: Maximum, *, integrate: bool = True) -> Posterior:
-    """The posterior about a maximum, integrated over the hyperparameters or at the maximum itself."""
+def posterior(fitted: Maximum, *, integrate: bool = True, by_source: bool = True) -> Posterior:
+    """The posterior about a maximum, integrated over the hyperparameters or at the maximum itself, there with its
+    sources or without."""
     proposal = Proposal.about(fitted) if integrate and len(fitted.solution.parameters) <= MOST_PARAMETERS else None
     if proposal is None or not (len(proposal.outer) or len(proposal.inner)):
-        return _at_maximum(fitted)
+        return _at_maximum(fitted, contributions(fitted.solution) if by_source else {})
     np.empty(KEPT_MEMORY, dtype=np.uint8)
     count = max(POINTS if len(proposal.inner) else 2 * POINTS, 2 * (len(proposal.outer) + SPARE)) // 2
     drawn, sets = [_drawn(fitted, proposal, count, sequence) for sequence in (0, 1)], 1
@@ -190,13 +191,13 @@ def posterior(fitted: Maximum, *, integrate: bool = True) -> Posterior:
     )
 
 
-def _at_maximum(fitted: Maximum) -> Posterior:
-    """The posterior at the hyperparameters of the maximum."""
+def _at_maximum(fitted: Maximum, sources: Mapping[str, Array]) -> Posterior:
+    """The posterior at the hyperparameters of the maximum, of which the covariance has these sources."""
     here = conditional(fitted.solution)
     return Posterior(
         step=here.step,
         covariance=here.covariance,
-        sources=contributions(fitted.solution),
+        sources=sources,
         degrees=np.full(len(here.step) - 1, MOST_DEGREES),
         process_step=here.process_step,
         process_covariance=here.process_covariance,
@@ -537,7 +538,9 @@ def _densities_of_sizes(fitted: Maximum, sizes: list[int]) -> dict[int, Density]
         curvature = 2.0 * float(learned[i]) + h.within**-2 if at_bound else fitted.curvature[i, i]
         size = max(curvature, h.within**-2) ** -0.5
         p = max(phi[i], 0.0) + KNOTS * size if at_bound else np.linspace(0.0, phi[i] + KNOTS[-1] * size, 2 * len(KNOTS))
-        inverse = np.asarray(np.linalg.inv(covariance[np.ix_(own, own)]), dtype=float)  # beside the priors of all others
+        inverse = np.asarray(
+            np.linalg.inv(covariance[np.ix_(own, own)]), dtype=float
+        )  # beside the priors of all others
         sized = usual[own] * np.exp(p)[:, None]
         folded = Folded.of(inverse - np.diag(S[own] ** -2), inverse @ value[own], sized)
         if at_bound:
