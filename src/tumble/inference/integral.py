@@ -107,8 +107,6 @@ FEW = 4.0
 SHOWN = 0.2
 """Twice the members of a group of which the session learns something where it is as large as its prior allows for: of
 less, its size is not shown at all, and stays that of the sheet."""
-NO_WEIGHT = 1e-12
-"""Of the sizes at a point: one that counts for nothing."""
 MIXED = 128
 """Draws of the mixture of Gaussians of which coverage factors are taken."""
 SHIFT = 0.6180339887498949
@@ -439,9 +437,9 @@ class Folded:
         return Folded(sizes=sizes, values=values, log_likelihood=log_likelihood, factors=factors)
 
     def covariance(self, weight: Array) -> Array:
-        """The mean (g, g) of the covariances of c, by weights (L,) of the sizes; those that have none are left out."""
+        """The mean (g, g) of the covariances of c, by weights (L,) of the sizes."""
         out = np.empty(self.factors.shape[1:])
-        mean_covariance(self.factors, self.sizes, weight, NO_WEIGHT, np.empty(out.shape), out)
+        mean_covariance(self.factors, self.sizes, weight, np.empty(out.shape), out)
         return out
 
 
