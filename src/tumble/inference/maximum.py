@@ -68,7 +68,7 @@ WIDE = 3.0
 """Standard deviations of p: the sizes of groups that are looked for from above."""
 ANEW = 3.0
 """s: a correlation time of biases that are anew at every rest."""
-STEPS = 6
+STEPS = 8
 """Steps over φ at one linearisation at most."""
 CONVERGED = 1e-3
 """Of the standard uncertainty: a step of x that is negligible."""
