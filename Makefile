@@ -45,6 +45,7 @@ bench: kernels
 evidence: kernels
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m evidence.run
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m evidence.real.run
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m evidence.real.waved
 
 drift: kernels
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m evidence.run --short --against evidence/results/short.json

@@ -15,6 +15,7 @@ import numpy as np
 
 from evidence import pages
 from evidence.real import page as real
+from evidence.real import waved
 from evidence.simulated.kinds import KINDS
 
 
@@ -214,6 +215,11 @@ def simulated(which: str) -> str:
     return str(makers[which](results, kinds))
 
 
+def further(which: str) -> str:
+    """A table of the simulated recordings of other kinds, or what these are."""
+    return pages.further_kinds() if which == "kinds" else pages.further_table(pages.all_results()["further"], which)
+
+
 def recorded(which: str) -> str:
     """A table or list of the real recordings, by its name."""
     results = real.read_results()
@@ -228,6 +234,7 @@ def recorded(which: str) -> str:
         "answered": lambda: table(
             ["program", "cases", "accelerometers", "gyros", "neither", "s, median"], real.answered(results)
         ),
+        "waved": lambda: waved.waved_table(waved.read_results()),
         "simulated_by_others": lambda: table(heads, real.of_others(results)),
     }[which]()
 

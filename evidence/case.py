@@ -26,9 +26,10 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.floating]
 Kind = Literal["accel", "gyro"]
-Need = Literal["gyro", "latitude", "faces", "turns of 360°", "long rest"]
-"""What a program asks of a case beside accelerometers that rest in several attitudes: gyros; the latitude; rests with
-each axis up and down; sections that are full turns about each axis; a rest at the beginning for the gyros' biases."""
+Need = Literal["accel", "gyro", "latitude", "faces", "turns of 360°", "long rest", "magnetometer", "temperatures"]
+"""What a program asks of a case: sensors; the latitude; rests with each axis up and down; sections that are full turns
+about each axis; a rest at the beginning for the gyros' biases; a range of temperatures that the device passed at
+rest."""
 
 ACCEL_NAMES = (*(f"accel.{what}.{axis}" for what in ("bias", "scale") for axis in "xyz"),
                *(f"accel.axis.{pair}" for pair in ("yx", "zx", "zy")))  # fmt: skip
@@ -36,6 +37,10 @@ GYRO_NAMES = (*(f"gyro.{what}.{axis}" for what in ("bias", "scale") for axis in 
               *(f"gyro.axis.{pair}" for pair in ("xy", "xz", "yx", "yz", "zx", "zy")))  # fmt: skip
 NAMES = (*ACCEL_NAMES, *GYRO_NAMES)
 """The 21 in which truths are stated, and every estimate is compared with them."""
+MAG_NAMES = tuple(name.replace("gyro", "mag") for name in GYRO_NAMES)
+CHANGES = tuple(f"{kind}.{what}.{axis}.{end}" for what in ("change", "thermal") for kind in ("accel", "gyro")
+                for axis in "xyz" for end in ("low", "high"))  # fmt: skip
+"""Changes of the readings at rest, and of the biases alone, from the middle of a range of temperatures to its ends."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -58,11 +63,17 @@ class Case:
     time: Array
     """End of each sample's interval (N,), s; a stamp that is later than the rate lets expect is a gap."""
     accel: Array
-    """(N, 3), m/s²."""
+    """(N, 3), m/s²; (N, 0) of gyros alone."""
     gyro: Array | None
     """(N, 3), rad/s."""
     temperature: Array | None = None
     """(N,), °C."""
+    ends: tuple[float, float, float] | None = None
+    """°C: the temperatures between which changes are to be told, and the middle, of a device that lies still."""
+    mag: Array | None = None
+    """(N, 3), µT."""
+    mag_field: float | None = None
+    """Its modulus, µT."""
     gravity: float
     """m/s², at the place."""
     gravity_u: float
@@ -105,6 +116,7 @@ class Case:
             accel=self.accel[kept],
             gyro=None if self.gyro is None else self.gyro[kept],
             temperature=None if self.temperature is None else self.temperature[kept],
+            mag=None if self.mag is None else self.mag[kept],
         )
 
 
@@ -117,6 +129,10 @@ class Estimate:
     accel_bias: Array | None = None
     gyro: Array | None = None
     gyro_bias: Array | None = None
+    mag: Array | None = None
+    mag_bias: Array | None = None
+    changes: Mapping[str, float] = field(default_factory=dict)
+    """Those of CHANGES that it tells."""
     u: Mapping[str, float] | None = None
     """Standard uncertainties in the frame of `parameters_of`; None where the program states none."""
     expanded: Mapping[str, float] | None = None
@@ -172,7 +188,10 @@ class Program:
     def lacks(self, case: Case) -> str:
         """What it needs and the case has not; empty where it can run."""
         has = {
+            "accel": case.accel.shape[1] > 0,
             "gyro": case.gyro is not None,
+            "magnetometer": case.mag is not None,
+            "temperatures": case.ends is not None,
             "latitude": case.latitude is not None,
             "faces": all(f"{axis}{sign}" in case.sections for axis in "xyz" for sign in "+-"),
             "turns of 360°": all(f"{axis} turn" in case.sections for axis in "xyz"),
@@ -227,11 +246,15 @@ def matrix_of(parameters: Mapping[str, float], kind: Kind) -> Array:
 
 
 def parameters_of(found: Estimate) -> dict[str, float]:
-    """An estimate under the names of the truth: nine of accelerometers, twelve of gyros, whichever are there. Gyros
-    without accelerometers stay in the program's own frame."""
+    """An estimate under the names of the truth: nine of accelerometers, twelve of gyros and of a magnetometer, and
+    changes, whichever are there. Without accelerometers the others stay in the program's own frame."""
     values: dict[str, float] = {}
     turned: Array = np.eye(3)
-    for kind, matrix, bias in (("accel", found.accel, found.accel_bias), ("gyro", found.gyro, found.gyro_bias)):
+    for kind, matrix, bias in (
+        ("accel", found.accel, found.accel_bias),
+        ("gyro", found.gyro, found.gyro_bias),
+        ("mag", found.mag, found.mag_bias),
+    ):
         if kind == "accel" and matrix is not None:
             matrix, turned = lower_triangular(matrix)
         elif matrix is not None:
@@ -242,4 +265,4 @@ def parameters_of(found: Estimate) -> dict[str, float]:
             scale, angles = angles_of(matrix)
             values |= {f"{kind}.scale.{axis}": float(k) for axis, k in zip("xyz", scale, strict=True)}
             values |= {f"{kind}.axis.{pair}": angle for pair, angle in angles.items()}
-    return {name: values[name] for name in NAMES if name in values}
+    return {name: values[name] for name in (*NAMES, *MAG_NAMES) if name in values} | dict(found.changes)

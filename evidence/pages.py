@@ -28,9 +28,9 @@ from typing import Any, cast
 import numpy as np
 
 from evidence import programs as benchmark
-from evidence.run import RESULTS, Results
+from evidence.run import RESULTS, SESSIONS, Results
 from evidence.score import GROUPS, USABLE, Row, Score, as_expected, by, score_of
-from evidence.simulated.kinds import KINDS, Kind, seed_of
+from evidence.simulated.kinds import FURTHER, KINDS, Kind, seed_of
 
 ROOT = Path(__file__).parents[1]
 OURS = "tumble joint"
@@ -43,10 +43,25 @@ FIGURE = re.compile(r"(?<!`)(<!-- figure: ([^>]*?) -->)(.*?)(<!-- end -->)", re.
 AT_START = re.compile(r"[ ]*\n[ ]*(<!-- figure: )")
 """A figure at the beginning of a line, where Markdown would take the comment for a block."""
 TABLE = re.compile(r"(?<!`)(<!-- table: ([^>]*?) -->\n)(.*?)(<!-- end -->)", re.S)
+G0 = 9.80665
+UNITS = {
+    "accel.bias": ("µg", 1e6 / G0), "accel.scale": ("ppm", 1e6), "accel.axis": ("mrad", 1e3),
+    "gyro.bias": ("°/h", np.degrees(1.0) * 3600.0), "gyro.scale": ("ppm", 1e6), "gyro.axis": ("mrad", 1e3),
+}  # fmt: skip
+FURTHER_UNITS = {
+    "mag.bias": ("µT", 1.0), "mag.scale": ("%", 1e2), "mag.axis": ("mrad", 1e3),
+    "accel.change": UNITS["accel.bias"], "gyro.change": UNITS["gyro.bias"],
+}  # fmt: skip
 WORDS = {
     "accel.bias": "bias", "accel.scale": "scale", "accel.axis": "axes",
     "gyro.bias": "bias", "gyro.scale": "scale", "gyro.axis": "axes",
 }  # fmt: skip
+FAMILIES = {
+    "motion": tuple(UNITS),
+    "still": ("accel.change", "gyro.change", "gyro.bias"),
+    "magnetometer": ("mag.bias", "mag.scale", "mag.axis"),
+}
+"""Of recordings of other kinds: the groups of a table."""
 
 
 # -------------------- numbers --------------------
@@ -64,6 +79,14 @@ def number(value: float | None, digits: int = 2) -> str:
     if abs(value) >= 1000.0:
         return f"{value:.1e}"
     return f"{value:.{0 if abs(value) >= 100.0 else 1 if abs(value) >= 10.0 else digits}f}"
+
+
+def digits(value: float, count: int = 2) -> str:
+    """A number with so many significant digits, without an exponent."""
+    if value == 0.0 or not np.isfinite(value):
+        return f"{value:g}"
+    places = max(0, count - 1 - int(np.floor(np.log10(abs(value)))))
+    return f"{round(value, places):.{places}f}"
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -234,6 +257,51 @@ def useless(rows: Sequence[Row], expected: Mapping[str, str]) -> list[Row]:
     return [row for row in rows if expected.get(row.kind) in bad and row.verdict != "cannot run"]
 
 
+# -------------------- recordings of other kinds --------------------
+
+
+def family_of(kind: Kind) -> str:
+    """Which table a kind is in."""
+    if kind.sensors.sweep is not None or kind.gyros_alone:
+        return "still"
+    return "motion" if kind.sensors.magnetometer is None else "magnetometer"
+
+
+def further_table(results: Results, family: str) -> str:
+    """Of kinds of a family and programs that calibrate any of it: rms of the errors by group, in its unit and in per
+    cent of what there was to find, and what errors over u are."""
+    groups, lines = FAMILIES[family], []
+    rows = by(results.rows, "kind")
+    for kind in (kind for kind in FURTHER if family_of(kind) == family):
+        for program, some in by(rows.get(kind.name, ()), "program").items():
+            usable = [row for row in some if row.verdict in USABLE and any(group in row.errors for group in groups)]
+            if not usable:
+                continue
+            score = score_of(usable)
+            lines.append([
+                f"`{kind.name}`", program, f"{len(usable)} of {len(some)}",
+                *(rms_error(usable, group) for group in groups),
+                number(score.rms), number(score.largest, 1), share(score.covered),
+            ])  # fmt: skip
+    units = {**UNITS, **FURTHER_UNITS}
+    heads = [f"`{group}`, {units[group][0]}" for group in groups]
+    return table(["kind", "program", "calibrated", *heads, "rms of error/u", "largest", "covered"], lines)
+
+
+def rms_error(rows: Sequence[Row], group: str) -> str:
+    """The rms of the errors of a group in its unit, and the same over the rms of the truths."""
+    pairs = np.array([row.errors[group] for row in rows if group in row.errors])
+    if not len(pairs):
+        return "–"
+    off, was = np.sqrt(np.mean(pairs**2, axis=0))
+    return f"{digits({**UNITS, **FURTHER_UNITS}[group][1] * off)} ({digits(100.0 * off / was)} %)"
+
+
+def further_kinds() -> str:
+    """What these kinds are."""
+    return table(["kind", "what it is"], [[f"`{kind.name}`", kind.words] for kind in FURTHER])
+
+
 # -------------------- pictures --------------------
 
 
@@ -341,13 +409,13 @@ def digest(results: Results) -> str:
 
 def all_results() -> dict[str, Results]:
     """What is in evidence/results of simulated cases; real ones have a page and a test of their own."""
-    paths = (RESULTS / f"{name}.json" for name in ("simulated", "short"))
+    paths = (RESULTS / f"{name}.json" for name in SESSIONS)
     return {path.stem: of_today(Results.read(path)) for path in paths if path.exists()}
 
 
 def of_today(results: Results) -> Results:
     """Results without programs that the benchmark no longer has."""
-    there = {program.name for program in benchmark.PROGRAMS}
+    there = {program.name for program in (*benchmark.PROGRAMS, *benchmark.FURTHER)}
     return replace(results, rows=tuple(row for row in results.rows if row.program in there))
 
 
@@ -387,7 +455,11 @@ def figure(name: str, results: Mapping[str, Results]) -> str:
         from evidence.real.page import real_figure
 
         return real_figure(keys)
-    if of_set not in ("simulated", "short"):
+    if of_set == "waved":
+        from evidence.real.waved import read_results
+
+        return str(read_results()["made"][keys[1]])[:12]
+    if of_set not in SESSIONS:
         part, key = keys
         value = of_study(of_set)[part][key]
         return f"{value[:12]}" if key == "commit" else f"{value}"

@@ -9,6 +9,8 @@ from evidence import peers, tumble_methods
 from evidence.case import Program
 
 PROGRAMS: tuple[Program, ...] = (*tumble_methods.PROGRAMS, *peers.PROGRAMS)
+FURTHER: tuple[Program, ...] = (tumble_methods.PROGRAMS[0], *peers.FURTHER)
+"""Those of recordings of other kinds."""
 LINEAR = replace(
     tumble_methods.PROGRAMS[0],
     name="tumble joint, linear",
@@ -19,4 +21,4 @@ LINEAR = replace(
 
 def named(name: str) -> Program:
     """The program of a name."""
-    return next(program for program in (*PROGRAMS, LINEAR) if program.name == name)
+    return next(program for program in (*PROGRAMS, *FURTHER, LINEAR) if program.name == name)

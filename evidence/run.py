@@ -2,6 +2,7 @@
 
     python -m evidence.run                        all cases of all programs, to evidence/results, and the pages of them
     python -m evidence.run simulated --sessions 3 --kinds 'hand-*'               some kinds, three sessions each
+    python -m evidence.run further                recordings without rests, over temperature, with magnetometers
     python -m evidence.run --short --against evidence/results/short.json         what moved since these results
 
 What is computed is kept (`evidence.work`): a run that is stopped goes on where it was. Rows and scores of two runs are
@@ -25,16 +26,16 @@ from evidence import programs as benchmark
 from evidence.case import Case, Estimate, Refusal
 from evidence.score import Row, by, row_of, score_of
 from evidence.simulated import kinds as simulated_kinds
-from evidence.simulated.kinds import KINDS, SEALED, SHORT, simulated
+from evidence.simulated.kinds import FURTHER, KINDS, SEALED, SHORT, Kind, simulated
 from evidence.state import FOLDER, digest_of, made_now
 from evidence.work import Entry, answers, median_seconds
 
 RESULTS = FOLDER / "results"
-SESSIONS = 6
-"""Of every kind in the published table."""
+SESSIONS = {"simulated": 6, "short": 1, "further": 10}
+"""Of every kind in the published tables of a set."""
 FEWER = {"imu_tk": 2, "imu-calib": 2}
 """Sessions of every kind, at most, of programs that take long."""
-MAKING = tuple(f"simulated/{name}.py" for name in ("motion", "device", "driver"))
+MAKING = tuple(f"simulated/{name}.py" for name in ("motion", "waving", "device", "driver"))
 DECIDES = (*MAKING, "peers", "case.py", "score.py", "programs.py", "tumble_methods.py")
 """What rows depend on in this folder."""
 JUDGES = ("tumble joint",)
@@ -52,7 +53,7 @@ class Results:
     @property
     def expected(self) -> dict[str, tuple[str, str]]:
         """By kind what is expected, and the words of a cause."""
-        return {kind.name: (kind.expected, kind.says) for kind in KINDS}
+        return {kind.name: (kind.expected, kind.says) for kind in (*KINDS, *FURTHER)}
 
     def scores(self) -> dict[str, dict[str, Any]]:
         """By program, of all kinds and of each."""
@@ -82,9 +83,10 @@ class Results:
 # -------------------- what there is to do --------------------
 
 
-def simulated_entries(series: str, sessions: int) -> list[Entry]:
-    """Sessions of all kinds."""
-    making = digest_of(*(FOLDER / name for name in (*MAKING, "score.py")), inspect.getsource(simulated_kinds.simulated))
+def simulated_entries(series: str, sessions: int, kinds: Sequence[Kind] = KINDS) -> list[Entry]:
+    """Sessions of all kinds of a table."""
+    functions = (inspect.getsource(each) for each in (simulated_kinds.simulated, simulated_kinds.kept))
+    making = digest_of(*(FOLDER / name for name in (*MAKING, "score.py")), *functions)
     return [
         Entry(
             name=f"{kind.name} {index}",
@@ -94,7 +96,7 @@ def simulated_entries(series: str, sessions: int) -> list[Entry]:
             tell=told_of,
         )
         for index in range(sessions)
-        for kind in KINDS
+        for kind in kinds
     ]
 
 
@@ -117,13 +119,17 @@ def of_entry(entry: Entry, programs: Sequence[str]) -> list[str]:
 
 
 def entries_of(name: str, sessions: int) -> list[Entry]:
-    """The cases of a set: simulated, or short, one session of every kind with seeds of its own."""
+    """The cases of a set: simulated, or short, one session of every kind with seeds of its own, or further, those of
+    other kinds than rests and turns."""
+    if name == "further":
+        return simulated_entries(SEALED, sessions, FURTHER)
     return simulated_entries(SHORT, 1) if name == "short" else simulated_entries(SEALED, sessions)
 
 
-def programs_of(patterns: Sequence[str]) -> list[str]:
-    """Names of the programs that fit one of the patterns."""
-    return [p.name for p in benchmark.PROGRAMS if any(fnmatch(p.name, pattern) for pattern in patterns)]
+def programs_of(name: str, patterns: Sequence[str]) -> list[str]:
+    """Names of the programs of a set that fit one of the patterns."""
+    programs = benchmark.FURTHER if name == "further" else benchmark.PROGRAMS
+    return [p.name for p in programs if any(fnmatch(p.name, pattern) for pattern in patterns)]
 
 
 # -------------------- doing it --------------------
@@ -176,15 +182,15 @@ def _by_kind(entries: Iterable[Entry]) -> dict[str, list[Entry]]:
 
 
 def computed(
-    name: str, *, sessions: int = SESSIONS, kinds: Sequence[str] = ("*",), programs: Sequence[str] = ("*",),
+    name: str, *, sessions: int | None = None, kinds: Sequence[str] = ("*",), programs: Sequence[str] = ("*",),
     workers: int = 0, scheduler: str | None = None, memory: bool = True, say: Callable[[str], None] = lambda _: None,
 ) -> Results:  # fmt: skip
     """The results of a set of cases, or of the kinds and programs that fit one of the patterns."""
-    entries = [e for e in entries_of(name, sessions) if any(fnmatch(e.kind, pattern) for pattern in kinds)]
-    names = programs_of(programs)
-    told = answers(
-        [(entry, of_entry(entry, names)) for entry in entries], workers=workers, scheduler=scheduler, say=say
-    )
+    every = entries_of(name, sessions or SESSIONS[name])
+    entries = [e for e in every if any(fnmatch(e.kind, pattern) for pattern in kinds)]
+    names = programs_of(name, programs)
+    given = [(entry, names if name == "further" else of_entry(entry, names)) for entry in entries]
+    told = answers(given, workers=workers, scheduler=scheduler, say=say)
     cost: dict[str, dict[str, float]] = {program: {"seconds": median_seconds(told, program)} for program in names}
     for program in names if memory else ():
         cost[program]["megabytes"] = round(peak_of(_Simulated("hand-30", 0, SEALED), program))
@@ -195,12 +201,10 @@ def computed(
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; 1 where scores are worse than those they are held against."""
     parser = argparse.ArgumentParser(prog="python -m evidence.run", description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument(
-        "set", nargs="?", choices=("simulated", "short"), help="the cases; all sets where none is named"
-    )
+    parser.add_argument("set", nargs="?", choices=tuple(SESSIONS), help="the cases; all sets where none is named")
     parser.add_argument("--kinds", nargs="+", default=["*"], help="some, by patterns such as 'hand-*'")
     parser.add_argument("--short", action="store_true", help="one session of every kind: two minutes")
-    parser.add_argument("--sessions", type=int, default=SESSIONS, help="of every kind (default %(default)s)")
+    parser.add_argument("--sessions", type=int, help=f"of every kind (default {SESSIONS})")
     parser.add_argument("--programs", nargs="+", help="some, by patterns; of the short form those of tumble alone")
     parser.add_argument("--workers", type=int, default=0, help="processes; one a core where it is not given")
     parser.add_argument("--scheduler", help="of a dask cluster, as tcp://HOST:PORT")
@@ -208,7 +212,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--no-memory", action="store_true", help="memory is not measured")
     parser.add_argument("--against", type=Path, help="results that the new ones are held against; nothing is written")
     given = parser.parse_args(arguments)
-    names = [given.set] if given.set else ["short"] if given.short else ["simulated", "short"]
+    names = [given.set] if given.set else ["short"] if given.short else list(SESSIONS)
 
     def say(words: str) -> None:
         print(f"\r{words}", end="", file=sys.stderr, flush=True)
@@ -218,7 +222,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         found = computed(
             name, sessions=given.sessions, kinds=given.kinds,
             programs=given.programs or (["tumble *"] if name == "short" else ["*"]), workers=given.workers,
-            scheduler=given.scheduler, memory=not (given.against or given.no_memory), say=say,
+            scheduler=given.scheduler, memory=name != "further" and not (given.against or given.no_memory), say=say,
         )  # fmt: skip
         print(file=sys.stderr)
         if given.against:

@@ -21,10 +21,13 @@ from typing import Any, Literal
 
 import numpy as np
 
-from evidence.case import NAMES, Case, Estimate, Refusal, parameters_of
+from evidence.case import CHANGES, MAG_NAMES, NAMES, Case, Estimate, Refusal, parameters_of
 
 Verdict = Literal["accepted", "with scatter", "not accepted", "gave up", "cannot run"]
 GROUPS = tuple(f"{kind}.{what}" for kind in ("accel", "gyro") for what in ("bias", "scale", "axis"))
+FURTHER = (*(f"mag.{what}" for what in ("bias", "scale", "axis")), "accel.change", "gyro.change")
+"""Groups of recordings of other kinds."""
+EVERY = (*NAMES, *MAG_NAMES, *CHANGES)
 SILENT_WRONG = 4.0
 """Times u."""
 DIGITS = 4
@@ -63,16 +66,17 @@ class Row:
 
     def content(self) -> dict[str, Any]:
         """As a file has it."""
+        names = EVERY if set(self.z) - set(NAMES) else NAMES
         return {
             "case": self.case, "kind": self.kind, "program": self.program, "verdict": self.verdict, "said": self.said,
-            "z": [self.z.get(name) for name in NAMES], "covered": self.covered, "intervals": self.intervals,
+            "z": [self.z.get(name) for name in names], "covered": self.covered, "intervals": self.intervals,
             "errors": {group: list(values) for group, values in self.errors.items()},
         }  # fmt: skip
 
     @staticmethod
     def from_content(content: Mapping[str, Any]) -> Row:
         """The row of what `content` gave."""
-        z = {name: value for name, value in zip(NAMES, content["z"], strict=True) if value is not None}
+        z = {name: value for name, value in zip(EVERY, content["z"], strict=False) if value is not None}
         errors = {group: (values[0], values[1]) for group, values in content["errors"].items()}
         return Row(**{**content, "z": z, "errors": errors})
 
@@ -98,7 +102,7 @@ def row_of(case: Case, program: str, found: Estimate | Refusal) -> Row:
     values = parameters_of(found)
     off = {name: values[name] - truth[name] for name in values if name in truth}
     errors = {}
-    for group in GROUPS:
+    for group in (*GROUPS, *FURTHER):
         names = [name for name in off if name.startswith(f"{group}.")]
         if names:
             rms = (np.sqrt(np.mean([x**2 for x in xs])) for xs in ([off[n] for n in names], [truth[n] for n in names]))
@@ -157,7 +161,7 @@ def score_of(rows: Sequence[Row], expected: Mapping[str, tuple[str, str]] | None
     z = np.array([value for row in usable for value in row.z.values()])
     intervals = sum(row.intervals for row in usable)
     left = {}
-    for group in GROUPS:
+    for group in (*GROUPS, *FURTHER):
         pairs = np.array([row.errors[group] for row in usable if all(row.errors.get(group, (0.0,)))])
         if len(pairs):
             left[group] = float(np.exp(np.mean(np.log(pairs[:, 0] / pairs[:, 1]))))

@@ -33,13 +33,13 @@ from tumble.planning.plan import plan
 from tumble.planning.setup import GROUPS, NAMES, Setup
 from tumble.programme.positions import programme
 from tumble.rotation import axes_angles, axes_matrix, rotation_matrix
-from tumble.sensors.grades import DEGREE_PER_ROOT_HOUR, Grade, NoiseModel, Spread
+from tumble.sensors.grades import Grade, NoiseModel, Spread
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array, IntArray
 
 DEVICE = Grade(
     accel=Spread(bias=2e-3, scale=1e-4, axis=25.0 * ARCSEC),
     gyro=Spread(bias=0.3 * DEGREE_PER_HOUR, scale=1e-4, axis=10.0 * ARCSEC),
-    noise=NoiseModel(accel_white=1e-4, gyro_white=0.003 * DEGREE_PER_ROOT_HOUR),
+    noise=NoiseModel(accel_white=1e-4, gyro_white=0.003 * (DEGREE / 60.0)),
 )
 """An instrument like the published one, with white noise alone."""
 

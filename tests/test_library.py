@@ -9,7 +9,6 @@ import pickle
 import re
 import subprocess
 import sys
-import types
 from collections.abc import Callable
 from dataclasses import fields, replace
 from html.parser import HTMLParser
@@ -19,14 +18,13 @@ from typing import Any, get_args, get_type_hints
 import numpy as np
 import polars as pl
 import pytest
-from matplotlib.figure import Figure
 
 import tumble
 import tumble.types
 from tests.support import ROOT
-from tests.support.calibrated import of_device, with_fields
+from tests.support.calibrated import of_device
 from tests.support.shared import calibrated, session
-from tumble.errors import InputError, MissingExtraError
+from tumble.errors import InputError
 from tumble.inference.estimate import Outcome
 from tumble.planning.setup import Setup
 from tumble.recording.arrays import session_of_arrays
@@ -255,30 +253,6 @@ def test_a_polars_frame_has_the_parameters_in_si(calibration: tumble.Calibration
     assert frame.schema["deviation"] == pl.Float64
 
 
-def test_a_pandas_frame_is_made_with_pandas_and_refused_without(
-    calibration: tumble.Calibration, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(MissingExtraError, match="pip install pandas"):
-        calibration.to_pandas()
-    pandas = types.ModuleType("pandas")
-    pandas.DataFrame = dict  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "pandas", pandas)
-    assert calibration.to_pandas()["name"] == [p.name for p in calibration.parameters]
-
-
-def test_a_calibration_is_drawn_on_given_axes(calibration: tumble.Calibration) -> None:
-    axes = Figure().add_subplot()
-    calibration.plot(axes)
-    residuals = np.array([rest.residual for rest in calibration.evidence.rests])
-    drawn = np.asarray(axes.lines[-1].get_ydata())
-    assert np.corrcoef(drawn, residuals)[0, 1] == pytest.approx(1.0)
-    assert axes.get_title() == "Calibration of mems-4: joint, 21 parameters, accepted"
-    axes = Figure().add_subplot()
-    with_fields(calibration, rests=()).plot(axes)
-    assert [label.get_text() for label in axes.get_xticklabels()] == [p.name for p in calibration.parameters]
-
-
 # -------------------- apply --------------------
 
 
@@ -400,7 +374,7 @@ def test_results_show_themselves_in_a_line(calibration: tumble.Calibration) -> N
 
 def test_every_type_of_a_public_signature_can_be_imported() -> None:
     public = {getattr(tumble, name) for name in dir(tumble) if isinstance(getattr(tumble, name), type)}
-    public |= {value for value in vars(tumble.types).values() if isinstance(value, type)}
+    public |= {getattr(tumble.types, name) for name in vars(tumble.types)["__all__"]}
     missing = {
         f"{own.__module__}.{own.__name__}"
         for each in (tumble.Calibration, Evidence, Provenance, tumble.Session, tumble.Comparison, tumble.FieldCheck)

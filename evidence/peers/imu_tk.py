@@ -123,7 +123,7 @@ def estimate(case: Case) -> Estimate:
 
 PROGRAM = Program(
     name="imu_tk",
-    needs=frozenset({"long rest"}),
+    needs=frozenset({"long rest", "accel"}),
     estimate=estimate,
     source="Tedaldi, Pretto and Menegatti, ICRA 2014; github.com/Kyle-ak/imu_tk",
 )

@@ -28,7 +28,7 @@ WHERE = {
     "xsens-mti": (45.41, 12.0), "imucal-ferraris": (49.57, 280.0), "mimu4444": (59.35, 30.0),
     "openaxes-imu9": (52.38, 60.0),
     "ln100-updown": (51.08, 1100.0), "mpu9150": (61.79, 80.0), "suarez": (-32.88, 830.0), "mascia": (41.93, 30.0),
-    "rohac": (50.10, 200.0),
+    "rohac": (50.10, 200.0), "broad": (52.51, 40.0),
 }  # fmt: skip
 """Latitude, °, and height, m, of those whose authors do not state gravity."""
 

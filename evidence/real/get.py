@@ -166,6 +166,25 @@ SOURCES = (
         },
         place="Prague",
     ),
+    Source(
+        name="broad",
+        title="Laidig and others: BROAD, an IMU with a magnetometer by hand, attitudes by cameras",
+        licence="CC-BY-4.0",
+        repository="dlaidig/broad",
+        commit="7e2f8189bb4a3ac91eae32c69b6bc87f08a6e2ad",
+        files={
+            "data_hdf5/02_undisturbed_slow_rotation_B.hdf5": (
+                "33ed3432ece89cfbd8c5c069a176106a05dad019302759353244c71d70d7e5f5"
+            ),
+            "data_hdf5/03_undisturbed_slow_rotation_C.hdf5": (
+                "389e1ff9dae1f6f9e2703bf136e12475dcf498be0edc8eae533bd263c7b61e05"
+            ),
+            "data_hdf5/05_undisturbed_slow_rotation_with_breaks_B.hdf5": (
+                "d74cc90958fc05a9fc1a6d58465a62c75a61f205a75ea2e6207ef37d7b1c89a7"
+            ),
+        },
+        place="Berlin",
+    ),
 )
 
 

@@ -10,12 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from evidence.pages import OURS, listed, table
+from evidence.pages import G0, OURS, UNITS, digits, listed, table
 from evidence.programs import LINEAR, PROGRAMS
 from evidence.real.get import named
 
 RESULTS = Path(__file__).parents[1] / "results" / "real.json"
-G0 = 9.80665
 WAYS: Mapping[str, Callable[[str, str], bool]] = {
     "the next session of the same chip": lambda fitted, _: "mimu4444" in fitted,
     "a quarter of the rests of the same recording": lambda fitted, _: not _is_table(fitted) and "mimu" not in fitted,
@@ -26,10 +25,6 @@ SHORT = ("next session", "rests held out", "rows held out")
 """The same in the heads of tables."""
 ASKED = (("force", 1e6 / G0), ("tilt", 1e3))
 """Scores of what is predicted, with the unit in which they are shown: µg, mrad."""
-UNITS = {
-    "accel.bias": ("µg", 1e6 / G0), "accel.scale": ("ppm", 1e6), "accel.axis": ("mrad", 1e3),
-    "gyro.bias": ("°/h", np.degrees(1.0) * 3600.0), "gyro.scale": ("ppm", 1e6), "gyro.axis": ("mrad", 1e3),
-}  # fmt: skip
 
 
 COLUMNS = ("recordings", "devices", "licence", "address")
@@ -37,14 +32,6 @@ COLUMNS = ("recordings", "devices", "licence", "address")
 
 def _is_table(name: str) -> bool:
     return name.startswith(("wrona", "rohac"))
-
-
-def digits(value: float, count: int = 2) -> str:
-    """A number with so many significant digits, without an exponent."""
-    if value == 0.0 or not np.isfinite(value):
-        return f"{value:g}"
-    places = max(0, count - 1 - int(np.floor(np.log10(abs(value)))))
-    return f"{round(value, places):.{places}f}"
 
 
 def compared(rows: Iterable[Mapping[str, Any]], program: str, score: str) -> tuple[np.ndarray, np.ndarray]:

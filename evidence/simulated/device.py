@@ -9,13 +9,14 @@ What is above the 21 of the linear model is drawn anew of every device, in the s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import butter, lfilter, lfilter_zi
 
-from evidence.simulated.motion import DEG, Array, Course
+from evidence.simulated.motion import DEG, UP, Array, Course, into_body
 
 G0 = 9.80665
 HOUR = DEG / 3600.0  # 1 °/h
@@ -23,6 +24,8 @@ ACCEL_AXES = ("yx", "zx", "zy")
 GYRO_AXES = ("xy", "xz", "yx", "yz", "zx", "zy")
 NODES, SHARES = np.array([-np.sqrt(0.15), 0.0, np.sqrt(0.15)]), np.array([5.0, 8.0, 5.0]) / 18.0
 """Gauss's rule of three nodes for the mean over an interval, in intervals from its middle."""
+SCALE_PER_KELVIN = 100e-6
+"""1/K, standard deviation of the change of an accelerometer's scale factor."""
 FINE = 8
 """Samples an interval where a sensor's own filter is simulated."""
 
@@ -81,6 +84,29 @@ class Process:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class Sweep:
+    """How a device that lies still changes its temperature: by how much, K, and by how much later than the thermometer
+    its sensors do, s, each drawn evenly between two bounds; whether it warms, cools or does both; whether the
+    thermometer shows whole degrees."""
+
+    span: tuple[float, float] = (5.0, 60.0)
+    lag: tuple[float, float] = (0.0, 200.0)
+    way: Literal["warming", "cooling", "both"] = "warming"
+    whole: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Magnetometer:
+    """m = S Lᵀ h + b in the field h, µT, at the middle of a sample: standard deviations of the hard iron b, µT, and of
+    the elements of S − 1, the soft iron; noise of a sample, µT, and by how much it is late, s, drawn about nothing."""
+
+    hard: float = 20.0
+    soft: float = 0.02
+    noise: float = 0.5
+    late: float = 2e-3
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Sensors:
     """Which device, and what of it is unusual."""
 
@@ -109,17 +135,23 @@ class Sensors:
     """m/s² at 1 g, of every product of two forces in every accelerometer."""
     remembers: tuple[float, float] = (0.0, 60.0)
     """Share of its force that an accelerometer reads again late, and its time constant, s."""
+    sweep: Sweep | None = None
+    magnetometer: Magnetometer | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Readings:
-    """Of all samples: times (N,), accelerometers and gyros (N, 3), what the thermometer shows (N,), and the true 21."""
+    """Of all samples: times (N,), accelerometers and gyros (N, 3), what the thermometer shows (N,), and the true 21;
+    of a sweep the temperatures at which changes are true, °C; the magnetometer (N, 3) and the field, µT."""
 
     time: Array
     accel: Array
     gyro: Array
     temperature: Array | None
     truth: dict[str, float]
+    ends: tuple[float, float, float] | None = None
+    mag: Array | None = None
+    mag_field: float | None = None
 
 
 def axes_matrix(angles: dict[str, float]) -> Array:
@@ -198,7 +230,78 @@ def readings(sensors: Sensors, course: Course, device: np.random.Generator, nois
             means = [drift[(t > begin) & (t <= end)].mean(axis=0) for begin, end in course.rests]
             for axis, mean in zip("xyz", bias + np.mean(means, axis=0), strict=True):
                 truth[f"{kind}.bias.{axis}"] = float(mean)
-    return Readings(time=t, accel=accel, gyro=gyro, temperature=shown if sensors.thermometer else None, truth=truth)
+    made = Readings(time=t, accel=accel, gyro=gyro, temperature=shown if sensors.thermometer else None, truth=truth)
+    if sensors.sweep is not None:
+        made = swept(sensors.sweep, grade, made, course, noise)
+    return made if sensors.magnetometer is None else magnetic(sensors.magnetometer, made, course, device, noise)
+
+
+def swept(sweep: Sweep, grade: Grade, made: Readings, course: Course, rng: np.random.Generator) -> Readings:
+    """Readings at rest that change with the temperature T of the sensors, about the middle of the range,
+
+        b(T) = s₁ d + s₂ d² + s₃ d³ (+ k₁ d f, of accelerometers),      λ dT/dt = T of the thermometer − T
+
+    with true changes from the middle to a tenth of the range from either end: `change`, of the readings, and `thermal`,
+    of the biases alone."""
+    t, dt = made.time, made.time[1] - made.time[0]
+    span, long = rng.uniform(*sweep.span), float(t[-1])
+    constant = rng.uniform(0.2, 0.4) * long * (0.5 if sweep.way == "both" else 1.0)
+    half = 0.5 * long if sweep.way == "both" else long
+    risen = np.expm1(-np.minimum(t, half) / constant) / np.expm1(-half / constant)
+    if sweep.way == "both":
+        risen *= np.exp(-np.maximum(t - half, 0.0) / constant)
+    outside = rng.uniform(-10.0, 30.0) + span * (1.0 - risen if sweep.way == "cooling" else risen)
+    low, middle, high = float(outside.min()), 0.5 * float(outside.min() + outside.max()), float(outside.max())
+    ends = middle + 0.8 * (low - middle), middle, middle + 0.8 * (high - middle)
+    powers, truth = np.arange(1, 4)[:, None], dict(made.truth)
+    force = course.gravity * into_body(course.attitudes[:1], UP)[0]
+    lag = rng.uniform(*sweep.lag)
+    changed: dict[str, Array] = {}
+    for kind, size in zip(("accel", "gyro"), grade.per_kelvin, strict=True):
+        slopes = size * rng.normal(size=(3, 3)) * np.array([1.0, 1.0 / 60.0, 1.0 / 3600.0])
+        scale = SCALE_PER_KELVIN * rng.normal(size=3) * force if kind == "accel" else np.zeros(3)
+        decay = float(np.exp(-dt / (max(lag, 1e-6) * rng.uniform(0.7, 1.3))))
+        inside = outside[0] + lfilter([1.0 - decay], [1.0, -decay], outside - outside[0])
+        for name, coefficients in (("thermal", slopes), ("change", slopes + np.outer(scale, [1.0, 0.0, 0.0]))):
+            for end, at in zip(("low", "high"), (ends[0], ends[2]), strict=True):
+                values = coefficients @ (at - middle) ** np.arange(1.0, 4.0)
+                truth |= {f"{kind}.{name}.{axis}.{end}": float(v) for axis, v in zip("xyz", values, strict=True)}
+        changed[kind] = ((slopes + np.outer(scale, [1.0, 0.0, 0.0])) @ (inside - middle) ** powers).T
+    shown = outside + 0.05 * rng.normal(size=len(t))
+    return replace(
+        made, accel=made.accel + changed["accel"], gyro=made.gyro + changed["gyro"], ends=ends, truth=truth,
+        temperature=np.round(shown) if sweep.whole else shown,
+    )  # fmt: skip
+
+
+def magnetic(
+    magnetometer: Magnetometer, made: Readings, course: Course, device: np.random.Generator, noise: np.random.Generator
+) -> Readings:
+    """The same with a magnetometer in the field of a dipole: of 30 µT at the equator, turned by a declination."""
+    sensitivity = np.eye(3) + magnetometer.soft * device.normal(size=(3, 3))
+    bias, late = magnetometer.hard * device.normal(size=3), magnetometer.late * device.normal()
+    declination = 10.0 * DEG * noise.normal()
+    level, down = 30.0 * np.cos(course.latitude), 60.0 * np.sin(course.latitude)
+    field = np.array([level * np.cos(declination), -down, level * np.sin(declination)])
+    at = made.time - 0.5 * (made.time[1] - made.time[0]) - late  # the middle of a sample
+    seen = np.concatenate([into_body(course.pose(part)[0], field) for part in np.array_split(at, 8)])
+    mag = seen @ sensitivity.T + bias + magnetometer.noise * noise.normal(size=seen.shape)
+    length = np.linalg.norm(sensitivity, axis=1)
+    angles = angles_of_rows(sensitivity / length[:, None])
+    truth = made.truth | {f"mag.bias.{axis}": float(b) for axis, b in zip("xyz", bias, strict=True)}
+    truth |= {f"mag.scale.{axis}": float(k) for axis, k in zip("xyz", length - 1.0, strict=True)}
+    truth |= {f"mag.axis.{pair}": angle for pair, angle in angles.items()}
+    return replace(made, mag=mag, mag_field=float(np.linalg.norm(field)), truth=truth)
+
+
+def angles_of_rows(rows: Array) -> dict[str, float]:
+    """γ by pair of axes of rows (3, 3) of unit length: the inverse of `axes_matrix`."""
+    x, y, z = rows
+    return {
+        "xy": float(np.arcsin(x[1])), "xz": float(np.arctan2(x[2], x[0])),
+        "yx": float(np.arctan2(y[0], y[1])), "yz": float(np.arcsin(y[2])),
+        "zx": float(np.arcsin(z[0])), "zy": float(np.arctan2(z[1], z[2])),
+    }  # fmt: skip
 
 
 def _drifts(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -98,11 +98,13 @@ def through(driver: Driver, made: Readings, course: Course, rng: np.random.Gener
     ppm = driver.clock_error_ppm + driver.clock_ppm * rng.normal()
     stamps = t * (1.0 + 1e-6 * ppm) + driver.jitter * np.clip(rng.normal(size=len(t)), -3.0, 3.0)
     rows = _rows(driver, len(t), rng)
-    return Readings(
+    return replace(
+        made,
         time=dt * (np.arange(len(rows)) + 1.0) if driver.counted else stamps[rows],
         accel=accel[rows],
         gyro=gyro[rows],
         temperature=None if made.temperature is None else made.temperature[rows],
+        mag=None if made.mag is None else made.mag[rows],
         truth=truth,
     )
 

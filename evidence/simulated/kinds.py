@@ -14,9 +14,10 @@ from typing import Any, Literal
 import numpy as np
 
 from evidence.case import Case
-from evidence.simulated.device import G0, Process, Sensors, readings
+from evidence.simulated.device import G0, Magnetometer, Process, Sensors, Sweep, readings
 from evidence.simulated.driver import Driver, through
 from evidence.simulated.motion import DEG, Handling, course
+from evidence.simulated.waving import Waving, waved
 
 SEALED, SHORT = "evidence 1", "short 1"
 Expected = Literal["accept", "accept with scatter", "name the cause", "refuse"]
@@ -43,6 +44,11 @@ class Kind:
     """Without gyros."""
     south: bool = False
     """The latitude is stated with the wrong sign."""
+    waving: Waving | None = None
+    """A device that never lies still, or is never moved, in place of rests and turns."""
+    gyros_alone: bool = False
+    device: str = ""
+    """Kinds with this name are recorded with the same devices."""
 
 
 EXACT = Driver(clock_ppm_u=0.0)
@@ -170,9 +176,60 @@ KINDS = (
 )  # fmt: skip
 
 
+IN_RUN = Process(form="markov", memory=300.0)
+WAVED = Sensors(in_run=IN_RUN)
+BOARD = Waving(style="still", seconds=1200.0)
+TURNED = Handling(rests=20, first_rest=6.0, rest=4.0, turn=2.5)
+"""Rests and turns of two minutes and a quarter."""
+
+
+def _swept(way: Literal["warming", "cooling", "both"], whole: bool = False) -> Sensors:
+    """A board of 25 samples a second whose temperature changes."""
+    return Sensors(rate=25.0, in_run=IN_RUN, sweep=Sweep(way=way, whole=whole))
+
+
+def _compass(soft: float = 0.02) -> Sensors:
+    return Sensors(in_run=IN_RUN, magnetometer=Magnetometer(soft=soft))
+
+
+FURTHER = (
+    # the same devices for two minutes each
+    Kind(name="rests-120", words="17 rests of 4 s with turns between them, 120 s", expected="accept", device="waved",
+         handling=Handling(rests=18, first_rest=10.0, rest=4.0, turn=2.5), sensors=WAVED),
+    Kind(name="pivot", words="on a pivot, rhythmic", expected="accept", device="waved", waving=Waving(),
+         sensors=WAVED),
+    Kind(name="pivot-jerky", words="on a pivot, jerky", expected="accept", device="waved",
+         waving=Waving(style="jerky"), sensors=WAVED),
+    Kind(name="pivot-regrip", words="on a pivot, gripped three times", expected="accept", device="waved",
+         waving=Waving(grips=3), sensors=WAVED),
+    Kind(name="hand-waved", words="in the hand, rhythmic", expected="accept", device="waved",
+         waving=Waving(sway=0.05), sensors=WAVED),
+    Kind(name="hand-drifting", words="in a hand that drifts by half a metre, jerky", expected="accept",
+         device="waved", waving=Waving(style="jerky", sway=0.05, drift=0.25), sensors=WAVED),
+    # still
+    Kind(name="warming", words="a board that lies still and warms by 5 to 60 K, sensors up to 200 s late",
+         expected="accept", waving=BOARD, sensors=_swept("warming")),
+    Kind(name="cooling", words="the same, cooling", expected="accept", waving=BOARD, sensors=_swept("cooling")),
+    Kind(name="up-and-down", words="the same, warming and cooling", expected="accept", waving=BOARD,
+         sensors=_swept("both")),
+    Kind(name="whole-degrees", words="warming, the thermometer shows whole degrees", expected="accept", waving=BOARD,
+         sensors=_swept("warming", whole=True)),
+    Kind(name="gyros", words="gyros alone, 10 minutes at rest", expected="accept", gyros_alone=True,
+         waving=Waving(style="still", seconds=600.0), sensors=WAVED),
+    # a magnetometer
+    Kind(name="mag-turns", words="a magnetometer, 20 rests with turns between them", expected="accept",
+         device="compass", handling=TURNED, sensors=_compass()),
+    Kind(name="mag-pivot", words="the same magnetometer on a pivot, rhythmic", expected="accept", device="compass",
+         waving=Waving(), sensors=_compass()),
+    Kind(name="soft-iron", words="soft iron of 15 %, 20 rests with turns between them", expected="accept",
+         handling=TURNED, sensors=_compass(soft=0.15)),
+)  # fmt: skip
+"""Recordings of other kinds than rests and turns: a table of their own."""
+
+
 def named(name: str) -> Kind:
     """The kind of a name."""
-    return next(kind for kind in KINDS if kind.name == name)
+    return next(kind for kind in (*KINDS, *FURTHER) if kind.name == name)
 
 
 def seed_of(series: str, kind: str, index: int) -> int:
@@ -180,20 +237,35 @@ def seed_of(series: str, kind: str, index: int) -> int:
     return int.from_bytes(hashlib.sha256(f"{series}/{kind}/{index}".encode()).digest()[:8], "big")
 
 
+def kept(kind: Kind, name: str) -> bool:
+    """Whether a recording of a kind is to show a parameter: of a board that lies still none but what changes, of gyros
+    alone the bias."""
+    if kind.sensors.sweep is not None:
+        return ".change." in name or ".thermal." in name
+    if kind.gyros_alone:
+        return name.startswith("gyro.bias")
+    return not kind.alone or name.startswith("accel")
+
+
 def simulated(kind: Kind, index: int, series: str = SEALED) -> Case:
     """One session of a kind."""
     seed = seed_of(series, kind.name, index)
     motion, device, noise, driver = (np.random.default_rng([seed, stream]) for stream in range(4))
-    way = course(kind.handling, motion)
+    if kind.device:
+        device = np.random.default_rng([seed_of(series, kind.device, index), 1])
+    way = course(kind.handling, motion) if kind.waving is None else waved(kind.waving, motion)
     made = through(kind.driver, readings(kind.sensors, way, device, noise), way, driver)
-    truth = {name: value for name, value in made.truth.items() if not kind.alone or name.startswith("accel")}
+    truth = {name: value for name, value in made.truth.items() if kept(kind, name)}
     return Case(
         name=f"{kind.name} {index}",
         kind=kind.name,
         time=made.time,
-        accel=made.accel,
+        accel=made.accel[:, :0] if kind.gyros_alone else made.accel,
         gyro=None if kind.alone else made.gyro,
         temperature=made.temperature,
+        ends=made.ends,
+        mag=made.mag,
+        mag_field=made.mag_field,
         gravity=way.gravity + GRAVITY_U * float(driver.normal()),
         gravity_u=GRAVITY_U,
         latitude=-way.latitude if kind.south else way.latitude,

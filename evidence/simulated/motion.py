@@ -112,7 +112,7 @@ class Course:
         """Quaternions (N, 4) and places (N, 3) at times (N,)."""
         k = np.clip(np.searchsorted(self.begin, t, side="right") - 1, 0, None)
         u = (t - self.begin[k]) / self.lasts[k]
-        done = _smooth(u)[:, None]
+        done = smooth(u)[:, None]
         handling, moved = self.handling, np.zeros((len(t), 3))
         if handling.tremor or handling.tremor_at_rest:
             amplitude, frequency, phase = (each[k] for each in self.tremor)
@@ -124,11 +124,11 @@ class Course:
         if size:
             since = t - self.begin[k] - self.lasts[k]
             rest = self.rests[k + 1, 1] - self.rests[k + 1, 0]
-            envelope = _smooth(1.0 + since / 0.2) * np.exp(-np.clip(since, 0.0, None) / decay)
-            envelope *= 1.0 - _smooth(since / (0.9 * rest))
+            envelope = smooth(1.0 + since / 0.2) * np.exp(-np.clip(since, 0.0, None) / decay)
+            envelope *= 1.0 - smooth(since / (0.9 * rest))
             to_and_fro = np.sin(2.0 * np.pi * ringing * since) if ringing else 1.0
             moved += (size * envelope * to_and_fro)[:, None] * self.ringing[k]
-        q = _times(self.attitudes[k], _exp(self.vectors[k] * done + moved))
+        q = product(self.attitudes[k], exponential(self.vectors[k] * done + moved))
         place = self.places[k] + (self.places[k + 1] - self.places[k]) * done
         for knock, way in zip(*self.knocks, strict=True):
             pulse = np.exp(-0.5 * np.clip((t - knock) / KNOCK_TIME, -12.0, 12.0) ** 2)
@@ -148,7 +148,7 @@ class Course:
         if moving.any():
             at = t[moving]
             poses = [self.pose(at + j * STEP) for j in range(-2, 3)]
-            spun = [_log(_times(_conjugate(poses[j - 1][0]), poses[j + 1][0])) / (2.0 * STEP) for j in (1, 2, 3)]
+            spun = [logarithm(product(conjugate(poses[j - 1][0]), poses[j + 1][0])) / (2.0 * STEP) for j in (1, 2, 3)]
             w = [each + into_body(poses[j][0], earth) for j, each in zip((1, 2, 3), spun, strict=True)]
             change = (w[2] - w[0]) / (2.0 * STEP)
             acceleration = (poses[1][1] - 2.0 * poses[2][1] + poses[3][1]) / STEP**2
@@ -164,17 +164,17 @@ def course(handling: Handling, rng: np.random.Generator) -> Course:
     """A course of a programme, drawn anew, at a place on Earth drawn anew."""
     nominal, turns, faces = _programme(handling, rng)
     missed = nominal if handling.programme == "hand" else [
-        _times(_times(_exp(handling.off * rng.normal(size=3)), q), _exp(handling.off * rng.normal(size=3) / 3.0))
-        for q in nominal
+        product(product(exponential(about), q), exponential(within / 3.0))
+        for q in nominal for about, within in [handling.off * rng.normal(size=(2, 3))]
     ]  # fmt: skip
     attitudes = np.array(missed)
-    vectors = _log(_times(_conjugate(attitudes[:-1]), attitudes[1:]))
+    vectors = logarithm(product(conjugate(attitudes[:-1]), attitudes[1:]))
     for k, meant in enumerate(turns):  # half a turn either way looks alike: the one that is meant
         other = vectors[k] * (1.0 - 2.0 * np.pi / np.linalg.norm(vectors[k]))
         if meant is not None and np.linalg.norm(meant) > 1.5 * np.pi:  # a full turn ends where it began
             attitudes[k + 1], vectors[k] = attitudes[k], meant
             if k + 1 < len(vectors):
-                vectors[k + 1] = _log(_times(_conjugate(attitudes[k + 1]), attitudes[k + 2]))
+                vectors[k + 1] = logarithm(product(conjugate(attitudes[k + 1]), attitudes[k + 2]))
         elif meant is not None and np.linalg.norm(other - meant) < np.linalg.norm(vectors[k] - meant):
             vectors[k] = other
     count = len(attitudes)
@@ -197,15 +197,15 @@ def course(handling: Handling, rng: np.random.Generator) -> Course:
             rng.uniform(4.0, 10.0, (count - 1, 3, 3)),
             rng.uniform(0.0, 2.0 * np.pi, (count - 1, 3, 3)),
         ),
-        ringing=_unit(rng.normal(size=(count - 1, 3))),
-        knocks=(rng.uniform(0.0, starts[-1], handling.knocks), _unit(rng.normal(size=(handling.knocks, 3)))),
+        ringing=unit(rng.normal(size=(count - 1, 3))),
+        knocks=(rng.uniform(0.0, starts[-1], handling.knocks), unit(rng.normal(size=(handling.knocks, 3)))),
         faces=faces,
         latitude=latitude,
-        gravity=_normal_gravity(latitude) + 3e-4 * rng.normal(),
+        gravity=normal_gravity(latitude) + 3e-4 * rng.normal(),
     )
 
 
-def _normal_gravity(latitude: float) -> float:
+def normal_gravity(latitude: float) -> float:
     """Of the ellipsoid GRS 80, at sea level (Somigliana)."""
     s = np.sin(latitude) ** 2
     return float(9.7803267715 * (1.0 + 0.001931851353 * s) / np.sqrt(1.0 - 0.0066943800229 * s))
@@ -215,7 +215,7 @@ def _programme(handling: Handling, rng: np.random.Generator) -> tuple[list[Array
     """Nominal attitudes, the rotation vectors, in the body, of the turns of which they matter, and the axes that point
     up, x+ to z−, or are turned about, where these are faces."""
     if handling.programme == "hand":
-        return list(_unit(rng.normal(size=(handling.rests, 4)))), [], ()
+        return list(unit(rng.normal(size=(handling.rests, 4)))), [], ()
     out: list[Array] = []
     turns: list[Array | None] = []
     if handling.programme == "table":
@@ -227,7 +227,7 @@ def _programme(handling: Handling, rng: np.random.Generator) -> tuple[list[Array
             out.append(q)
             for axis, sense in ((NORTH, 1.0), (UP, 1.0), (NORTH, -1.0)):
                 turns.append(sense * np.pi * into_body(q, axis))
-                q = _times(_exp(sense * np.pi * axis), q)
+                q = product(exponential(sense * np.pi * axis), q)
                 out.append(q)
         for above, below in ((0, 1), (0, 2), (1, 2)):
             axes = np.empty((3, 3))
@@ -243,7 +243,7 @@ def _programme(handling: Handling, rng: np.random.Generator) -> tuple[list[Array
     ups = [d for d in grid if 0 < np.abs(d).sum() < count]
     order = rng.permutation(len(ups))
     for i in order:
-        up = _unit(ups[i])
+        up = unit(ups[i])
         north = np.linalg.qr(np.column_stack([up, rng.normal(size=3)]))[0][:, 1]
         out.append(_of_axes(np.stack([north, up, np.cross(north, up)])))
     faces = tuple(f"{'xyz'[np.abs(ups[i]).argmax()]}{'-+'[int(ups[i].sum() > 0.0)]}" for i in order)
@@ -255,24 +255,24 @@ def _programme(handling: Handling, rng: np.random.Generator) -> tuple[list[Array
     return out, turns, faces if handling.programme != "cube" else ()
 
 
-def _unit(vectors: Array) -> Array:
+def unit(vectors: Array) -> Array:
     """Of length 1 along the last axis."""
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
-def _smooth(u: Array) -> Array:
+def smooth(u: Array) -> Array:
     """From 0 to 1 without a jump of rate or acceleration."""
     u = np.clip(u, 0.0, 1.0)
     return u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
 
 
-def _exp(vector: Array) -> Array:
+def exponential(vector: Array) -> Array:
     """The quaternions (…, 4) of rotation vectors (…, 3)."""
     angle = np.linalg.norm(vector, axis=-1, keepdims=True)
     return np.concatenate([np.cos(0.5 * angle), 0.5 * np.sinc(angle / (2.0 * np.pi)) * vector], axis=-1)
 
 
-def _log(q: Array) -> Array:
+def logarithm(q: Array) -> Array:
     """The rotation vectors, of at most π, of quaternions."""
     q = q * np.where(q[..., :1] < 0.0, -1.0, 1.0)
     size = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
@@ -280,11 +280,11 @@ def _log(q: Array) -> Array:
     return np.asarray(q[..., 1:] * np.where(size > 1e-12, angle / np.where(size > 1e-12, size, 1.0), 2.0))
 
 
-def _conjugate(q: Array) -> Array:
+def conjugate(q: Array) -> Array:
     return np.asarray(q * np.array([1.0, -1.0, -1.0, -1.0]))
 
 
-def _times(p: Array, q: Array) -> Array:
+def product(p: Array, q: Array) -> Array:
     """The product of quaternions: q first, in the body."""
     a, b = p[..., 1:], q[..., 1:]
     scalar = p[..., :1] * q[..., :1] - (a * b).sum(axis=-1, keepdims=True)

@@ -23,25 +23,12 @@ Symbols used as names where an equation is printed
 
 from __future__ import annotations
 
-import re
-from importlib import import_module
-from pathlib import Path
-from typing import Any
+from tumble.lazy import names_of
 
 __version__ = "0.1.0"
 
-_STUB = Path(__file__).with_name("__init__.pyi").read_text(encoding="utf-8")
-_MODULES = {name: module for module, name in re.findall(r"^from (tumble\.\S+) import (\w+) as \2$", _STUB, re.M)}
-"""Where each public name is, by the stub that type checkers read."""
-
-__all__ = ["__version__", *sorted(_MODULES)]
-
-
-def __getattr__(name: str) -> Any:
-    """Public names are imported when they are first used: the command line starts without NumPy."""
-    if name not in _MODULES:
-        raise AttributeError(f"module 'tumble' has no attribute {name!r}")
-    return getattr(import_module(_MODULES[name]), name)
+_NAMES, __getattr__ = names_of(__name__, __file__)
+__all__ = ["__version__", *_NAMES]
 
 
 def __dir__() -> list[str]:

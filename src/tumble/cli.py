@@ -7,17 +7,12 @@ import atexit
 import errno
 import gc
 import os
-import re
 import signal
-import sys
-import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from importlib import import_module
-from importlib.util import find_spec
-from pathlib import Path
 from typing import Any, NoReturn
 
 import click
@@ -92,35 +87,6 @@ def first_sentence(docstring: str) -> str:
     return " ".join(docstring.split("\n\n")[0].split()).partition(". ")[0].removesuffix(".") + "."
 
 
-def _sentence_of(module: str, function: str) -> str:
-    """The first sentence of a function's docstring, read from its file: a list imports no command, and so takes a tenth
-    of the time. Empty where the file does not show it."""
-    try:
-        spec = find_spec(module)
-    except Exception:  # of a package that is broken or gone
-        return "Cannot be imported."
-    if spec is None or spec.origin is None or not spec.origin.endswith(".py"):
-        return ""
-    text = Path(spec.origin).read_text(encoding="utf-8")
-    docstring = re.search(rf'^def {function}\(.*?"""(.*?)"""', text, re.MULTILINE | re.DOTALL)
-    return first_sentence(docstring[1]) if docstring else ""
-
-
-def listed() -> dict[str, dict[str, str]]:
-    """All commands by heading, each with the first sentence of its docstring: the built-in ones, then those of other
-    packages, below the name of the package."""
-    out: dict[str, dict[str, str]] = {}
-    for title, places in COMMANDS.items():
-        files = (place.split(".") for place in places.split())
-        out[title] = {name: _sentence_of(f"tumble.commands.{file}", name) for file, name in files}
-    for name, point in entry_points_of("commands").items():
-        if name not in _FILES:
-            package = package_of(point)
-            title = OWN_PLUGINS if package == "tumble" else f"From {package}"
-            out.setdefault(title, {})[name] = _sentence_of(point.module, point.attr)
-    return out
-
-
 class _Commands(click.Group):
     """Commands whose errors are one line on standard error, with exit status 2; those of the program itself with 70."""
 
@@ -133,13 +99,26 @@ class _Commands(click.Group):
             raise SystemExit(ended_by(error)) from None
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """The commands by what they are for, each with its first sentence."""
-        del ctx
+        """The commands by what they are for, each with its first sentence; those of other packages below the name of
+        the package."""
+        points = {name: point for name, point in entry_points_of("commands").items() if name not in _FILES}
+        listed = {title: [place.partition(".")[2] for place in places.split()] for title, places in COMMANDS.items()}
+        for name, point in points.items():
+            package = package_of(point)
+            listed.setdefault(OWN_PLUGINS if package == "tumble" else f"From {package}", []).append(name)
         with formatter.section("Commands"):
-            for title, commands in listed().items():
+            for title, names in listed.items():
                 formatter.write_text(title)
                 with formatter.indentation():
-                    formatter.write_dl(list(commands.items()))
+                    formatter.write_dl([(name, self._sentence(ctx, name)) for name in names])
+
+    def _sentence(self, ctx: click.Context, name: str) -> str:
+        """The first sentence of the help of a command."""
+        try:
+            command = self.get_command(ctx, name)
+        except TumbleError:  # of a package that is broken or gone
+            return "Cannot be imported."
+        return first_sentence("" if command is None else command.help or "")
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         del ctx
@@ -148,8 +127,12 @@ class _Commands(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """A command, imported when it is first asked for; None where there is none of this name."""
         if cmd_name not in self.commands:
+            command: click.Command | None
             try:
-                command = _command(cmd_name)
+                if cmd_name in _FILES:
+                    command = getattr(import_module(f"tumble.commands.{_FILES[cmd_name]}"), cmd_name)
+                else:
+                    command = load("commands", cmd_name, click.Command)
             except TumbleError:
                 if ctx.resilient_parsing:  # the shell completes what is typed
                     return None
@@ -170,20 +153,11 @@ class _Commands(click.Group):
             return super().invoke(ctx)
 
 
-def _command(name: str) -> click.Command | None:
-    """The built-in command of a name, else that of another package."""
-    if name not in _FILES:
-        return load("commands", name, click.Command)
-    command: click.Command = getattr(import_module(f"tumble.commands.{_FILES[name]}"), name)
-    return command
-
-
 @click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.option("-q", "--quiet", is_flag=True, help="Results, reasons and errors alone: no notes on standard error.")
-@click.option("-v", "--verbose", is_flag=True, help="At the end, the versions, the time and the memory it took.")
 @click.version_option(__version__, prog_name="tumble")
 @click.pass_context
-def main(context: click.Context, quiet: bool, verbose: bool) -> None:  # noqa: ARG001 (`tell` reads it)
+def main(context: click.Context, quiet: bool) -> None:  # noqa: ARG001 (`tell` reads it)
     """Calibrate strapdown inertial measurement units on equipment that is not precise."""
     from tumble.recording.panic import COMMAND_LINE
 
@@ -191,9 +165,6 @@ def main(context: click.Context, quiet: bool, verbose: bool) -> None:  # noqa: A
     context.call_on_close(_ended_in_order())
     context.call_on_close(partial(COMMAND_LINE.reset, COMMAND_LINE.set(True)))
     warnings.filterwarnings("ignore", message="(Duplicate|Unreadable) variable")  # of scipy, on a damaged MATLAB file
-    if verbose:
-        started = time.monotonic()
-        context.call_on_close(lambda: _say_what_it_took(time.monotonic() - started))
 
 
 def _ended_in_order() -> Callable[[], object]:
@@ -228,17 +199,3 @@ def _ended_in_order() -> Callable[[], object]:
     undo.callback(signal.signal, signal.SIGTERM, signal.signal(signal.SIGTERM, end))
     threading.Thread(target=end_if_stuck, name="stuck", daemon=True).start()
     return undo.close
-
-
-def _say_what_it_took(seconds: float) -> None:
-    import platform
-    from importlib.metadata import version
-
-    versions = [f"{name} {version(name)}" for name in ("numpy", "polars")]
-    said = [f"tumble {__version__}", f"Python {platform.python_version()}", *versions, f"{seconds:.2f} s"]
-    with suppress(ImportError):  # not on Windows
-        import resource
-
-        most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
-        said.append(f"at most {most / 1e6:.0f} MB")
-    click.echo(", ".join(said), err=True)

@@ -104,16 +104,8 @@ def as_json(part: Any, by_type: Mapping[type, Callable[[Any], Any]] = AS_PRINTED
 
     A dataclass becomes an object of its fields, or of the attributes and properties that its class attribute
     `json_fields` names. A dataclass that has a length holds columns of this length and becomes a list of rows. Arrays
-    and tuples become lists, dates and times ISO 8601 strings, paths strings.
-
-    Parameters
-    ----------
-    part
-        A result, or a part of one.
-    by_type
-        Functions for objects of these very types, which replace the rules above. By default a number that is not finite
-        becomes null.
-    """
+    and tuples become lists, dates and times ISO 8601 strings, paths strings. `by_type` are functions for objects of
+    these very types, which replace these rules; by default a number that is not finite becomes null."""
     if type(part) in by_type:
         return by_type[type(part)](part)
     if hasattr(part, "tolist"):  # NumPy

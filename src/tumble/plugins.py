@@ -42,27 +42,9 @@ def package_of(point: EntryPoint) -> str:
 
 
 def load(kind: Kind, name: str, expected: type[T] | tuple[type[T], ...]) -> T | None:
-    """Import the object that an entry point names.
-
-    Parameters
-    ----------
-    kind
-        The group, without "tumble.".
-    name
-        The name of the entry point.
-    expected
-        The type that the object must have.
-
-    Returns
-    -------
-    object or None
-        None where no package declares the name.
-
-    Raises
-    ------
-    InputError
-        Where the object cannot be imported or is of another type: one line that names the package.
-    """
+    """Import the object that an entry point of a group, without "tumble.", names; None where no package declares the
+    name. Raises InputError, one line that names the package, where the object cannot be imported or is not of an
+    `expected` type."""
     point = entry_points_of(kind).get(name)
     if point is None:
         return None

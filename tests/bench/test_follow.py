@@ -181,20 +181,6 @@ def test_mistakes_by_hand(opened: Callable[..., Bench]) -> None:
     assert len(bench.state["sphere"]["taken"]) >= 2
 
 
-def test_a_rest_put_down_with_movement_that_no_gyro_sees_begins_anew(opened: Callable[..., Bench]) -> None:
-    bench = opened(None, gyros=False)
-    bench.until(lambda: bench.screen == "turn")
-    bench.unit.turn("N", 75.0)
-    bench.unit.rock(4.0)
-    bench.moved()
-    assert bench.until(lambda: bench.said.startswith("rest 2 was put down with movement")) <= 4.0
-    bench.run(2.0)
-    assert bench.station.command("again") == "left out; hold still, this rest begins anew"
-    bench.run(1.0)
-    assert bench.screen == "rest"
-    bench.until(lambda: bench.screen == "turn")
-
-
 def test_a_clock_that_goes_back_is_named(opened: Callable[..., Bench]) -> None:
     """Three rows that agree on a wrong time cost themselves; a log whose unit was turned off is not followed any
     further."""

@@ -13,7 +13,6 @@ import sys
 import threading
 import urllib.error
 import urllib.request
-import webbrowser
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
@@ -27,7 +26,7 @@ from tests.support.bench_driver import TOKEN, Bench, served
 from tests.support.browser import eventually
 from tumble.bench import results
 from tumble.bench.commands import bench as bench_command
-from tumble.bench.web import connections, serve, server
+from tumble.bench.web import connections, server
 from tumble.bench.web.access import Access, lasting_token
 from tumble.cli import main
 from tumble.errors import CalibrationError
@@ -248,17 +247,6 @@ def test_a_token_lasts_and_is_made_anew_where_others_could_read_it(
     assert lasting_token() == TOKEN
     monkeypatch.setenv("TUMBLE_BENCH_TOKEN", "short")
     assert len(lasting_token()) >= 32
-
-
-def test_a_browser_is_given_a_file_and_no_token(monkeypatch: pytest.MonkeyPatch) -> None:
-    given: list[str] = []
-    monkeypatch.setattr(webbrowser, "open", given.append)
-    with serve._in_browser(f"http://127.0.0.1:8422/?token={TOKEN}"):
-        way = Path(given[0].removeprefix("file://"))
-        assert TOKEN not in given[0]
-        assert TOKEN in way.read_text()
-        assert stat.S_IMODE(way.parent.stat().st_mode) == 0o700
-    assert not way.exists()
 
 
 # -------------------- the command --------------------

@@ -29,7 +29,7 @@ from click.testing import CliRunner, Result
 import tumble.commands
 from tests.support.shared import copy_of, session
 from tumble import __version__
-from tumble.cli import first_sentence, listed, main
+from tumble.cli import first_sentence, main
 from tumble.planning.setup import Setup
 from tumble.run.observed import inspect_session
 from tumble.views.inspection import inspection_blocks
@@ -662,7 +662,6 @@ def test_quiet_leaves_results_reasons_and_errors(sessions: Path) -> None:
     assert run("-q", *words).stdout == run(*words).stdout
     assert "not accepted: " in run("-q", "calibrate", sessions / "few").stderr
     assert run("-q", "calibrate", sessions / "none").stderr.startswith("tumble: ")
-    assert run("-v", *words).stderr.splitlines()[-1].startswith(f"tumble {__version__}, Python 3.")
 
 
 def test_a_log_is_calibrated_without_a_session(sessions: Path) -> None:
@@ -691,7 +690,7 @@ def test_a_log_is_calibrated_without_a_session(sessions: Path) -> None:
     )
 
 
-LISTED = {name: sentence for commands in listed().values() for name, sentence in commands.items()}
+LISTED = main.list_commands(click.Context(main))
 
 
 @pytest.mark.parametrize("name", LISTED)
@@ -720,8 +719,7 @@ def test_every_command_is_listed_with_its_first_sentence() -> None:
     shown = " ".join(run("--help").stdout.split())
     for words, command in ALL:
         if len(words) == 1:
-            assert LISTED[words[0]] == first_sentence(command.help or "")
-            assert f" {LISTED[words[0]]}" in shown
+            assert f" {words[0]} {first_sentence(command.help or '')}" in shown
 
 
 @pytest.mark.parametrize("width", [60, 80])

@@ -30,7 +30,7 @@ WORDS = (
     "calibrate {}/few --json -o {}/few.json",
     "ellipsoid {}/readings.csv --unit m/s^2 --json",
     "inspect {}/one --json",
-    "noise {}/one --filters --json",
+    "noise {}/one --json",
     "check {}/one.json {}/one --json",
     "check {}/one.json {}/two --json",
     "check {}/one.json {}/readings.csv --json",

@@ -22,7 +22,7 @@ from evidence.pages import (
 )
 from evidence.run import Results
 from evidence.score import Row
-from evidence.simulated.kinds import KINDS
+from evidence.simulated.kinds import FURTHER, KINDS
 
 PROGRAMS = ("tumble joint", "tumble ellipsoid", "imu_tk")
 
@@ -156,3 +156,38 @@ def test_pictures_are_drawn_of_any_results(made_up: Results, tmp_path: Path) -> 
     pages.draw_programs(made_up, tmp_path / "programs.svg")
     for path in tmp_path.iterdir():
         assert digest(made_up) in path.read_text(encoding="utf-8")
+
+
+# -------------------- recordings of other kinds --------------------
+
+
+def test_tables_of_other_kinds_have_errors_in_units_and_per_cent(made_up: Results) -> None:
+    """Two sessions with errors of 3 and 4 µT of hard irons of 10 µT each: rms 3.5 µT, 35 %."""
+    rows = [
+        Row(
+            case=f"mag-pivot {i}", kind="mag-pivot", program=program, verdict=verdict, said="",  # type: ignore[arg-type]
+            z={"mag.bias.x": 0.5},
+            covered=1, intervals=1, errors={"mag.bias": (error, 10.0), "mag.scale": (2e-3, 2e-2)},
+        )
+        for program, verdict in (("tumble joint", "accepted"), ("imu_tk", "gave up"))
+        for i, error in enumerate((3.0, 4.0))
+    ]  # fmt: skip
+    lines = pages.further_table(replace(made_up, rows=tuple(rows)), "magnetometer").splitlines()
+    assert lines[2:] == [
+        "| `mag-pivot` | tumble joint | 2 of 2 | 3.5 (35 %) | 0.20 (10 %) | – | 0.50 | 0.5 | 100.0 % |"
+    ]
+
+
+def test_every_other_kind_is_in_one_table() -> None:
+    families = [pages.family_of(kind) for kind in FURTHER]
+    assert set(families) == set(pages.FAMILIES)
+    assert pages.further_kinds().count("\n") == len(FURTHER) + 1
+
+
+def test_published_results_of_other_kinds_are_of_ten_sessions_each() -> None:
+    results = all_results()
+    if "further" in results:
+        made = results["further"].made
+        assert made["sessions_of_a_kind"] >= 10
+        assert made["kinds"] == len(FURTHER)
+        assert not made["commit"].endswith("changed")

@@ -188,6 +188,35 @@ def test_a_wrong_hemisphere_is_named_at_middle_latitudes_without_a_programme(ind
         assert (row.verdict == "accepted") == accepted
 
 
+# -------------------- recordings of other kinds --------------------
+
+
+def test_other_kinds_are_run_by_their_programs_and_read_again(tmp_path: Path) -> None:
+    found = run.computed("further", sessions=1, kinds=["gyros", "warming"], workers=1, memory=False)
+    by_program = {(row.kind, row.program): row for row in found.rows}
+    assert {program for _, program in by_program} == {program.name for program in programs.FURTHER}
+    assert by_program["gyros", "imu_tk"].verdict == "cannot run"
+    assert by_program["gyros", "tumble joint"].verdict == "accepted"
+    assert abs(by_program["gyros", "tumble joint"].z["gyro.bias.x"]) < 4.0
+    warming = by_program["warming", "tumble joint"]
+    assert set(warming.errors) >= {"accel.change", "gyro.change"}
+    assert warming.errors["gyro.change"][0] < by_program["warming", "PX4 thermal"].errors["gyro.change"][0]
+    assert {name.split(".")[1] for name in warming.z} == {"thermal"}
+    path = tmp_path / "further.json"
+    path.write_text(found.text(), encoding="utf-8")
+    assert run.Results.read(path).rows == found.rows
+
+
+def test_a_magnetometer_is_calibrated_with_the_others() -> None:
+    case = simulated(named("mag-turns"), 0, "test")
+    row = row_of(case, "tumble joint", programs.named("tumble joint").calibrate(case))
+    assert row.verdict == "accepted", row.said
+    mag = [z for name, z in row.z.items() if name.startswith("mag.")]
+    assert len(mag) == 12
+    assert np.sqrt(np.mean(np.square(mag))) < 2.0
+    assert row.errors["mag.bias"][0] < 0.1
+
+
 # -------------------- the drift watch --------------------
 
 

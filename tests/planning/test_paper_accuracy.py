@@ -212,6 +212,9 @@ def test_programmes_and_instruments_that_a_method_does_not_take_are_refused() ->
         plan(SETUP, iterations=0)
     without_turns = plan(replace(SETUP, programme=programme("cube-26")), method="scalar")
     assert {row.group for row in without_turns.groups} == set(GROUPS[:4])
+    full = plan(Setup.of(programme="nine"), method="sequential")  # with what the method takes as nothing
+    assert {row.group for row in full.groups} == set(GROUPS[:4])
+    assert "accel.quadratic" in full.group("accel.bias").sources
     with pytest.raises(KeyError):
         without_turns.group("gyro.scale")
     with pytest.raises(InputError, match=r"found 'gyro\.scale'"):

@@ -13,12 +13,11 @@ import pytest
 import scipy
 
 import tumble
-from tumble.errors import InputError
 from tumble.recording.arrays import session_of_arrays
 from tumble.recording.session import Exclusion, Session
 from tumble.result.calibration import Calibration
 from tumble.result.further import accepted_groups
-from tumble.run.launches import calibrate_launches, same_recording
+from tumble.run.launches import calibrate_launches
 from tumble.simulation.session import read_truth
 from tumble.units import DEGREE, Array
 
@@ -242,23 +241,6 @@ def test_a_level_of_the_gyros_that_steps_after_the_last_rest_is_no_jump(hand: Re
     found = tumble.inspect_session(hand.session(accel=a, gyro=g, time=dt * np.arange(1, len(a) + 1)))
     assert found.segmentation.jump is None
     assert len(found.segmentation.rests) == len(hand.rests)
-
-
-@pytest.mark.parametrize("digits", [4, 6])
-def test_one_recording_given_twice_is_one_whatever_its_digits(hand: Recorded, digits: int) -> None:
-    one, other = hand.session(), hand.session(accel=hand.accel.round(digits), gyro=hand.gyro.round(digits))
-    with pytest.raises(InputError, match="holds the same recording as"):
-        calibrate_launches([one, other], terms="linear")
-
-
-def test_recordings_on_the_same_table_are_two() -> None:
-    rng = np.random.default_rng(7)
-    u = np.full((12, 6), 1e-4)
-    attitudes = rng.standard_normal((12, 6))
-    first, second = (attitudes + u * rng.standard_normal((12, 6)) for _ in range(2))
-    assert not same_recording((first, u), (second, u))
-    assert same_recording((first, u), (first[3:] + 0.2 * u[3:], u[3:]))
-    assert not same_recording((first, u), (np.empty((0, 0)), np.empty((0, 0))))
 
 
 def leaning(hand: Recorded) -> Array:

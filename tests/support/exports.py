@@ -7,7 +7,7 @@ from typing import Any
 from tumble.export import target, targets
 from tumble.export.kalibr import NoiseDensities
 from tumble.lab.certificate import Certificate, Party, Person
-from tumble.reduction.noise.filter_values import Densities
+from tumble.reduction.noise.densities import Densities
 
 FORMATS = targets()
 THERMAL = tuple(name for name in FORMATS if name.endswith("-thermal"))

@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from tumble.units import Array
 
 G = 9.81
+EARTH_RATE = 7.292115e-5
 STEPS = 10
 """Steps a sample."""
 UP = np.array([0.0, 1.0, 0.0])
@@ -72,9 +73,14 @@ class Recording:
     truth: dict[str, float] = field(default_factory=dict)
 
 
-def record(motion: Motion, seed: int, *, rate: float = 200.0, noise: Noise = Noise(), errors: float = 1.0) -> Recording:
+def record(
+    motion: Motion, seed: int, *, rate: float = 200.0, noise: Noise = Noise(), errors: float = 1.0,
+    further: float = 0.0, latitude: float | None = None,
+) -> Recording:  # fmt: skip
     """A recording of an instrument with errors drawn at random: biases 0.05 m/s² and 0.6 °/s, scale factors 0.6 %, axes
-    4 mrad, times `errors`; accelerometer axes are a lower triangle, so that the first is the body's."""
+    4 mrad, times `errors`; accelerometer axes are a lower triangle, so that the first is the body's. Times `further`,
+    what else the data sheets of such chips state: 50 µg/g², 100 µg/g³, 50 and 100 ppm of asymmetry, 30 °/h/g, 5 mm
+    between accelerometers, and their delays of 5 ms in common and of 0.3 ms each. At a `latitude` the Earth turns."""
     rng = np.random.default_rng(seed)
     n = int(motion.seconds * rate)
     h = 1.0 / (rate * STEPS)
@@ -98,21 +104,44 @@ def record(motion: Motion, seed: int, *, rate: float = 200.0, noise: Noise = Noi
     up_x = C[:, 1, 0]
     position += motion.follows * (up_x**2)[:, None] * UP
     position += motion.regrip * _smooth(t - 0.5 * motion.seconds)[:, None] * np.array([0.6, 0.0, 0.8])
-    acceleration = np.gradient(np.gradient(position, h, axis=0), h, axis=0)
-    force = np.einsum("kji,kj->ki", C, acceleration + G * UP)
-    force, omega = (each[: n * STEPS].reshape(n, STEPS, 3).mean(axis=1) for each in (force, omega))
+    own = np.random.default_rng((seed, 2))
+    places = own.normal(0, 5e-3 * further, (3, 3)) * [[1.0], [1.0], [0.0]]
+    delays = 5e-3 * further * own.normal() + own.normal(0, 3e-4 * further, 3) * [1.0, 1.0, 0.0]
+
+    def averaged(each: Array) -> Array:
+        return np.asarray(each.reshape(n, STEPS, 3).mean(axis=1))
+
+    def sensed(place: Array, delay: float) -> Array:
+        """Specific force (S, 3) at a place in the body, as it is read so late."""
+        acceleration = np.gradient(np.gradient(position + C @ place, h, axis=0), h, axis=0)
+        force = np.einsum("kji,kj->ki", C, acceleration + G * UP)
+        late = force if delay == 0.0 else CubicSpline(t, force)(np.clip(t - delay, t[0], t[-1]))
+        return averaged(late)
+
+    forces = np.stack([sensed(place, delay) for place, delay in zip(places, delays.tolist(), strict=True)], axis=1)
+    if latitude is not None:
+        omega = omega + EARTH_RATE * np.array([np.cos(latitude), np.sin(latitude), 0.0]) @ C
+    force, omega = sensed(np.zeros(3), 0.0), averaged(omega)
     scale, axes, bias = 6e-3 * errors, 4e-3 * errors, (0.05 * errors, np.radians(0.6) * errors)
     accel_matrix = np.eye(3) + np.diag(rng.normal(0, scale, 3)) + np.tril(rng.normal(0, axes, (3, 3)), -1)
     off = rng.normal(0, axes, (3, 3))
     gyro_matrix = np.eye(3) + np.diag(rng.normal(0, scale, 3)) + off - np.diag(np.diag(off))
     accel_bias, gyro_bias = rng.normal(0, bias[0], 3), rng.normal(0, bias[1], 3)
+    quadratic, cubic, both_signs = (own.normal(0, further * size, 3) for size in (5e-5 / G, 1e-4 / G**2, 5e-5))
+    of_gyros, by_force = (
+        own.normal(0, 1e-4 * further, 3),
+        own.normal(0, np.radians(30.0 / 3600.0) / G * further, (3, 3)),
+    )
+    along = np.einsum("kpp->kp", forces)
+    read = np.einsum("kpj,pj->kp", forces, accel_matrix)
+    read += quadratic * along**2 + cubic * along**3 + both_signs * np.abs(along)
+    turned = omega @ gyro_matrix.T + of_gyros * np.abs(omega) + force @ by_force.T
     out = []
-    for x, matrix, b, density, in_run in (
-        (force, accel_matrix, accel_bias, noise.accel, noise.accel_in_run),
-        (omega, gyro_matrix, gyro_bias, noise.gyro, noise.gyro_in_run),
-    ):
+    for x, b, density, in_run in (
+        (read, accel_bias, noise.accel, noise.accel_in_run), (turned, gyro_bias, noise.gyro, noise.gyro_in_run),
+    ):  # fmt: skip
         wander = _gauss_markov(n, in_run, noise.time * rate, rng)
-        out.append(x @ matrix.T + b + wander + rng.normal(0, density * np.sqrt(rate), (n, 3)))
+        out.append(x + b + wander + rng.normal(0, density * np.sqrt(rate), (n, 3)))
     return Recording(
         accel=out[0], gyro=out[1], rate=rate, accel_matrix=accel_matrix, accel_bias=accel_bias,
         gyro_matrix=gyro_matrix, gyro_bias=gyro_bias, attitudes=C[::STEPS],

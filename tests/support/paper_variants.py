@@ -12,7 +12,7 @@ from tumble.methods.least_squares import solved
 from tumble.methods.paper.gyros import (
     _LEVEL,
     Series,
-    carried_attitudes,
+    carried,
 )
 from tumble.reduction.turns.turns import Turns
 from tumble.rotation import rotation_matrix, unit_vector
@@ -55,8 +55,10 @@ def logged_jacobian(
     u = unit_vector(force)
     accel = accelerometer_errors(u)
     for series in course:
-        L = carried_attitudes(series, attitude, turns.C, turns.duration, earth_rate)
         start = series[0].first
+        L = [attitude[..., start, :, :]]
+        for t in series:
+            L.append(carried(L[-1], turns.C[..., t.turn, :, :], earth_rate, float(turns.duration[t.turn])))
         Ψ = _start_errors(L[0], accel[..., start, :, :], rate[..., start, :], earth_rate)
         for j, t in enumerate(series):
             turned = L[j] @ _turn_errors(turns, t.turn)

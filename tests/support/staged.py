@@ -19,6 +19,10 @@ The weight of stage 2 is the covariance of the noise of rests (accelerometers an
 what stage 1 leaves, and the uncertainty of g, all propagated; rests shared by two turns make their rows correlated.
 Turns are integrated again about the parameters after every step. The covariance of the estimate has what both stages
 have in common. Scatter between rests and of turns is estimated where the residuals need it.
+
+Let residuals r have the covariance V before a fit and W after it. Then Σ r_i²/V_ii has the mean t = tr w and the
+variance 2 tr w², w_ij = W_ij/√(V_ii V_jj). Multiplied by t/tr w², it has those of a χ² of t²/tr w² degrees of freedom
+(Satterthwaite 1946).
 """
 
 from __future__ import annotations
@@ -34,8 +38,8 @@ from tumble.inference.estimate import Estimate, Fit
 from tumble.methods.least_squares import (
     MAX_ITERATIONS,
     SCATTER_ROUNDS,
-    Residuals,
     Solution,
+    as_normal,
     least_squares,
     scatter_of,
     sigmas,
@@ -49,6 +53,59 @@ from tumble.run.observed import inspect_session
 from tumble.sensors.model import Block, SensorModel, beyond_body, beyond_turning
 from tumble.sensors.parameters import limits_of, units_of
 from tumble.units import Array, BoolArray
+
+LEAST_SHARE = 1e-3
+"""Residuals that retain no more than this part of their variance after the fit show nothing."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Residuals:
+    """Residuals (r,) after a fit, their `variance` (r,) before it, and their covariance (r, r) after it, `left`."""
+
+    residual: Array
+    variance: Array
+    left: Array
+
+    def chi_square(self) -> tuple[float, float]:
+        """χ² and its degrees of freedom, matched in mean and variance; zeros if nothing is left."""
+        scale = np.sqrt(self.variance)
+        share = self.left / np.outer(scale, scale)
+        trace, squares = float(np.trace(share)), float((share**2).sum())
+        if trace < 1e-6:
+            return 0.0, 0.0
+        return float(((self.residual / scale) ** 2).sum()) * trace / squares, trace**2 / squares
+
+    def excess(self) -> float:
+        """χ² less its expectation."""
+        statistic, degrees = self.chi_square()
+        return statistic - degrees
+
+    def fit(self, scatter: float, unit: str) -> Fit:
+        """χ² as a calibration keeps it."""
+        statistic, degrees = self.chi_square()
+        return Fit(chi_square=statistic, degrees=degrees, scatter=scatter, unit=unit)
+
+    def sigmas(self, size: int, *, scaled: bool) -> Array:
+        """Deviations of residuals, `size` at a time, in sigmas. If `scaled`, their scatter comes from themselves, and
+        each is judged by the scatter of all others, given what it shares with them: by Student's t."""
+        squares = (self.residual**2 / self.variance).reshape(-1, size).sum(axis=1)
+        free = (np.diag(self.left) / self.variance).reshape(-1, size).sum(axis=1)
+        z: Array = np.sqrt(squares / np.where(free > LEAST_SHARE, free, np.inf))
+        if not scaled:
+            return z
+        for i in np.flatnonzero(free > LEAST_SHARE).tolist():
+            own = np.arange(i * size, (i + 1) * size)
+            others = np.setdiff1d(np.arange(len(self.residual)), own)
+            by_own = self.left[np.ix_(others, own)] @ np.linalg.pinv(self.left[np.ix_(own, own)])
+            rest = Residuals(
+                residual=self.residual[others] - by_own @ self.residual[own],
+                variance=self.variance[others],
+                left=self.left[np.ix_(others, others)] - by_own @ self.left[np.ix_(own, others)],
+            )
+            statistic, degrees = rest.chi_square()
+            if degrees >= 1.0:
+                z[i] = as_normal(z[i] * np.sqrt(degrees / max(statistic, 1e-300)), degrees)
+        return z
 
 
 def staged_estimate(folder: Path) -> Estimate:

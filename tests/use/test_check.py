@@ -245,6 +245,15 @@ def test_each_rest_of_the_calibration_itself_is_left_out(folder: Path) -> None:
     assert (len(found.rests), found.parameters) == (18, ())
 
 
+def test_counts_that_are_worth_something_else_are_refused(folder: Path) -> None:
+    made = read_calibration(folder / "calibration.json")
+    readings = made.provenance.readings
+    counts = replace(readings["accel"], unit="count", scale=(400.0,) * 3)
+    counted = with_fields(made, readings={**readings, "accel": counts})
+    with pytest.raises(InputError, match=r"log\.accel: expected the unit, scale and offset of the calibration"):
+        check_calibration(counted, folder / "again")
+
+
 def test_accelerometers_alone_are_checked(folder: Path) -> None:
     whole = read_calibration(folder / "calibration.json")
     own = [i for i, p in enumerate(whole.parameters) if p.name.startswith("accel.") and "lever" not in p.name]

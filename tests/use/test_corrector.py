@@ -13,14 +13,13 @@ from hypothesis import strategies as st
 
 from tests.support.calibrated import HEXAD, calibration, warmed, with_fields
 from tests.use.test_applied_model import N, corrected, larger, logged, read, truth
-from tumble.errors import CalibrationError, InputError
+from tumble.errors import InputError
 from tumble.inference.estimate import Outcome
 from tumble.inference.prediction import Prediction
 from tumble.recording.log import open_log
 from tumble.recording.session_file import read_session
 from tumble.result.calibration import Calibration
-from tumble.result.parts import CalibratedTemperature, Parameter, RestResult, SensorsAtRest
-from tumble.sensors.model import Block
+from tumble.result.parts import Parameter
 from tumble.units import G_STANDARD, ZERO_CELSIUS, Array
 from tumble.use.corrector import LATEST, Corrected, Corrector
 
@@ -258,71 +257,6 @@ def test_samples_outside_of_what_was_calibrated_are_flagged() -> None:
     assert found.outside["force"].tolist() == [False, True, False, False, True]
 
 
-def noisy(made: Calibration) -> Calibration:
-    """With rests that say how large the noise is, unit/√Hz."""
-    rests = tuple(
-        RestResult(
-            start=float(i),
-            stop=i + 1.0,
-            residual=0.0,
-            accel=SensorsAtRest(mean=(0.0,) * 3, noise=(1e-3, 2e-3, 3e-3), drift=(0.0,) * 3, temperature=()),
-            gyro=SensorsAtRest(mean=(0.0,) * 3, noise=(1e-4, 2e-4, 3e-4), drift=(0.0,) * 3, temperature=()),
-        )
-        for i in range(3)
-    )
-    return with_fields(made, rests=rests)
-
-
-def test_the_covariance_is_that_of_samples_with_drawn_parameters_and_noise() -> None:
-    """4000 draws; entries scatter by 1/√4000 of their sizes, five of which are 8 %, and 11 % on the diagonal."""
-    made, rng, draws = noisy(calibration()), np.random.default_rng(12), 4000
-    assert made.covariance is not None
-    assert made.accel is not None
-    assert made.gyro is not None
-    force, rate = np.array([3.0, -5.0, 8.0]), np.array([0.5, 1.0, -1.5])
-    found = Corrector(made, sample_rate=100.0).covariance(force, rate)
-    blocks = Block(kind="accel", axes=np.eye(3)), Block(kind="gyro", axes=np.eye(3))
-    values = rng.multivariate_normal([p.value for p in made.parameters], made.covariance, draws)
-    out = []
-    for each in values:
-        y = made.accel.predict(force) + 10.0 * np.array([1e-3, 2e-3, 3e-3]) * rng.standard_normal(3)
-        w = made.gyro.predict(rate) + 10.0 * np.array([1e-4, 2e-4, 3e-4]) * rng.standard_normal(3)
-        out.append([*blocks[0].model(each[:9]).apply(y), *blocks[1].model(each[9:]).apply(w)])
-    u = np.sqrt(np.diag(found))
-    np.testing.assert_allclose(np.cov(np.array(out).T) / np.outer(u, u), found / np.outer(u, u), atol=0.11)
-    np.testing.assert_allclose(Corrector(made, sample_rate=100.0).covariance(force), found[:3, :3])
-    quiet = Corrector(calibration(), sample_rate=100.0).covariance(force, rate)
-    assert (np.diag(quiet) < np.diag(found)).all()
-
-
-def test_the_covariance_turns_with_the_frame() -> None:
-    made = noisy(calibration())
-    turned = made.in_frame("symmetric")
-    assert made.accel is not None
-    assert turned.accel is not None
-    Q = np.linalg.solve(turned.accel.matrix, made.accel.matrix)
-    force, rate, both = np.array([3.0, -5.0, 8.0]), np.array([0.5, 1.0, -1.5]), np.kron(np.eye(2), Q)
-    found = Corrector(turned, sample_rate=100.0).covariance(Q @ force, Q @ rate)
-    expected = both @ Corrector(made, sample_rate=100.0).covariance(force, rate) @ both.T
-    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-6 * np.abs(expected).max())
-
-
-def test_the_noise_of_the_angular_acceleration_is_in_the_covariance() -> None:
-    """White noise of the gyros alone, through the corrector itself: 5 % of 20,000 samples' variance."""
-    made, instrument, values = larger(leave=("accel.delay",))
-    made = replace(
-        noisy(made), covariance=np.zeros((len(made.parameters),) * 2), temperature=CalibratedTemperature(reference=None)
-    )
-    corrector, count = Corrector(made, sample_rate=1000.0), 20_000
-    rng, still = np.random.default_rng(3), (np.array([[0.0, 0.0, 9.8]]), np.zeros((1, 3)))
-    accel, gyro = read(instrument, values, *still)
-    sizes = np.sqrt(1000.0) * np.array([[1e-3, 2e-3, 3e-3], [1e-4, 2e-4, 3e-4]])
-    noise = rng.standard_normal((2, count, 3)) * sizes[:, None]
-    found = corrector.add(accel + noise[0], gyro + noise[1]).force
-    expected = corrector.covariance(still[0][0], still[1][0])[:3, :3]
-    np.testing.assert_allclose(np.var(found, axis=0), np.diag(expected), rtol=0.05)
-
-
 def test_gyros_alone_leave_the_specific_force_unknown() -> None:
     why = ("the accelerometers scatter",)
     made = with_fields(calibration(), outcome=Outcome(reasons=why, concerns={why[0]: ("accel",)}), sample_rate=100.0)
@@ -340,7 +274,6 @@ def test_accelerometers_alone_and_blocks_of_six_are_corrected() -> None:
     found = corrector.add(readings)
     assert found.rate is None
     np.testing.assert_allclose(found.force, made.apply(readings)[0], rtol=0.0, atol=1e-13)
-    assert corrector.covariance(found.force[0]).shape == (3, 3)
 
 
 def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
@@ -365,5 +298,3 @@ def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
         corrector.add(accel, gyro, temperature=300.0)
     with pytest.raises(InputError, match="gyro readings: expected 0 numbers a sample"):
         Corrector(calibration(with_gyro=False), sample_rate=100.0).add(accel, gyro)
-    with pytest.raises(CalibrationError, match="expected a calibration with covariance"):
-        Corrector(replace(made, covariance=None), sample_rate=100.0).covariance(accel[0])

@@ -11,7 +11,6 @@ import pytest
 from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
-from matplotlib.figure import Figure
 
 from tests.support.calibrated import calibration, with_fields
 from tumble.cli import main
@@ -299,19 +298,15 @@ def test_groups_of_refused_sensors_that_are_accepted_are_named_in_the_terminal_t
 
 def test_a_calibration_shows_priors_and_what_was_learned(full: Calibration) -> None:
     lines = {line.split()[0]: line.split() for line in full.table().splitlines()[1:] if line}
-    assert lines["parameter"][-4:] == ["k", "dof", "prior", "learned"]
-    assert lines["accel.delay"][-5:] == [f"{full['accel.delay'].k:.2f}", "6", "5", "100", "%"]
-    u, expanded = (float(lines["accel.delay"][column]) for column in (2, 3))
+    assert lines["parameter"][-3:] == ["dof", "prior", "learned"]
+    assert lines["accel.delay"][-4:] == ["6", "5", "100", "%"]
+    u, k, expanded = (float(lines["accel.delay"][column]) for column in (2, 3, 4))
+    assert k == pytest.approx(full["accel.delay"].k, abs=0.005)
     assert expanded == pytest.approx((full["accel.delay"].k or 0.0) * u, rel=0.05)
     assert "<th>learned</th>" in full._repr_html_()
     frame = full.to_polars()
     assert frame["learned"].to_list()[-4:] == [0.99, 0.04, 0.9999, 0.5]
     assert frame["k"].to_list() == [p.k for p in full.parameters]
-    axes = Figure().add_subplot()
-    full.plot(axes)
-    assert axes.get_title().endswith("25 parameters, accepted")
-    hollow = [line for line in axes.lines if line.get_markerfacecolor() == "none"]
-    assert sum(len(np.asarray(line.get_xdata())) for line in hollow) == 1
 
 
 def test_sentences_are_not_broken_in_a_pipe_and_tables_are(capsys: pytest.CaptureFixture[str]) -> None:

@@ -44,15 +44,12 @@ from tumble.sensors.model import SensorModel
 from tumble.sensors.parameters import FURTHER
 from tumble.simulation.session import simulate_session
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, G_STANDARD
-from tumble.views.blocks import Table
 from tumble.views.numbers import fixed, significant
 from tumble.views.render.characters import drawable, visible
 from tumble.views.render.pages import page as to_page
 from tumble.views.render.pages import pdf as to_pdf
 from tumble.views.render.pictures import drawn
 from tumble.views.report.document import ReportedFile, report_of, sources_of, write_report
-from tumble.views.report.figures import farthest_from
-from tumble.views.report.result import compared
 
 SHORT = Setup.of(grade="tactical", rest=10.0, rate_deg_s=45.0, sample_rate=50.0)
 SIZES = {
@@ -242,11 +239,6 @@ def test_parameters_are_put_into_words(name: str, said: str) -> None:
 )
 def test_numbers_are_written_as_in_print(text: str, wanted: str) -> None:
     assert text == wanted
-
-
-def test_the_farthest_direction_from_six_faces_is_a_vertex_of_the_cube() -> None:
-    faces = np.vstack([np.eye(3), -np.eye(3)])
-    assert farthest_from(faces) == pytest.approx(np.arccos(1.0 / np.sqrt(3.0)), abs=0.02)
 
 
 # -------------------- one file that needs nothing --------------------
@@ -536,41 +528,25 @@ def result_alone(content: Any) -> None:
     content |= {"rests": [], "turns": [], "iterations": [], "covariance": None}
 
 
-def test_methods_on_one_log_are_compared(file: Path, other_method: Path, tmp_path: Path) -> None:
+def test_several_files_of_a_device_are_reported_one_after_the_other(
+    file: Path, other_method: Path, tmp_path: Path
+) -> None:
     for name, path in (("one", file), ("other", other_method)):
         (tmp_path / name).mkdir()
         changed(json.loads(path.read_text(encoding="utf-8")), tmp_path / name, result_alone)
     out = tmp_path / "report.html"
     assert write_report([tmp_path / "one/changed.json", tmp_path / "other/changed.json"], out) == []
     page = Page.of(out)
-    rows = page.table("parameter", "joint", "scalar", "range", "unit")
-    one, other = read_calibration(file), read_calibration(other_method)
-    assert len(rows) == len(one.parameters) == 21
-    for row in rows:
-        size = SIZES[row["unit"]]
-        for title, calibration in (("joint", one), ("scalar", other)):
-            value, expanded = row[title].split(" ± ")
-            p = calibration[row["parameter"]]
-            assert p.u is not None
-            assert number(value) == pytest.approx(p.value / size, abs=0.5001 * last_digit(value))
-            assert number(expanded) == pytest.approx((p.k or 0.0) * p.u / size, rel=0.051)
-    assert "Methods compared" in page.whole
+    tables = page.all_tables("parameter", "value", "U (95 %)", "unit")
+    for rows, path in zip(tables, (file, other_method), strict=True):
+        one = read_calibration(path)
+        assert len(rows) == len(one.parameters) == 21
+        for row in rows:
+            p, size = one[row["parameter"]], SIZES[row["unit"]]
+            assert number(row["value"]) == pytest.approx(p.value / size, abs=0.5001 * last_digit(row["value"]))
     assert page.headings.count("1 Result") == 2
     named = [attributes["id"] for _, attributes in page.elements if "id" in attributes]
     assert len(named) == len(set(named))
-
-
-def test_calibrations_in_other_frames_are_compared_in_that_of_the_first(file: Path) -> None:
-    first = read_calibration(file)
-    section = compared(["one", "other"], [first, first.in_frame("symmetric")])
-    (table,) = (block for block in section.blocks if isinstance(block, Table))
-    assert table.columns == ("parameter", "one", "other", "range", "unit")
-    assert [row[0] for row in table.rows] == [p.name for p in first.parameters]
-    for row in table.rows:
-        (value, expanded), (turned, turned_expanded) = (cell.split(" ± ") for cell in row[1:3])
-        assert number(value) == pytest.approx(number(turned))  # "6" and "6.0", where u is about 1
-        assert number(expanded) == pytest.approx(number(turned_expanded), rel=0.1)  # k passes through another frame
-        assert number(row[3]) == 0.0
 
 
 def test_devices_are_not_mixed(file: Path, content: Any, tmp_path: Path) -> None:

@@ -28,7 +28,6 @@ from tumble.commands import ask, tell
 @ask.REGISTRY
 @ask.option("--host", "Address to listen on; beyond the loopback a token is asked for.", "127.0.0.1")
 @ask.option("--port", "0: any that is free.", 8422, type=click.IntRange(0, 65535))
-@click.option("--browser", is_flag=True, help="Open the page.")
 def bench(
     session: Path,
     listen: str | None,
@@ -37,7 +36,6 @@ def bench(
     place: str | None,
     host: str,
     port: int,
-    browser: bool,
     **options: Any,
 ) -> None:
     """The live page: follow a recording, say what to do next, and calibrate at the end.
@@ -51,4 +49,4 @@ def bench(
     given = {"latitude_deg": latitude, "gravity": gravity}
     site = {key: value for key, value in given.items() if value is not None}
     station = partial(station_of, session, listen, site=site, registry=place, **options)
-    serve(station, folder=session, host=host, port=port, browser=browser, say=tell.warn)
+    serve(station, folder=session, host=host, port=port, say=tell.warn)

@@ -192,7 +192,6 @@ def _done(task: Task, taken: int, estimate: EstimateShown | None, *, complete: b
 _ANEW = "Record this unit anew", "in a folder of its own beside this one"
 _LEFT_OUT = {
     "knock": ("Take this rest again", "hold still: it begins anew, what came before the knock is left out"),
-    "movement": ("Take this rest again", "hold still: it begins anew"),
     "wrong position": ("Leave this rest out", "then turn into {wanted}, as in the picture"),
     "wrong way": ("Leave this rest out", "then turn back the way you came, and into {wanted} the other way"),
     "wrong turn": ("Leave this rest out", "then turn back the way you came, and into {wanted} as it says"),

@@ -171,9 +171,6 @@ def _table(one: Exclusion) -> str:
 
 # -------------------- what the operator has answered --------------------
 
-_HERE = ("knock", "movement")
-"""Faults of a rest that begins anew in the same place."""
-
 
 class Answers:
     """The operator's answers in one session. What they leave out is written into the session.toml of its `folder`.
@@ -213,7 +210,7 @@ class Answers:
         """Leave out what a fault has spoilt, up to now or until the unit is moved."""
         if fault is None or progress is None:
             return "nothing is wrong"
-        here = fault.kind in _HERE
+        here = fault.kind == "knock"  # this rest begins anew
         self._leave_out(fault, progress, fault.start, progress.now, until_moved=not here)
         return "left out; hold still, this rest begins anew" if here else "left out; take it again"
 

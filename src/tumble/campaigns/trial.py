@@ -50,26 +50,10 @@ def random_numbers(seed: int, number: int) -> np.random.Generator:
 def session_rows(seed: int, methods: Sequence[Method], intervals: bool, number: int, cell: Cell) -> list[Row]:
     """Simulate trial `number` of a campaign at a point of its grid, and calibrate it by every method.
 
-    Parameters
-    ----------
-    seed
-        Of the campaign.
-    methods
-        Names of methods, see `tumble.calibrate`.
-    intervals
-        Whether joint, and what other methods take from it, is integrated over its hyperparameters, as
-        `tumble.calibrate` does; else u is that at the maximum of the likelihood.
-    number
-        Of the trial.
-    cell
-        Arguments of `Setup.of`.
-
-    Returns
-    -------
-    list of mapping
-        A row for each method: whether it was accepted, the reasons if not, and for every parameter p `error.p`, its
-        value less the truth, `u.p`, and `bound.p`, the square root of the Cramér–Rao bound of the observations, SI.
-    """
+    With `intervals` joint, and what other methods take from it, is integrated over its hyperparameters, as
+    `tumble.calibrate` does; else u is that at the maximum of the likelihood. Returns a row for each method: whether it
+    was accepted, the reasons if not, and for every parameter p `error.p`, its value less the truth, `u.p`, and
+    `bound.p`, the square root of the Cramér–Rao bound of the observations, SI."""
     rng = random_numbers(seed, number)
     scenario = scenario_of(Setup.of(**cell), rng)
     course = itinerary(scenario, random_numbers(seed, number).spawn(1)[0])

@@ -177,12 +177,10 @@ def _of_gyros(logs: Sequence[Path], stated: dict[str, Any], out: Path | None, *,
 
 
 @click.command(
-    epilog=ask.examples(
-        "tumble ellipsoid positions.csv --unit g", "tumble ellipsoid compass.csv --sensor mag --unit uT"
-    )
+    epilog=ask.examples("tumble ellipsoid positions.csv --unit g", "tumble ellipsoid volts.csv --scale=-2.4")
 )
 @click.argument("readings", metavar="READINGS.csv", type=ask.FILE)
-@ask.option("--unit", "Of the readings: V, count, g, m/s^2; others: see --sensor.", "V")
+@ask.option("--unit", "Of the readings: V, count, g or m/s^2.", "V")
 @ask.option(
     "--scale",
     "Nominal output per unit, signed by polarity; default: from the readings.",
@@ -193,9 +191,6 @@ def _of_gyros(logs: Sequence[Path], stated: dict[str, Any], out: Path | None, *,
 @ask.GRAVITY
 @ask.option("--gravity-u", "Its standard uncertainty; default: 3e-4, of gravity from a latitude.", type=float)
 @ask.option("--position/positions", "Where up roughly was in position N; repeat.", multiple=True, metavar="N=X,Y,Z")
-@ask.option("--sensor", "What they are.", "accel", type=click.Choice(["accel", "gyro", "mag"]))
-@ask.option("--modulus", "gyro: rate of the table; mag: the field; in --unit or --scale-per.", type=float)
-@ask.option("--modulus-u", "Its standard uncertainty; default: scale factors are relative to it.", type=float)
 @ask.option("--rows-per-position", "Rows of one position after another.", 1, type=int)
 @ask.grade(None, "; default: any, as far as residuals allow")
 @ask.terms("full")
@@ -211,7 +206,7 @@ def ellipsoid(
     force: bool,
     **options: Any,
 ) -> None:
-    """Calibrate a triad from READINGS.csv, a table of mean readings in nine or more positions of any orientation.
+    """Calibrate three accelerometers from READINGS.csv, their mean readings in nine or more positions.
 
     The table has a header with the names of three columns, one per channel, and a row per position.
     """

@@ -10,7 +10,6 @@ import click
 
 from tumble.commands import ask, tell
 from tumble.errors import InputError
-from tumble.export import targets
 
 _IDS = ask.Numbers("the numbers in CAL_ACC0_ID and CAL_GYRO0_ID with a comma between", int, count=2)
 _COUNTS = ask.Numbers("counts a g and a deg/s with a comma between", count=2, above=0.0)
@@ -53,12 +52,16 @@ class _Target(click.ParamType[str]):
     name = "target"
 
     def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
+        from tumble.export import targets
+
         del param, ctx
         return f"[{'|'.join(targets())}]"
 
     def shell_complete(
         self, ctx: click.Context, param: click.Parameter, incomplete: str
     ) -> list[click.shell_completion.CompletionItem]:
+        from tumble.export import targets
+
         del ctx, param
         return [click.shell_completion.CompletionItem(name) for name in targets() if name.startswith(incomplete)]
 

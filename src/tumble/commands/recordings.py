@@ -117,7 +117,7 @@ def inspect(recording: Path, picture: Path | None, **options: Any) -> None:
         with session_folders([recording], options) as (folder,):
             observed = inspect_session(folder, progress=tell.with_progress)
     except GyrosAloneError:
-        from tumble.views.gyros_alone import gyro_blocks
+        from tumble.views.inspection import gyro_blocks
 
         found = gyros_of(recording, ask.given_of(stated))
         tell.show(found.segmentation, lambda: gyro_blocks(found))
@@ -136,17 +136,15 @@ def inspect(recording: Path, picture: Path | None, **options: Any) -> None:
     epilog=ask.examples(
         "tumble noise imu-7",
         "tumble noise still.csv --accel ax,ay,az --gyro gx,gy,gz --sample-rate 100",
-        "tumble noise monday tuesday wednesday --filters",
+        "tumble noise monday tuesday wednesday",
     )
 )
 @click.argument("recordings", metavar="SESSION|LOG...", type=ask.PATH, nargs=-1, required=True)
-@click.option("--filters", is_flag=True, help="Values for Kalibr, VINS, robot_localization, ArduPilot and PX4, too.")
 @ask.option("--plot/picture", "Draw the Allan deviations into this .svg, .png or .pdf.", type=ask.FILE)
 @ask.COLUMNS
 @ask.JSON
 def noise(
     recordings: tuple[Path, ...],
-    filters: bool,
     picture: Path | None,
     **options: Any,
 ) -> None:
@@ -174,7 +172,7 @@ def noise(
     if picture is not None:
         plot(found.panels, picture)
         tell.say(f"written to {picture}")
-    tell.show(found, lambda: noise_blocks(found, filters=filters))
+    tell.show(found, lambda: noise_blocks(found))
 
 
 def _drafts(recordings: Sequence[Path], folder: Path, given: Given) -> list[Draft]:

@@ -25,17 +25,8 @@ def as_json() -> bool:
 
 
 def show(result: Any, blocks: Callable[[], Iterable[Block]], width: int | None = None) -> None:
-    """Print a result on standard output.
-
-    Parameters
-    ----------
-    result
-        A dataclass or a dictionary, which `--json` prints by `documents.as_json`.
-    blocks
-        Makes what is shown on the terminal without `--json`.
-    width
-        Of lines where there is no terminal; without it sentences are not broken.
-    """
+    """Print a result, a dataclass or a dictionary, on standard output: as JSON with `--json`, else the blocks that are
+    made of it; where there is no terminal sentences are broken after `width` characters, without it not at all."""
     if as_json():
         print_json(result, indent=1)
     else:

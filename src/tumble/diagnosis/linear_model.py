@@ -29,19 +29,19 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import scipy
 
 from tumble.diagnosis.undetermined import linear_names
 from tumble.inference.estimate import Estimate, GroupFinding
 from tumble.inference.joint import joint
 from tumble.inference.linearisation import Linearisation, linearise
 from tumble.inference.noise import SCATTER, VarianceComponents
-from tumble.inference.normal_equations import eliminate_rests, fold_sessions, mean_by_common, session_mean_bias
+from tumble.inference.normal_equations import solve
 from tumble.inference.prediction import prediction
 from tumble.inference.problem import Problem, instruments_of
 from tumble.inference.sources import source
 from tumble.inference.start import start_of
 from tumble.inference.turns_about import TurnsAbout
+from tumble.inference.uncertainty_budget import contributions
 from tumble.reduction.observations import Observations
 from tumble.rotation import unit_vector
 from tumble.sensors.instrument import functions
@@ -167,7 +167,8 @@ def components_in(estimate: Estimate) -> VarianceComponents:
 
 
 def moves_by_likelihood(rows: Linearisation) -> Array:
-    """By how much one of each group moves the parameters (m, k) of the linear model in a fit by the likelihood.
+    """By how much one of each group moves the parameters (m, k) of the linear model in a fit by the likelihood:
+    −C_AB C_BB⁻¹ of the covariance C that it gives with groups of any size.
 
     Parameters
     ----------
@@ -175,18 +176,9 @@ def moves_by_likelihood(rows: Linearisation) -> Array:
         The likelihood of the instrument with all groups, whose priors of the linear parameters count, with the noise of
         a fit of the linear model.
     """
-    problem, equations = rows.problem, eliminate_rests(rows)
-    last = 1 + problem.instrument.linear_count
-    prior = np.zeros_like(rows.prior)
-    prior[:last, :last] = rows.prior[:last, :last]
-    triangle, heads = fold_sessions(prior, equations.session_factors, problem.local_u, rows.local_prior)
-    exact = int(triangle[0, 0] == 0.0)  # gravity
-    moves = np.zeros((last, len(triangle) - 1 - last))
-    moves[exact:] = scipy.linalg.solve_triangular(triangle[exact:last, exact:last], triangle[exact:last, last:-1])
-    if equations.wanders:  # biases are means over the session
-        both = np.vstack([moves, -np.eye(moves.shape[1])])
-        moves[1 + problem.biases] += mean_by_common(session_mean_bias(equations)[0], heads[0])[0][:, :-1] @ both
-    return moves[1:]
+    covariance = np.sum(list(contributions(solve(rows)).values()), axis=0)[1:, 1:]
+    A, B = np.split(covariance[:, rows.problem.instrument.linear_count :], [rows.problem.instrument.linear_count])
+    return np.asarray(-np.linalg.solve(B, A.T).T)
 
 
 def with_left_out(estimate: Estimate, problem: Problem, moves: Array, sizes: Array) -> Estimate:

@@ -22,7 +22,7 @@ import numpy as np
 
 from tumble.diagnosis.causes import Candidate, Cause
 from tumble.diagnosis.linearised_session import SHORTEST_TURN, LinearisedSession
-from tumble.diagnosis.projection import UNSEEN, SumOfSquares, judged_solution
+from tumble.diagnosis.projection import SumOfSquares, falls_by_place, judged_solution
 from tumble.inference.linearisation import Linearisation
 from tumble.inference.noise import SCATTER, VarianceComponents
 from tumble.inference.normal_equations import Solution
@@ -31,7 +31,7 @@ from tumble.recording.rows.gaps import REGULAR_HINT
 from tumble.reduction.observations import Observations
 from tumble.rotation import tangent_basis
 from tumble.sensors.parameters import RATE
-from tumble.units import DEGREE, Array
+from tumble.units import Array
 
 OF_TURNS = ("gyro.scale", "gyro.axis")
 """Groups of parameters that turns tell."""
@@ -80,35 +80,18 @@ def of_turns(session: LinearisedSession, whole: Solution) -> list[Candidate]:
     if not (any(session.turned) and session.observations.unstamped):
         return []
     turn = _columns(session)
-    W, (residual, covariance) = whole.equations.turn_whitening, whole.turn_residuals
-    whitened = W @ turn
-    length = np.sqrt((whitened**2).sum(axis=1))
-    B = whitened / np.maximum(length, 1e-300)[:, None]
-    G, along = np.swapaxes(B, 1, 2) @ covariance @ B, np.einsum("krq,kr->kq", B, residual)
-    seen = np.linalg.eigvalsh(G)[:, 0] > UNSEEN**2
-    fall = np.zeros(len(turn))
-    fall[seen] = np.einsum("kq,kq->k", along[seen], np.linalg.solve(G[seen], along[seen][..., None])[..., 0])
-    most, sentences = np.zeros(len(turn), dtype=bool), list[str]()
+    columns = whole.equations.turn_whitening @ turn
+    falls = falls_by_place(np.eye(len(turn)), columns, *whole.turn_residuals)
+    most, places = np.zeros(len(turn)), list[list[str]]()
     for part, observed in zip(session.problem.parts, session.observed, strict=True):
-        falls = fall[part.turns]
-        if not falls.any() or observed.turns is None:
-            sentences.append("")
-            continue
-        worst = int(np.argmax(falls))
-        most[part.turns.start + worst] = True
-        sentences.append(
-            f"{observed.turn_named(worst)} errs about its own axis by {{size}}: samples are missing or held there; "
-            f"leave it out by turn = {observed.turns.first[worst] + 1} in [[exclude]], and record with time stamps"
-        )
-    loss = Candidate(
-        name="lost samples",
-        concerns="both",
-        columns=(session.nothing(turn.shape[2])[0], turn * most[:, None, None]),
-        unit=(DEGREE, "°"),
-        sentences=tuple(sentences),
-        tried=max(part.turns.stop - part.turns.start for part in session.problem.parts),
-    )
-    return [loss]
+        places.append(["", ""])
+        if falls[part.turns].any() and observed.turns is not None:
+            worst = int(np.argmax(falls[part.turns]))
+            most[part.turns.start + worst] = 1.0
+            places[-1] = [observed.turn_named(worst), str(observed.turns.first[worst] + 1)]
+    loss = session.nothing(turn.shape[2])[0], turn * most[:, None, None]
+    tried = max(part.turns.stop - part.turns.start for part in session.problem.parts)
+    return [Candidate(name="lost samples", concerns="both", columns=loss, places=places, tried=tried)]
 
 
 def _turned_about(about: TurnsAbout, turns: slice) -> Array:

@@ -124,7 +124,7 @@ def misfit(estimate: Estimate, search: bool = True) -> tuple[Finding, ...]:
     alone = judged_solution(linearised, VarianceComponents())
     session, together = LinearisedSession(linearised), linearised.problem.observations.together
     chances = [{group: group.chance(linearised, alone, part) for group in GROUPS} for part in linearised.problem.parts]
-    causes = _causes(session, judged_solution(linearised, linearised.components)) if search else [[] for _ in chances]
+    causes = _causes(session, alone) if search else [[] for _ in chances]
     limit = standing_out([p for by in chances for p in by.values()] + [c.probability for by in causes for c in by])
     wandering = list(_wandering(estimate, linearised))
     usual = {h.name.removesuffix("_in_run"): h.usual for h in estimate.hyperparameters}
@@ -185,7 +185,7 @@ def clock_by_earth(estimate: Estimate) -> ClockByEarth | None:
     likely = tested(linearised, errors)[0]
     if not likely or likely[0].name != "clock" or likely[0].probability > FALSE_ALARMS:
         return None
-    first = _causes(session, judged_solution(linearised, linearised.components))[0][0]
+    first = _causes(session, judged_solution(linearised, VarianceComponents()))[0][0]
     if first.name != "clock" or first.rivals:
         return None
     clock = next(error for error in errors if error.name == "clock")
@@ -202,12 +202,13 @@ def clock_by_earth(estimate: Estimate) -> ClockByEarth | None:
     )
 
 
-def _causes(session: LinearisedSession, whole: Solution) -> list[list[Cause]]:
+def _causes(session: LinearisedSession, alone: Solution) -> list[list[Cause]]:
     """Of each session all causes, the most significant first, one of a name and kind of sensor, by what is left of the
-    residuals with the noise alone and with the components of variance of the estimate."""
-    by_probability = attrgetter("probability")
-    by_session = tested(session.linearised, [*candidates_of(session), *of_turns(session, whole)])
-    blamed = turns_to_blame(session.linearised) if any(session.turned) else whole
+    residuals with the noise `alone` and with the components of variance of the estimate."""
+    by_probability, linearised = attrgetter("probability"), session.linearised
+    whole = judged_solution(linearised, linearised.components)
+    by_session = tested(linearised, [*candidates_of(session, alone), *of_turns(session, whole)])
+    blamed = turns_to_blame(linearised) if any(session.turned) else whole
     for s, causes in enumerate(by_session):
         causes += quantisation(session, s)
         lost = [cause for cause in causes if cause.name == "lost samples"]

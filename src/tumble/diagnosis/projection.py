@@ -229,6 +229,17 @@ def by_north(rows: Linearisation) -> tuple[Array, Array]:
     return rest, turn
 
 
+def falls_by_place(places: Array, columns: Array, residual: Array, covariance: Array) -> Array:
+    """By about how much chi-square falls (p,) with columns that are in several rests or turns at once: whitened ones
+    (M, r, q) in parts `places` (p, M), of residuals (M, r) with covariances (M, r, r)."""
+    score = places @ np.einsum("krq,kr->kq", columns, residual)
+    information = np.tensordot(places**2, np.swapaxes(columns, 1, 2) @ covariance @ columns, axes=1)
+    size, directions = np.linalg.eigh(information)
+    along = (score[:, None] @ directions)[:, 0]
+    seen = size > UNSEEN**2 * np.tensordot(places**2, (columns**2).sum(axis=(1, 2)), axes=1)[:, None]
+    return np.asarray(np.where(seen, along**2 / np.where(seen, size, 1.0), 0.0).sum(axis=1))
+
+
 # -------------------- how likely by chance --------------------
 
 

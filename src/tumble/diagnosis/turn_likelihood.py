@@ -16,9 +16,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import permutations, product
-from typing import Any
 
 import numpy as np
 
@@ -39,30 +38,28 @@ _SCALES = math.log(1e6)
 """The range of the logarithm of a scale of which nothing is known."""
 
 
-def _width(value: float, words: str, why: str) -> Any:
-    return field(default=value, metadata={"words": words, "why": why})
-
-
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Widths:
     """What the cost of a hypothesis hangs on, in one record, so that a study can sweep it."""
 
-    # fmt: off
-    scale: float = _width(
-        0.015, "standard deviation of ln of a scale factor over its nominal value", "±3 % in data sheets of MEMS")
-    offset: float = _width(
-        0.03, "the same of the length of gravity where rests do not show the zero", "offsets of 50 mg on three axes")
-    vertical: float = _width(
-        0.06, "standard deviation of a vertical, rad", "offsets of 50 mg before and behind a turn")
-    axes: float = _width(0.03, "the same, part of the angle of a turn", "axes and scale factors of small sensors")
-    damaged: float = _width(0.05, "share of turns of which the gyros do not say where they led", "clipped, cut, torn")
-    exchanged: float = _width(0.03, "share of logs whose gyros have other axes or signs", "chosen by hand")
-    named_wrongly: float = _width(0.003, "share of gyros in another unit than their name says", "chosen by hand")
-    turning: float = _width(1.2, "standard deviation of ln of the rate of turning by hand or on a table over 1 rad/s",
-                            "from 10 to 500 °/s")
-    near: float = _width(6.0, "two candidates are near each other up to this difference of their cost",
-                         "the second is 20 times less likely, as of columns")
-    # fmt: on
+    scale: float = 0.015
+    """Standard deviation of ln of a scale factor over its nominal value: ±3 % in data sheets of MEMS."""
+    offset: float = 0.03
+    """The same of the length of gravity where rests do not show the zero: offsets of 50 mg on three axes."""
+    vertical: float = 0.06
+    """Standard deviation of a vertical, rad: offsets of 50 mg before and behind a turn."""
+    axes: float = 0.03
+    """The same, part of the angle of a turn: axes and scale factors of small sensors."""
+    damaged: float = 0.05
+    """Share of turns of which the gyros do not say where they led: clipped, cut, torn."""
+    exchanged: float = 0.03
+    """Share of logs whose gyros have other axes or signs, chosen by hand."""
+    named_wrongly: float = 0.003
+    """Share of gyros in another unit than their name says, chosen by hand."""
+    turning: float = 1.2
+    """Standard deviation of ln of the rate of turning by hand or on a table over 1 rad/s, from 10 to 500 °/s."""
+    near: float = 6.0
+    """Two candidates are near each other up to this difference of their cost: the second is 20 times less likely."""
 
 
 WIDTHS = Widths()
@@ -201,45 +198,31 @@ def _cosines(steps: Array, before: Array, behind: Array, q: Array) -> Array:
 
 def signed_permutations() -> list[Array]:
     """All ways to exchange columns and signs, those with the fewest changes first."""
-    every = [
-        np.array(signs)[:, None] * np.eye(3)[list(order)]
-        for order in permutations(range(3))
-        for signs in product((1.0, -1.0), repeat=3)
-    ]
-    return sorted(every, key=lambda exchange: min(len(moved + wrong) for *_, moved, wrong in _meant_by(exchange)))
+    orders, signs = permutations(range(3)), list(product((1.0, -1.0), repeat=3))
+    every = [np.array(sign)[:, None] * np.eye(3)[list(order)] for order in orders for sign in signs]
+    return sorted(every, key=lambda exchange: min(_readings(exchange))[0])
 
 
 def columns_said(exchange: Array) -> str:
     """The simplest readings of a signed permutation of the gyros, in words."""
-    readings = _meant_by(exchange)
-    fewest = min(len(moved + wrong) for *_, moved, wrong in readings)
-    said = []
-    for sensors, matrix, moved, wrong in readings:
-        if len(moved + wrong) > fewest:
-            continue
-        parts = [f"the {sensors} columns {' and '.join(moved)} are exchanged"] if len(moved) == 2 else []
-        if len(moved) == 3:
-            order = ", ".join("xyz"[int(np.argmax(np.abs(row)))] for row in matrix)
-            parts = [f"the {sensors} columns are in the order {order}"]
-        if wrong:
-            parts.append(f"the sign of {sensors} {', '.join(wrong)} is wrong")
-        said.append(" and ".join(parts))
-    return " or ".join(said) + " (relative to the other sensors)"
+    readings = _readings(exchange)
+    simplest = [words for changes, words in readings if changes == min(readings)[0]]
+    return f"{' or '.join(simplest)} (relative to the other sensors)"
 
 
-def _meant_by(exchange: Array) -> list[tuple[str, Array, list[str], list[str]]]:
-    """What a signed permutation of the gyros may be: theirs, or, unless it is a mirror image, one of the
-    accelerometers, of which only the directions up to a common sign show in turns; with the axes whose columns are
-    exchanged and those whose signs are wrong."""
-    meant = [("gyro", exchange)]
+def _readings(exchange: Array) -> list[tuple[int, str]]:
+    """What a signed permutation of the gyros may be, with the number of changes: theirs, or, unless it is a mirror
+    image, one of the accelerometers, of which only the directions up to a common sign show in turns."""
+    meant, readings = [("gyro", exchange)], list[tuple[int, str]]()
     if np.linalg.det(exchange) > 0.0:
         meant += [("accelerometer", exchange.T), ("accelerometer", -exchange.T)]
-    return [
-        (
-            sensors,
-            matrix,
-            [axis for axis, one in zip("xyz", np.diag(matrix), strict=True) if one == 0.0],
-            [axis for axis, row in zip("xyz", matrix, strict=True) if row.sum() < 0.0],
-        )
-        for sensors, matrix in meant
-    ]
+    for sensors, matrix in meant:
+        order = ["xyz"[k] for k in np.abs(matrix).argmax(axis=1)]
+        moved = [axis for axis, read in zip("xyz", order, strict=True) if axis != read]
+        wrong = [axis for axis, row in zip("xyz", matrix, strict=True) if row.sum() < 0.0]
+        how = "are exchanged" if len(moved) == 2 else f"are in the order {', '.join(order)}"
+        named = f" {' and '.join(moved)}" if len(moved) == 2 else ""
+        parts = [f"the {sensors} columns{named} {how}"] if moved else []
+        parts += [f"the sign of {sensors} {', '.join(wrong)} is wrong"] if wrong else []
+        readings.append((len(moved + wrong), " and ".join(parts)))
+    return readings

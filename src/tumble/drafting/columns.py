@@ -49,9 +49,8 @@ def identified_log(
     logs: list[ForeignLog] = []
     without: list[NoLogError] = []
     omitted: tuple[str, ...] = ()
-    for file in _joined(
-        files, folder
-    ):  # text without rows beside logs that have some, as the metadata that a phone writes, is left out
+    # text without rows beside logs that have some, as the metadata that a phone writes, is left out
+    for file in _joined(files, folder):
         try:
             logs += [log.with_stated(stated, units) for log in _logs_in(file, folder)]
         except NoLogError as error:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import lzma
 import re
+import tomllib
 import zipfile
 import zlib
 from pathlib import Path, PurePosixPath
@@ -25,60 +26,7 @@ _NO_TEXT = re.compile(rb"[\x01-\x08\x0e-\x1a\x1c-\x1f\x7f]")
 _NO_TEXT_SHARE = 0.02
 NAMED = (".parquet", ".gz", ".zst")
 """Endings of files that are no text, beside those of recordings."""
-_AS_CSV = "export its readings as CSV"
-_WEB = "a page of the web, as of a download that failed"
-_OTHER_FORMATS = (
-    (0, b"\xb5b", "UBX of a u-blox receiver", "write its ESF-RAW messages as a table with a row a sample (pyubx2)"),
-    (0, b"$IMURAW", "IMR of Waypoint", "write it as text in Inertial Explorer"),
-    (0, b"H Product:Blackbox", "a black box of Betaflight", "decode it with blackbox_decode, and give the .csv"),
-    (0, b"\xfa\xff", "MTB of Xsens", "export it as text in MT Manager, with Acc and Gyr"),
-    (4, b"ftyp", "a video", "write its sensors as CSV, of a GoPro with a reader of GPMF"),
-    (0, b"TDSm", "TDMS of LabVIEW", "export it as CSV"),
-    (0, b"%PDF", "a document", "give the file with the readings"),
-    (0, b"\xd0\xcf\x11\xe0", "a workbook", "save its sheets as CSV"),
-    (0, b"version https://git-lfs", "a pointer of Git LFS to it", "fetch the file itself: git lfs pull"),
-    (0, b"/annex/objects/", "a pointer of git-annex to it", "fetch the file itself: git annex get"),
-    (257, b"ustar", "an archive of several files (tar)", "unpack it, and give its files"),
-    (0, b"7z\xbc\xaf", "an archive (7z)", "unpack it"),
-    (0, b"Rar!", "an archive (rar)", "unpack it"),
-    (0, b"BZh", "a file compressed by bzip2", "unpack it: bunzip2"),
-    (0, b"\xfd7zXZ", "a file compressed by xz", "unpack it: unxz"),
-    (0, b"\x7fELF", "a program", "give the file with the readings"),
-    (0, b"MZ\x90", "a program", "give the file with the readings"),
-    (0, b"\x89PNG", "an image", "give the file with the readings"),
-    (0, b"\xff\xd8\xff", "an image", "give the file with the readings"),
-    (0, b"GIF8", "an image", "give the file with the readings"),
-    (0, b"RIFF", "sound or a video", "give the file with the readings"),
-    (0, b"OggS", "sound", "give the file with the readings"),
-    (0, b"<!doctype html", _WEB, "get the file itself (of GitHub: Raw)"),
-    (0, b"<html", _WEB, "get the file itself (of GitHub: Raw)"),
-    (0, b"404: Not Found", _WEB, "get the file itself"),
-    (0, b"<?xml", "a document of XML", _AS_CSV),
-    (0, b"\x80\x04\x95", "a pickle of Python", "write it with numpy.savetxt or to_csv"),
-    (0, b"ARROW1", "Feather of Apache Arrow", "write it as Parquet"),
-    (0, b"MD\xfc\x03", "CWA of Axivity", "convert it with cwa-convert, or OmGui, to CSV in g and deg/s"),
-)
-"""Where in a file which bytes are, what they are of, and what to do."""
-_MISNAMED = (
-    (0, b"SQLite format 3", "a database", f"{_AS_CSV}; a bag of ROS 2 ends in .db3"),
-    (0, b"PK\x03\x04", "an archive or a workbook", "unpack it, or save its sheets as CSV; an archive ends in .zip"),
-    *(
-        (0, mark, f"{name} under another name", f"name it so that it ends in {ending}")
-        for mark, name, ending in (
-            (b"\x1f\x8b", "a file compressed by gzip", ".gz"),
-            (b"\x28\xb5\x2f\xfd", "a file compressed by Zstandard", ".zst"),
-            (b"PAR1", "Parquet", ".parquet"),
-            (b"\x89HDF", "HDF5", ".h5"),
-            (b"\x93NUMPY", "an array of NumPy", ".npy"),
-            (b"MATLAB 5.0 MAT-file", "a MAT-file", ".mat"),
-            (b"ULog\x01\x12\x35", "a flight log of PX4", ".ulg"),
-            (b"\xa3\x95", "a flight log of ArduPilot", ".bin"),
-            (b"#ROSBAG", "a bag of ROS 1", ".bag"),
-            (b"\x89MCAP", "MCAP", ".mcap"),
-        )
-    ),
-)
-"""The same of what can be read where its name says what it is."""
+_FORMATS = tomllib.loads((Path(__file__).parent / "formats.toml").read_text(encoding="utf-8"))
 
 
 def files_of(log: Path) -> list[Path]:
@@ -143,12 +91,15 @@ def check_format(file: Path, *, recording: bool) -> None:
     `recording`: its ending is that of one, or in NAMED."""
     with readable(file), file.open("rb") as stream:
         start = stream.read(_SEEN_BYTES)
-    for at, mark, name, advice in _OTHER_FORMATS if recording else (*_OTHER_FORMATS, *_MISNAMED):
-        if start[at : at + len(mark)].lower() == mark.lower():
+    for at, mark, name, advice in _FORMATS["refused"] + ([] if recording else _FORMATS["misnamed"]):
+        if start[at : at + len(mark)].lower() == mark.encode("latin-1").lower():
             raise NoLogError(f"{file}: expected a log, found {name}; {advice}")
     wide = encoding_of(start).startswith("utf-16")
     if not recording and not wide and len(_NO_TEXT.findall(start)) > _NO_TEXT_SHARE * len(start):
-        raise NoLogError(f"{file}: expected a log, found bytes that are no text, of a format unknown here; {_AS_CSV}")
+        raise NoLogError(
+            f"{file}: expected a log, found bytes that are no text, of a format unknown here; "
+            "export its readings as CSV"
+        )
 
 
 def check_is_text(file: Path, start: bytes) -> None:

@@ -1,5 +1,5 @@
 """Text logs that are no table of numbers, copied as tables into the session's folder: a function for each form, which
-recognises it in the first lines of a log.
+reads a line of it, or recognises it in the first lines of a log.
 
 Forms with the values of all columns in a line, or in several:
 
@@ -22,11 +22,11 @@ import json
 import re
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from functools import reduce
-from itertools import pairwise
+from itertools import islice, pairwise
 from operator import xor
 from pathlib import Path
 from typing import IO, Any
@@ -46,41 +46,43 @@ _SHARE = 0.8
 """Of the lines, that are written alike."""
 
 
+LineRead = tuple[str, tuple[str, ...], Sequence[str]]
+"""What kind of line it is, in words, the names of its columns, none where it names none, and its values."""
+Rows = Iterator[tuple[str, Sequence[str]]]
+"""The sensor of each row, "" for all together, and its values."""
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TextForm:
-    """How the lines of a text log are written: `row` gives the sensor of a line, "" for all together, and its values,
-    by the number and the text of the line: no values for a line that is no row, None for one that is left out. `names`
-    are those of the columns by sensor, `title` the form in words, "" where nothing is to be said."""
+    """How a text log is written: the `rows` in its lines, the `names` of the columns by sensor, and the form in words,
+    "" where nothing is to be said."""
 
-    row: Callable[[int, str], tuple[str, Sequence[str]] | None]
+    rows: Callable[[Iterable[str]], Rows]
     names: Mapping[str, Sequence[str]] = field(default_factory=dict)
     title: str = ""
 
 
-NamedValues = tuple[tuple[str, ...], Sequence[str]]
-"""The names of the columns of a line, none where it names none, and its values."""
-
-
-def _alike(lines: Sequence[str], read: Callable[[str], NamedValues | None], title: str) -> TextForm | None:
-    """The form of lines of which most are read with the same names and as many values; None otherwise."""
-    lines = lines[:_SEEN_LINES]
-    rows = [named for line in lines if (named := read(line)) is not None]
-    counts = Counter((names, len(values)) for names, values in rows)
+def alike(lines: Sequence[str], read: Callable[[str], LineRead | None], title: str) -> TextForm | None:
+    """The form of lines of which most are read as one kind, with the same names and as many values; None otherwise."""
+    counts = Counter((kind, names, len(values)) for kind, names, values in filter(None, map(read, lines)))
     if not counts:
         return None
-    (names, width), count = counts.most_common(1)[0]
+    (kind, names, width), count = counts.most_common(1)[0]
     filled = sum(bool(line.strip()) for line in lines)
     if (width < _LEAST_NUMBERS and names) or count <= max(_SHARE * filled, 1):
         return None
 
-    def row(_number: int, line: str) -> tuple[str, Sequence[str]]:
-        found = read(line)
-        return "", found[1] if found is not None and (found[0], len(found[1])) == (names, width) else []
+    def rows(lines: Iterable[str]) -> Rows:
+        for line in lines:
+            found = read(line)
+            row = ",".join(found[2]) if found and (*found[:2], len(found[2])) == (kind, names, width) else ""
+            yield "", [row or line.replace(",", " ")]
 
-    return TextForm(title=f"{title} ({', '.join(names)})" if names else title, names={"": names}, row=row)
+    named = f" ({', '.join(names)})" if names else ""
+    return TextForm(rows=rows, names={"": names}, title=f"{title}{kind}{named}")
 
 
-# -------------------- sentences with a checksum --------------------
+# -------------------- what a line says --------------------
 
 _MAG = tuple(f"Mag{axis} [gauss]" for axis in "XYZ")
 _INERTIAL = (*(f"Accel{axis} [m/s^2]" for axis in "XYZ"), *(f"Gyro{axis} [rad/s]" for axis in "XYZ"))
@@ -97,29 +99,67 @@ _NOVATEL_RAW = re.compile("RAWIMUS?X?A")
 _RAW_INCREMENTS = ("GPS time [s]", *(f"{kind} {axis} [count]" for kind in ("accel", "gyro") for axis in "xyz"))
 
 
-def sentences(lines: Sequence[str]) -> TextForm | None:
-    """Sentences with a checksum, `$VNYMR,…*6D` or NovAtel's `%RAWIMUSXA,…;…*a5db8c7b`; a damaged one is no row."""
-    seen = (sentence for line in lines[:_SEEN_LINES] if (sentence := _SENTENCE.fullmatch(line)) is not None)
-    kinds = Counter(sentence.group(1, 3) for sentence in seen)
-    mark, kind = max(kinds, key=lambda name: kinds[name], default=("", ""))
+def sentence(line: str) -> LineRead | None:
+    """A sentence with a checksum, `$VNYMR,…*6D` or NovAtel's `%RAWIMUSXA,…;…*a5db8c7b`; None for a damaged one."""
+    found = _SENTENCE.fullmatch(line)
+    if found is None:
+        return None
+    mark, text, kind, check = found.groups()
+    body = text.encode()
+    if int(check, 16) != (reduce(xor, body, 0) if mark == "$" else ~zlib.crc32(body, 0xFFFFFFFF) & 0xFFFFFFFF):
+        return None
+    names, values = _FIELDS.get(kind, ()), re.split("[,;]", text)[1:]
+    if _NOVATEL_RAW.fullmatch(kind) and len(values) >= 8:
+        seconds, _, *increments = values[-8:]
+        x, minus_y, z = (increments[at::3] for at in (2, 1, 0))  # of accelerometers and gyros
+        y = [value.removeprefix("-") if value.startswith("-") else f"-{value}" for value in minus_y]
+        names, values = _RAW_INCREMENTS, [seconds, x[0], y[0], z[0], x[1], y[1], z[1]]
+    return (
+        (f" {mark}{kind}", names, values) if len(values) >= _LEAST_NUMBERS and len(names) in (0, len(values)) else None
+    )
 
-    def read(line: str) -> NamedValues | None:
-        sentence = _SENTENCE.fullmatch(line)
-        if sentence is None or sentence.group(1, 3) != (mark, kind):
-            return None
-        body, check = sentence[2].encode(), int(sentence[4], 16)
-        if check != (reduce(xor, body, 0) if mark == "$" else ~zlib.crc32(body, 0xFFFFFFFF) & 0xFFFFFFFF):
-            return None
-        values = re.split("[,;]", sentence[2])[1:]
-        if _NOVATEL_RAW.fullmatch(kind) and len(values) >= 8:
-            seconds, _, *increments = values[-8:]
-            x, minus_y, z = (increments[at::3] for at in (2, 1, 0))  # of accelerometers and gyros
-            y = [value.removeprefix("-") if value.startswith("-") else f"-{value}" for value in minus_y]
-            return _RAW_INCREMENTS, [seconds, *(value for three in zip(x, y, z, strict=True) for value in three)]
-        fields = _FIELDS.get(kind, ())
-        return (fields, values) if len(values) >= _LEAST_NUMBERS and len(fields) in (0, len(values)) else None
 
-    return _alike(lines, read, f"sentences {mark}{kind}")
+def json_object(line: str) -> LineRead | None:
+    """An object of JSON, or as Python prints it."""
+    text = line.strip().removeprefix("[").removesuffix("]").strip().removesuffix(",")
+    for written in (text, text.replace("'", '"')) if text.startswith("{") and len(text) < _LONGEST_LINE else ():
+        with suppress(ValueError, RecursionError):
+            values = dict(_values(json.loads(written)))
+            return "", tuple(values), list(values.values())
+    return None
+
+
+def _values(read: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, str]]:
+    """Names and values of an object and its parts: numbers, also as text, and times of day."""
+    for key, value in read.items():
+        name = before + re.sub('[,"\\s]+', " ", key)
+        if isinstance(value, dict):
+            yield from _values(value, f"{name}_")
+        elif isinstance(value, list) and len(value) == 3:
+            yield from _values(dict(zip("xyz", value, strict=True)), f"{name}_")
+        elif isinstance(value, int | float) and not isinstance(value, bool):
+            yield name, repr(value)
+        elif isinstance(value, str) and (is_clock(value) or Dialect().is_number(value)):
+            yield name, value
+
+
+_BRACKETED = re.compile(r"\s*[\[({][-+.\d\seE,;\[\](){}]*[\])}]\s*[,;]?\s*")
+_MONITORED = re.compile(r"\s*(\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?)\s*->\s*(.*)")
+
+
+def in_brackets(line: str) -> LineRead | None:
+    """A row in brackets."""
+    return ("", (), [re.sub(r"[\[\](){}]", "", line).strip(" \t,;")]) if _BRACKETED.fullmatch(line) else None
+
+
+def behind_a_clock(line: str) -> LineRead | None:
+    """A row behind the clock of a serial monitor, `13:02:11.345 -> 0.1,…`, which becomes the first column."""
+    found = _MONITORED.fullmatch(line)
+    if found is None:
+        return None
+    clock, rest = found.groups()
+    delimiter = next((mark for mark in "\t;," if mark in rest), " ")
+    return "", (), [f"{clock if rest[:1] in '+-.0123456789' else 'clock'}{delimiter}{rest}"]
 
 
 # -------------------- names before the values --------------------
@@ -143,14 +183,10 @@ _TIME = "time"
 _QUANTITIES = ("velocity", "acceleration", "rate", "field")
 
 
-def named_values(lines: Sequence[str]) -> TextForm | None:
-    """Lines most of which have the same names and numbers."""
-
-    def read(line: str) -> NamedValues | None:
-        named = cells(line)
-        return (tuple(named), list(named.values())) if named else None
-
-    return _alike(lines, read, "names before the numbers")
+def named_values(line: str) -> LineRead | None:
+    """Names, each before its number."""
+    named = cells(line)
+    return ("", tuple(named), list(named.values())) if named else None
 
 
 def cells(line: str) -> dict[str, str]:
@@ -183,106 +219,44 @@ def cells(line: str) -> dict[str, str]:
 
 def several_lines(lines: Sequence[str]) -> TextForm | None:
     """Samples that are several lines each."""
-    sample_before = _samples()
-    samples = [done for line in lines[:_SEEN_LINES] if (done := sample_before(line)) is not None]
-    kinds = Counter(tuple(values) for values, count in samples[1:] if count > 1)
+    seen = list(_samples(lines))
+    kinds = Counter(tuple(values) for values, count in seen[1:] if count > 1)
     names, count = kinds.most_common(1)[0] if kinds else ((), 0)
-    if len(names) < _LEAST_NAMES or count <= max(_SHARE * (len(samples) - 1), 1):
+    if len(names) < _LEAST_NAMES or count <= max(_SHARE * (len(seen) - 1), 1):
         return None
-    reading = _samples()
 
-    def row(_number: int, line: str) -> tuple[str, Sequence[str]] | None:
-        done = reading(line)
-        return ("", [done[0].get(name, "") for name in names]) if done is not None else None
+    def rows(lines: Iterable[str]) -> Rows:
+        return (("", [values.get(name, "") for name in names]) for values, _ in _samples(lines))
 
-    return TextForm(names={"": names}, row=row, title=f"several lines a sample ({', '.join(names)})")
+    return TextForm(rows=rows, names={"": names}, title=f"several lines a sample ({', '.join(names)})")
 
 
-def _samples() -> Callable[[str], tuple[dict[str, str], int] | None]:
-    """A function that is fed line by line, and returns the sample before with its number of lines where a line begins
-    the next."""
+def _samples(lines: Iterable[str]) -> Iterator[tuple[dict[str, str], int]]:
+    """Samples with their numbers of lines: one ends where a line begins the next."""
     sample: dict[str, str] = {}
     above: list[tuple[int, str]] = []
     count = 0
-
-    def fed(line: str) -> tuple[dict[str, str], int] | None:
-        nonlocal sample, count
+    for line in lines:
         inside = len(line) - len(line.lstrip())
-        above[:] = [(at, name) for at, name in above if at < inside]
+        above = [(at, name) for at, name in above if at < inside]
         title = _ABOVE.fullmatch(line.rstrip())
         if title is not None:
             above.append((inside, title[2]))
-            return None
+            continue
         unit = _UNIT.search(line[:_LONGEST_LINE])  # behind the last number, and so of all of them
         before, behind = "".join(f"{name}_" for _, name in above), f" [{unit[1]}]" if unit else ""
         values = {f"{before}{name}{behind}": number for name, number in cells(line).items()}
-        done = (sample, count) if values.keys() & sample.keys() else None
-        if done is not None:
+        if values.keys() & sample.keys():
+            yield sample, count
             sample, count = {}, 0
         sample = sample | values
         count += bool(values)
-        return done
-
-    return fed
 
 
-def json_lines(lines: Sequence[str]) -> TextForm | None:
-    """Lines most of which are objects of JSON, or as Python prints them."""
-
-    def read(line: str) -> NamedValues | None:
-        text = line.strip().removeprefix("[").removesuffix("]").strip().removesuffix(",")
-        for written in (text, text.replace("'", '"')) if text.startswith("{") and len(text) < _LONGEST_LINE else ():
-            with suppress(ValueError, RecursionError):
-                values = dict(_values(json.loads(written)))
-                return tuple(values), list(values.values())
-        return None
-
-    return _alike(lines, read, "objects of JSON")
-
-
-def _values(read: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, str]]:
-    """Names and values of an object and its parts: numbers, also as text, and times of day."""
-    for key, value in read.items():
-        name = before + re.sub('[,"\\s]+', " ", key)
-        if isinstance(value, dict):
-            yield from _values(value, f"{name}_")
-        elif isinstance(value, list) and len(value) == 3:
-            yield from _values(dict(zip("xyz", value, strict=True)), f"{name}_")
-        elif isinstance(value, int | float) and not isinstance(value, bool):
-            yield name, repr(value)
-        elif isinstance(value, str) and (is_clock(value) or Dialect().is_number(value)):
-            yield name, value
-
-
-# -------------------- rows with something about them --------------------
+# -------------------- marks between thousands --------------------
 
 _THOUSANDS = re.compile("(?<=\\d)['’\u00a0\u202f](?=\\d{3}(?!\\d))")
 _QUOTED_THOUSANDS = re.compile(r'"(-?\d{1,3}(?:,\d{3})+(?:\.\d*)?)"')
-_BRACKETED = re.compile(r"\s*[\[({][-+.\d\seE,;\[\](){}]*[\])}]\s*[,;]?\s*")
-_MONITORED = re.compile(r"\s*(\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?)\s*->\s*(.*)")
-
-
-def in_brackets(lines: Sequence[str]) -> TextForm | None:
-    """Rows in brackets."""
-
-    def read(line: str) -> NamedValues | None:
-        return ((), [re.sub(r"[\[\](){}]", "", line).strip(" \t,;")]) if _BRACKETED.fullmatch(line) else None
-
-    return _alike(lines, read, "rows in brackets")
-
-
-def behind_a_clock(lines: Sequence[str]) -> TextForm | None:
-    """Rows behind the clock of a serial monitor, `13:02:11.345 -> 0.1,…`, which becomes the first column."""
-
-    def read(line: str) -> NamedValues | None:
-        monitored = _MONITORED.fullmatch(line)
-        if monitored is None:
-            return None
-        clock, rest = monitored.groups()
-        delimiter = next((mark for mark in "\t;," if mark in rest), " ")
-        return (), [f"{clock if rest[:1] in '+-.0123456789' else 'clock'}{delimiter}{rest}"]
-
-    return _alike(lines, read, "rows behind the clock of a serial monitor")
 
 
 def thousands(lines: Sequence[str]) -> TextForm | None:
@@ -291,9 +265,11 @@ def thousands(lines: Sequence[str]) -> TextForm | None:
     def plain(line: str) -> str:
         return _QUOTED_THOUSANDS.sub(lambda number: number[1].replace(",", ""), _THOUSANDS.sub("", line))
 
-    if sum(plain(line) != line for line in lines[:_SEEN_LINES]) <= 1:
+    if sum(plain(line) != line for line in lines) <= 1:
         return None
-    return TextForm(row=lambda _, line: ("", [plain(line)]), title="marks between thousands, as in 1'000")
+    return TextForm(
+        rows=lambda lines: (("", [plain(line)]) for line in lines), title="marks between thousands, as in 1'000"
+    )
 
 
 # -------------------- a line for each sensor --------------------
@@ -313,11 +289,11 @@ def named_in_comments(lines: Sequence[str]) -> TextForm | None:
     named = {word: names for word, *names in (line.split(delimiter) for line in stated) if word in words}
     kinds = {word: names for word, names in named.items() if {ACCEL, GYRO} & {*columns_by_name(names).triads}}
 
-    def row(_number: int, line: str) -> tuple[str, Sequence[str]] | None:
-        word, _, rest = line[:_LONGEST_LINE].partition(delimiter)
-        return (word, rest.split(delimiter)) if word in kinds else None
+    def rows_of(lines: Iterable[str]) -> Rows:
+        parted = (line[:_LONGEST_LINE].partition(delimiter) for line in lines)
+        return ((word, rest.split(delimiter)) for word, _, rest in parted if word in kinds)
 
-    return TextForm(row=row, names=kinds) if len(kinds) >= 2 else None
+    return TextForm(rows=rows_of, names=kinds) if len(kinds) >= 2 else None
 
 
 def rows_by_sensor(file: Path, start: bytes) -> TextForm | None:
@@ -328,10 +304,10 @@ def rows_by_sensor(file: Path, start: bytes) -> TextForm | None:
     dialect, top = dialect_and_top
     lines = start.decode(dialect.encoding, errors="replace").split("\n")[top.lines : -1]
     rows = [cells for line in lines if len(cells := dialect.cells(line)) == len(top.names)]
-    labels = (j for j in range(len(top.names)) if _are_sensors([cells[j] for cells in rows], dialect))
-    label = next(labels, None)
-    if label is None:
+    labels = [j for j in range(len(top.names)) if _are_sensors([cells[j] for cells in rows], dialect)]
+    if not labels:
         return None
+    label = labels[0]
     words = {cells[label] for cells in rows}
     whole = {word for word in words if _WHOLE.fullmatch(word)}
     names = [name for j, name in enumerate(top.names) if whole or j != label] if dialect.header else []
@@ -343,14 +319,14 @@ def rows_by_sensor(file: Path, start: bytes) -> TextForm | None:
                 "columns; give them names in a first line"
             )
 
-    def row(number: int, line: str) -> tuple[str, Sequence[str]] | None:
-        cells = dialect.cells(line[:_LONGEST_LINE])
-        if number < top.lines or len(cells) != len(top.names) or (whole and cells[label] not in whole):
-            return None
-        word = cells[label] if whole else cells.pop(label)
-        return word, [cell.replace(",", ".") for cell in cells]
+    def rows_of(lines: Iterable[str]) -> Rows:
+        for line in islice(lines, top.lines, None):
+            cells = dialect.cells(line[:_LONGEST_LINE])
+            if len(cells) == len(top.names) and (not whole or cells[label] in whole):
+                word = cells[label] if whole else cells.pop(label)
+                yield word, [cell.replace(",", ".") for cell in cells]
 
-    return TextForm(row=row, names=dict.fromkeys(words, names))
+    return TextForm(rows=rows_of, names=dict.fromkeys(words, names))
 
 
 def _are_sensors(words: Sequence[str], dialect: Dialect) -> bool:
@@ -366,10 +342,21 @@ def _are_sensors(words: Sequence[str], dialect: Dialect) -> bool:
 
 # -------------------- copies --------------------
 
-FORMS: tuple[Callable[[Sequence[str]], TextForm | None], ...] = (
-    named_in_comments, sentences, json_lines, several_lines, named_values, in_brackets, behind_a_clock, thousands,
-)  # fmt: skip
-"""In the order in which they are tried."""
+
+def form_of(lines: Sequence[str]) -> TextForm | None:
+    """The form of which these are the first lines of a log; None for a table, and rows of several sensors."""
+    if (commented := named_in_comments(lines)) is not None:
+        return commented
+    first = lines[:_SEEN_LINES]
+    return (
+        alike(first, sentence, "sentences")
+        or alike(first, json_object, "objects of JSON")
+        or several_lines(first)
+        or alike(first, named_values, "names before the numbers")
+        or alike(first, in_brackets, "rows in brackets")
+        or alike(first, behind_a_clock, "rows behind the clock of a serial monitor")
+        or thousands(first)
+    )
 
 
 def as_tables(file: Path, start: bytes, folder: OutputFolder) -> tuple[list[Path], tuple[str, ...]] | None:
@@ -377,21 +364,18 @@ def as_tables(file: Path, start: bytes, folder: OutputFolder) -> tuple[list[Path
     sensor, and remarks; None for a log that can be read as it is. Raises InputError for rows of too many sensors."""
     encoding = encoding_of(start)
     text = start.decode(encoding, errors="replace")
-    lines = re.split("[\r\n]+", text)[:-1]
-    form = next((form for written in FORMS if (form := written(lines)) is not None), None)
+    form = form_of(re.split("[\r\n]+", text)[:-1])
     if form is None and text.count("\r") > 2 and "\n" not in text:
-        form = TextForm(row=lambda _, line: ("", [line]), title="lines that end in a carriage return")
+        form = TextForm(
+            rows=lambda lines: (("", [line]) for line in lines), title="lines that end in a carriage return"
+        )
     form = form or rows_by_sensor(file, start)
     if form is None:
         return None
     files: dict[str, Path] = {}
     outs: dict[str, IO[bytes]] = {}
     with ExitStack() as stack, readable(file), opened(file, encoding) as stream:
-        for number, line in enumerate(_lines(iter(lambda: stream.read(1 << 16), b""))):
-            row = form.row(number, line)
-            if row is None:
-                continue
-            sensor, values = row
+        for sensor, values in form.rows(_lines(iter(lambda: stream.read(1 << 16), b""))):
             word = plain_name(sensor) if sensor else ""
             if word not in files:
                 if len(files) == _MOST_SENSORS:
@@ -400,7 +384,7 @@ def as_tables(file: Path, start: bytes, folder: OutputFolder) -> tuple[list[Path
                 outs[word] = stack.enter_context(stack.enter_context(whole_file(files[word])).open("wb"))
                 if header := ",".join(form.names.get(sensor, ())):
                     outs[word].write(f"{header}\n".encode())
-            outs[word].write((",".join(values) or line.replace(",", " ")).encode() + b"\n")
+            outs[word].write(",".join(values).encode() + b"\n")
     tables = list(files.values())
     return tables, (f"text: {form.title}: copied to {tables[0].name} as a table",) if form.title else ()
 

@@ -6,6 +6,7 @@ import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -82,48 +83,21 @@ class Draft:
 
 
 def session_text(draft: Draft, folder: Path, programme: str | None, *, named: bool) -> str:
-    """Text of session.toml, with a comment on what has to be filled in; the serial number too, unless it was
-    `named`."""
-    log, device = draft.content["log"], draft.content["device"]
+    """Text of session.toml (session.toml.j2), with comments on what has to be filled in; the serial number too, unless
+    it was `named`. Numbers, strings and lists are written alike in TOML and JSON."""
+    from jinja2 import Environment
+
+    environment = Environment(trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True, autoescape=False)
+    environment.filters["toml"] = partial(json.dumps, ensure_ascii=False)
     files = [os.path.relpath(file, folder.resolve()) for file in draft.files]
-    site = draft.content.get("site", {})
-    latitude, height = site.get("latitude_deg"), site.get("height_m")
-    comment = "# which sensors of the autopilot these are, from 1, and their device ids: `tumble export` compares them"
-    lines = ["format = 1", "", "[device]", _line("serial", device["serial"]) + ("" if named else "   # of the device")]
-    lines += ['# model = "…"', ""]
-    lines += _table("[device.imu]", device["imu"], comment) if "imu" in device else []
-    lines += [
-        "[site]",
-        "# latitude_deg = 0.0   # of the place; without it the Earth's rate and local gravity are unknown"
-        if latitude is None
-        else _line("latitude_deg", latitude),
-        "# height_m = 0.0       # without it, 1300 m are in the uncertainty of gravity"
-        if height is None
-        else _line("height_m", height),
-        "# gravity = 9.80665    # m/s², where it was measured; gravity_u is its standard uncertainty",
-        "",
-    ]
-    keys = (key for key in (*DIALECT_KEYS, "time", "time_unit", "regular", "rate_hz", "doubt") if key in log)
-    settled = ["# a doubt is taken out when it is settled"] if draft.doubts else []
-    lines += _table("[log]", {"file": files[0] if len(files) == 1 else files} | {k: log[k] for k in keys}, *settled)
-    for kind in ("accel", "gyro", "temperature"):
-        lines += _table(f"[log.{kind}]", log[kind]) if kind in log else []
-    if draft.magnetometer is not None:
-        lines += [f"# {line}".rstrip("# ") for line in _table("[log.magnetometer]", draft.magnetometer)]
-    unplanned = [
-        "# the positions, if they were planned: see `tumble programme`",
-        "# [programme]",
-        '# name = "rough-table"',
-    ]
-    lines += unplanned if programme is None else ["[programme]", _line("name", programme)]
-    return "\n".join(lines) + "\n"
-
-
-def _table(title: str, content: Mapping[str, Any], *comments: str) -> list[str]:
-    """Lines of a table, and an empty one."""
-    return [title, *comments, *(_line(key, value) for key, value in content.items()), ""]
-
-
-def _line(key: str, value: Any) -> str:
-    """A key with its value: numbers, strings and lists are written alike in TOML and JSON."""
-    return f"{key} = {json.dumps(value, ensure_ascii=False)}"
+    keys = (key for key in (*DIALECT_KEYS, "time", "time_unit", "regular", "rate_hz", "doubt") if key in draft.log)
+    return environment.from_string((Path(__file__).parent / "session.toml.j2").read_text(encoding="utf-8")).render(
+        device=draft.content["device"],
+        site=draft.content.get("site", {}),
+        log={"file": files[0] if len(files) == 1 else files} | {key: draft.log[key] for key in keys},
+        doubted=bool(draft.doubts),
+        tables={kind: draft.log[kind] for kind in ("accel", "gyro", "temperature") if kind in draft.log},
+        magnetometer=draft.magnetometer,
+        programme=programme,
+        named=named,
+    )

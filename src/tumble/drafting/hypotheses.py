@@ -19,7 +19,7 @@ turns between them the likelihood of Q (`turn_likelihood`).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
 
@@ -39,7 +39,7 @@ from tumble.drafting.times import ASSUMED_RATE, RATES_OF_LOGS, UNUSUAL, USUAL_RA
 from tumble.errors import TumbleError
 from tumble.recording.columns.names import ACCEL, GYRO
 from tumble.recording.columns.numbers import MIDDLES
-from tumble.recording.columns.scales import CANDIDATES, FASTEST, NEAR, ON_NO_SHEET, ONE, KnownScale, off_table
+from tumble.recording.columns.scales import CANDIDATES, FASTEST, MET, NEAR, ON_NO_SHEET, ONE, KnownScale, off_table
 from tumble.recording.log import open_log
 from tumble.reduction.blocks.reducer import Reduction, reduce_log
 from tumble.reduction.blocks.tuning import USUAL, Tuning
@@ -65,12 +65,6 @@ short."""
 
 _RATE_RANGE = math.log(RATES_OF_LOGS[1] / RATES_OF_LOGS[0])
 """The range of the logarithm of a rate of which nothing is known."""
-_ODDS: Mapping[tuple[str | None, str | None], float] = {
-    ("m/s^2", "rad/s"): 3.0, ("g", "deg/s"): 3.0, ("mg", "mdeg/s"): 5.0, ("m/s", "rad"): 30.0, ("m/s", "deg"): 30.0,
-    ("m/s", "arcsec"): 30.0, ("cm/s^2", None): 45.0, ("mg", None): 36.0, (None, None): 30.0,
-}  # fmt: skip
-"""How much more often units of accelerometers and gyros come together than by themselves; None are counts. Counts of
-some accelerometers are mg (LSM303DLHC, LIS3DH) or cm/s² (BNO055), about as often as those of a common range."""
 COUNTS = KnownScale(value=1.0, shares=(1.0, 1.0))
 """Of gyros that nothing turned, whatever they are worth."""
 _ZERO = 0.1
@@ -309,7 +303,8 @@ def ranked(shown: Evidence, draft: Draft, widths: Widths = WIDTHS) -> list[Hypot
                 off = math.log(shown.length / taken.reads(times.rate)) / deviation
                 away = max(map(abs, shown.zero)) / (_ZERO * shown.length) if accel.unit else 0.0
                 paired = with_accel and gyro is not None and gyro.known
-                odds = _ODDS.get((accel.unit, gyro.unit), 1.0) if paired and gyro is not None else 1.0
+                pairs = MET["pairs"].get(accel.unit or "count", {})
+                odds = pairs.get(gyro.unit or "count", 1.0) if paired and gyro is not None else 1.0
                 cost = assumed - 2.0 * math.log(odds) + (0.0 if stated and accel.unit else off**2 + away**2)
                 of_accel.append((taken, cost))
             least = min(cost for _, cost in of_accel)

@@ -166,12 +166,13 @@ def drafted_log(
     files = [file for log in listed for file in files_of(Path(log))]
     if given.programme is not None and given.programme not in programmes():
         raise InputError(f"--programme: expected one of {', '.join(programmes())}, found {given.programme!r}")
-    if given.latitude is not None and not -90.0 <= given.latitude <= 90.0:
-        raise InputError(f"--latitude: expected a number from -90 to 90, found {given.latitude:g}")
-    if given.height is not None and not -1000.0 <= given.height <= 10000.0:
-        raise InputError(f"--height: expected a number from -1000 to 10000, m, found {given.height:g}")
-    if given.sample_rate is not None and not 1e-6 < given.sample_rate < 1e9:
-        raise InputError(f"--sample-rate: expected a number from 1e-6 to 1e9 (Hz), found {given.sample_rate:g}")
+    for option, number, least, most, words in (
+        ("latitude", given.latitude, -90.0, 90.0, "from -90 to 90"),
+        ("height", given.height, -1000.0, 10000.0, "from -1000 to 10000, m"),
+        ("sample-rate", given.sample_rate, 1e-6, 1e9, "from 1e-6 to 1e9 (Hz)"),
+    ):
+        if number is not None and not least <= number <= most:
+            raise InputError(f"--{option}: expected a number {words}, found {number:g}")
     files = [inner for file in files for inner in unzipped(file, folder)]
     imu: Mapping[str, AutopilotSensor] = {}
     recordings = [file for file in files if is_recording(file) or file.is_dir()]
@@ -192,11 +193,10 @@ def drafted_log(
         log, imu = log_of_recording(recordings, folder, given.message)
     draft = _of_log(repaired(log, folder, given.sample_rate), given.sample_rate)
     place = {"latitude_deg": given.latitude, "height_m": given.height}
-    known = {key: value for key, value in place.items() if value is not None}
-    site = {"site": known} if known else {}
+    site = {key: value for key, value in place.items() if value is not None}
     serial = given.serial or folder.path.resolve().name or "unknown"
     device = {"serial": serial, **({"imu": sensors_content(imu)} if imu else {})}
-    draft = replace(draft, content={**draft.content, "device": device, **site})
+    draft = replace(draft, content={**draft.content, "device": device, "site": site})
     draft.session()  # checked as a session is
     draft, faults = completed(draft, progress, widths)
     if ACCEL not in draft.triads:

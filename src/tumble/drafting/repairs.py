@@ -5,9 +5,8 @@ other without a turn."""
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -20,7 +19,6 @@ from tumble.errors import InputError
 from tumble.files import OutputFolder
 from tumble.recording.columns.names import ACCEL, GYRO, MAGNETOMETER, time_unit
 from tumble.recording.formats import TIME
-from tumble.recording.log_source import LogSource
 from tumble.recording.readers import write_tables
 from tumble.recording.rows.gaps import JUMP
 from tumble.units import TIME_UNITS, Array
@@ -39,12 +37,8 @@ _LABEL = re.compile(
     r"part|pos(ition)?|pose|label|section|segment|step|lage|stellung|положение|позиция|位置", re.IGNORECASE
 )
 
-Step = Callable[[Iterator[pl.DataFrame]], Iterator[pl.DataFrame]]
-"""Mends the tables of a file, one after the other."""
-Mend = tuple[str, Step]
-"""A remark on a step, and the step."""
-Edges = list[tuple[int, int]]
-"""First and last + 1 row of parts of a log."""
+Mend = tuple[str, Callable[[pl.DataFrame], pl.DataFrame]]
+"""A remark on a change of the rows of a file, and the change."""
 
 
 def repaired(log: ForeignLog, folder: OutputFolder, rate: float | None) -> ForeignLog:
@@ -68,15 +62,15 @@ def repaired(log: ForeignLog, folder: OutputFolder, rate: float | None) -> Forei
     for kind, sensors in triads.items():
         if kind != MAGNETOMETER and not np.isfinite(log.read(sensors.columns, rows=SAMPLE_ROWS)).any():
             raise InputError(f"{log.files[0]}: expected numbers in {', '.join(sensors.columns)[:200]}, found none")
-    if (turned := _newest_first(log)) is not None:
-        return repaired(_copy(log, folder, [log.columns.time or ""], [turned]), folder, rate)
+    stamps = log.stamps()
+    if stamps is not None and len(stamps.values) >= _FEWEST_ROWS and grows_mostly(-stamps.values):
+        return repaired(_copy(log, folder, [stamps.column], [_newest_last(stamps)]), folder, rate)
     mends = _rows_that_are_samples(log)
     time, in_seconds, of_time = _time(log, rate)
     unsigned = [kind for kind in (ACCEL, GYRO) if kind in triads and _wrapped(log.read(triads[kind].columns))]
-    parts, why, stamps = None, "", log.stamps() if len(log.files) == 1 else None
-    may_restart = not mends and not of_time and rate is None and stamps is not None and not stamps.clock
-    if may_restart and stamps is not None and len(stamps.values) < LONGEST:
-        parts = recordings_of(stamps.values[np.isfinite(stamps.values)])
+    parts, why, one = None, "", len(log.files) == 1
+    if one and not (mends or of_time) and rate is None and stamps is not None and not stamps.clock:
+        parts = recordings_of(stamps.values[np.isfinite(stamps.values)]) if len(stamps.values) < LONGEST else None
         why = f"time: the clock starts anew, so that there are {len(parts or ())} recordings: a file each"
     if parts is None:
         parts, why = _positions_apart(log, unsigned=ACCEL in unsigned)
@@ -84,8 +78,8 @@ def repaired(log: ForeignLog, folder: OutputFolder, rate: float | None) -> Forei
         named = " and ".join({ACCEL: "accelerometers", GYRO: "gyros"}[kind] for kind in unsigned)
         remark = f"{named}: numbers of 16 bits that were read without their sign: 65536 taken off where it is due"
         wound = [c for kind in unsigned for c in triads[kind].columns]
-        signed = _each(lambda t: t.with_columns(pl.Series(c, _unwrapped(t[c].to_numpy())) for c in wound))
-        mends.append((remark, signed))
+        signed = [pl.when(pl.col(c) >= 32768.0).then(pl.col(c) - 65536.0).otherwise(pl.col(c)) for c in wound]
+        mends.append((remark, lambda rows: rows.with_columns(signed)))
     mends += of_time
     if not mends and parts is None:
         return log
@@ -99,32 +93,26 @@ def _copy(
     mends: list[Mend],
     *,
     in_seconds: bool = False,
-    parts: Edges | None = None,
+    parts: list[tuple[int, int]] | None = None,
     why: str = "",
 ) -> ForeignLog:
-    """The log of a mended copy: a file for each file or for each of the `parts`; with a column TIME in place of those
-    of the time where it is `in_seconds`, and the remark `why` there are parts."""
+    """The log of a mended copy: a file for each file or for each of the `parts`, first and last + 1 row; with a column
+    TIME in place of those of the time where it is `in_seconds`, and the remark `why` there are parts."""
     triads = log.columns.triads
     every = (*time, *(c for triad in triads.values() for c in triad.columns), *log.columns.temperatures)
-    stamp = [TIME] if in_seconds else time
-
-    def tables(source: LogSource) -> Iterator[pl.DataFrame]:
-        read: Iterator[pl.DataFrame] = (t for t, _ in source.tables(list(dict.fromkeys(every)), log.clock))
-        for _, step in mends:
-            read = step(read)
-        return (table.filter(pl.all_horizontal(pl.col(stamp).is_finite())) if stamp else table for table in read)
-
-    files: list[Path] = []
-    if parts is not None:
-        whole = pl.concat(tables(next(log.sources())))
-        for number, (start, stop) in enumerate(parts, 1):
-            files.append(folder.new_file(f"position-{number:02d}.parquet"))
-            write_tables(files[-1], iter([whole.slice(start, stop - start)]))
-    else:
-        for number, source in enumerate(log.sources(), 1):
+    stamp, files = [TIME] if in_seconds else time, list[Path]()
+    for number, source in enumerate(log.sources(), 1):
+        rows = pl.concat(table for table, _ in source.tables(list(dict.fromkeys(every)), log.clock))
+        for _, mend in mends:
+            rows = mend(rows)
+        rows = rows.filter(pl.all_horizontal(pl.col(stamp).is_finite())) if stamp else rows
+        if parts is None:
             name = "log.parquet" if len(log.files) == 1 else f"log-{number:02d}.parquet"
             files.append(source.path if source.path in folder.written else folder.new_file(name))
-            write_tables(files[-1], tables(source))
+            write_tables(files[-1], iter([rows]))
+        for position, (start, stop) in enumerate(parts or (), 1):
+            files.append(folder.new_file(f"position-{position:02d}.parquet"))
+            write_tables(files[-1], iter([rows.slice(start, stop - start)]))
     columns = replace(log.columns, time_unit="s") if log.clock is not None else log.columns
     columns = replace(columns, time=TIME, time_unit="s") if in_seconds else columns
     copied = f"so mended, the log is copied to {files[0].name}{' …' * (len(files) > 1)}"
@@ -134,42 +122,29 @@ def _copy(
     )
 
 
-def _newest_first(log: ForeignLog) -> Mend | None:
-    """The step that turns a log round whose time falls from row to row; None for any other log."""
-    stamps = log.stamps()
-    if stamps is None or len(stamps.values) < _FEWEST_ROWS or not grows_mostly(-stamps.values):
-        return None
+def _newest_last(stamps: Stamps) -> Mend:
+    """The change that turns a log round whose time falls from row to row."""
 
-    def turned(tables: Iterator[pl.DataFrame]) -> Iterator[pl.DataFrame]:
-        rows = pl.concat(tables).reverse()
+    def turned(rows: pl.DataFrame) -> pl.DataFrame:
+        rows = rows.reverse()
         time = rows[stamps.column].to_numpy()
-        yield rows.with_columns(pl.Series(stamps.column, past_midnight(time) if stamps.clock else time))
+        return rows.with_columns(pl.Series(stamps.column, past_midnight(time) if stamps.clock else time))
 
     return f"time: column {stamps.column!r} falls from row to row: rows put in the order of time", turned
 
 
-def _each(mend: Callable[[pl.DataFrame], pl.DataFrame]) -> Step:
-    """The step that mends each table by itself."""
-    return partial(map, mend)
-
-
 def _rows_that_are_samples(log: ForeignLog) -> list[Mend]:
-    """Steps that leave out rows that are no samples: memory filled in advance behind the last sample, and rows of other
-    sensors. Rows without readings are lost samples instead if they are few, and the stamps about them have a gap."""
+    """Changes that leave out rows that are no samples: memory filled in advance behind the last sample, and rows of
+    other sensors. Rows without readings are lost samples instead if they are few, and the stamps about them have a
+    gap."""
     mends: list[Mend] = []
     sensors = [c for kind, triad in log.columns.triads.items() if kind != MAGNETOMETER for c in triad.columns]
     read, one = log.read(sensors), len(log.files) == 1
     filled = len(read) > 0 and all(len(set(three)) == 1 for three in np.nan_to_num(read[-1]).reshape(-1, 3).tolist())
     samples = samples_in(read) if filled and one and len(read) < LONGEST else len(read)
     if samples < len(read):
-
-        def first_rows(tables: Iterator[pl.DataFrame]) -> Iterator[pl.DataFrame]:
-            count = samples
-            for table in tables:
-                yield table.head(count)
-                count -= min(count, table.height)
-
-        mends.append((f"rows: the last {len(read) - samples} are all alike and no samples: left out", first_rows))
+        remark = f"rows: the last {len(read) - samples} are all alike and no samples: left out"
+        mends.append((remark, lambda rows: rows.head(samples)))
     whole = np.asarray(np.isfinite(read[:samples]).mean(axis=1) >= _READ_SHARE)
     blank = int(np.count_nonzero(~whole))
     others = blank > _BLANK_SHARE * samples
@@ -183,30 +158,33 @@ def _rows_that_are_samples(log: ForeignLog) -> list[Mend]:
     if others:
         remark = f"rows: {blank} of {samples} have no readings of these sensors, as rows of others: left out"
         has_readings = pl.mean_horizontal(pl.col(sensors).is_finite()) >= _READ_SHARE
-        mends.append((remark, _each(lambda table: table.filter(has_readings))))
+        mends.append((remark, lambda rows: rows.filter(has_readings)))
     return mends
 
 
 def _time(log: ForeignLog, rate: float | None) -> tuple[list[str], bool, list[Mend]]:
-    """Columns of the time, whether the steps make a column TIME of them, s, and the steps."""
-    column, interval = log.columns.time, log.columns.interval
-    if rate is not None and column is not None:
-        return [column], False, []
-    if rate is None and column is None and interval is not None and len(log.files) == 1:
-        steps = log.read([interval])[:, 0]
-        steps = steps[np.isfinite(steps)]
-        times = times_of_column(Stamps(column=interval, values=np.cumsum(steps), unit=time_unit(interval)))
-        if times is not None and not (steps < 0.0).any():
-            unit, added = times.keys.get("time_unit", "s"), partial(_grown, column=interval, overflow=None)
-            remark = f"time: none, but column {interval!r} has the intervals between samples, in {unit}: added up"
-            return [interval], True, [(remark, lambda read: _seconds(interval, TIME_UNITS[unit])(added(read)))]
+    """Columns of the time, whether the changes make a column TIME of them, s, and the changes."""
+    column, interval, mends = log.columns.time, log.columns.interval, list[Mend]()
+    if rate is not None:
+        return [] if column is None else [column], False, []
     if column is None:
-        return [], False, []
+        steps = np.empty(0) if interval is None or len(log.files) > 1 else log.read([interval])[:, 0]
+        steps = steps[np.isfinite(steps)]
+        times = times_of_column(Stamps(column=interval or "", values=np.cumsum(steps), unit=time_unit(interval or "")))
+        if interval is None or times is None or (steps < 0.0).any():
+            return [], False, []
+        unit = times.keys.get("time_unit", "s")
+        remark = f"time: none, but column {interval!r} has the intervals between samples, in {unit}: added up"
+        added = pl.col(interval).fill_nan(0.0).cum_sum()
+        return (
+            [interval],
+            True,
+            [(remark, lambda rows: _in_seconds(rows.with_columns(added), interval, TIME_UNITS[unit]))],
+        )
     nanoseconds = nanoseconds_of(log)
     if nanoseconds is not None:
         remark = f"time: columns {column!r} and {nanoseconds!r}, seconds and nanoseconds, added"
-        return [column, nanoseconds], True, [(remark, _seconds(column, 1.0, nanoseconds))]
-    mends: list[Mend] = []
+        return [column, nanoseconds], True, [(remark, lambda rows: _in_seconds(rows, column, 1.0, nanoseconds))]
     # the unit, s, of times in none that a session names
     tick = None
     if log.columns.time_unit is None and log.clock is None:
@@ -222,33 +200,26 @@ def _time(log: ForeignLog, rate: float | None) -> tuple[list[str], bool, list[Me
     overflow = overflow_of(log.read([column])[:, 0])
     if overflow is not None:
         remark = f"time: column {column!r} starts anew at {overflow:.10g}: that much is added where it does"
-        mends.append((remark, partial(_grown, column=column, overflow=overflow)))
+        mends.append((remark, lambda rows: rows.with_columns(_grown(rows[column], overflow))))
     if tick is not None:
-        mends.append((f"time: column {column!r} in ticks of {tick:g} s, made seconds", _seconds(column, tick)))
+        remark = f"time: column {column!r} in ticks of {tick:g} s, made seconds"
+        mends.append((remark, lambda rows: _in_seconds(rows, column, tick)))
     return [column], tick is not None, mends
 
 
-def _seconds(column: str, factor: float, nanoseconds: str | None = None) -> Step:
-    """A step that makes a column, and one of nanoseconds beside it, TIME in s."""
+def _in_seconds(rows: pl.DataFrame, column: str, factor: float, nanoseconds: str | None = None) -> pl.DataFrame:
+    """Rows with a column, and one of nanoseconds beside it, made TIME in s."""
     part = pl.lit(0.0) if nanoseconds is None else 1e-9 * pl.col(nanoseconds)
-    return _each(lambda table: table.rename({column: TIME}).with_columns(pl.col(TIME) * factor + part))
+    return rows.rename({column: TIME}).with_columns(pl.col(TIME) * factor + part)
 
 
-def _grown(tables: Iterator[pl.DataFrame], column: str, overflow: float | None) -> Iterator[pl.DataFrame]:
-    """Times that grow, from stamps of a counter that overflows at `overflow`, or for None from intervals between
-    samples."""
-    last: float | None = None
-    for table in tables:
-        stamps = table[column].to_numpy().copy()
-        if overflow is None:
-            stamps = (last or 0.0) + np.cumsum(np.nan_to_num(stamps, posinf=np.inf, neginf=-np.inf))
-        known = np.isfinite(stamps)
-        read = stamps[known]
-        if overflow is not None and len(read):
-            behind = 0.0 if last is None else np.rint((last - read[0]) / overflow)
-            stamps[known] += overflow * (behind + np.cumsum(np.diff(read, prepend=read[:1]) < -0.5 * overflow))
-        last = float(stamps[known][-1]) if len(read) else last
-        yield table.with_columns(pl.Series(column, stamps))
+def _grown(column: pl.Series, overflow: float) -> pl.Series:
+    """Times that grow, from stamps of a counter that overflows."""
+    stamps = column.to_numpy().copy()
+    known = np.isfinite(stamps)
+    read = stamps[known]
+    stamps[known] += overflow * np.cumsum(np.diff(read, prepend=read[:1]) < -0.5 * overflow)
+    return pl.Series(column.name, stamps)
 
 
 def nanoseconds_of(log: ForeignLog) -> str | None:
@@ -281,7 +252,7 @@ def with_signs(columns: Array) -> Array:
 # -------------------- positions without turns between them --------------------
 
 
-def _positions_apart(log: ForeignLog, *, unsigned: bool) -> tuple[Edges | None, str]:
+def _positions_apart(log: ForeignLog, *, unsigned: bool) -> tuple[list[tuple[int, int]] | None, str]:
     """First and last + 1 row of positions that follow each other without a turn, and the remark on them: by a column
     that names them, or where the reading jumps between two still stretches; None if there are none.
 

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from tumble.recording.columns.numbers import CENTURY
+from tumble.recording.columns.scales import MET
 from tumble.recording.rows.timed import leaping
 from tumble.units import TIME_UNITS, Array
 
@@ -26,16 +27,7 @@ _SLOWEST = 0.5  # Hz, of a log that may be one
 _SHORTEST_LOG = 2.0  # s
 _SLOW = 5.0  # Hz: at less, dates may be what a phone has been running for, in a thousandth of their unit
 _BY_DATES = "by its dates"
-_WEIGHTS = {
-    **dict.fromkeys(
-        (51.2, 60.0, 62.5, 64.0, 102.4, 119.0, 120.0, 128.0, 204.8, 238.0, 240.0, 256.0, 300.0, 476.0), 1.0
-    ),
-    **dict.fromkeys((512.0, 800.0, 952.0, 1024.0, 1600.0, 2000.0, 4000.0, 8000.0), 1.0),
-    **dict.fromkeys((12.5, 26.0, 52.0, 104.0, 208.0, 416.0, 833.0, 1660.0), 1.5),
-    **dict.fromkeys((10.0, 20.0, 25.0, 50.0, 125.0, 200.0, 250.0, 400.0, 500.0, 1000.0), 2.0),
-    ASSUMED_RATE: 2.5,
-}
-"""Rates, Hz, and how often they are met, a rare one taken as 1: round ones, those of a widespread maker's sensors."""
+_WEIGHTS = {float(rate): float(weight) for weight, rates in MET["rates"].items() for rate in rates}
 USUAL_RATES = {rate: -2.0 * math.log(weight / sum(_WEIGHTS.values())) for rate, weight in sorted(_WEIGHTS.items())}
 """What it costs that a log has one of the usual rates, Hz."""
 UNUSUAL = 0.03

@@ -18,7 +18,7 @@ the ends of what was measured. Scale factors have one value each, that at the re
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import chain
@@ -47,12 +47,10 @@ from tumble.sensors.model import SensorKind, SensorModel
 from tumble.sensors.parameters import OVER_TEMPERATURE, group_name
 from tumble.units import DEGREE, TESLA, Array
 
-LAST_COMPENSATED = 3
-"""The last IMU that ArduPilot compensates."""
 LEAST = 0.01
 """Length of the shortest offset (m/s², rad/s) and of the smallest change of scale that every release of PX4 takes
 over."""
-_OVER_TEMPERATURE = frozenset(f"{kind}.bias.{t}" for kind in ("accel", "gyro") for t in OVER_TEMPERATURE)
+_HELD = frozenset(f"{kind}.bias.{t}" for kind in ("accel", "gyro") for t in OVER_TEMPERATURE)
 """Groups that the targets over temperature hold."""
 
 
@@ -63,6 +61,8 @@ class Autopilot(BaseModel):
     ----------
     about, formula, source
         What it is, what it computes, and where that is written.
+    at_reference, of_gyros
+        What of the file holds at the reference temperature, and what there is to say of gyros.
     imus, compensated
         How many IMUs it calibrates, and how many over temperature.
     thermometers
@@ -80,6 +80,8 @@ class Autopilot(BaseModel):
     about: str
     formula: str
     source: str
+    at_reference: str
+    of_gyros: str = ""
     imus: int
     compensated: int
     thermometers: tuple[tuple[SensorKind, ...], ...]
@@ -149,13 +151,13 @@ class Triad:
         return example_line(self.kind, worked.reading, worked.true, becomes, where)
 
 
-def _triads(layout: str, target: str, calibration: Calibration, imu: int | None, *, thermal: bool) -> list[Triad]:
+def _triads(pilot: Autopilot, target: str, calibration: Calibration, imu: int | None, *, thermal: bool) -> list[Triad]:
     """What an autopilot applies: to the sensors that were recorded, else to those of the first IMU, or of the number
     `imu`, from 1.
 
     Raises InputError unless every channel senses its own axis of the frame, X, Y, Z, positive, where other sensors than
     those of the number were recorded, and over temperature where nothing changes with it."""
-    pilot, models, out = Autopilot(**front_of(layout)), triads(calibration, target, needed=()), []
+    models, out = triads(calibration, target, needed=()), []
     for kind, model in models.items():
         if (np.argmax(model.matrix, axis=1) != np.arange(3)).any() or (np.diag(model.matrix) <= 0.5).any():
             raise InputError(
@@ -171,6 +173,10 @@ def _triads(layout: str, target: str, calibration: Calibration, imu: int | None,
             raise InputError(
                 f"export to {target}: expected the sensors that were recorded, {recorded} {sensor.number}{device}, "
                 f"found --imu {imu}; calibrate a recording of IMU {imu}, or leave --imu out"
+            )
+        if sensor.number > most:
+            raise InputError(
+                f"export to {target}: expected one of the first {most} IMUs, found a recording of IMU {sensor.number}"
             )
     compensator = calibration.compensator
     for kind, model in models.items():
@@ -207,33 +213,6 @@ def _cubic(pilot: Autopilot, slopes: Array, reference: float) -> Array:
     d = 0.0 if pilot.centre is None else reference - pilot.centre
     first = linear - (2.0 * square - 3.0 * cube * d) * d
     return np.stack([first, square - 3.0 * cube * d, cube], axis=1) / pilot.worth
-
-
-def _written(
-    layout: str,
-    calibration: Calibration,
-    applied: Sequence[Triad],
-    *,
-    remarks: Iterable[str],
-    see_to: Iterable[str],
-    **words: Any,
-) -> Exported:
-    """The file: remarks, examples and notes as comments, then the parameters."""
-    pilot = Autopilot(**front_of(layout))
-    compass, about_it, lost = _compass(pilot, calibration)
-    thermal = applied[0].measured is not None
-    notes = notes_of(
-        calibration,
-        corrections={each.kind: each.correct for each in applied},
-        left=_one_thermometer(pilot, calibration, applied),
-        held={MAGNETOMETER} | (_OVER_TEMPERATURE if thermal else set()),
-        lacks=["uncertainties", *lost],
-        see_to=see_to,
-    )
-    examples = (each.example(calibration) for each in applied)
-    comments = [*origin(calibration), *remarks, *examples, *about_it, *notes]
-    text = laid_out(layout, comments=comments, triads=applied, compass=compass, **words)
-    return Exported(content=text.encode(), losses=notes)
 
 
 def _one_thermometer(pilot: Autopilot, calibration: Calibration, applied: Sequence[Triad]) -> list[str]:
@@ -285,84 +264,78 @@ def warm_end(measured: Range) -> float:
 # -------------------- the files --------------------
 
 
-def _px4(
+def _autopilot(
     target: str, calibration: Calibration, *, imu: int | None = None, sensor_ids: tuple[int, int] | None = None
 ) -> Exported:
-    """The .params file of a calibration, of the IMU of this number, from 1, or of that which was recorded; over
-    temperature with the device ids of accelerometer and gyro, where the recording has not said them."""
-    thermal = target == "px4-thermal"
-    applied = _triads(PX4, target, calibration, imu, thermal=thermal)
+    """The file of a calibration, of the IMU of this number, from 1, or of that which was recorded; for PX4 over
+    temperature with the device ids of accelerometer and gyro, where the recording has not said them. Remarks, examples
+    and notes are its comments."""
+    layout, thermal = PX4 if target.startswith("px4") else ARDUPILOT, target.endswith("-thermal")
+    pilot = Autopilot(**front_of(layout))
+    applied = _triads(pilot, target, calibration, imu, thermal=thermal)
     ids: dict[str, int | None] = {kind: sensor.id for kind, sensor in calibration.imu.items()}
     ids |= {} if sensor_ids is None else dict(zip(("accel", "gyro"), sensor_ids, strict=True))
     signed = {kind: _signed(device) for kind, device in ids.items() if device is not None}
-    remarks = (
-        []
-        if len(signed) == 2 and not thermal
-        else ["CAL_ACC*_ID and CAL_GYRO*_ID have to be the ids of these sensors already"]
-    )
-    see_to = _whose(calibration, imu)
+    both, remarks, see_to = signed if len(signed) == 2 else None, list[str](), list[str]()
+    if imu is None and not calibration.imu:
+        see_to.append(
+            "the calibration does not say which IMU it is of: these are parameters of the first, --imu N of another"
+        )
+    if pilot.of_gyros and "gyro" in (each.kind for each in applied):
+        see_to.append(pilot.of_gyros)
+    if layout == PX4 and (thermal or both is None):
+        remarks.append("CAL_ACC*_ID and CAL_GYRO*_ID have to be the ids of these sensors already")
     if thermal:
         references = dict.fromkeys(f"{each.reference:g}" for each in applied)
-        remarks.append(f"CAL_*OFF and CAL_*SCALE are those at {' and '.join(references)} degC")
-        errors = " and ".join(in_units(each.kind, each.steepest()) for each in applied)
-        see_to.append(
-            "PX4 takes up new offsets when the temperature has changed by more than 1 degC: until then an error of up "
-            f"to {errors}"
-        )
-        see_to.append(_outside(applied))
-    if thermal and len(signed) < 2:
-        see_to.append(
-            "TC_*_ID are not in this file: set them to CAL_ACC*_ID and CAL_GYRO*_ID, or give --sensor-ids; without "
-            "them PX4 compensates nothing"
-        )
+        remarks.append(pilot.at_reference.format(" and ".join(references)))
+        see_to += _over_temperature(applied, tracked=layout == ARDUPILOT, found=layout == ARDUPILOT or both is not None)
     changes = {f"{each.kind} offsets": each.offset for each in applied if each.known}
     changes |= {f"{each.kind} scales": each.factor - 1.0 for each in applied[:1] if each.kind == "accel" and each.known}
-    if small := [name for name, three in changes.items() if np.linalg.norm(three) <= LEAST]:
+    small = [name for name, three in changes.items() if np.linalg.norm(three) <= LEAST]
+    if layout == PX4 and small:
         see_to.append(
             "some releases of PX4 ignore corrections shorter than 0.01 (m/s^2, 1, rad/s), as here: "
             f"{', '.join(small)}; see `sensors status`"
         )
-    place, both = 0 if imu is None else imu - 1, signed if len(signed) == 2 else None
-    return _written(PX4, calibration, applied, remarks=remarks, see_to=see_to, place=place, ids=signed, both=both)
-
-
-def _ardupilot(target: str, calibration: Calibration, *, imu: int | None = None) -> Exported:
-    """The .parm file of a calibration, of the IMU of this number, from 1, or of that which was recorded."""
-    thermal = target == "ardupilot-thermal"
-    applied = _triads(ARDUPILOT, target, calibration, imu, thermal=thermal)
-    see_to = _whose(calibration, imu)
-    if "gyro" in (each.kind for each in applied):
-        see_to.append("gyro offsets are estimated anew at every start unless INS_GYR_CAL is 0")
-    remarks = []
-    if thermal:
-        last = max(each.number for each in applied)
-        if last > LAST_COMPENSATED:
-            raise InputError(
-                f"export to {target}: expected one of the first {LAST_COMPENSATED} IMUs, found a recording of IMU "
-                f"{last}"
-            )
-        remarks.append(f"offsets and scales are those at {applied[0].reference:g} degC, INS_*_CALTEMP")
-        see_to.append(_outside(applied))
-    return _written(ARDUPILOT, calibration, applied, remarks=remarks, see_to=see_to)
-
-
-px4, px4_thermal = partial(_px4, "px4"), partial(_px4, "px4-thermal")
-ardupilot, ardupilot_thermal = partial(_ardupilot, "ardupilot"), partial(_ardupilot, "ardupilot-thermal")
-
-
-def _whose(calibration: Calibration, imu: int | None) -> list[str]:
-    """What is supposed where neither the calibration nor the user says which IMU it is."""
-    whose = "the calibration does not say which IMU it is of: these are parameters of the first, --imu N of another"
-    return [whose] if imu is None and not calibration.imu else []
-
-
-def _outside(applied: Sequence[Triad]) -> str:
-    measured = applied[0].measured
-    assert measured is not None
-    return (
-        f"outside {measured.low:.1f} to {measured.high:.1f} degC nothing was measured: the target keeps the offsets of "
-        "the nearer end"
+    compass, about_it, lost = _compass(pilot, calibration)
+    notes = notes_of(
+        calibration,
+        corrections={each.kind: each.correct for each in applied},
+        left=_one_thermometer(pilot, calibration, applied),
+        held={MAGNETOMETER} | (_HELD if thermal else set()),
+        lacks=["uncertainties", *lost],
+        see_to=see_to,
     )
+    examples = (each.example(calibration) for each in applied)
+    comments = [*origin(calibration), *remarks, *examples, *about_it, *notes]
+    place = 0 if imu is None else imu - 1
+    text = laid_out(layout, comments=comments, triads=applied, compass=compass, place=place, ids=signed, both=both)
+    return Exported(content=text.encode(), losses=notes)
+
+
+px4, px4_thermal = partial(_autopilot, "px4"), partial(_autopilot, "px4-thermal")
+ardupilot, ardupilot_thermal = partial(_autopilot, "ardupilot"), partial(_autopilot, "ardupilot-thermal")
+
+
+def _over_temperature(applied: Sequence[Triad], *, tracked: bool, found: bool) -> Iterator[str]:
+    """What there is to see to over temperature: of a target that does not take up every change, and that does not find
+    the curves."""
+    if not tracked:
+        errors = " and ".join(in_units(each.kind, each.steepest()) for each in applied)
+        yield (
+            "PX4 takes up new offsets when the temperature has changed by more than 1 degC: until then an error of up "
+            f"to {errors}"
+        )
+    if (measured := applied[0].measured) is not None:
+        yield (
+            f"outside {measured.low:.1f} to {measured.high:.1f} degC nothing was measured: the target keeps the "
+            "offsets of the nearer end"
+        )
+    if not found:
+        yield (
+            "TC_*_ID are not in this file: set them to CAL_ACC*_ID and CAL_GYRO*_ID, or give --sensor-ids; without "
+            "them PX4 compensates nothing"
+        )
 
 
 def _signed(device: int) -> int:

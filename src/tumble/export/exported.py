@@ -158,28 +158,11 @@ def notes_of(
     lacks: Iterable[str] = ("uncertainties",),
     see_to: Iterable[str] = (),
 ) -> tuple[str, ...]:
-    """What a target cannot hold, in at most three notes.
+    """What a target cannot hold, in at most three notes, with the largest errors in physical units.
 
-    Parameters
-    ----------
-    calibration
-        What is exported.
-    corrections
-        What the target makes of readings.
-    left
-        What else there is to say of that.
-    held
-        Names of the groups of parameters beyond matrix and bias that it holds, and MAGNETOMETER where it holds that.
-    lacks
-        What else it has no place for.
-    see_to
-        What the user has to see to.
-
-    Returns
-    -------
-    tuple of str
-        The notes, with the largest errors in physical units.
-    """
+    `corrections` are what the target makes of readings, `left` what else there is to say of that. It holds the groups
+    of parameters `held` beyond matrix and bias, MAGNETOMETER where it holds that, and `lacks` what else it has no place
+    for; `see_to` is what the user has to see to."""
     off = (left_by(calibration, kind, correct, held) for kind, correct in corrections.items())
     errors = ", ".join(filter(None, off))
     first = [*left, *([f"off by what is not in this file: {errors}"] if errors else [])]

@@ -8,7 +8,7 @@ R_IMUtoACC = 1, which is the frame `accelerometer`: with M = L Q, L lower triang
 rotation, Ta = L of the accelerometers, and of the gyros seen in the frame Q of the accelerometers Tw = L, R_IMUtoGYRO =
 Q. Nothing of either matrix is lost. Kalibr calls them M and C_gyro_i.
 
-The noise densities are continuous-time, those that stand for the processes of `noise`: `filter_values`.
+The noise densities are continuous-time, those that stand for the processes of `noise`: `densities`.
 
 Source: OpenVINS, documentation and VioManagerOptions; Kalibr, wiki "IMU noise model" and "Multi IMU and IMU intrinsic
 calibration"; Rehder et al., Extending Kalibr, ICRA 2016.
@@ -34,7 +34,7 @@ from tumble.export.templates import laid_out
 from tumble.files import FilePath
 from tumble.recording.session import Session
 from tumble.recording.session_file import session_from
-from tumble.reduction.noise.filter_values import Densities, densities
+from tumble.reduction.noise.densities import Densities, densities
 from tumble.result.calibration import Calibration
 from tumble.result.correction import linear_example
 from tumble.result.parts import SensorsAtRest
@@ -94,20 +94,9 @@ def noise_of_rests(calibration: Calibration) -> NoiseDensities:
 
 
 def kalibr(calibration: Calibration, *, noise: NoiseDensities | Session | FilePath | None = None) -> Exported:
-    """Write the file of a calibration and of the noise densities of its device.
-
-    Parameters
-    ----------
-    calibration
-        Three accelerometers and three gyros, both right-handed.
-    noise
-        The densities, or a session whose longest rest shows them; by default those of the calibration's rests.
-
-    Returns
-    -------
-    Exported
-        YAML below the line `%YAML:1.0`, as OpenCV reads it.
-    """
+    """The file of a calibration of three accelerometers and three gyros, both right-handed, and of the noise densities
+    of its device: YAML below the line `%YAML:1.0`, as OpenCV reads it. `noise` are the densities, or a session whose
+    longest rest shows them; by default those of the calibration's rests."""
     held = {"gyro.g_sensitivity"}
     by_kind = triads(calibration, "kalibr", held=held)
     if noise is None:

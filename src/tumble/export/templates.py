@@ -53,6 +53,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
+from scipy.linalg import polar
+from scipy.spatial.transform import Rotation
 
 from tumble.documents import text_of_document, toml_of, validated
 from tumble.errors import InputError
@@ -320,20 +322,12 @@ def _single(values: Any) -> Array:
 
 def cardan_angles(matrix: Array) -> Array:
     """Roll, pitch and yaw, °, of the rotation that is nearest to a matrix (3, 3): R = R_x R_y R_z."""
-    U, _, V = np.linalg.svd(matrix)
-    R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ V)]) @ V
-    pitch = np.arcsin(np.clip(R[0, 2], -1.0, 1.0))
-    return np.array([np.arctan2(-R[1, 2], R[2, 2]), pitch, np.arctan2(-R[0, 1], R[0, 0])]) / DEGREE
+    return np.asarray(Rotation.from_matrix(polar(matrix)[0]).as_euler("XYZ", degrees=True))
 
 
 def cardan_matrix(angles: Array) -> Array:
     """R_x R_y R_z (3, 3) of roll, pitch and yaw, °."""
-    (sx, sy, sz), (cx, cy, cz) = np.sin(angles * DEGREE), np.cos(angles * DEGREE)
-    return np.array([
-        [cz * cy, -cy * sz, sy],
-        [sz * cx + sx * cz * sy, cz * cx - sx * sz * sy, -sx * cy],
-        [sx * sz - cz * cx * sy, sx * cz + sz * cx * sy, cy * cx],
-    ])  # fmt: skip
+    return np.asarray(Rotation.from_euler("XYZ", angles, degrees=True).as_matrix())
 
 
 FUNCTIONS: Mapping[str, Callable[..., Array]] = {

@@ -462,8 +462,8 @@ def _link_rows(
         rows, bias = (
             np.concatenate([a, b], axis=1) for a, b in ((rows, magnetic), (bias, np.zeros((J, 3, bias.shape[2]))))
         )
-    N_g, N_a = (density * np.eye(3) for density in (links.gyro_density, links.accel_density))
-    return rows, bias, _with_link_noise(problem, noise_of_links(C_p, V_p, P_p, T_p, N_g, N_a))
+    covariances = noise_of_links(C_p, V_p, P_p, T_p, (links.gyro_density, links.accel_density))
+    return rows, bias, _with_link_noise(problem, covariances)
 
 
 def _magnetic_link_rows(problem: Problem, magnetometer: Magnetometer, point: Point, basis: Array) -> Array:

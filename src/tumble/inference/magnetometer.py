@@ -1,6 +1,6 @@
 """The readings of a magnetometer at the stations of a session, rests or nodes.
 
-    m = S (v − τ v × ω) + b,   v = Lᵀ h,   h = F (cos I cos D, −sin I, cos I sin D)                               (47)
+    m = S e^{τ[ω×]} v + b,   v = Lᵀ h,   h = F (cos I cos D, −sin I, cos I sin D)                               (47)
 
 L is the attitude (body → north, up, east) and ω the rate there, S (3, 3) the sensitivity in the frame of the
 accelerometers, which contains the soft iron and the rotation of the magnetometer, b the hard iron, τ the delay of the
@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tumble.rotation import skew
+from tumble.rotation import rotation_matrix, skew
 from tumble.sensors.model import Block, SensorModel
 from tumble.sensors.parameters import limits_of
 from tumble.units import Array
@@ -78,10 +78,10 @@ class Magnetometer:
         """
         model, jacobian = self.block.linearised(self.parameters(own))
         S, (field, by_direction) = model[:, :3], self.north_up_east(own)
-        v, late = field @ attitudes, np.eye(3) + own[DELAY] * skew(rates)
+        v, late = field @ attitudes, rotation_matrix(own[DELAY] * rates)
         seen = (late @ v[:, :, None])[:, :, 0]
         by_own = np.empty((len(v), 3, OWN))
         by_own[:, :, :DIP] = np.einsum("pqm,kq->kpm", jacobian, np.column_stack([seen, np.ones(len(v))]))
         by_own[:, :, DIP:DELAY] = S @ late @ np.swapaxes(attitudes, 1, 2) @ by_direction
-        by_own[:, :, DELAY] = np.cross(rates, v) @ S.T
+        by_own[:, :, DELAY] = np.cross(rates, seen) @ S.T
         return seen @ S.T + model[:, 3], S @ late @ skew(v) @ basis, by_own

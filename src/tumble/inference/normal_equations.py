@@ -295,9 +295,10 @@ def whiten(
 
 
 def station_rows(problem: Problem, rest: Array) -> Array:
-    """The rows of the rests (N, r, ·) at their stations (M, r, ·), zero at nodes."""
+    """The rows of the rests (N, r, ·) at their stations (M, r, ·), zero at nodes; none (M, 0, ·) without rests."""
     if not problem.moves:
         return rest
+    rest = rest if len(problem.station) else rest[..., :0, :]
     out = np.zeros((*rest.shape[:-3], len(problem.link), *rest.shape[-2:]))
     out[..., problem.station, :, :] = rest
     return out
@@ -308,6 +309,7 @@ def joint_rows(linearisation: Linearisation, turn: Array, link: Array) -> Array:
     its `link` (J, 9, 2 d + w), zero where it has none, and the steps of the s states (19)."""
     problem, noise = linearisation.problem, linearisation.noise
     s, d = noise.states, noise.unknowns
+    turn = turn if len(problem.before_turn) else turn[..., :0, :]
     *stack, _, t, width = turn.shape
     k = link.shape[-2] if problem.moves else 0
     joints = np.zeros((*stack, len(problem.link), t + k + s, width))

@@ -1,8 +1,8 @@
 """The start of the joint method, in closed form.
 
 Verticals from nominal accelerometers; gyro parameters by one linear least-squares pass over the rests and over the
-verticals that the turns carry (the indirect method); headings carried along each chain of turns, and turned together by
-what the gyros see of the horizontal Earth's rate.
+verticals that the turns carry (the indirect method); headings carried along each chain of turns, or of links, and
+turned together by what the gyros see of the horizontal Earth's rate.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import numpy as np
 
 from tumble.earth import EARTH_RATE
 from tumble.inference.linearisation import Linearisation, linearise
+from tumble.inference.normal_equations import solve
 from tumble.inference.problem import Point, Problem
 from tumble.inference.turns_about import TurnsAbout
 from tumble.reduction.turns.links import PARTS
@@ -170,7 +171,26 @@ def _started_in_motion(problem: Problem, values: Array) -> tuple[Linearisation, 
         velocities=np.zeros((M, 3)),
         displacements=np.zeros((M, 3)),
     )
+    if problem.earth[0] != 0.0:
+        point = _turned_to_north(problem, point, about)
     return linearise(problem, point, about), (values,)
+
+
+def _turned_to_north(problem: Problem, point: Point, about: TurnsAbout) -> Point:
+    """The point with the headings of its chains by the horizontal rate of the Earth that the gyros see in motion. A
+    linear step moves along the tangent of the circle of headings, by sin e where it is e off, and by −cos e a quarter
+    of a turn on; from far off such steps alone would be too short."""
+    chain, none = problem.chain, np.zeros(1 + len(point.values))
+
+    def turned(by: Array) -> Point:
+        return point.moved(none, by[chain, None] * np.array([0.0, 0.0, 1.0]))
+
+    seen = list[Array]()
+    for quarters in range(2):
+        there = turned(np.full(chain[-1] + 1, 0.5 * np.pi * quarters))
+        step = solve(linearise(problem, there, about)).angles[:, 2]
+        seen.append(np.bincount(chain, step) / np.bincount(chain))
+    return turned(np.arctan2(seen[0], -seen[1]))
 
 
 def _transitions(problem: Problem, about: TurnsAbout) -> tuple[Array, Array, Array]:

@@ -46,6 +46,7 @@ VELOCITY_SHARE = 0.1  # of the noise of its velocity
 CHANGES_SHARE = 0.1  # of the noise: second order of changes from turn to turn that are not integrated about
 
 _FIRST, _SECOND = np.array(PAIRS).T
+NONE = np.zeros(0)
 
 Ends = tuple[tuple[Array, Array], tuple[Array, Array]]
 """Specific forces, then rates (K, 3), at rest at the start and at the end of the turns."""
@@ -127,22 +128,14 @@ class TurnsAbout:
         """Turns of these moments, integrated about coefficients and a delay, with the left inverses (3, n) of gyros and
         accelerometers, and what is at rest at their `ends`, None where velocities are not predicted; `growing` are the
         moments of what grows within the turns."""
-        to_rate, to_force = lefts
-        paths, a = _paths((moments.Phi, moments.Psi), lefts), to_force.shape[1]
-        for by, own, to_body in (
-            (paths[:, 3:, :a], moments.Phi_accel, to_force),
-            (paths[:, :3, a:], moments.Phi_gyro, to_rate),
-            (paths[:, 3:, a:], moments.Psi_gyro, to_rate),
-        ):
-            if own.shape[-1]:
-                by[..., OWN_SIZE], by[..., OWN_CUBE] = _own(own[..., 0, :], to_body), _own(own[..., 1, :], to_body)
+        own = moments.Phi_accel, moments.Phi_gyro, moments.Psi_gyro
         return TurnsAbout(
             coefficients=about[0],
             lateness=about[1],
             moments=moments,
-            paths=paths,
+            paths=_paths((moments.Phi, moments.Psi), lefts, own),
             turn_only={} if ends is None else _turn_only_columns(moments, accel, about[0], lefts, ends),
-            to_rate=to_rate,
+            to_rate=lefts[0],
             growing=None if growing is None else _paths(growing, lefts),
         )
 
@@ -321,24 +314,19 @@ def _compensable(block: Block, K: Array) -> Array:
     return out
 
 
-def _paths(moments: tuple[Array, Array], lefts: tuple[Array, Array]) -> Array:
+def _paths(moments: tuple[Array, Array], lefts: tuple[Array, Array], own: tuple[Array, ...] = 3 * (NONE,)) -> Array:
     """P above Q (K, 6, n, 15) of accelerometers and gyros: Σ_j M_ijb s_jp of Φ and Ψ (K, 3, 3, ·) of the first
-    functions, and the left inverses of gyros and accelerometers."""
+    functions, and the left inverses of gyros and accelerometers; and of the `own` sums (K, 3, 3, 2, ·) of their sizes
+    and cubes, Φ of accelerometers, Φ and Ψ of gyros, where there are any."""
     (Phi, Psi), (to_rate, to_force) = moments, lefts
     a = to_force.shape[1]
     out = np.zeros((len(Phi), 6, a + to_rate.shape[1], FUNCTIONS))
-    for by, M, left in (
-        (out[:, 3:, :a], Phi, to_force),
-        (out[:, :3, a:], Phi, to_rate),
-        (out[:, 3:, a:], Psi, to_rate),
-    ):
+    targets = (out[:, 3:, :a], Phi, to_force), (out[:, :3, a:], Phi, to_rate), (out[:, 3:, a:], Psi, to_rate)
+    for (by, M, left), sums in zip(targets, own, strict=True):
         by[..., : M.shape[-1]] = left.T @ M
+        if sums.size:
+            by[..., [OWN_SIZE, OWN_CUBE]] = np.einsum("kijfp,jp->kipf", sums, left)
     return out
-
-
-def _own(moments: Array, left_inverse: Array) -> Array:
-    """Σ_j M_ijp s_jp (K, 3, n)."""
-    return np.asarray(np.einsum("kijp,jp->kip", moments, left_inverse))
 
 
 def _lever_order(block: Block) -> IntArray:

@@ -19,18 +19,15 @@ from dataclasses import replace
 from datetime import date
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from tumble.documents import is_plain, shown, text_of_document, toml_of, validated
 from tumble.errors import InputError
 from tumble.lab.limits import Limits, Occasion, limits_of
-from tumble.lab.scope import Capability
+from tumble.result.calibration import Calibration, read_calibration
 from tumble.result.further import recorded_on
-
-if TYPE_CHECKING:
-    from tumble.result.calibration import Calibration
 
 RELATES = (
     "This certificate relates only to the item described in it, in the state in which it was calibrated; it may be "
@@ -73,8 +70,7 @@ class _CertificateTable(BaseModel):
 
 
 class Party(_CertificateTable):
-    """A laboratory or a customer: `code` is the laboratory's accreditation number, `scope` what it is accredited for,
-    `logo` the path of its picture."""
+    """A laboratory or a customer: `code` is the laboratory's accreditation number, `logo` the path of its picture."""
 
     name: _Text
     city: _Text
@@ -86,8 +82,6 @@ class Party(_CertificateTable):
     logo: _Str | None = Field(
         default=None, pattern=r"^\S.*\.(svg|png)$", description="the name of a picture, .svg or .png"
     )
-
-    scope: tuple[Capability, ...] = Field(default=(), strict=False)
 
     @property
     def address(self) -> str:
@@ -174,55 +168,52 @@ class Certificate(_CertificateTable):
         )
 
 
-def check_certificate(certificate: Certificate, calibration: Calibration, as_found: Calibration | None) -> None:
-    """Check that a certificate fits the calibration it is of, and the one from before an adjustment: received before
-    calibrated before issued, every recording within the days of the calibration, and two recordings for as found and
-    as left. Raises InputError, one line."""
+def check_certificate(certificate: Certificate, calibration: Calibration) -> Calibration | None:
+    """Check that a certificate fits the calibration it is of: received before calibrated before issued, every recording
+    within the days of the calibration, and as found the same device in the same frame by an earlier recording. Returns
+    the calibration from before an adjustment. Raises InputError, one line."""
     begin, end = certificate.days(calibration)
     order = (("received", certificate.received), ("begin", begin), ("end", end), ("issued", certificate.issued))
     stated = [(name, day) for name, day in order if day is not None]
     for (earlier, first), (later, second) in pairwise(stated):
         if second < first:
             raise InputError(f"certificate: {later}: expected a day not before {earlier}, {first}, found {second}")
-    for recorded in recorded_on(calibration):
-        day = date.fromisoformat(recorded[:10])
+    recordings = recorded_on(calibration)
+    for day in (date.fromisoformat(recorded[:10]) for recorded in recordings):
         if not begin <= day <= end:
             raise InputError(
                 f"certificate: begin, end: expected days that hold every recording, found {begin} to {end} and a "
                 f"recording of {day}"
             )
-    if as_found is None:
-        return
-    before, after = (each.provenance.log_sha256 for each in (as_found, calibration))
-    if before == after and before is not None:
+    if certificate.as_found is None:
+        return None
+    as_found = read_calibration(certificate.as_found)
+    expected = "certificate: as_found: expected"
+    if (as_found.serial, as_found.frame) != (calibration.serial, calibration.frame):
         raise InputError(
-            "certificate: as_found: expected a calibration from before the adjustment, found one of the same recording"
+            f"{expected} a calibration of device {calibration.serial!r} in the frame {calibration.frame!r}, found "
+            f"{as_found.serial!r} in {as_found.frame!r}"
         )
-    if max(recorded_on(as_found), default="") > min(recorded_on(calibration), default="9"):
-        raise InputError(
-            f"certificate: as_found: expected a recording from before that of the result, {recorded_on(calibration)[0]}"
-            f", found {recorded_on(as_found)[-1]}"
-        )
+    if as_found.provenance.log_sha256 == calibration.provenance.log_sha256 is not None:
+        raise InputError(f"{expected} a calibration from before the adjustment, found one of the same recording")
+    before = recorded_on(as_found)
+    if before and recordings and max(before) > min(recordings):
+        raise InputError(f"{expected} a recording from before that of the result, {recordings[0]}, found {before[-1]}")
+    return as_found
 
 
 def judged_by(certificate: Certificate) -> Limits | None:
     """The acceptance limits of the check that a certificate states conformity with; None without limits. Raises
-    InputError where its file has limits of both checks and the certificate does not say which."""
+    InputError where its file has limits of both checks and the certificate does not say which, or none of that."""
     if certificate.limits is None:
         return None
     limits = limits_of(Path(certificate.limits))
     checks = [occasion for occasion in limits.checks if limits.checks[occasion]]
-    if certificate.check is None and len(checks) > 1:
-        raise InputError(
-            f"certificate: check: expected 'incoming' or 'periodic', for {certificate.limits} has limits of both, "
-            "found none"
-        )
-    if certificate.check is not None and certificate.check not in checks:
-        raise InputError(
-            f"certificate: check: expected {checks[0]!r}, whose limits {certificate.limits} has, found "
-            f"{certificate.check!r}"
-        )
-    kept = certificate.check or checks[0]
+    kept = certificate.check or (checks[0] if len(checks) == 1 else None)
+    if kept not in checks:
+        both = f"'incoming' or 'periodic', for {certificate.limits} has limits of both"
+        expected = both if len(checks) > 1 else f"{checks[0]!r}, whose limits {certificate.limits} has"
+        raise InputError(f"certificate: check: expected {expected}, found {'none' if kept is None else repr(kept)}")
     return replace(limits, checks={kept: limits.checks[kept]})
 
 

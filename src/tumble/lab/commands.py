@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import re
 import sys
-from contextlib import AbstractContextManager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from tumble import lab
 from tumble.commands import ask, tell
 from tumble.errors import InputError
 
@@ -21,21 +20,6 @@ if TYPE_CHECKING:
 
 _DAY: dict[str, Any] = {"type": click.DateTime(["%Y-%m-%d"]), "metavar": "YYYY-MM-DD"}
 _PLACE = ask.registry_place(required=True)
-
-
-def _number(ctx: click.Context, parameter: click.Parameter, text: str | None) -> int | None:
-    """The number of a record, such as a database can hold."""
-    if text is not None and not re.fullmatch(r"0*[1-9][0-9]{0,17}", text):
-        expected = "expected the number of a record as `tumble registry list` shows it"
-        raise click.BadParameter(f"{expected}, found {text!r}", ctx, parameter)
-    return None if text is None else int(text)
-
-
-def _opened(place: str, *, create: bool = False) -> AbstractContextManager[Registry]:
-    """The registry at a place, whose code is imported when a command asks for it."""
-    from tumble.lab.registry.registry import open_registry
-
-    return open_registry(place, create=create)
 
 
 def _new_file(out: Path | None, what: str) -> None:
@@ -69,7 +53,7 @@ def add(calibration: Path, day: datetime | None, every: bool, place: str, **part
     """Add a CALIBRATION file, judge it by the limits in force, and say so. Exit status 1 if it does not pass."""
 
     begun, performed = datetime.now(UTC), None if day is None else day.replace(tzinfo=UTC)
-    with _opened(place, create=True) as opened:
+    with lab.open_registry(place, create=True) as opened:
         record = opened.add_calibration(calibration, performed=performed, **particulars)
         said = "added as" if record.added >= begun else "the same calibration is there already:"
         tell.say(f"{said} record {record.number} in {opened.name}")
@@ -101,13 +85,13 @@ def list_(serial: str | None, place: str) -> None:
     """All devices with their latest record, or the records of the device SERIAL."""
     from tumble.lab.registry.views import device_table, record_table
 
-    with _opened(place) as opened:
+    with lab.open_registry(place) as opened:
         records = opened.records(serial)
     tell.show({"records": records}, lambda: [device_table(records) if serial is None else record_table(records)])
 
 
 @registry.command
-@click.argument("number", callback=_number, required=False)
+@click.argument("number", type=click.IntRange(1, 10**18), required=False)
 @ask.option("--type/model", "Instead of a record: the data sheet of a device type by its units.", metavar="MODEL")
 @ask.out("Write the calibration file of the record, as it was added, or the data sheet (.html).")
 @_PLACE
@@ -118,12 +102,17 @@ def show(number: int | None, model: str | None, out: Path | None, every: bool, p
 
     Exit status 1 if the record does not pass."""
     from tumble.files import whole_file
+    from tumble.lab.datasheet import datasheet_blocks, write_datasheet
 
     if (number is None) == (model is None):
         raise click.UsageError("show: expected the NUMBER of a record or --type MODEL, found none of them or both")
-    with _opened(place) as opened:
+    with lab.open_registry(place) as opened:
         if model is not None:
-            _show_datasheet(opened, model, out)
+            sheet = opened.datasheet(model)
+            if out is not None:
+                write_datasheet(sheet, out, datetime.now(UTC).isoformat(timespec="seconds"))
+                tell.say(f"written to {out}")
+            tell.show(sheet, lambda: datasheet_blocks(sheet))
             return
         record = opened.record(number or 0)
         if out is not None:
@@ -133,16 +122,6 @@ def show(number: int | None, model: str | None, out: Path | None, every: bool, p
             tell.say(f"written to {out}")
         passed = _show_record(opened, record, every)
     sys.exit(0 if passed else 1)
-
-
-def _show_datasheet(opened: Registry, model: str, out: Path | None) -> None:
-    from tumble.lab.datasheet import datasheet_blocks, write_datasheet
-
-    sheet = opened.datasheet(model)
-    if out is not None:
-        write_datasheet(sheet, out, datetime.now(UTC).isoformat(timespec="seconds"))
-        tell.say(f"written to {out}")
-    tell.show(sheet, lambda: datasheet_blocks(sheet))
 
 
 @registry.command
@@ -159,7 +138,7 @@ def trend(serial: str, parameter: str | None, every: bool, place: str) -> None:
     """
     from tumble.lab.registry.views import history_blocks, trend_blocks
 
-    with _opened(place) as opened:
+    with lab.open_registry(place) as opened:
         found = opened.trend(serial, parameter)
     tell.show(found, lambda: trend_blocks(found, every=every) if parameter is None else history_blocks(found))
     if found.changed:
@@ -180,7 +159,7 @@ def limits(model: str | None, file: Path | None, place: str) -> None:
     from tumble.lab.registry.views import limits_blocks, limits_table
 
     begun = datetime.now(UTC)
-    with _opened(place, create=file is not None) as opened:
+    with lab.open_registry(place, create=file is not None) as opened:
         if model is not None and file is not None:
             record = opened.set_limits(model, file)
             said = "in force for" if record.added >= begun else "were in force already for"
@@ -209,7 +188,7 @@ def due(day: datetime | None, place: str) -> None:
     """
     from tumble.lab.registry.views import due_table
 
-    with _opened(place) as opened:
+    with lab.open_registry(place) as opened:
         items = opened.due(None if day is None else day.date())
     tell.show({"devices": items}, lambda: [due_table(items)])
     for word, of in (("withdrawn", [i for i in items if i.withdrawn]), ("overdue", [i for i in items if i.overdue])):

@@ -1,4 +1,4 @@
-"""What acceptance limits say of a calibration, at its reference temperature or at every temperature between two.
+"""What acceptance limits say of a calibration.
 
 The decision rule is RULE. With the limits low, high and the expanded uncertainty U = t₉₅.₄₅(ν) u:
 
@@ -6,11 +6,6 @@ The decision rule is RULE. With the limits low, high and the expanded uncertaint
     conditional pass    inside by less
     conditional fail    outside by no more than U
     fail                outside by more
-
-Over temperature a bias or a scale factor is the whole sum θ + θ₁ (T − T₀) + θ₂ (T − T₀)² with U of the sum
-(`tumble.result.temperature_curves`). It is judged at the temperature where it is worst: where it fails, else where
-it is nearest to failing. What was not measured passes nowhere: beyond the range of the rests there is no U. Other
-parameters are the same at all temperatures.
 
 The risk of a statement is the probability that it is wrong, of a true value that the calibration alone tells of:
 Student's t with ν degrees of freedom about the value, scaled by u. With F its distribution function,
@@ -29,8 +24,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 from typing import ClassVar, Literal, get_args
 
 import numpy as np
@@ -39,10 +33,9 @@ import scipy
 from tumble.lab.limits import OCCASIONS, Limits, Occasion
 from tumble.result.accepted import accepted_kinds, accepted_part
 from tumble.result.calibration import Calibration
-from tumble.result.coverage import expanded, expanded_of
-from tumble.result.parts import Parameter, stated_factor
-from tumble.result.temperature_curves import changing, curve, measured_range
-from tumble.sensors.parameters import FURTHER, group_name, group_of, meant_by
+from tumble.result.coverage import expanded_of
+from tumble.result.parts import Parameter
+from tumble.sensors.parameters import group_of, meant_by
 from tumble.units import two_digits
 
 RULE = (
@@ -56,25 +49,15 @@ RISK = (
 )
 Result = Literal["fail", "undecided", "conditional fail", "conditional pass", "pass"]
 RESULTS: tuple[Result, ...] = get_args(Result)
-"""The worst first; undecided is what has no value or no U, or was not measured at all temperatures."""
-_OF_A_VALUE: tuple[Result, ...] = ("fail", "conditional fail", "conditional pass")
-_INSIDE, _OUTSIDE = ("pass", "conditional pass"), ("fail", "conditional fail")
-
+"""The worst first; undecided is what has no value or no U."""
 LEAST_RISK = 1e-4
 """A smaller risk is not stated: it is one of a model of distributions far from their middle."""
-STEP = 0.25
-"""K, between the temperatures at which a parameter is judged."""
-SLACK = 1.0
-"""K: so near to an end of the wanted temperatures a rest counts as being there."""
-CHANGING = {group.base for group in FURTHER if group.variable == "temperature"}
-"""The groups of parameters that may change with temperature."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LimitJudgement:
     """A parameter (SI) against its limits; `expanded` is U, `risk` the probability that the result is wrong. A
-    parameter that was not determined has no value. Over temperature it is that `at` the temperature, °C, where it is
-    worst; `beyond` says that not all temperatures were measured."""
+    parameter that was not determined has no value."""
 
     name: str
     unit: str
@@ -83,38 +66,18 @@ class LimitJudgement:
     low: float
     high: float
     result: Result
-    risk: float | None = None
-    at: float | None = None
-    beyond: bool = False
-
-    @property
-    def named(self) -> str:
-        """The parameter, with the temperature at which it is worst."""
-        return self.name if self.at is None else f"{self.name} at {self.at:.1f} °C".replace("at -", "at −")
+    risk: float | None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Verdict:
-    """Every parameter that has a limit, judged in the frame of the limits; over the `temperatures`, °C, between which
-    these hold, and what of them was not measured, in words."""
+    """Every parameter that has a limit, judged in the frame of the limits."""
 
     json_fields: ClassVar = ("occasion", "frame", "result", "risk", "reasons", "judgements")
 
     occasion: Occasion
     frame: str
     judgements: tuple[LimitJudgement, ...]
-    temperatures: tuple[float, float] | None = None
-    unmeasured: str = ""
-
-    @property
-    def over(self) -> str:
-        """Between which temperatures a verdict stands, in words; nothing where it is that at the reference."""
-        if self.temperatures is None:
-            return ""
-        low, high = (f"{end:g}".replace("-", "−") for end in self.temperatures)
-        return (
-            f"{'within limits' if self.result == 'pass' else 'not shown to be within limits'} from {low} to {high} °C"
-        )
 
     @property
     def result(self) -> Result:
@@ -124,10 +87,9 @@ class Verdict:
     @property
     def risk(self) -> float | None:
         """The largest probability that the result is wrong; None where it is undecided."""
-        risks = {j.name: j.risk for j in self.judgements if j.risk is not None}
-        if self.result in _INSIDE:
-            return min(sum(risks.values()), 1.0)
-        outside = [j.risk for j in self.judgements if j.result in _OUTSIDE and j.risk is not None]
+        if self.result.endswith("pass"):
+            return min(sum(j.risk or 0.0 for j in self.judgements), 1.0)
+        outside = [j.risk for j in self.judgements if j.result.endswith("fail") and j.risk is not None]
         return min(outside, default=None)
 
     @property
@@ -140,15 +102,11 @@ class Verdict:
     @property
     def reasons(self) -> list[str]:
         """Which parameters do not pass, and why, in words."""
-        unmeasured = f"not measured {self.unmeasured}" if self.unmeasured else "not known over temperature"
-        undecided = [j for j in self.judgements if j.result == "undecided"]
-        groups: dict[str, list[LimitJudgement]] = {
-            **{worse: [j for j in self.judgements if j.result == worse] for worse in _OF_A_VALUE},
-            unmeasured: [j for j in undecided if j.beyond],
-            "without U": [j for j in undecided if j.expanded is None and j.value is not None and not j.beyond],
-            "not determined": [j for j in undecided if j.value is None],
-        }
-        return [f"{what}: {', '.join(j.named for j in judged)}" for what, judged in groups.items() if judged]
+        groups: dict[str, list[str]] = {"fail": [], "conditional fail": [], "conditional pass": [], "without U": []}
+        for j in self.judgements:
+            undecided = "not determined" if j.value is None else "without U"
+            groups.setdefault(undecided if j.result == "undecided" else j.result, []).append(j.name)
+        return [f"{what}: {', '.join(names)}" for what, names in groups.items() if names and what != "pass"]
 
 
 def verdicts(calibration: Calibration, limits: Limits) -> list[Verdict]:
@@ -156,7 +114,7 @@ def verdicts(calibration: Calibration, limits: Limits) -> list[Verdict]:
     alone are accepted, the others are not determined.
 
     Raises CalibrationError where it cannot be taken to the frame of the limits."""
-    every = (verdict_at(calibration, limits, occasion) for occasion in OCCASIONS if limits.checks.get(occasion))
+    every = (verdict_at(calibration, limits, occasion) for occasion in OCCASIONS)
     return [verdict for verdict in every if verdict is not None]
 
 
@@ -164,10 +122,8 @@ def verdict_at(calibration: Calibration, limits: Limits, occasion: Occasion) -> 
     """What the limits say of a calibration at a check; None where they have none for it. Raises as `verdicts`."""
     if len(accepted_kinds(calibration)) == 1:
         calibration = accepted_part(calibration)
-    if calibration.frame != limits.frame:
-        calibration = calibration.in_frame(limits.frame)
-    verdict = judge(limits, occasion, calibration.parameters, calibration.outcome.unobservable)
-    return None if verdict is None else over_temperature(verdict, calibration, limits)
+    calibration = calibration.in_frame(limits.frame)
+    return judge(limits, occasion, calibration.parameters, calibration.outcome.unobservable)
 
 
 def judge(
@@ -179,30 +135,35 @@ def judge(
     by_key = limits.checks.get(occasion)
     if not by_key:
         return None
-    values = [
-        (p.name, p.unit, p.value, expanded(p), p.dof) for p in parameters if limits.of(p.name, occasion) is not None
-    ]
-    named = [*unobservable, *(p.name for p in parameters)]
-    missing = [name for name in unobservable if limits.of(name, occasion) is not None]
-    missing += [key for key in by_key if not any(meant_by(key, name) for name in named)]
+    values = {p.name: p for p in parameters}
+    named = [*values, *unobservable]
     judged = []
-    for name, unit, value, U, dof in [*values, *((name, group_of(name).unit, None, None, None) for name in missing)]:
-        low, high = limits.of(name, occasion) or (-math.inf, math.inf)
+    for name in [*named, *(key for key in by_key if not any(meant_by(key, each) for each in named))]:
+        ends = limits.of(name, occasion)
+        if ends is None:
+            continue
+        p = values.get(name)
+        value, u, dof = (None, None, None) if p is None else (p.value, p.u, p.dof)
+        result = "undecided" if value is None else judge_value(value, u, *ends, dof=dof)
         judgement = LimitJudgement(
-            name=name, unit=unit, value=value, expanded=U, low=low, high=high, result=_result(value, U, low, high)
+            name=name,
+            unit=group_of(name).unit if p is None else p.unit,
+            value=value,
+            expanded=None if u is None else expanded_of(u, dof),
+            low=ends[0],
+            high=ends[1],
+            result=result,
+            risk=None if value is None or u is None else _risk(result, value, u, *ends, dof),
         )
-        judged.append(replace(judgement, risk=_risk(judgement, dof)))
+        judged.append(judgement)
     return Verdict(occasion=occasion, frame=limits.frame, judgements=tuple(judged))
 
 
 def judge_value(value: float, u: float | None, low: float, high: float, dof: float | None = None) -> Result:
     """The verdict on a value with its standard uncertainty and degrees of freedom (module docstring); undecided without
-    one, with too few for a U, or where a limit is not a number."""
-    return _result(value, None if u is None else expanded_of(u, dof), low, high)
-
-
-def _result(value: float | None, U: float | None, low: float, high: float) -> Result:
-    if value is None or U is None or math.isnan(low) or math.isnan(high):
+    one, or with too few for a U."""
+    U = None if u is None else expanded_of(u, dof)
+    if U is None:
         return "undecided"
     inside = min(value - low, high - value)
     if inside >= 0.0:
@@ -210,17 +171,13 @@ def _result(value: float | None, U: float | None, low: float, high: float) -> Re
     return "conditional fail" if inside >= -U else "fail"
 
 
-def _risk(judgement: LimitJudgement, dof: float | None) -> float | None:
-    """The probability that a judgement of a value, whose u has so many degrees of freedom, is wrong; None without U."""
-    k, value, U = stated_factor(dof), judgement.value, judgement.expanded
-    if k is None or value is None or U is None or judgement.result == "undecided":
-        return None
-    below, above = judgement.low - value, judgement.high - value
-    if U == 0.0:
-        return 0.0
-    of_t = partial(scipy.special.stdtr, math.inf if dof is None else dof)
-    outside = float(of_t(below * k / U) + of_t(-above * k / U))
-    return outside if judgement.result in _INSIDE else max(1.0 - outside, 0.0)
+def _risk(result: Result, value: float, u: float, low: float, high: float, dof: float | None) -> float | None:
+    """The probability that the result on a value is wrong; None where it is undecided."""
+    if result == "undecided" or u == 0.0:
+        return None if result == "undecided" else 0.0
+    ends = np.array([low - value, value - high]) / u
+    outside = float(scipy.special.stdtr(math.inf if dof is None else dof, ends).sum())
+    return outside if result.endswith("pass") else max(1.0 - outside, 0.0)
 
 
 def in_percent(risk: float | None) -> str:
@@ -228,47 +185,3 @@ def in_percent(risk: float | None) -> str:
     if risk is None:
         return ""
     return f"< {100.0 * LEAST_RISK:g} %" if risk < LEAST_RISK else f"{two_digits(100.0 * risk)} %"
-
-
-# -------------------- over temperature --------------------
-
-
-def over_temperature(verdict: Verdict, calibration: Calibration, limits: Limits) -> Verdict:
-    """The verdict at every temperature between which the limits hold; the same where these are not given."""
-    if limits.temperatures is None:
-        return verdict
-    low, high = limits.temperatures
-    measured, with_slopes = measured_range(calibration), set(changing(calibration))
-    reached = measured is not None and max(low, measured.low) < min(high, measured.high)
-    if measured is None or not reached:
-        unmeasured = f"from {_celsius(low)} to {_celsius(high)} °C"
-    else:
-        gaps = [(low, measured.low)] if measured.low > low + SLACK else []
-        gaps += [(measured.high, high)] if measured.high < high - SLACK else []
-        unmeasured = " and ".join(f"from {_celsius(a)} to {_celsius(b)} °C" for a, b in gaps)
-    judged = []
-    for judgement in verdict.judgements:
-        if judgement.value is not None and group_name(judgement.name) in CHANGING:
-            if judgement.name in with_slopes and measured is not None and reached:
-                judgement = _worst(judgement, calibration, max(low, measured.low), min(high, measured.high))
-            if (unmeasured or judgement.name not in with_slopes) and judgement.result in ("pass", "conditional pass"):
-                judgement = replace(judgement, result="undecided", risk=None, beyond=True)
-        judged.append(judgement)
-    return replace(verdict, judgements=tuple(judged), temperatures=limits.temperatures, unmeasured=unmeasured)
-
-
-def _worst(judgement: LimitJudgement, calibration: Calibration, low: float, high: float) -> LimitJudgement:
-    """A parameter judged at the temperature, °C, between two where it fails by most, or is nearest to failing."""
-    celsius = np.linspace(low, high, max(int(np.ceil((high - low) / STEP)), 1) + 1)
-    over = curve(calibration, judgement.name, celsius)
-    U = np.zeros(len(celsius)) if over.expanded is None else over.expanded
-    inside = np.minimum(over.value - judgement.low, judgement.high - over.value)
-    i = int(np.argmin(inside + U if np.any(inside < -U) else inside if np.any(inside < 0.0) else inside - U))
-    value, U_there = float(over.value[i]), None if over.expanded is None else float(U[i])
-    result = _result(value, U_there, judgement.low, judgement.high)
-    judgement = replace(judgement, value=value, expanded=U_there, result=result, at=float(celsius[i]))
-    return replace(judgement, risk=None if over.degrees is None else _risk(judgement, float(over.degrees[i])))
-
-
-def _celsius(value: float) -> str:
-    return f"{value:.1f}".replace("-", "−")

@@ -1,8 +1,8 @@
 """A Digital Calibration Certificate: the XML of PTB's DCC, schema 3.3.0, with quantities in D-SI 2.2.1.
 
 Every parameter of accelerometers and gyros is a quantity with its expanded uncertainty U = k u, of the
-probability 0.9545, with its own coverage factor k: Student's t where u was estimated (`coverage`). A list of all of
-them has their covariance matrix, the matrices and biases of the model equation follow, and an example worked with it:
+probability 0.9545, with its own coverage factor k: Student's t where u was estimated (`coverage`). The matrices and
+biases of the model equation follow, and an example worked with it:
 
     reading = matrix · true + bias,    true = matrix⁻¹ (reading − bias)
 
@@ -14,15 +14,13 @@ Source: PTB, DCC schema 3.3.0 and D-SI schema 2.2.1.
 from __future__ import annotations
 
 import re
-from collections import Counter
 from collections.abc import Sequence
 from functools import cache
-from math import floor, inf, log10, sqrt
+from math import floor, inf, log10
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import scipy
 
 from tumble.documents import plain
 from tumble.errors import InputError
@@ -31,12 +29,11 @@ from tumble.export.exported import Exported, models, not_held, origin, shown
 from tumble.files import FilePath
 from tumble.lab.certificate import RELATES, STATES, Certificate, check_certificate, judged_by, read_certificate
 from tumble.lab.conformity import RISK, RULE, Verdict, verdicts
-from tumble.lab.scope import statement_of_scope, within_scope
-from tumble.result.calibration import Calibration, read_calibration
+from tumble.result.calibration import Calibration
 from tumble.result.correction import linear_example
 from tumble.result.coverage import PROBABILITY, degrees_of_freedom
 from tumble.result.further import described
-from tumble.result.parts import FEWEST_DEGREES, Parameter, stated_factor
+from tumble.result.parts import Parameter, stated_factor
 from tumble.sensors.model import UNITS, SensorKind, SensorModel
 from tumble.sensors.parameters import sensor_kind, shown_in
 from tumble.units import Array
@@ -44,12 +41,9 @@ from tumble.units import Array
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-REGION_PROBABILITY = 0.95
-"""What the ellipsoid of all parameters covers."""
-
 LOSSES = (
     "the file is neither signed nor sealed: sign it with the laboratory's tools",
-    "rests, turns, launches and iterations of the calibration have no place in this file",
+    "covariances, rests, turns, launches and iterations of the calibration have no place in this file",
 )
 
 _UNITS = {"m": "metre", "s": "second", "rad": "radian", "K": "kelvin", "degC": "degreecelsius", "%": "percent"}
@@ -61,24 +55,20 @@ _CONFORMITY |= {result: result for result in ("pass", "fail")}
 
 U_DIGITS = 3
 """Digits of u and U: two that matter, and one so that rounding adds nothing."""
-_COVARIANCE_DIGITS = 10
-"""Of covariances, so that a matrix of strong correlations stays positive."""
 
 _TITLES = {"accel": "accelerometers", "gyro": "gyros"}
 
 
-def d_si(*units: str) -> str:
-    """The product of units as D-SI writes it: d_si("m/s^2") is \\metre\\second\\tothe{-2}."""
-    powers: Counter[str] = Counter()
-    for text in units:
-        factors = list(_FACTOR.finditer(text))
-        translated = all(factor["unit"] in (*_UNITS, "1") for factor in factors)
-        if not translated or "".join(factor[0] for factor in factors) != text or not text:
-            raise InputError(f"calibration: expected the SI unit of a parameter, found {text!r}; calibrate again")
-        for factor in (each for each in factors if each["unit"] != "1"):
-            power = int(factor["power"] or 1)
-            powers[_UNITS[factor["unit"]]] += -power if factor["over"] == "/" else power
-    parts = [f"\\{name}" + ("" if power == 1 else f"\\tothe{{{power}}}") for name, power in powers.items() if power]
+def d_si(unit: str) -> str:
+    """A unit as D-SI writes it: d_si("m/s^2") is \\metre\\second\\tothe{-2}."""
+    factors, parts = list(_FACTOR.finditer(unit)), []
+    for factor in factors:
+        power = int(factor["power"] or 1) * (-1 if factor["over"] == "/" else 1)
+        if factor["unit"] in _UNITS:
+            parts.append(f"\\{_UNITS[factor['unit']]}" + ("" if power == 1 else f"\\tothe{{{power}}}"))
+    known = all(factor["unit"] in (*_UNITS, "1") for factor in factors)
+    if not known or "".join(factor[0] for factor in factors) != unit or not unit:
+        raise InputError(f"calibration: expected the SI unit of a parameter, found {unit!r}; calibrate again")
     return "".join(parts) or "\\one"
 
 
@@ -87,18 +77,14 @@ def dcc(calibration: Calibration, *, certificate: Certificate | FilePath) -> Exp
     if not isinstance(certificate, Certificate):
         certificate = read_certificate(Path(certificate))
     by_kind = models(calibration)
-    calibration, scope = within_scope(calibration, certificate.laboratory.scope)
-    as_found = None if certificate.as_found is None else read_calibration(certificate.as_found)
-    check_certificate(certificate, calibration, as_found)
+    check_certificate(certificate, calibration)
     limits = judged_by(certificate)
     judged = () if limits is None else tuple(verdicts(calibration, limits))
     losses = (*LOSSES, *not_held(calibration))
-    inertial = [i for i, p in enumerate(calibration.parameters) if sensor_kind(p.name) != "mag"]
-    parameters, covariance = [calibration.parameters[i] for i in inertial], calibration.covariance
+    inertial = [p for p in calibration.parameters if sensor_kind(p.name) != "mag"]
     provenance, circumstances = calibration.provenance, calibration.provenance.circumstances
     name, _, release = (provenance.software or "tumble 0").partition(" ")
     alike = [verdict for verdict in judged if verdict.frame == calibration.frame]
-    within = [statement_of_scope(scope)] if certificate.laboratory.scope else []
     content = (
         _environment()
         .get_template("dcc.xml.j2")
@@ -108,15 +94,14 @@ def dcc(calibration: Calibration, *, certificate: Certificate | FilePath) -> Exp
             days=certificate.days(calibration),
             state=STATES[certificate.state],
             device=calibration.device,
-            declarations=[RELATES, *within, *certificate.remarks],
+            declarations=[RELATES, *certificate.remarks],
             traced="; ".join((*certificate.traceability, *circumstances.equipment)),
             origin="; ".join(origin(calibration)),
             method=calibration.method,
             equipment=circumstances.equipment,
             conditions=_conditions(calibration),
             probability=f"{PROBABILITY:g}",
-            parameters=[_parameter(p, alike, scope.get(p.name, "")) for p in parameters],
-            covariance=None if covariance is None else _covariance(parameters, covariance[np.ix_(inertial, inertial)]),
+            parameters=[_parameter(p, alike) for p in inertial],
             models={_TITLES[kind]: _model(kind, model) for kind, model in by_kind.items()},
             statements=[_conformity(verdict, certificate.agreed) for verdict in judged],
         )
@@ -174,7 +159,7 @@ def _conformity(verdict: Verdict, agreed: str | None) -> dict[str, Any]:
     }
 
 
-def _parameter(parameter: Parameter, judged: Sequence[Verdict], scope: str) -> dict[str, Any]:
+def _parameter(parameter: Parameter, judged: Sequence[Verdict]) -> dict[str, Any]:
     """A parameter with U, in words, and the verdicts by limits in its frame."""
     statements = []
     for verdict, judgement in ((check, each) for check in judged for each in check.judgements):
@@ -183,9 +168,8 @@ def _parameter(parameter: Parameter, judged: Sequence[Verdict], scope: str) -> d
             largest = max((abs(limit) for limit in between if np.isfinite(limit)), default=0.0)
             size, unit = shown_in(judgement.name, judgement.unit, largest)
             low, high = (f"{limit / size:.6g}" for limit in between)
-            over = "" if judgement.at is None else f", worst at {judgement.at:.1f} degC: {judgement.value:g}"
             statement = {"name": f"{verdict.occasion} check", "agreed": None, "norm": None}
-            statement |= {"declaration": f"limits {low} to {high} {unit}{over}"}
+            statement |= {"declaration": f"limits {low} to {high} {unit}"}
             statements.append(statement | {"conformity": _CONFORMITY[judgement.result]})
     behind = "no uncertainty is stated"
     if parameter.u is not None:
@@ -193,7 +177,7 @@ def _parameter(parameter: Parameter, judged: Sequence[Verdict], scope: str) -> d
         behind = known if dof is None else f"u was estimated with {dof:.3g} degrees of freedom"
     return {
         "name": parameter.name,
-        "words": "; ".join(filter(None, (described(parameter.name), behind, scope))),
+        "words": "; ".join(filter(None, (described(parameter.name), behind))),
         "quantity": _real(parameter.value, parameter.u, parameter.unit, degrees_of_freedom(parameter)),
         "statements": statements,
     }
@@ -219,25 +203,6 @@ def to_digits(value: float, u: float | None) -> str:
         return f"{value:.12g}"
     digits = U_DIGITS + floor(log10(abs(value))) - floor(log10(u))
     return f"{value:.{min(max(digits, 1), 12)}g}"
-
-
-def _covariance(parameters: Sequence[Parameter], covariance: Array) -> dict[str, Any]:
-    """All parameters in one list with the matrix of their covariances, column by column; without a `region` where too
-    few degrees of freedom stand behind one of 95 %."""
-    fewest = min(degrees_of_freedom(p) for p in parameters)
-    units, columns = [p.unit for p in parameters], []
-    for unit, column in zip(units, covariance.T.tolist(), strict=True):
-        numbers = " ".join(f"{each:.{_COVARIANCE_DIGITS}g}" for each in column)
-        columns.append({"numbers": numbers, "units": " ".join(d_si(other, unit) for other in units)})
-    n, exact = len(units), np.isinf(fewest)  # how many standard deviations the ellipsoid is large
-    square = (
-        scipy.special.chdtri(n, 1.0 - REGION_PROBABILITY)
-        if exact
-        else n * scipy.special.fdtri(n, fewest, REGION_PROBABILITY)
-    )
-    entries = _list([p.name for p in parameters], " ".join(to_digits(p.value, p.u) for p in parameters), units)
-    region = None if fewest < FEWEST_DEGREES else f"{sqrt(square):.6f}"
-    return entries | {"columns": columns, "region": region, "probability": REGION_PROBABILITY}
 
 
 def _model(kind: SensorKind, model: SensorModel) -> dict[str, dict[str, str]]:

@@ -169,21 +169,9 @@ def run_to_run(units: Sequence[Unit], name: str) -> float | None:
 
 
 def prior_of(units: Sequence[Unit], model: str) -> DevicePrior:
-    """The prior for another unit of a type (module docstring).
-
-    Parameters
-    ----------
-    units
-        The other units, each once.
-    model
-        The type, for messages.
-
-    Returns
-    -------
-    prior
-        Of the parameters that at least FEWEST_UNITS units have, and that the type narrows more than the grade; of none
-        if there are fewer units.
-    """
+    """The prior for another unit of a type (module docstring), by the other units, each once: of the parameters that at
+    least FEWEST_UNITS of them have, and that the type narrows more than the grade; of none if there are fewer units.
+    `model` is the type, for messages."""
     words = f"{len(units)} other units of the type {model!r}"
     if len(units) < FEWEST_UNITS:
         nothing, words = np.zeros(0), f"{words}, fewer than {FEWEST_UNITS}"

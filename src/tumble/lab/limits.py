@@ -1,9 +1,7 @@
 """Acceptance limits of a device type, and when its devices are to be calibrated again, from their file (TOML).
 
 [incoming] and [periodic] give them by parameter ("accel.bias.x") or by kind ("accel.bias"); the longer name goes
-before. A limit is "5 mg", which is ±5 mg about zero, or a table: min, max, or deviation, which is about the type's
-systematic value in the calibration file that `systematic` names. With temperature_degC = [-20, 60] limits hold at every
-temperature between these.
+before. A limit is "5 mg", which is ±5 mg about zero, or a table with min and max.
 """
 
 from __future__ import annotations
@@ -20,7 +18,7 @@ from typing import Annotated, Any, Literal, Self, get_args
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from tumble.documents import text_of_document, toml_of, validated
-from tumble.errors import InputError, did_you_mean
+from tumble.errors import did_you_mean
 from tumble.sensors.frames import FRAMES, Frame
 from tumble.sensors.parameters import group_of, groups, meant_by, quantity_of
 
@@ -28,40 +26,24 @@ Occasion = Literal["incoming", "periodic"]
 OCCASIONS: tuple[Occasion, ...] = get_args(Occasion)
 """The checks that there may be limits for."""
 
-_FORMS = 'a text such as "5 mg", or a table with min and max, or one with deviation'
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Limit:
-    """Between which values (SI) a parameter has to be; with `relative`, its deviation from the systematic value."""
-
-    low: float
-    high: float
-    relative: bool = False
+_FORMS = 'a text such as "5 mg", or a table with min and max'
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Limits:
-    """Acceptance limits of a device type by check and by parameter or kind; its systematic values (SI); months between
-    the calibrations of a type, and of the devices, by serial number, that have their own; the `temperatures`, °C,
-    between which the limits hold, where they are not those at the reference."""
+    """Acceptance limits of a device type: the lowest and the highest value (SI) by check and by parameter or kind;
+    months between the calibrations of a type, and of the devices, by serial number, that have their own."""
 
     frame: str
-    checks: Mapping[Occasion, Mapping[str, Limit]]
-    systematic: Mapping[str, float]
+    checks: Mapping[Occasion, Mapping[str, tuple[float, float]]]
     months: int | None
     device_months: Mapping[str, int]
-    temperatures: tuple[float, float] | None = None
 
     def of(self, name: str, occasion: Occasion) -> tuple[float, float] | None:
         """The lowest and the highest value (SI) of a parameter; None where it has no limit."""
         by_key = self.checks.get(occasion, {})
-        keys = [key for key in by_key if meant_by(key, name)]
-        if not keys:
-            return None
-        limit = by_key[max(keys, key=len)]
-        about = self.systematic.get(name, math.nan) if limit.relative else 0.0
-        return about + limit.low, about + limit.high
+        longest = max((key for key in by_key if meant_by(key, name)), key=len, default=None)
+        return None if longest is None else by_key[longest]
 
     def interval(self, serial: str) -> int | None:
         """Months between calibrations of a device."""
@@ -80,7 +62,7 @@ def months_later(day: date, months: int) -> date:
 
 
 _Months = Annotated[int, Field(ge=1, le=1200)]
-_MONTHS, _ENDS = "a whole number of months from 1 to 1200", "the lowest and the highest, as [-20, 60]"
+_MONTHS = "a whole number of months from 1 to 1200"
 
 
 class _LimitsFile(BaseModel):
@@ -90,26 +72,21 @@ class _LimitsFile(BaseModel):
 
     format: Literal[1] = Field(description="1")
     frame: Frame = Field(default="accelerometer", description=f"one of {', '.join(FRAMES)}")
-    systematic: str | None = Field(default=None, min_length=1, description="the name of a calibration file")
     interval_months: _Months | None = Field(default=None, description=_MONTHS)
     device_interval_months: dict[str, _Months] = Field(
         default={}, description=f"a table of serial numbers, each with {_MONTHS}"
     )
-    temperature_degC: tuple[float, float] | None = Field(default=None, strict=False, description=_ENDS)  # noqa: N815
     incoming: dict[str, Any] = Field(default={}, description="a table of limits")
     periodic: dict[str, Any] = Field(default={}, description="a table of limits")
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        low, high = self.temperature_degC or (0.0, 1.0)
-        if not -273.15 <= low < high <= 1000.0:
-            raise ValueError(f"temperature_degC: expected {_ENDS}, found [{low:g}, {high:g}]")
         if not any(self.checks.values()):
             raise ValueError("expected limits in [incoming] or [periodic], found none")
         return self
 
     @property
-    def checks(self) -> dict[Occasion, dict[str, Limit]]:
+    def checks(self) -> dict[Occasion, dict[str, tuple[float, float]]]:
         """The limits of each check, by the name of a parameter or a kind. Raises ValueError."""
         return {
             occasion: {key: _limit(key, value, f"{occasion}: {key}") for key, value in getattr(self, occasion).items()}
@@ -118,8 +95,9 @@ class _LimitsFile(BaseModel):
         }
 
 
-def _limit(key: str, value: Any, where: str) -> Limit:
-    """A limit as it is typed, under the name of a parameter or a kind. Raises ValueError."""
+def _limit(key: str, value: Any, where: str) -> tuple[float, float]:
+    """The lowest and the highest value, SI, of a limit as it is typed, under the name of a parameter or a kind. Raises
+    ValueError."""
     try:
         kind = group_of(key)
     except KeyError:
@@ -127,70 +105,35 @@ def _limit(key: str, value: Any, where: str) -> Limit:
         raise ValueError(
             f"{where}: {expected} {key!r}{did_you_mean(key, (group.name for group in groups()))}"
         ) from None
-    typed = value if isinstance(value, dict) else {"deviation": value}
-    complete = set(typed) == {"deviation"} or (typed and set(typed) <= {"min", "max"})
-    if not complete or not all(isinstance(text, str) for text in typed.values()):
+    typed = value if isinstance(value, dict) else {"size": value}
+    right_keys = set(typed) <= {"min", "max"} if isinstance(value, dict) else True
+    if not typed or not right_keys or not all(isinstance(text, str) for text in typed.values()):
         raise ValueError(f"{where}: expected {_FORMS}, found {value!r}")
     try:
         sizes = {name: quantity_of(kind, text) for name, text in typed.items()}
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from None
-    if (size := sizes.get("deviation")) is not None:
-        if size <= 0.0:
-            raise ValueError(f"{where}: expected more than 0, found {typed['deviation']!r}")
-        return Limit(low=-size, high=size, relative=isinstance(value, dict))
-    low, high = sizes.get("min", -math.inf), sizes.get("max", math.inf)
+    if sizes.get("size", 1.0) <= 0.0:
+        raise ValueError(f"{where}: expected more than 0, found {value!r}")
+    size = sizes.get("size", math.inf)
+    low, high = sizes.get("min", -size), sizes.get("max", size)
     if low >= high:
         raise ValueError(f"{where}: expected a min below max, found {typed['min']!r} and {typed['max']!r}")
-    return Limit(low=low, high=high)
+    return low, high
 
 
 def limits_of(path: Path) -> Limits:
     """The limits of a file. Raises InputError, one line."""
-    return parse_limits(*read_limits(path), str(path))
-
-
-def read_limits(path: Path) -> tuple[str, str | None]:
-    """The text of a file of limits, and that of the calibration file it names, both checked.
-
-    Raises InputError, one line."""
-    text = text_of_document(path)
-    named = _file_of(text, str(path)).systematic
-    systematic = None if named is None else text_of_document(path.parent / named)
-    parse_limits(text, systematic, str(path))
-    return text, systematic
-
-
-def _file_of(text: str, name: str) -> _LimitsFile:
-    return validated(_LimitsFile, toml_of(text, name), name)
+    return parse_limits(text_of_document(path), str(path))
 
 
 @lru_cache(maxsize=64)
-def parse_limits(text: str, systematic: str | None, name: str) -> Limits:
-    """The limits of the text of a file and of the calibration it names. Raises InputError, one line."""
-    file, values = _file_of(text, name), dict[str, float]()
-    if systematic is not None:
-        from tumble.result.calibration import calibration_of
-
-        calibration = calibration_of(systematic, f"{name}: systematic")
-        if calibration.frame != file.frame:
-            raise InputError(
-                f"{name}: systematic: expected a calibration in the frame {file.frame!r} of the limits, found "
-                f"{calibration.frame!r}"
-            )
-        values = {p.name: p.value for p in calibration.parameters}
-    for occasion, by_key in file.checks.items():
-        for key, limit in by_key.items():
-            if limit.relative and not any(meant_by(key, parameter) for parameter in values):
-                raise InputError(
-                    f"{name}: {occasion}: {key}: expected a systematic value to deviate from, found none; name a "
-                    "calibration file that has it: systematic = FILE"
-                )
+def parse_limits(text: str, name: str) -> Limits:
+    """The limits of the text of a file, called so in messages. Raises InputError, one line."""
+    file = validated(_LimitsFile, toml_of(text, name), name)
     return Limits(
         frame=file.frame,
         checks=file.checks,
-        systematic=values,
         months=file.interval_months,
         device_months=file.device_interval_months,
-        temperatures=file.temperature_degC,
     )

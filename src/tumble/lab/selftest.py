@@ -14,7 +14,7 @@ import json
 import os
 import platform
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -32,9 +32,9 @@ from tumble.methods.quadric import fit_many
 from tumble.planning.setup import Setup
 from tumble.recording.session import Session
 from tumble.reduction.noise.allan_deviation import allan_deviation
-from tumble.result.calibration import Calibration, calibration_of
+from tumble.result.calibration import calibration_of
 from tumble.run.calibrate import calibrate
-from tumble.simulation.scenario import Scenario, scenario_of
+from tumble.simulation.scenario import scenario_of
 from tumble.simulation.session import session_in_memory
 from tumble.units import DEGREE, G_STANDARD
 from tumble.views.blocks import Block, table
@@ -80,17 +80,13 @@ class SelftestRecord:
         return all(case.passed for case in self.cases)
 
     def write(self, path: FilePath) -> None:
-        """Write the record as JSON, whole or not at all; its last key is the SHA-256 of all before it."""
+        """Write the record as JSON, whole or not at all; its last key is the SHA-256 of all before it: of their JSON
+        without blanks, keys in order, in UTF-8."""
         content: dict[str, Any] = as_json(self)
-        content["sha256"] = digest(content)
+        text = json.dumps(content, sort_keys=True, ensure_ascii=False, separators=(",", ":"))
+        content["sha256"] = hashlib.sha256(text.encode()).hexdigest()
         with whole_file(Path(path)) as temporary:
             temporary.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-
-
-def digest(content: dict[str, Any]) -> str:
-    """SHA-256 of a record's content: of its JSON without blanks, keys in order, in UTF-8."""
-    text = json.dumps(content, sort_keys=True, ensure_ascii=False, separators=(",", ":"))
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def run_selftest(*, by: str | None = None, progress: Callable[[str], None] = lambda _name: None) -> SelftestRecord:
@@ -109,6 +105,10 @@ def run_selftest(*, by: str | None = None, progress: Callable[[str], None] = lam
             by = getpass.getuser()
         except (KeyError, OSError):  # the user has no name, as in a container
             by = f"user {os.getuid()}"
+    package = Path(tumble.__file__).parent
+    sources = sorted(
+        path for path in package.rglob("*") if path.suffix in (".py", ".pyi", ".pyx", ".pxd", ".so", ".pyd")
+    )
     return SelftestRecord(
         by=by,
         date=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -120,16 +120,11 @@ def run_selftest(*, by: str | None = None, progress: Callable[[str], None] = lam
             "byte_order": sys.byteorder,
         },
         versions={name: version(name) for name in LIBRARIES},
-        source_sha256=_source_hashes(),
+        source_sha256={
+            path.relative_to(package).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in sources
+        },
         cases=tuple(cases),
     )
-
-
-def _source_hashes() -> dict[str, str]:
-    """The SHA-256 of every source file of the program, and of what is compiled of them."""
-    package = Path(tumble.__file__).parent
-    paths = sorted(path for path in package.rglob("*") if path.suffix in (".py", ".pyi", ".pyx", ".pxd", ".so", ".pyd"))
-    return {path.relative_to(package).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
 
 
 def selftest_blocks(record: SelftestRecord) -> list[Block]:
@@ -152,10 +147,10 @@ def selftest_blocks(record: SelftestRecord) -> list[Block]:
 
 def _gravity() -> Iterator[SelftestCase]:
     """normal gravity at the equator and at the pole"""
-    source, high = "WGS 84 (NIMA TR8350.2), derived constants", 1e-9
+    source = "WGS 84 (NIMA TR8350.2), derived constants"
     for place, latitude, published in (("equator", 0.0, 9.7803253359), ("pole", 90.0, 9.8321849379)):
-        off, name = abs(normal_gravity(latitude * DEGREE, 0.0) - published), f"normal gravity at the {place}"
-        yield SelftestCase(name=name, source=source, figure=off, high=high, unit="m/s^2")
+        off = abs(normal_gravity(latitude * DEGREE, 0.0) - published)
+        yield SelftestCase(name=f"normal gravity at the {place}", source=source, figure=off, high=1e-9, unit="m/s^2")
 
 
 def _allan_deviation() -> Iterator[SelftestCase]:
@@ -165,11 +160,9 @@ def _allan_deviation() -> Iterator[SelftestCase]:
         numbers.append(16807 * numbers[-1] % 2147483647)
     curve = allan_deviation(np.array(numbers)[:, None] / 2147483647, 1.0)
     for tau, published in ((1.0, 2.922319e-01), (10.0, 9.159953e-02)):
-        off, name = (
-            abs(curve.deviation[curve.tau == tau, 0][0] - published),
-            f"overlapping Allan deviation at τ = {tau:g}",
-        )
-        yield SelftestCase(name=name, source=source, figure=float(off), high=1e-7)
+        off = float(abs(curve.deviation[curve.tau == tau, 0][0] - published))
+        name = f"overlapping Allan deviation at τ = {tau:g}"
+        yield SelftestCase(name=name, source=source, figure=off, high=1e-7)
 
 
 def _cube() -> Iterator[SelftestCase]:
@@ -185,25 +178,25 @@ def _cube() -> Iterator[SelftestCase]:
 
 def _noiseless() -> Iterator[SelftestCase]:
     """a simulated device on a rough table, and one in the hand, without noise"""
-    for name, setup in (
+    for place, setup in (
         ("rough table", Setup.of(noise_factor=0.0, rest=4.0, rate_deg_s=30.0)),
         ("by hand", Setup.of(grade="mems", positions=15, rest=3.0, noise_factor=0.0)),
     ):
-        calibration, truth = _simulated(setup)
+        session, truth = _drawn(setup)
+        calibration = calibrate(session, terms="linear")
         worst = max((abs(p.value - truth[p.name]) for p in calibration.parameters), default=np.inf)
-        name = f"{name}, no noise: worst of {len(calibration.parameters)} parameters"
+        name = f"{place}, no noise: worst of {len(calibration.parameters)} parameters"
         yield SelftestCase(name=name, source="truth", figure=worst, high=1e-9, unit="SI")
 
 
 def _noisy_table() -> Iterator[SelftestCase]:
     """a simulated device on a rough table, with noise, and the file of its calibration"""
-    calibration, truth = _simulated(Setup.of(rest=20.0, terms="full"))
+    session, truth = _drawn(Setup.of(rest=20.0, terms="full"))
+    calibration = calibrate(session)
     z = np.array([(p.value - truth[p.name]) / p.u for p in calibration.parameters if p.u])
-    name, source = (
-        f"rough table: rms of (value − truth)/u of {len(z)} parameters",
-        "truth; chi-square, 1 of 10 000 either way",
-    )
-    yield SelftestCase(name=name, source=source, figure=float(np.sqrt(np.mean(z**2))), low=0.5, high=1.6)
+    name = f"rough table: rms of (value − truth)/u of {len(z)} parameters"
+    source, rms = "truth; chi-square, 1 of 10 000 either way", float(np.sqrt(np.mean(z**2)))
+    yield SelftestCase(name=name, source=source, figure=rms, low=0.5, high=1.6)
     again = calibration_of(calibration.text(), "self-test")
     worst = max(abs(again[p.name].value - p.value) for p in calibration.parameters)
     name = "calibration file written and read: worst difference"
@@ -227,13 +220,7 @@ def _exchanged_columns() -> Iterator[SelftestCase]:
     yield SelftestCase(name=name, source="must be 1", figure=float(refused), low=1.0, high=1.0)
 
 
-def _simulated(setup: Setup) -> tuple[Calibration, dict[str, float]]:
-    """The calibration of a simulated session, and its truth."""
-    session, scenario = _drawn(setup)
-    return calibrate(session, terms="full" if setup.further else "linear"), dict(scenario.truth)
-
-
-def _drawn(setup: Setup) -> tuple[Session, Scenario]:
-    """The session of a set-up in memory, and its scenario with the truth."""
+def _drawn(setup: Setup) -> tuple[Session, Mapping[str, float]]:
+    """The session of a set-up in memory, and its truth."""
     scenario = scenario_of(setup, np.random.default_rng(1), serial=f"{setup.instrument}-1")
-    return session_in_memory(scenario, np.random.default_rng([1, 1])), scenario
+    return session_in_memory(scenario, np.random.default_rng([1, 1])), scenario.truth

@@ -5,8 +5,7 @@
 N readings y (N, 3), in units of the true quantity after nominal scale and polarity, lie on an ellipsoid. Its centre is
 the bias; its shape gives M Mᵀ, the lengths of the rows of M (scale factors) and the angles between them
 (nonorthogonality). M is determined up to a rotation, which is chosen so that M is in the accelerometer frame.
-Accelerometers at rest (m = g), magnetometers (m = the field) and gyros on a table that turns at a constant rate (m =
-that rate) are the same problem.
+Of accelerometers at rest m is g.
 
 The algebraic fit of Li & Griffiths gives the ellipsoid without a start (`quadric`).
 
@@ -14,25 +13,17 @@ Geometric fit: least squares on |M⁻¹(y − b)| − m with the covariances of 
 algebraic fit. In programmes that surround the sphere it changes the values by a hundredth of their uncertainties; it is
 there for weights, robustness and covariance.
 
-Readings one after another of a triad that is waved about have similar errors, by coloured noise and by what the model
-does not have, so that u does not fall with their number. Whole blocks of them are then left out in turn (the
-jackknife):
-
-    δ_b = −(Σ − Σ_b)⁻¹ J_bᵀ r_b,   Σ = Σ_b Σ_b = JᵀJ,      cov = (B − 1)/B Σ_b (δ_b − δ̄)(δ_b − δ̄)ᵀ
-
-with B − 1 degrees of freedom. Errors across the vector make it longer by σ²/m, which is added to u of the modulus.
-
 The polarity of a channel is not in the data, since t and −t have the same length: it comes from the nominal scale or
 from roughly known positions (`readings`).
 
 Source, with its numbers: the ellipsoid paper (calibration of a triaxial block of navigation accelerometers by ellipsoid
-fitting), whose sign of Eq. (13), b = A u0, is lost in print. Jackknife: Efron (1982), The Jackknife, the Bootstrap and
-Other Resampling Plans, ch. 3; by blocks Künsch (1989), The Annals of Statistics 17, 1217-1241.
+fitting), whose sign of Eq. (13), b = A u0, is lost in print.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import scipy
@@ -44,7 +35,6 @@ from tumble.inference.estimate import Fit
 from tumble.methods.least_squares import (
     MAX_ITERATIONS,
     SCATTER_ROUNDS,
-    Solution,
     as_normal,
     least_squares,
     scatter_of,
@@ -53,7 +43,7 @@ from tumble.methods.least_squares import (
 )
 from tumble.methods.quadric import fit_many
 from tumble.sensors.model import Block, SensorModel, to_accelerometer_frame
-from tumble.units import Array, BoolArray, IntArray
+from tumble.units import Array, BoolArray
 
 TRIAD = Block(kind="accel", axes=np.eye(3))
 """Three sensors along X, Y, Z with the parameters bias, scale and the angles yx, zx, zy of their own frame."""
@@ -138,14 +128,12 @@ def fit_ellipsoid(
     covariance: Array | None = None,
     block: Block = TRIAD,
     bad_sigmas: float = BAD_SIGMAS,
-    blocks: IntArray | None = None,
 ) -> EllipsoidFit | Refusal:
     """Calibrate a triad from readings (N, 3) of a vector of length `modulus` in N unknown orientations, in the unit of
     the modulus after nominal scale and polarity, in the frame that `block` fixes.
 
     `covariance` (N, 3, 3) is that of their noise, in addition to which a scatter is estimated; without it all are
-    equally good. A position more than `bad_sigmas` from the fit through the others is left out. For samples one after
-    another, `blocks` (N,) are the numbers, from 0, of the blocks that the jackknife leaves out.
+    equally good. A position more than `bad_sigmas` from the fit through the others is left out.
 
     >>> import numpy as np, tumble
     >>> faces = np.vstack([np.eye(3), -np.eye(3)])
@@ -165,19 +153,18 @@ def fit_ellipsoid(
     if refusal is not None:
         return refusal
     noise = np.zeros((3, 3)) if covariance is None else covariance
-    task = _Task(
+    sphere = _Sphere(
         readings=readings,
         modulus=modulus,
         modulus_u=modulus_u,
         covariance=np.broadcast_to(noise + (FLOOR * modulus) ** 2 * np.eye(3), (len(readings), 3, 3)),
         noisy=covariance is not None,
         block=block,
-        blocks=blocks,
     )
     used = np.ones(len(readings), dtype=bool)
     while True:
-        found = _fitted(task, used)
-        worst = _worst_position(task, found, used) if blocks is None else None
+        found = _fitted(sphere, used)
+        worst = _worst_position(sphere, found, used)
         bad = worst is not None and worst.sigmas > bad_sigmas
         most = max(1, int(MOST_BAD * len(readings)))
         if worst is None or not bad or worst.rivals or (~used).sum() + 1 > most:
@@ -197,7 +184,7 @@ def fit_ellipsoid(
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _Task:
+class _Sphere:
     """Arguments of `fit_ellipsoid`; `noisy` if the covariance of the readings is given."""
 
     readings: Array
@@ -206,7 +193,6 @@ class _Task:
     covariance: Array
     noisy: bool
     block: Block
-    blocks: IntArray | None
 
     def start(self, used: BoolArray) -> Array | None:
         """Parameter values of the algebraic fit; None where there is none."""
@@ -218,104 +204,79 @@ class _Task:
         model = SensorModel(matrix=some.matrix[0] @ handed, bias=some.bias[0])
         return np.asarray(self.block.parameters(to_accelerometer_frame(self.block, model, None)[0]))
 
-    def residuals(self, values: Array) -> _SphereResiduals:
-        """Residuals of all readings at parameter values (9,)."""
+    def rows(self, values: Array) -> tuple[Array, Array, Array, Array]:
+        """Residuals |M⁻¹(y − b)| − m (N,) at parameter values (9,), minus their derivative (N, 9), their variance (N,)
+        by noise, and what a scatter of the readings of unit variance adds to it (N,)."""
         model = self.block.model(values)
         true = model.apply(self.readings)
         length = np.linalg.norm(true, axis=1)
         direction = true / length[:, None]
         normal = direction @ model.inverse()
         homogeneous = np.concatenate([self.modulus * direction, np.ones((len(direction), 1))], axis=1)
-        return _SphereResiduals(
-            residual=length - self.modulus,
-            jacobian=np.einsum("ip,pqm,iq->im", normal, self.block.jacobian(values), homogeneous),
-            variance=np.einsum("ip,ipq,iq->i", normal, self.covariance, normal),
-            by_scatter=(normal**2).sum(axis=1),
-        )
+        jacobian = np.einsum("ip,pqm,iq->im", normal, self.block.jacobian(values), homogeneous)
+        variance = np.einsum("ip,ipq,iq->i", normal, self.covariance, normal)
+        return length - self.modulus, jacobian, variance, (normal**2).sum(axis=1)
+
+    def whitened(self, values: Array, scatter: float) -> tuple[Array, Array, Array]:
+        """Whitened residuals (N,), minus their derivative (N, 9), and standard uncertainties (N,), with a scatter."""
+        residual, jacobian, variance, by_scatter = self.rows(values)
+        sigma = np.sqrt(variance + scatter**2 * by_scatter)
+        return residual / sigma, jacobian / sigma[:, None], sigma
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _SphereResiduals:
-    """Residuals |M⁻¹(y − b)| − m (N,) and minus their derivative (N, 9) with respect to the parameters. Their
-    variance is `variance` + scatter² · `by_scatter`, both (N,)."""
-
-    residual: Array
-    jacobian: Array
-    variance: Array
-    by_scatter: Array
-
-    def sigma(self, scatter: float) -> Array:
-        """Standard uncertainties (N,)."""
-        return np.sqrt(self.variance + scatter**2 * self.by_scatter)
-
-    def chi_square(self, scatter: float, used: BoolArray) -> float:
-        """χ² of the used readings."""
-        return float(((self.residual / self.sigma(scatter))[used] ** 2).sum())
-
-    def solution(self, scatter: float, used: BoolArray, spread: Array) -> Solution:
-        """The step of the parameters, of spreads (9,), by the used readings."""
-        sigma = self.sigma(scatter)[used]
-        return least_squares(self.jacobian[used] / sigma[:, None], self.residual[used] / sigma, spread)
-
-
-def _fitted(task: _Task, used: BoolArray) -> EllipsoidFit | None:
+def _fitted(sphere: _Sphere, used: BoolArray) -> EllipsoidFit | None:
     """Geometric fit through the used readings, with the scatter that explains its residuals.
 
     None if the algebraic fit finds no ellipsoid to start from, or the readings do not determine the parameters."""
-    start, spread, degrees = task.start(used), SPREAD * np.repeat([task.modulus, 1.0, 1.0], 3), int(used.sum()) - 9
-    if start is None:
+    values, degrees = sphere.start(used), int(used.sum()) - 9
+    if values is None:
         return None
-    values, scatter, increments = start, 0.0, [start]
+    spread, scatter, increments = SPREAD * np.repeat([sphere.modulus, 1.0, 1.0], 3), 0.0, [values]
     for scatter_round in range(1 + SCATTER_ROUNDS):
-        rows = task.residuals(values)
-        if scatter_round == 1 and not unexplained(rows.chi_square(0.0, used), degrees):
-            break
         if scatter_round:
-            size = float(np.sqrt(np.mean((rows.residual**2 / rows.by_scatter)[used])))
-            scatter = scatter_of(lambda trial, rows=rows: rows.chi_square(trial, used) - degrees, size)  # type: ignore[misc]
+            residual, _, variance, by_scatter = (each[used] for each in sphere.rows(values))
+            excess = partial(_excess, residual**2, variance, by_scatter)
+            if scatter_round == 1 and not unexplained(excess(0.0) + degrees, degrees):
+                break
+            scatter = scatter_of(excess, float(np.sqrt(np.mean(residual**2 / by_scatter))))
         for _ in range(MAX_ITERATIONS):
-            solution = task.residuals(values).solution(scatter, used, spread)
+            residual, jacobian, sigma = sphere.whitened(values, scatter)
+            solution = least_squares(jacobian[used], residual[used], spread)
             # far from any solution the linearisation says nothing: no parameter moves by more than its spread
             increments.append(solution.step / max(1.0, float(np.max(np.abs(solution.step) / spread))))
             values = values + increments[-1]
             if solution.negligible(FLOOR * spread):
                 break
-    rows = task.residuals(values)
-    solution, sigma, residual = rows.solution(scatter, used, spread), rows.sigma(scatter), rows.residual
+    residual, jacobian, sigma = sphere.whitened(values, scatter)
+    solution = least_squares(jacobian[used], residual[used], spread)
     if len(solution.null):
         return None
-    whitened = rows.jacobian / sigma[:, None]
-    leverage = np.einsum("im,mn,in->i", whitened, solution.covariance, whitened)
+    leverage = np.einsum("im,mn,in->i", jacobian, solution.covariance, jacobian)
     # variance of a residual relative to that against the fit through all others; if these do not determine it, the
     # residual shows nothing
     free = np.where(used, np.maximum(1.0 - leverage, 0.0), 1.0 / (1.0 + leverage))
     shown = free > SHOWN
     free = np.where(shown, free, 1.0)
-    alone, alone_u = np.where(used, residual / free, residual), sigma / np.sqrt(free)
+    alone, alone_u = np.where(used, residual / free, residual) * sigma, sigma / np.sqrt(free)
     z = np.where(shown, np.abs(alone) / alone_u, 0.0)
     out = np.where(used, sigmas(z, degrees, scatter > 0.0), z)
     if scatter > 0.0:
         out[~used] = as_normal(z[~used], degrees)
-    by_noise, modulus_u = solution.covariance, task.modulus_u
-    noise_degrees = float(degrees) if scatter > 0.0 else np.inf
-    if task.blocks is not None:
-        by_noise = _jackknife(whitened, residual / sigma, task.blocks, spread)
-        noise_degrees, modulus_u = float(task.blocks.max()), float(np.hypot(modulus_u, scatter**2 / task.modulus))
-    by_modulus = -modulus_u * (solution.gain / sigma[used]).sum(axis=1)
+    by_modulus = -sphere.modulus_u * (solution.gain / sigma[used]).sum(axis=1)
     return EllipsoidFit(
         values=values,
-        covariance=by_noise + np.outer(by_modulus, by_modulus) if task.noisy or degrees else None,
+        covariance=solution.covariance + np.outer(by_modulus, by_modulus) if sphere.noisy or degrees else None,
         by_modulus=by_modulus,
-        noise_degrees=noise_degrees,
-        model=task.block.model(values),
-        residual=residual,
+        noise_degrees=float(degrees) if scatter > 0.0 else np.inf,
+        model=sphere.block.model(values),
+        residual=residual * sigma,
         leverage=np.where(used, leverage, 0.0),
         leave_one_out=alone,
         leave_one_out_u=alone_u,
         sigmas=out,
         used=used,
         doubtful=(),
-        chi_square=rows.chi_square(scatter, used),
+        chi_square=float((residual[used] ** 2).sum()),
         degrees=degrees,
         scatter=scatter,
         worst=None,
@@ -324,18 +285,12 @@ def _fitted(task: _Task, used: BoolArray) -> EllipsoidFit | None:
     )
 
 
-def _jackknife(whitened: Array, residual: Array, blocks: IntArray, spread: Array) -> Array:
-    """Covariance (9, 9) of the module docstring, of samples judged by blocks."""
-    scaled, B = whitened * spread, int(blocks.max()) + 1
-    normal, change = scaled.T @ scaled, np.empty((B, scaled.shape[1]))
-    for b in range(B):
-        J = scaled[blocks == b]
-        change[b] = -spread * np.linalg.solve(normal - J.T @ J, J.T @ residual[blocks == b])
-    away = change - change.mean(axis=0)
-    return np.asarray((B - 1.0) / B * away.T @ away)
+def _excess(square: Array, variance: Array, by_scatter: Array, scatter: float) -> float:
+    """χ² of residuals less its mean of nine fewer than there are, with a scatter."""
+    return float((square / (variance + scatter**2 * by_scatter)).sum()) - (len(square) - 9)
 
 
-def _worst_position(task: _Task, found: EllipsoidFit | None, used: BoolArray) -> WorstPosition | None:
+def _worst_position(sphere: _Sphere, found: EllipsoidFit | None, used: BoolArray) -> WorstPosition | None:
     """The worst of the used positions: that with the largest residual for its leverage, or, since a gross error bends
     the fit towards itself, that without which the algebraic fit through the others is best. None where nothing would
     check the fit through the others."""
@@ -346,12 +301,12 @@ def _worst_position(task: _Task, found: EllipsoidFit | None, used: BoolArray) ->
         far = np.where(1.0 - found.leverage > SHOWN, np.abs(found.leave_one_out) / found.leave_one_out_u, 0.0)
         suspects.add(int(np.argmax(np.where(used, far, -1.0))))
     if found is None or used.sum() <= _LEFT_OUT_EACH:
-        without[used] = _rms_without_each(task.readings[used])
+        without[used] = _rms_without_each(sphere.readings[used])
         suspects |= {int(np.argmin(without))} if np.isfinite(without).any() else set()
     judged = []
     for i in suspects:
         others = used & (np.arange(len(used)) != i)
-        fit = _fitted(task, others)
+        fit = _fitted(sphere, others)
         if fit is not None:
             ratio = scipy.special.fdtri(fit.degrees, fit.degrees, 1.0 - RIVAL_CHANCE)
             alike = np.isfinite(without) & others & (without**2 < ratio * without[i] ** 2)

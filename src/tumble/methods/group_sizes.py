@@ -53,8 +53,6 @@ def with_groups(
     fit: EllipsoidFit,
     observations: Observations,
     grades: Sequence[Mapping[str, float]],
-    *,
-    by_residuals: bool = True,
 ) -> Estimate:
     """An estimate of the linear model with the groups that it has as nothing, and their part in its covariance.
 
@@ -68,9 +66,6 @@ def with_groups(
         The rests that the fit was made from.
     grades
         Of each grade that the instrument may be of, usual standard deviations, SI, by group.
-    by_residuals
-        Whether the residuals tell noise and sizes; those of one recording of a device in motion do not, for they err
-        alike.
 
     Returns
     -------
@@ -97,14 +92,12 @@ def with_groups(
     e = fit.residual / np.linalg.norm(direction @ fit.model.inverse(), axis=1) / sigma
     q, reach = along.T @ e, along.T @ L
     rest, degrees = max(float(e @ e - q @ q), 0.0), fit.degrees - along.shape[1]
-    c = NOISE * np.sqrt(float(e @ e) / fit.degrees) if by_residuals and fit.scatter > 0.0 else np.ones(1)
+    c = NOISE * np.sqrt(float(e @ e) / fit.degrees) if fit.scatter > 0.0 else np.ones(1)
     SL = S[:, :, None] * reach.T
     value, V = np.linalg.eigh(np.swapaxes(SL, 1, 2) @ SL)
     d = np.maximum(value, 0.0)[:, None] + c[:, None] ** 2  # (points, noise, directions)
-    log_weight = np.zeros(d.shape[:2])
-    if by_residuals:
-        z = np.einsum("pij,i->pj", V, q)[:, None]
-        log_weight = -0.5 * (np.log(d) + z**2 / d).sum(axis=2) - degrees * np.log(c) - 0.5 * rest / c**2
+    z = np.einsum("pij,i->pj", V, q)[:, None]
+    log_weight = -0.5 * (np.log(d) + z**2 / d).sum(axis=2) - degrees * np.log(c) - 0.5 * rest / c**2
     weight = np.exp(log_weight - log_weight.max())
     point, noise = np.nonzero(weight > LEAST)
     weight = weight[point, noise] / weight[point, noise].sum()
@@ -112,9 +105,7 @@ def with_groups(
 
     # mean and covariance of the error at each point, and by source
     T = np.vstack([moves, -np.eye(k)])
-    K = np.zeros((len(c), first + k, len(q)))
-    if by_residuals:
-        K = (T * S[:, None]) @ SL @ (V / d[:, None]) @ np.swapaxes(V, 1, 2)
+    K = (T * S[:, None]) @ SL @ (V / d[:, None]) @ np.swapaxes(V, 1, 2)
     mean, R = K @ q, T * S[:, None] - K @ np.swapaxes(SL, 1, 2)
     of_modulus = np.zeros((first + k, first + k))
     of_modulus[:first, :first] = np.outer(fit.by_modulus, fit.by_modulus)

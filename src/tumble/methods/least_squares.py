@@ -1,9 +1,4 @@
-"""Weighted least squares, and the scatter that makes residuals agree with their noise.
-
-Let residuals r have the covariance V before a fit and W after it. Then Σ r_i²/V_ii has the mean t = tr w and the
-variance 2 tr w², w_ij = W_ij/√(V_ii V_jj). Multiplied by t/tr w², it has those of a χ² of t²/tr w² degrees of freedom
-(Satterthwaite 1946).
-"""
+"""Weighted least squares, and the scatter that makes residuals agree with their noise."""
 
 from __future__ import annotations
 
@@ -13,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from tumble.inference.estimate import DETERMINED, SEEN, Fit, chance_of
+from tumble.inference.estimate import DETERMINED, SEEN, chance_of
 from tumble.units import Array, BoolArray
 
 RELATIVE_RANK = 1e-11
@@ -21,8 +16,6 @@ RELATIVE_RANK = 1e-11
 SCATTER_PROBABILITY = 0.5
 """Scatter is estimated if chance exceeds χ² with a smaller probability: if χ² is above its median. With a stricter
 limit, scatter that is present but not beyond doubt would be missing from u."""
-LEAST_SHARE = 1e-3
-"""Residuals that retain no more than this part of their variance after the fit show nothing."""
 MAX_ITERATIONS = 30
 CONVERGED = 1e-3  # of the standard uncertainty
 SCATTER_ROUNDS = 3
@@ -70,56 +63,6 @@ def solved(rows: Array, right: Array) -> Array:
     """Least-squares solutions (..., m) of problems with rows (..., r, m) of full rank and right-hand sides (..., r)."""
     Q, R = np.linalg.qr(rows)
     return np.asarray(np.linalg.solve(R, np.swapaxes(Q, -1, -2) @ right[..., None])[..., 0])
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Residuals:
-    """Residuals (r,) after a fit, their `variance` (r,) before it, and their covariance (r, r) after it, `left`."""
-
-    residual: Array
-    variance: Array
-    left: Array
-
-    def chi_square(self) -> tuple[float, float]:
-        """χ² and its degrees of freedom, matched in mean and variance; zeros if nothing is left."""
-        scale = np.sqrt(self.variance)
-        share = self.left / np.outer(scale, scale)
-        trace, squares = float(np.trace(share)), float((share**2).sum())
-        if trace < 1e-6:
-            return 0.0, 0.0
-        return float(((self.residual / scale) ** 2).sum()) * trace / squares, trace**2 / squares
-
-    def excess(self) -> float:
-        """χ² less its expectation."""
-        statistic, degrees = self.chi_square()
-        return statistic - degrees
-
-    def fit(self, scatter: float, unit: str) -> Fit:
-        """χ² as a calibration keeps it."""
-        statistic, degrees = self.chi_square()
-        return Fit(chi_square=statistic, degrees=degrees, scatter=scatter, unit=unit)
-
-    def sigmas(self, size: int, *, scaled: bool) -> Array:
-        """Deviations of residuals, `size` at a time, in sigmas. If `scaled`, their scatter comes from themselves, and
-        each is judged by the scatter of all others, given what it shares with them: by Student's t."""
-        squares = (self.residual**2 / self.variance).reshape(-1, size).sum(axis=1)
-        free = (np.diag(self.left) / self.variance).reshape(-1, size).sum(axis=1)
-        z: Array = np.sqrt(squares / np.where(free > LEAST_SHARE, free, np.inf))
-        if not scaled:
-            return z
-        for i in np.flatnonzero(free > LEAST_SHARE).tolist():
-            own = np.arange(i * size, (i + 1) * size)
-            others = np.setdiff1d(np.arange(len(self.residual)), own)
-            by_own = self.left[np.ix_(others, own)] @ np.linalg.pinv(self.left[np.ix_(own, own)])
-            rest = Residuals(
-                residual=self.residual[others] - by_own @ self.residual[own],
-                variance=self.variance[others],
-                left=self.left[np.ix_(others, others)] - by_own @ self.left[np.ix_(own, others)],
-            )
-            statistic, degrees = rest.chi_square()
-            if degrees >= 1.0:
-                z[i] = as_normal(z[i] * np.sqrt(degrees / max(statistic, 1e-300)), degrees)
-        return z
 
 
 def unexplained(chi_square: float, degrees: float) -> bool:

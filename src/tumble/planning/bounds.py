@@ -12,9 +12,6 @@ sizes of the groups beyond the linear model as priors, the covariance is the Cra
 
 All moves between rests are in the log, about one axis each at a constant rate (`tumble.planning.steady_turns`). Errors
 of table and mounting are not in the answer, as the attitudes are unknowns: a degree changes it by parts of a thousand.
-
-Sources. With C the covariance and Σ_i W_iᵀW_i its inverse, the information of each source i, the part of source i is
-C W_iᵀW_i C, and the parts add up to C. A prior of size s of parameter j is W = e_jᵀ/s.
 """
 
 from __future__ import annotations
@@ -30,23 +27,17 @@ from tumble.brief import Brief
 from tumble.diagnosis.linear_model import left_out, moves_by_likelihood
 from tumble.earth import earth_rate
 from tumble.errors import InputError
+from tumble.inference.estimate import DETERMINED, SEEN
 from tumble.inference.hyperparameters import size_factors
 from tumble.inference.linearisation import Linearisation, linearise
 from tumble.inference.noise import VarianceComponents
-from tumble.inference.normal_equations import (
-    eliminate_rests,
-    fold_sessions,
-    joint_rows,
-    mean_by_common,
-    session_mean_bias,
-    whiten,
-)
+from tumble.inference.normal_equations import joint_rows, solve, whiten
 from tumble.inference.problem import Point, Problem
 from tumble.inference.sources import by_time_base, clocked
 from tumble.inference.turns_about import TurnsAbout
-from tumble.methods.least_squares import least_squares
+from tumble.inference.uncertainty_budget import contributions
 from tumble.planning.expected_sizes import expected
-from tumble.planning.in_motion import Motion, MotionCourse, courses_of, observed_in_motion
+from tumble.planning.in_motion import Motion, observed_in_motion
 from tumble.planning.itinerary import Itinerary, itinerary_of
 from tumble.planning.setup import ACCEL, GYRO, Setup, check_setup
 from tumble.planning.steady_turns import inertial_turns, steady_samples, white_turns
@@ -120,14 +111,14 @@ def stated(setup: Setup, *, gyros: bool = True, terms: Terms = "full", motion: M
         For values that make no sense, and where there is no noise.
     """
     if motion is not None:
-        return _mean([_stated(course, setup, gyros=True, terms=terms) for course in courses_of(motion)])
+        return _mean([_stated(course, setup, gyros=True, terms=terms) for course in motion.courses])
     if not setup.programme.ordered:
         return _mean_over_orders(setup, lambda each: stated(each, gyros=gyros, terms=terms))
     course = itinerary_of(setup).as_logged(setup.ramp, USUAL.margin_of(setup.rest))
     return _stated(course, setup, gyros=gyros, terms=terms)
 
 
-def _stated(course: Itinerary | MotionCourse, setup: Setup, *, gyros: bool, terms: Terms) -> Bound:
+def _stated(course: Itinerary | Motion, setup: Setup, *, gyros: bool, terms: Terms) -> Bound:
     """What `calibrate` will state of a course."""
     seen = view(course, setup, gyros=gyros)
     seen = expected(seen.with_components(_with_drifts(seen, setup.further)))
@@ -136,7 +127,7 @@ def _stated(course: Itinerary | MotionCourse, setup: Setup, *, gyros: bool, term
     return bound_by(seen, setup.turn_rate, setup.clock_u)
 
 
-def _stated_linear(course: Itinerary | MotionCourse, setup: Setup, whole: Linearisation) -> Bound:
+def _stated_linear(course: Itinerary | Motion, setup: Setup, whole: Linearisation) -> Bound:
     """What an estimate of the linear model states, with what it leaves out, of sizes, and beside scatter, as the
     `whole` likelihood expects them."""
     gyros, components = whole.problem.observations.gyro_block is not None, whole.components
@@ -195,60 +186,35 @@ def bound_by(seen: Linearisation, rate: float, clock_u: float = 0.0) -> Bound:
         Rate of the turns, rad/s: the natural unit of gyro biases.
     clock_u
         Relative standard uncertainty of the time base.
-
-    Notes
-    -----
-    With the columns of the linear parameters last, the triangle of all unknowns is R = (F X; 0 L), and L that of the
-    linear ones, whatever the others are. Gravity that is exact has no column.
     """
     problem, instrument = seen.problem, seen.problem.instrument
     linear, m = instrument.linear_count, len(instrument.names)
-    spread, own = problem.spread[:linear], slice(1, 1 + linear)
-    equations = eliminate_rests(seen)
-    size = problem.prior_u.copy()
-    size[own] = 0.0
-    prior = np.diag(np.divide(1.0, size, out=np.zeros(1 + m), where=size > 0.0))
-    triangle = np.diag(np.append(np.diag(prior), 0.0))
-    triangle, heads = fold_sessions(triangle, equations.session_factors, problem.local_u, seen.local_prior)
-    triangle = triangle[:-1, :-1]
-    others = np.setdiff1d(np.flatnonzero(triangle.any(axis=0)), np.arange(1, 1 + linear))
-    R, k = np.asarray(np.linalg.qr(np.hstack([triangle[:, others], triangle[:, own]]), mode="r")), len(others)
-    L = R[k : k + linear, k:]
-    solution = least_squares(L, np.zeros(len(L)), spread)
-    determined = np.hstack([solution.gain, spread[:, None] * solution.null.T])
-    root = np.zeros((1 + m, determined.shape[1] + k))
-    root[own, : determined.shape[1]] = determined
-    root[others] = np.hstack([-np.linalg.solve(R[:k, :k], R[:k, k:]) @ determined, np.linalg.inv(R[:k, :k])])
+    parts = {name: covariance[1:, 1:] for name, covariance in contributions(solve(seen.with_priors(problem))).items()}
+    covariance = np.sum(list(parts.values()), axis=0)
 
+    # what the data determine no better than to DETERMINED times their spread is left to the limits of parameters
+    spread, of_linear = problem.spread[:linear], covariance[:linear, :linear]
+    variance, vectors = np.linalg.eigh(of_linear / np.outer(spread, spread))
+    unseen = vectors[:, variance > DETERMINED**-2].T
     natural_sizes = {"m/s^2": problem.observations.site.gravity, "rad/s": rate, "1": 1.0, "rad": 1.0}
     natural = np.array([natural_sizes[unit] for unit in instrument.units[:linear]])
-    length = np.linalg.svd(root[own] / natural[:, None], compute_uv=False)
-    null = solution.null * spread / natural
-    null /= np.linalg.norm(null, axis=1, keepdims=True)
+    null = unseen * spread / natural
+    lengths = np.sqrt(np.linalg.eigvalsh(of_linear / np.outer(natural, natural)))
 
-    # biases are means over the session of their processes
-    mean, wander = np.eye(1 + m), np.zeros((1 + m, 1 + m))
-    if equations.wanders:
-        by_shared, noise = session_mean_bias(equations)
-        by, by_local = mean_by_common(by_shared, heads[0])
-        mean[1 + problem.biases] += by[:, :-1]
-        wander[np.ix_(1 + problem.biases, 1 + problem.biases)] = (
-            np.einsum("ibd,icd->bc", noise, noise) + by_local @ by_local.T
-        )
     # sensors that read rates and forces have the time base in their scale factors; increments would not
     clock = by_time_base(instrument.names, clocked(clock_u, {"accel": False, "gyro": False}))
-    gain = mean @ root @ root.T
-    covariance = (gain @ mean.T + wander)[1:, 1:] + np.outer(clock, clock)
-    parts = {GRAVITY: prior[:1], **{name: prior[1:][own] for name, own in instrument.members.items()}}
-    sources = {name: ((gain @ W.T)[1:] ** 2).sum(axis=1) for name, W in parts.items()} | {CLOCK: clock**2}
+    covariance = covariance + np.outer(clock, clock)
+    priors = {name: f"prior.{name}" for name in instrument.members}
+    sources = {name: np.diag(parts[part]) for name, part in {GRAVITY: "gravity", **priors}.items() if part in parts}
+    sources[CLOCK] = clock**2
     return Bound(
         names=instrument.names,
         units=instrument.units,
         linear=linear,
         covariance=covariance,
-        observable=np.append(solution.observable, np.ones(m - linear, dtype=bool)),
-        null=null,
-        condition=np.inf if len(null) else float(length[0]) / max(float(length[-1]), np.finfo(float).tiny),
+        observable=np.append(np.sqrt((unseen**2).sum(axis=0)) < SEEN, np.ones(m - linear, dtype=bool)),
+        null=null / np.linalg.norm(null, axis=1, keepdims=True),
+        condition=np.inf if len(null) else float(lengths[-1] / lengths[0]),
         sources={NOISE: np.maximum(np.diag(covariance) - sum(sources.values()), 0.0), **sources},
     )
 
@@ -296,7 +262,7 @@ def _with_drifts(seen: Linearisation, further: Mapping[str, float]) -> VarianceC
     return components
 
 
-def view(course: Itinerary | MotionCourse, setup: Setup, *, gyros: bool) -> Linearisation:
+def view(course: Itinerary | Motion, setup: Setup, *, gyros: bool) -> Linearisation:
     """The likelihood of a course, linearised at perfect sensors and its attitudes, with white noise and in-run biases.
     Raises InputError for values that make no sense, and where there is no noise."""
     check_setup(setup)
@@ -308,7 +274,7 @@ def view(course: Itinerary | MotionCourse, setup: Setup, *, gyros: bool) -> Line
         if level == 0.0 and (gyros or sensors == "accelerometers"):
             raise InputError(f"noise: expected {sensors} with noise, found none; without it there is no bound")
     instrument, about, components = instrument_of(setup, gyros), None, components_of(noise)
-    if isinstance(course, MotionCourse):
+    if isinstance(course, Motion):
         assert instrument.gyro is not None
         observations, attitudes = observed_in_motion(course, setup, instrument.gyro)
         size, time = course.displacement

@@ -2,9 +2,8 @@
 
 A pass is the method itself (`tumble.methods.paper`) on what sensors with the parameters X read in attitudes that
 deviate from the programme by τ. It is smooth, and exact to rounding but for products of Earth's rates in a turn, so
-that it can be differentiated by central differences. X are the 21 parameters in the order of the calibration file, with
-the biases of accelerometers over g, as angles; τ are three rotations of the table for each position, about N, U, E, and
-three of the mounting, about X, Y, Z.
+that it can be differentiated by central differences. X are the 21 parameters in the order of the calibration file; τ
+are three rotations of the table for each position, about N, U, E, and three of the mounting, about X, Y, Z.
 
 A turn is about one geographic axis at a constant rate. With v its rotation vector in the body at the start and
 R(s) = exp(s [v_n×]) the part of it at 0 ≤ s ≤ 1 in the geographic frame, readings compensated by a model are S v + b T
@@ -18,15 +17,16 @@ are in studies/accuracy_formulas.py.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from tumble.earth import EARTH_RATE
-from tumble.methods.paper.blocks import TRIAD
+from tumble.methods.paper.blocks import TRIAD, model_of
 from tumble.methods.paper.four_stages import (
+    GYRO_TRIAD,
     SCALAR,
     SEQUENTIAL,
     PaperMethod,
@@ -34,22 +34,22 @@ from tumble.methods.paper.four_stages import (
     course_of_programme,
     one_pass,
 )
-from tumble.planning.setup import NAMES
-from tumble.programme.positions import Programme
+from tumble.methods.paper.gyros import axes_and_angles
+from tumble.planning.setup import NAMES, Setup
 from tumble.rotation import rotation_matrix, rotation_vector_near
-from tumble.sensors.model import ACCEL_ANGLES, PERFECT_TRIAD, SensorModel, triad_model, triad_parameters
+from tumble.sensors.model import ACCEL_ANGLES, PERFECT_TRIAD, SensorModel, triad_parameters
 from tumble.units import Array, IntArray
 
 MethodOfPaper = Literal["sequential", "scalar"]
 METHODS_OF_PAPER: tuple[MethodOfPaper, ...] = ("sequential", "scalar")
 """The methods whose errors are predicted, of instruments with the linear model."""
 
-_METHODS: Mapping[MethodOfPaper, PaperMethod] = {"sequential": SEQUENTIAL, "scalar": SCALAR}
+METHODS: Mapping[MethodOfPaper, PaperMethod] = {"sequential": SEQUENTIAL, "scalar": SCALAR}
+"""The methods themselves."""
 
 STEP = 1e-4
-"""Of the central differences: of angles and scale factors, and of rates in parts of the Earth's."""
-STEPS = np.full(len(NAMES), STEP)
-STEPS[9:12] *= EARTH_RATE
+"""Of the central differences: of angles and scale factors, and of forces and rates in parts of gravity and of the
+Earth's rate."""
 _ROUNDING = 1e-6
 """What a pass leaves of a parameter relative to another, in units of the steps, is nothing below this."""
 _NODES = [(0.5 * (1.0 + node), 0.5 * weight) for node, weight in zip(*np.polynomial.legendre.leggauss(5), strict=True)]
@@ -67,95 +67,92 @@ class PaperProgramme:
     nominal: Array
     first: IntArray
     moves: Array
+    gravity: float
 
     @staticmethod
-    def of(programme: Programme, method: MethodOfPaper, *, turn_rate: float, latitude: float) -> PaperProgramme:
-        """A programme with turns at this rate, rad/s, at a latitude, rad. Raises ProgrammeError where it has not the
-        positions that the method needs."""
-        nominal = np.array([position.matrix for position in programme.positions])
-        _METHODS[method].check(nominal[:, 1], TRIAD)
-        course = course_of_programme(programme, turn_rate=turn_rate, latitude=latitude)
-        moves = [m.angle * m.axis for m in programme.moves if m.axis is not None and m.angle is not None]
+    def of(setup: Setup, method: MethodOfPaper) -> PaperProgramme:
+        """The programme of a set-up. Raises ProgrammeError where it has not the positions that the method needs."""
+        nominal = np.array([position.matrix for position in setup.programme.positions])
+        METHODS[method].check(nominal[:, 1], TRIAD)
+        course = course_of_programme(setup.programme, turn_rate=setup.turn_rate, latitude=setup.latitude)
+        axes, angles = axes_and_angles(setup.programme)
         return PaperProgramme(
             method=method,
             course=course,
             nominal=nominal,
             first=np.array([turn.first for series in course.series for turn in series], dtype=np.int64),
-            moves=np.array(moves).reshape(-1, 3),
+            moves=angles[:, None] * axes,
+            gravity=setup.gravity,
         )
 
+    @property
+    def steps(self) -> Array:
+        """Steps (21,) of the differences by the parameters."""
+        steps = np.full(len(NAMES), STEP)
+        steps[:3] *= self.gravity
+        steps[9:12] *= EARTH_RATE
+        return steps
 
-Readings = tuple[Array, Array, Callable[[SensorModel], Array]]
-"""What sensors read, many cases at once: specific forces over g and rates, rad/s, at rest (..., N, 3), and a function
-from a model to the rotations (..., K, 3, 3) that are integrated with it."""
+    def estimated(
+        self,
+        X: Array,
+        attitudes: Array,
+        *,
+        force: Array | float = 0.0,
+        rate: Array | float = 0.0,
+        drift: Array | float = 0.0,
+        turned: Array | float = 0.0,
+    ) -> Array:
+        """The parameters (..., 21) after one pass; those of gyros that the programme does not give are zero.
 
+        Sensors have the parameters X (..., 21) and are in attitudes (..., N, 3, 3); there are errors of the forces and
+        rates at rest (..., N, 3), of the rates in turns, `drift` (..., K, 3), and of the rotations, `turned`
+        (..., K, 3), rad."""
+        accel, gyro = model_of(TRIAD, X[..., :9]), model_of(GYRO_TRIAD, X[..., 9:])
+        T, earth = self.course.duration[:, None], self.course.earth_rate
+        L0, L1 = (attitudes[..., rests, :, :] for rests in (self.first, self.first + 1))
+        vector = rotation_vector_near(L1 @ np.swapaxes(L0, -1, -2), self.moves)
+        body = (vector[..., None, :] @ L0)[..., 0, :]
+        by_earth = [T * (earth @ (rotation_matrix(node * vector) @ L0)) for node, _ in _NODES]
 
-def readings_of(
-    plan: PaperProgramme,
-    X: Array,
-    attitudes: Array,
-    *,
-    force: Array | float = 0.0,
-    rate: Array | float = 0.0,
-    drift: Array | float = 0.0,
-    turned: Array | float = 0.0,
-) -> Readings:
-    """What sensors with the parameters X (..., 21) read in attitudes (..., N, 3, 3), with errors of the forces and
-    rates at rest (..., N, 3), of the rates in turns, `drift` (..., K, 3), and of the rotations, `turned` (..., K, 3),
-    rad."""
-    accel = triad_model(X[..., :3], X[..., 3:6], X[..., 6:9])
-    gyro = triad_model(X[..., 9:12], X[..., 12:15], X[..., 15:])
-    T, earth = plan.course.duration[:, None], plan.course.earth_rate
-    L0, L1 = (attitudes[..., rests, :, :] for rests in (plan.first, plan.first + 1))
-    vector = rotation_vector_near(L1 @ np.swapaxes(L0, -1, -2), plan.moves)
-    body = (vector[..., None, :] @ L0)[..., 0, :]
-    by_earth = [T * (earth @ (rotation_matrix(node * vector) @ L0)) for node, _ in _NODES]
+        def turn(model: SensorModel) -> Array:
+            inverse = model.inverse()
+            S_t, offset = np.swapaxes(inverse @ gyro.matrix, -1, -2), (gyro.bias - model.bias)[..., None, :] + drift
+            w = body @ S_t + T * (offset @ np.swapaxes(inverse, -1, -2))
+            ahead = np.zeros_like(w)
+            for (node, weight), there in zip(_NODES, by_earth, strict=True):
+                ahead += weight * (rotation_matrix(node * w) @ (there @ S_t)[..., None])[..., 0]
+            return np.asarray(rotation_matrix(ahead + turned) @ rotation_matrix(w))
 
-    def turn(model: SensorModel) -> Array:
-        inverse = model.inverse()
-        S_t, offset = np.swapaxes(inverse @ gyro.matrix, -1, -2), (gyro.bias - model.bias)[..., None, :] + drift
-        w = body @ S_t + T * (offset @ np.swapaxes(inverse, -1, -2))
-        ahead = np.zeros_like(w)
-        for (node, weight), there in zip(_NODES, by_earth, strict=True):
-            ahead += weight * (rotation_matrix(node * w) @ (there @ S_t)[..., None])[..., 0]
-        return np.asarray(rotation_matrix(ahead + turned) @ rotation_matrix(w))
+        rests = accel.predict(self.gravity * attitudes[..., 1, :]) + force, gyro.predict(earth @ attitudes) + rate
+        start, integrated = (PERFECT_TRIAD, PERFECT_TRIAD), turn if len(self.first) else None
+        models = one_pass(METHODS[self.method], self.course, rests, integrated, np.array(self.gravity), start)
+        (b, k, angles), of_gyro = (triad_parameters(model) for model in models)
+        parts = [b, k, angles[..., ACCEL_ANGLES], *of_gyro]
+        return np.concatenate([np.broadcast_to(each, (*b.shape[:-1], each.shape[-1])) for each in parts], axis=-1)
 
-    return accel.predict(attitudes[..., 1, :]) + force, gyro.predict(earth @ attitudes) + rate, turn
+    def first_order(self) -> tuple[Array, Array]:
+        """What one pass leaves of the parameters: T₀ (21, 21) on an exact programme and its derivatives D
+        (3N + 3, 21, 21) with respect to the deviations, per rad."""
+        N, steps = len(self.nominal), self.steps
+        X = np.concatenate([np.diag(steps), -np.diag(steps)])
+        τ = STEP * np.concatenate([np.eye(3 * N + 3), -np.eye(3 * N + 3), np.zeros((1, 3 * N + 3))])
+        table = rotation_matrix(τ[:, : 3 * N].reshape(-1, N, 3))
+        attitudes = (table @ self.nominal @ rotation_matrix(τ[:, None, 3 * N :]))[:, None]
+        up, down = np.split(self.estimated(X, attitudes), 2, axis=1)
+        left = np.eye(len(NAMES)) - np.swapaxes(up - down, 1, 2) / (2.0 * steps)
+        forward, backward, T0 = np.split(left, [3 * N + 3, 6 * N + 6])
+        D, nothing = (forward - backward) / (2.0 * STEP), _ROUNDING * steps[:, None] / steps
+        return np.where(np.abs(T0[0]) > nothing, T0[0], 0.0), np.where(np.abs(D) > nothing, D, 0.0)
 
-
-def estimated(plan: PaperProgramme, readings: Readings) -> Array:
-    """The parameters (..., 21) after one pass; those of gyros that the programme does not give are zero."""
-    force, rate, turn = readings
-    start, turned = (PERFECT_TRIAD, PERFECT_TRIAD), turn if len(plan.first) else None
-    models = one_pass(_METHODS[plan.method], plan.course, (force, rate), turned, np.array(1.0), start)
-    (b, k, angles), of_gyro = (triad_parameters(model) for model in models)
-    parts = [b, k, angles[..., ACCEL_ANGLES], *of_gyro]
-    return np.concatenate([np.broadcast_to(each, (*b.shape[:-1], each.shape[-1])) for each in parts], axis=-1)
-
-
-def first_order(plan: PaperProgramme) -> tuple[Array, Array]:
-    """What one pass leaves of the parameters: T₀ (21, 21) on an exact programme and its derivatives D (3N + 3, 21, 21)
-    with respect to the deviations, per rad."""
-    N, X = len(plan.nominal), np.concatenate([np.diag(STEPS), -np.diag(STEPS)])
-    τ = STEP * np.concatenate([np.eye(3 * N + 3), -np.eye(3 * N + 3), np.zeros((1, 3 * N + 3))])
-    table = rotation_matrix(τ[:, : 3 * N].reshape(-1, N, 3))
-    attitudes = (table @ plan.nominal @ rotation_matrix(τ[:, None, 3 * N :]))[:, None]
-    up, down = np.split(estimated(plan, readings_of(plan, X, attitudes)), 2, axis=1)
-    left = np.eye(len(NAMES)) - np.swapaxes(up - down, 1, 2) / (2.0 * STEPS)
-    forward, backward, T0 = np.split(left, [3 * N + 3, 6 * N + 6])
-    D, nothing = (forward - backward) / (2.0 * STEP), _ROUNDING * STEPS[:, None] / STEPS
-    return np.where(np.abs(T0[0]) > nothing, T0[0], 0.0), np.where(np.abs(D) > nothing, D, 0.0)
-
-
-def second_order(plan: PaperProgramme) -> Array:
-    """Q (21, 21, 21), symmetric in the first two: the errors q = Σ X_i X_j Q_ij (21,) of second order in the parameters
-    that a pass makes on an exact programme."""
-    i, j = np.triu_indices(len(NAMES))
-    single = np.diag(STEPS)
-    X = np.concatenate([np.zeros((1, len(NAMES))), single, single[i] + single[j]])
-    values = [estimated(plan, readings_of(plan, x, plan.nominal)) for x in (X, -X)]
-    even = 0.5 * (values[0] + values[1])
-    of_one, of_two = np.split(even[1:] - even[0], [len(NAMES)])
-    Q = np.zeros((len(NAMES),) * 3)
-    Q[i, j] = Q[j, i] = 0.5 * (of_two - of_one[i] - of_one[j]) / (STEPS[i] * STEPS[j])[:, None]
-    return Q
+    def second_order(self) -> Array:
+        """Q (21, 21, 21), symmetric in the first two: the errors q = Σ X_i X_j Q_ij (21,) of second order in the
+        parameters that a pass makes on an exact programme."""
+        (i, j), steps = np.triu_indices(len(NAMES)), self.steps
+        single = np.diag(steps)
+        X = np.concatenate([np.zeros((1, len(NAMES))), single, single[i] + single[j]])
+        even = 0.5 * (self.estimated(X, self.nominal) + self.estimated(-X, self.nominal))
+        of_one, of_two = np.split(even[1:] - even[0], [len(NAMES)])
+        Q = np.zeros((len(NAMES),) * 3)
+        Q[i, j] = Q[j, i] = 0.5 * (of_two - of_one[i] - of_one[j]) / (steps[i] * steps[j])[:, None]
+        return Q

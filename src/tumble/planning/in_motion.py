@@ -8,7 +8,7 @@ What is expected is the mean over COURSES of such motion.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import accumulate
 from typing import Literal
 
@@ -42,16 +42,29 @@ LONGEST = 3600.0
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Motion:
-    """A recording of so many `seconds` of a device that is turned without rests on a pivot, or in the hand."""
+    """A recording of so many `seconds` of a device that is turned without rests on a pivot, or in the hand, along one
+    of the courses that it may take, by its number."""
 
     held: Held
     seconds: float
+    course: int = 0
 
     def __post_init__(self) -> None:
         if not 2.0 * AXIS_TIME <= self.seconds <= LONGEST:
             raise InputError(
                 f"{self.held}: expected from {2.0 * AXIS_TIME:g} s to {LONGEST:g} s of motion, found {self.seconds:g}"
             )
+
+    @property
+    def courses(self) -> list[Motion]:
+        """The courses over which is averaged."""
+        return [replace(self, course=course) for course in range(COURSES)]
+
+    @property
+    def displacement(self) -> tuple[float, float]:
+        """Size of the displacement an axis, m, and its correlation time, s."""
+        distance, time = DISPLACEMENTS[self.held]
+        return distance / math.sqrt(3.0), time
 
     @property
     def assumption(self) -> str:
@@ -81,31 +94,12 @@ def motion_of(pivot: str | None, hand: str | None) -> Motion | None:
     return None
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class MotionCourse:
-    """One of the ways in which a device may be turned in a motion, by its number."""
-
-    motion: Motion
-    number: int
-
-    @property
-    def displacement(self) -> tuple[float, float]:
-        """Size of the displacement an axis, m, and its correlation time, s."""
-        distance, time = DISPLACEMENTS[self.motion.held]
-        return distance / math.sqrt(3.0), time
-
-
-def courses_of(motion: Motion) -> list[MotionCourse]:
-    """The courses over which is averaged."""
-    return [MotionCourse(motion=motion, number=number) for number in range(COURSES)]
-
-
-def observed_in_motion(course: MotionCourse, setup: Setup, gyro: Block) -> tuple[Observations, Array]:
-    """Observations of a course as perfect sensors make them, with the white noise of a set-up, and the attitudes
+def observed_in_motion(motion: Motion, setup: Setup, gyro: Block) -> tuple[Observations, Array]:
+    """Observations of a motion as perfect sensors make them, with the white noise of a set-up, and the attitudes
     (M, 3, 3) of its nodes."""
-    rng, links = np.random.default_rng(course.number), round(course.motion.seconds / NODE_SECONDS)
+    rng, links = np.random.default_rng(motion.course), round(motion.seconds / NODE_SECONDS)
     count, interval = SAMPLES * links, NODE_SECONDS / SAMPLES
-    knots = math.ceil(course.motion.seconds / AXIS_TIME) + 3
+    knots = math.ceil(motion.seconds / AXIS_TIME) + 3
     middle = interval * (np.arange(count) + 0.5)
     axis = scipy.interpolate.CubicSpline(AXIS_TIME * np.arange(knots), rng.standard_normal((knots, 3)))(middle)
     rates = RATE * axis / np.linalg.norm(axis, axis=1, keepdims=True)
@@ -117,7 +111,7 @@ def observed_in_motion(course: MotionCourse, setup: Setup, gyro: Block) -> tuple
     samples.append(rates, forces, np.full(count, interval))
     starts = SAMPLES // PARTS * np.arange(PARTS * links)
     ends = np.minimum(np.stack([starts, starts + SAMPLES // PARTS], axis=1), count - 1)
-    motion = Links(
+    moved = Links(
         file=np.zeros(links + 1, dtype=np.int64),
         time=np.asarray(NODE_SECONDS * np.arange(links + 1)),
         rest=np.zeros(0, dtype=np.int64),
@@ -131,4 +125,4 @@ def observed_in_motion(course: MotionCourse, setup: Setup, gyro: Block) -> tuple
         accel_density=setup.noise.accel_white**2,
     )
     site = Site(latitude=setup.latitude, height=0.0, gravity=setup.gravity, gravity_u=setup.gravity_u)
-    return without_rests(motion, ACCEL, gyro, site), attitudes[::SAMPLES]
+    return without_rests(moved, ACCEL, gyro, site), attitudes[::SAMPLES]

@@ -29,17 +29,10 @@ import numpy as np
 from tumble import usual_setup
 from tumble.earth import EARTH_RATE, earth_rate
 from tumble.inference.noise import CORRELATION_TIME
-from tumble.methods.paper.four_stages import scalar, sequential
+from tumble.methods.paper.four_stages import moved_by_groups
+from tumble.methods.paper.gyros import known_turns
 from tumble.planning.bounds import view
-from tumble.planning.error_propagation import (
-    STEP,
-    MethodOfPaper,
-    PaperProgramme,
-    estimated,
-    first_order,
-    readings_of,
-    second_order,
-)
+from tumble.planning.error_propagation import METHODS, STEP, MethodOfPaper, PaperProgramme
 from tumble.planning.itinerary import itinerary_of
 from tumble.planning.setup import GROUPS, MEMBERS, NAMES, Setup, check_setup
 from tumble.sensors.grades import GRADES
@@ -69,7 +62,6 @@ class PassErrors:
     (21, 21) take the variances of the parameters, whose standard deviations are `spread` (21,), to what is left:
     `exact`, `by_table` and `by_mounting` after the first pass, and `twice` after the second, in parts that grow with
     the 0th, 2nd and 4th power of the deviations. `second_order` (21,) and `noise` (21,), by source, are variances.
-    `size` (21,) are the units inside, SI: biases of accelerometers are angles.
     """
 
     setup: Setup
@@ -81,20 +73,19 @@ class PassErrors:
     second_order: Array
     noise: Mapping[str, Array]
     spread: Array
-    size: Array
 
     @staticmethod
     def of(setup: Setup, method: MethodOfPaper) -> PassErrors:
         """The errors of a method on the programme of a set-up. Raises ProgrammeError for a programme without the
         positions that the method needs."""
         check_setup(setup)
-        plan = PaperProgramme.of(setup.programme, method, turn_rate=setup.turn_rate, latitude=setup.latitude)
-        T0, D = first_order(plan)
+        plan = PaperProgramme.of(setup, method)
+        T0, D = plan.first_order()
         table = 3 * len(plan.nominal)
         width = np.repeat([setup.table_error, setup.mounting_error], [table, 3])
         v, fourth = width**2 / 3.0, width**4 / 5.0  # uniform
-        angles = [setup.accel.bias / setup.gravity, setup.accel.scale, setup.accel.axis]
-        spread = np.repeat([*angles, setup.gyro.bias, setup.gyro.scale, setup.gyro.axis], [3, 3, 3, 3, 3, 6])
+        sizes = [(each.bias, each.scale, each.axis) for each in (setup.accel, setup.gyro)]
+        spread = np.repeat(np.ravel(sizes), [3, 3, 3, 3, 3, 6])
         # T² = c + Σ τ_k l_k + Σ τ_k τ_l A_kl
         c, linear = T0 @ T0, T0 @ D + D @ T0
         A = np.einsum("kpj,ljq->klpq", D, D)
@@ -103,7 +94,7 @@ class PassErrors:
         square = trace**2 + 2.0 * np.einsum("k,l,klpq->pq", v, v, S**2, optimize=True)
         square += np.tensordot(fourth - 3.0 * v**2, own**2, axes=1)
         # q(X) = Xᵀ Q X, with the mean square (tr Q)² + 2 Σ Q_ij² for independent Gaussian X of unit spread
-        Q = np.outer(spread, spread)[:, :, None] * second_order(plan)
+        Q = np.outer(spread, spread)[:, :, None] * plan.second_order()
         return PassErrors(
             setup=setup,
             groups=GROUPS if len(plan.first) else GROUPS[:4],
@@ -114,7 +105,6 @@ class PassErrors:
             second_order=np.trace(Q) ** 2 + 2.0 * (Q**2).sum(axis=(0, 1)),
             noise=_noise(setup, plan) | _left_out(setup, method),
             spread=spread,
-            size=np.where(np.arange(len(NAMES)) < 3, setup.gravity, 1.0),
         )
 
     def methodical(self, iteration: int, scale: float = 1.0) -> dict[str, Array]:
@@ -140,7 +130,7 @@ class PassErrors:
     def of_group(self, group: str, variances: Mapping[str, Array]) -> dict[str, float]:
         """Mean variances of a group, SI, by source."""
         members = MEMBERS[group]
-        return {name: float(np.mean(self.size[members] ** 2 * v[members])) for name, v in variances.items()}
+        return {name: float(np.mean(v[members])) for name, v in variances.items()}
 
     def _by_group(self, name: str, matrix: Array) -> dict[str, Array]:
         """Variances (21,) that each group of parameters contributes through a matrix."""
@@ -160,17 +150,18 @@ def remarks(setup: Setup) -> Iterator[str]:
 
 
 def _left_out(setup: Setup, method: MethodOfPaper) -> dict[str, Array]:
-    """Variances (21,) by the groups that a method takes as nothing, as its estimate has them of a session."""
+    """Variances (21,) by the groups that a method takes as nothing, as its estimate has them of a session; without
+    known turns those of the accelerometers alone."""
     if not setup.further:
         return {}
     noisy = replace(setup, noise=GRADES[usual_setup.GRADE].noise)  # of any size: it is not what the groups change
     seen = view(itinerary_of(noisy), noisy, gyros=True).problem.observations
-    size = np.where(np.arange(len(NAMES)) < 3, setup.gravity, 1.0)
-    found = {"sequential": sequential, "scalar": scalar}[method](seen)
-    assert found.budget is not None
-    covariances = dict(zip([each.name for each in found.budget.sources], found.budget.covariances, strict=True))
-    moved = {group.name: np.diag(covariances[f"prior.{group.name}"])[: len(NAMES)] for group in found.groups}
-    return {group.name: moved[group.name] / (group.prior_widened * size) ** 2 for group in found.groups}
+    seen = seen if known_turns(setup.programme) else seen.of_accelerometers()
+    problem, moves = moved_by_groups(seen, METHODS[method])
+    first, variances = problem.instrument.linear_count, np.zeros((len(NAMES), moves.shape[1]))
+    variances[: len(moves)] = (moves * problem.usual_u[1 + first :]) ** 2
+    groups = problem.instrument.members.items()
+    return {name: variances[:, own.start - first : own.stop - first].sum(axis=1) for name, own in groups}
 
 
 def _noise(setup: Setup, plan: PaperProgramme) -> dict[str, Array]:
@@ -183,7 +174,7 @@ def _noise(setup: Setup, plan: PaperProgramme) -> dict[str, Array]:
         X, out = np.zeros((len(rest) if "turned" not in errors else len(turn), len(NAMES))), []
         for sign in (1.0, -1.0):
             signed = {name: sign * step * error for name, error in errors.items()}
-            out.append(estimated(plan, readings_of(plan, X, plan.nominal, **signed)))
+            out.append(plan.estimated(X, plan.nominal, **signed))
         return np.asarray((out[0] - out[1]) / (2.0 * step))
 
     alike = np.exp(-np.abs(np.subtract.outer(*[itinerary_of(setup).rests[:, 0]] * 2)) / CORRELATION_TIME)
@@ -195,16 +186,16 @@ def _noise(setup: Setup, plan: PaperProgramme) -> dict[str, Array]:
         of_rests[:, np.arange(3), MEMBERS[bias]] -= 1.0 / N
         return np.asarray(np.einsum("icp,ij,jcp->p", of_rests, alike, of_rests))
 
-    by_accel, by_gyro = gains(STEP, force=rest), gains(STEP * EARTH_RATE, rate=rest)
+    by_accel, by_gyro = gains(STEP * g, force=rest), gains(STEP * EARTH_RATE, rate=rest)
     by_turn = gains(STEP, turned=turn) if K else np.zeros((0, len(NAMES)))
     between = 0.5 * (rest[:, plan.first] + rest[:, plan.first + 1])  # biases in a turn are those between its ends
     by_change = gains(STEP * EARTH_RATE, rate=rest, drift=between)
     scale = np.isin(np.arange(len(NAMES)), MEMBERS["accel.scale"])
     return {
-        REST_NOISE[0]: (by_accel**2).sum(axis=0) * (noise.accel_white / g) ** 2 / setup.rest,
+        REST_NOISE[0]: (by_accel**2).sum(axis=0) * noise.accel_white**2 / setup.rest,
         REST_NOISE[1]: (by_gyro**2).sum(axis=0) * noise.gyro_white**2 / setup.rest,
         "gyro noise in turns": np.repeat(plan.course.duration, 3) @ by_turn**2 * noise.gyro_white**2,
-        "accelerometer instability": wandered(by_accel, "accel.bias") * (noise.accel_instability / g) ** 2,
+        "accelerometer instability": wandered(by_accel, "accel.bias") * noise.accel_instability**2,
         "gyro instability": wandered(by_change, "gyro.bias") * noise.gyro_instability**2,
         "uncertainty of gravity": scale * (setup.gravity_u / g) ** 2,
     }

@@ -363,7 +363,7 @@ def _plan_of_paper(setup: Setup, method: MethodOfPaper, iterations: int, wanted:
     errors, groups = PassErrors.of(setup, method), []
     for iteration in range(1, iterations + 1):
         variances = {**errors.methodical(iteration), **errors.noise}
-        u = errors.size * np.sqrt(sum(variances.values()))
+        u = np.sqrt(sum(variances.values()))
         for group in errors.groups:
             of_group = errors.of_group(group, variances)
             groups.append(

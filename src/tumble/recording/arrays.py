@@ -92,28 +92,24 @@ def session_of_arrays(**arrays: Unpack[SensorArrays]) -> Session:
     known = list(SensorArrays.__annotations__)
     if unknown := [name for name in arrays if name not in known]:
         raise TypeError(f"unexpected argument {unknown[0]!r}; expected one of {', '.join(known)}")
-    accel, time, rate = arrays.get("accel"), arrays.get("time"), arrays.get("rate")
-    temperature, latitude, programme = arrays.get("temperature"), arrays.get("latitude"), arrays.get("programme")
-    if (time is None) == (rate is None):
+    given: dict[str, Any] = {name: value for name, value in arrays.items() if value is not None}
+    if ("time" in given) == ("rate" in given):
         raise InputError(
             f"time, rate: expected one of them, the times of the samples, s, or their rate, Hz, found "
-            f"{'none' if time is None else 'both'}"
+            f"{'both' if 'time' in given else 'none'}"
         )
-    if accel is None:
+    if "accel" not in given:
         raise InputError("accel: expected readings of accelerometers (samples, sensors), m/s^2, found none")
-    log: dict[str, Any] = {"rate_hz": _number("rate", rate)} if rate is not None else {"time": "time"}
+    log: dict[str, Any] = {"rate_hz": _number("rate", given["rate"])} if "rate" in given else {"time": "time"}
     data: dict[str, Array] = {}
     sensors: dict[str, int] = {}
-    for kind, given, axes in (
-        ("accel", accel, arrays.get("accel_axes")),
-        ("gyro", arrays.get("gyro"), arrays.get("gyro_axes")),
-    ):
-        if given is not None:
-            readings = readings_of(kind, given)
+    for kind in SI:
+        if kind in given:
+            readings = readings_of(kind, given[kind])
             sensors[kind] = readings.shape[1]
             columns = _columns(kind, sensors[kind])
-            log[kind] = {"columns": columns, "unit": SI[kind][0]}
-            log[kind] |= {} if axes is None else {"axes": _numbers("axes", axes).tolist()}
+            axes = {"axes": _numbers("axes", given[f"{kind}_axes"]).tolist()} if f"{kind}_axes" in given else {}
+            log[kind] = {"columns": columns, "unit": SI[kind][0], **axes}
             data |= dict(zip(columns, readings.T, strict=True))
     force = np.column_stack([data[column] for column in log["accel"]["columns"]])
     length = float(np.median(np.linalg.norm(force, axis=1)) * np.sqrt(3.0 / sensors["accel"]))
@@ -122,38 +118,32 @@ def session_of_arrays(**arrays: Unpack[SensorArrays]) -> Session:
             f"accel: expected m/s^2, about 9.8 at rest, found {length:.4g} at the median; multiply readings in g by "
             "9.80665, divide increments by their intervals"
         )
-    if time is not None:
-        data["time"] = _series("time", time)
-    warm: list[str] = []
-    if temperature is not None:
-        warm, thermometers = _thermometers(temperature, sensors)
-        data |= thermometers
-        log["temperature"] = {"columns": warm, "unit": "degC"}
+    if "time" in given:
+        data["time"] = _series("time", given["time"])
+    if "temperature" in given:
+        of_sensors = _temperatures(given["temperature"], sensors)
+        log["temperature"] = {"columns": [column for column, _ in of_sensors], "unit": "degC"}
+        data |= dict(of_sensors)
     first, *others = data
     for name in others:
         if len(data[name]) != len(data[first]):
             raise InputError(
                 f"{name}: expected {len(data[first])} samples, as many as {first} has, found {len(data[name])}"
             )
-    data |= {name: celsius_of(data[name]) for name in dict.fromkeys(warm)}
-    if (clock_ppm_u := arrays.get("clock_ppm_u")) is not None:
-        log["clock_ppm_u"] = _number("clock_ppm_u", clock_ppm_u)
-    stated = {"height_m": arrays.get("height"), "gravity": arrays.get("gravity"), "gravity_u": arrays.get("gravity_u")}
-    site = {key: _number(key.removesuffix("_m"), value) for key, value in stated.items() if value is not None}
-    if latitude is not None:
-        if not abs(_number("latitude", latitude)) <= np.pi / 2:
+    if "clock_ppm_u" in given:
+        log["clock_ppm_u"] = _number("clock_ppm_u", given["clock_ppm_u"])
+    keys = {"height": "height_m", "gravity": "gravity", "gravity_u": "gravity_u"}
+    site = {key: _number(name, given[name]) for name, key in keys.items() if name in given}
+    if "latitude" in given:
+        latitude = _number("latitude", given["latitude"])
+        if not abs(latitude) <= np.pi / 2:
             raise InputError(f"latitude: expected radians from -π/2 to π/2, found {latitude:g}; use np.radians(…)")
-        site["latitude_deg"] = _number("latitude", latitude) / DEGREE
-    description: dict[str, Any] = {
-        "format": 1,
-        "device": {"serial": arrays.get("serial", "unknown")},
-        "site": site,
-        "log": log,
-    }
-    if isinstance(programme, str):
-        description["programme"] = {"name": programme}
-    elif programme is not None:
-        description["programme"] = {"position": [{"attitude": code} for code in programme]}
+        site["latitude_deg"] = latitude / DEGREE
+    device = {"serial": arrays.get("serial", "unknown")}
+    description: dict[str, Any] = {"format": 1, "device": device, "site": site, "log": log}
+    if (programme := given.get("programme")) is not None:
+        listed = {"position": [{"attitude": code} for code in programme]}
+        description["programme"] = {"name": programme} if isinstance(programme, str) else listed
     return session_of(description, data)
 
 
@@ -227,23 +217,22 @@ def _columns(kind: str, sensors: int) -> list[str]:
     return [f"{kind}_{'xyz'[i] if sensors == 3 else i}" for i in range(sensors)]
 
 
-def _thermometers(given: Temperatures, sensors: Mapping[str, int]) -> tuple[list[str], dict[str, Array]]:
-    """The columns of the thermometers, one for all sensors or one a sensor, and their temperatures, K."""
+def _temperatures(given: Temperatures, sensors: Mapping[str, int]) -> list[tuple[str, Array]]:
+    """The columns of the thermometers, one for all sensors or one a sensor, with their temperatures, °C."""
     if not isinstance(given, Mapping):
-        return ["temperature"], {"temperature": _series("temperature", given)}
+        return [("temperature", celsius_of(_series("temperature", given)))]
     check_kinds(given, sensors)
-    columns: list[str] = []
-    data: dict[str, Array] = {}
+    out: list[tuple[str, Array]] = []
     for kind, count in sensors.items():
         values = numbers_of(f"temperature of {kind}", given[kind])
         if values.ndim not in (1, 2) or values.shape[1:] not in ((), (count,)):
             raise InputError(
                 f"temperature of {kind}: expected the shape (samples,) or (samples, {count}), found {values.shape}"
             )
-        names = count * [f"temperature_{kind}"] if values.ndim == 1 else _columns(f"temperature_{kind}", count)
-        columns += names
-        data |= dict(zip(names, count * [values] if values.ndim == 1 else values.T, strict=True))
-    return columns, data
+        names = _columns(f"temperature_{kind}", count) if values.ndim == 2 else count * [f"temperature_{kind}"]
+        columns = celsius_of(values).reshape(len(values), -1).T
+        out += zip(names, columns if values.ndim == 2 else count * [columns[0]], strict=True)
+    return out
 
 
 def check_kinds(given: Mapping[str, npt.ArrayLike], kinds: Iterable[str]) -> None:

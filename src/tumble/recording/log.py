@@ -42,7 +42,7 @@ _SHORTEST_INTERVAL, _LONGEST_INTERVAL = 1e-15, 1e15  # beyond, nothing can be co
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Chunk:
     """Consecutive samples of one file, `file` being its index in session.log.files: end time of each sample by the
-    clock of the log, s, and its interval, in seconds of the reference clock where the log has one; accelerometers
+    clock of the log, s, and its interval, corrected for the rate of that clock, s; accelerometers
     (m, na), m/s²; gyros (m, ng), rad/s; temperatures (m, T), K, of the thermometers; magnetometer (m, 3) in its
     unit."""
 

@@ -99,20 +99,14 @@ def session_of_gyros(description: Mapping[str, Any]) -> Session:
 
 
 def _complete(session: Session, where: str) -> Session:
-    """A session whose files are there, and whose log's clock was compared with the second one that it may have."""
+    """A session whose files are there."""
     log, passport = session.log, session.device.systematic
     for file in log.files:
         if isinstance(file, Path) and not file.is_file():
             raise SessionError(f"{where}: log.file: expected a log at {file}, found no such file")
     if passport is not None and not passport.is_file():
         raise SessionError(f"{where}: device.systematic: expected a calibration file at {passport}, found no such file")
-    if log.reference_clock is None:
-        return session
-    from tumble.recording.readers import source_of
-    from tumble.recording.rows.reference_clock import clock_rate
-
-    rate, u = clock_rate([source_of(file, log.dialect) for file in log.files], log)
-    return replace(session, log=replace(log, clock_rate=rate, clock_u=u))
+    return session
 
 
 def session_from(given: Session | FilePath) -> Session:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy.typing as npt
 
 from tumble.arguments import checked
-from tumble.errors import InputError, MissingExtraError
+from tumble.errors import InputError
 from tumble.files import FilePath
 from tumble.result.correction import corrected_readings
 from tumble.result.coverage import with_degrees
@@ -39,13 +39,10 @@ from tumble.result.parts import (
 )
 from tumble.result.record import CalibrationData
 from tumble.result.uncertainty_budget import BudgetLine, uncertainty_budget
-from tumble.sensors.model import SensorKind
 from tumble.units import Array
 
 if TYPE_CHECKING:
-    import pandas as pd
     import polars as pl
-    from matplotlib.axes import Axes
 
     from tumble.recording.arrays import Temperatures
 
@@ -84,14 +81,6 @@ class Calibration(CalibrationData):
         Rests, turns, fits, budget and launches behind the parameters.
     provenance : Provenance
         Recording and software that it comes from.
-    serial, model : str, and str or None
-        Serial number and type of the device.
-    reference_temperature : float or None
-        °C, at which parameters that change with temperature have their values; of several thermometers the mean.
-    temperature_range : (float, float) or None
-        The lowest and the highest temperature, °C, that the rests of all launches have of every sensor.
-    compensator : Compensator
-        What corrects readings, also of sensors that are not accepted.
     """
 
     def __eq__(self, other: object) -> bool:
@@ -107,8 +96,8 @@ class Calibration(CalibrationData):
         """The device, the method, how many parameters, and whether it was accepted, in a line."""
         launches = self.evidence.launches
         several = f" of {len(launches)} launches" if launches else ""
-        count, verdict = len(self.parameters), self.outcome.verdict
-        return f"Calibration of {self.serial}: {self.method}{several}, {count} parameters, {verdict}"
+        method = f"{self.method}{several}, {len(self.parameters)} parameters"
+        return f"Calibration of {self.serial}: {method}, {self.outcome.verdict}"
 
     def __repr__(self) -> str:
         """The headline."""
@@ -135,31 +124,13 @@ class Calibration(CalibrationData):
         and, if they have any, coverage factor, degrees of freedom, prior and learned fraction."""
         return str(_views().as_text(self))
 
-    def plot(self, axes: Axes) -> None:
-        """Draw the residual of every rest, |corrected reading| − g, on matplotlib axes, and the scatter between rests
-        as a band; without rests the parameters in units of their uncertainty, hollow where a prior gives it."""
-        _views().draw(self, axes)
-
     def to_polars(self) -> pl.DataFrame:
         """The parameters as a polars frame, a row each, in SI: name, value, u, unit, deviation, run_to_run, and
         the coverage factor k, dof, prior and learned."""
         import polars as pl
 
         schema = {name: pl.String if name in ("name", "unit") else pl.Float64 for name in _COLUMNS}
-        return pl.DataFrame(self._columns(), schema=schema)
-
-    def to_pandas(self) -> pd.DataFrame:
-        """The same as a pandas frame. Raises MissingExtraError without pandas."""
-        try:
-            import pandas as pd
-        except ModuleNotFoundError as error:
-            raise MissingExtraError(
-                "a pandas frame needs pandas; install it with: pip install pandas, or take to_polars()"
-            ) from error
-        return pd.DataFrame(self._columns())
-
-    def _columns(self) -> dict[str, list[Any]]:
-        return {name: [getattr(parameter, name) for parameter in self.parameters] for name in _COLUMNS}
+        return pl.DataFrame({name: [getattr(p, name) for p in self.parameters] for name in schema}, schema=schema)
 
     def apply(
         self,
@@ -305,19 +276,20 @@ def _views() -> Any:
 def _check_sensors(calibration: Any) -> None:
     """Raises ValueError if parts of the record of a file, named by their keys, have different numbers of sensors."""
     launches = [(f"launches[{number}].rests", launch.rests) for number, launch in enumerate(calibration.launches, 1)]
-    kinds: tuple[SensorKind, ...] = ("accel", "gyro")
-    for kind in kinds:
-        parts: dict[str, Any] = {f"axes.{kind}": calibration.axes.get(kind)}
-        if (model := getattr(calibration, kind)) is not None:
-            parts = {f"{kind}.bias": model.bias} | parts
-        if kind in calibration.readings:
-            parts[f"readings.{kind}"] = calibration.readings[kind].columns
+    warmth = calibration.temperature
+    for kind in ("accel", "gyro"):
+        model, readings = getattr(calibration, kind), calibration.readings.get(kind)
+        parts: dict[str, Any] = {
+            f"{kind}.bias": model and model.bias,
+            f"axes.{kind}": calibration.axes.get(kind),
+            f"readings.{kind}": readings and readings.columns,
+            f"temperature.thermometers.{kind}": warmth.thermometers.get(kind),
+            f"temperature.references.{kind}": warmth.references.get(kind),
+        }
         for place, rests in (("rests", calibration.rests), *launches):
-            at_rest = ((number, getattr(rest, kind)) for number, rest in enumerate(rests, 1))
-            parts |= {f"{place}[{number}].{kind}": sensors.mean for number, sensors in at_rest if sensors is not None}
-        warmth = calibration.temperature
-        parts |= {f"temperature.thermometers.{kind}": warmth.thermometers.get(kind)}
-        parts |= {f"temperature.references.{kind}": warmth.references.get(kind)}
+            for number, rest in enumerate(rests, 1):
+                sensors = getattr(rest, kind)
+                parts[f"{place}[{number}].{kind}"] = sensors and sensors.mean
         counts = {key: len(part) for key, part in parts.items() if part is not None}
         first = next(iter(counts), "")
         for key, found in counts.items():

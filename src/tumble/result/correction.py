@@ -69,22 +69,8 @@ def readings_at(calibration: CalibrationData, kind: SensorKind, force: Array, ra
 
 
 def linear_model(calibration: CalibrationData, kind: SensorKind, held: Container[str] = ()) -> SensorModel:
-    """Matrix and bias that fit the whole model best.
-
-    Parameters
-    ----------
-    calibration
-        A calibration of such sensors.
-    kind
-        "accel" or "gyro".
-    held
-        Groups beyond the linear model that a program applies itself, and that are not fitted.
-
-    Returns
-    -------
-    SensorModel
-        That of the calibration where it has no other groups.
-    """
+    """Matrix and bias that fit the whole model of "accel" or "gyro" best: those of the calibration where it has no
+    other groups. Groups beyond the linear model that are `held`, which a program applies itself, are not fitted."""
     model = calibration.accel if kind == "accel" else calibration.gyro
     assert model is not None
     fitted = _without(calibration, held)
@@ -106,16 +92,9 @@ def linear_model(calibration: CalibrationData, kind: SensorKind, held: Container
 def errors_left(
     calibration: CalibrationData, kind: SensorKind, correct: Callable[[Array], Array], held: Container[str] = ()
 ) -> Array:
-    """Errors (N,) of corrected vectors, SI: of the specific force in all attitudes at rest, or of the rate about all
-    axes in 1 g, at the rate of the session.
-
-    Parameters
-    ----------
-    calibration, kind, held
-        As in `linear_model`.
-    correct
-        What is made of readings (N, n): vectors (N, 3).
-    """
+    """Errors (N,), SI, of the vectors (N, 3) that `correct` makes of readings (N, n), without the groups that are
+    `held`: of the specific force in all attitudes at rest, or of the rate about all axes in 1 g, at the rate of the
+    session."""
     rate = np.zeros_like(DENSE) if kind == "accel" else session_rate(calibration) * DENSE[:, [1, 2, 0]]
     true = G_STANDARD * DENSE if kind == "accel" else rate
     readings = readings_at(_without(calibration, held), kind, G_STANDARD * DENSE, rate)
@@ -159,17 +138,9 @@ def linear_example(kind: str, model: SensorModel) -> Example:
 
 
 def examples(compensator: Compensator, kinds: Sequence[SensorKind], warmer: float = 0.0) -> dict[SensorKind, Example]:
-    """Readings of six decimals of these kinds of sensors, and what the whole correction makes of them.
-
-    Parameters
-    ----------
-    compensator
-        The correction.
-    kinds
-        "accel" before "gyro", whose example is in the force of that of the accelerometers, or in none without them.
-    warmer
-        Temperature of the sensors above their references, K.
-    """
+    """Readings of six decimals of these kinds of sensors, "accel" before "gyro", and what the whole correction makes of
+    them where the sensors are `warmer` than their references, K. The example of gyros is in the force of that of the
+    accelerometers, or in none without them."""
     out, force = dict[SensorKind, Example](), np.zeros((1, 3))
     for kind in kinds:
         reading, celsius = linear_example(kind, compensator.model(kind)).reading, compensator.reference(kind) + warmer
@@ -260,26 +231,26 @@ def corrected_readings(
     temperature: Temperatures | None,
 ) -> tuple[Array, Array | None]:
     """Specific force and angular rate (..., 3) of readings (..., n), see `Calibration.apply`."""
-    judged = (calibration.outcome.accel,) if gyro is None else (calibration.outcome.accel, calibration.outcome.gyro)
-    if not any(judged):
-        reasons = "; ".join(calibration.outcome.reasons)
-        raise CalibrationError(f"calibration: expected accepted accelerometers or gyros, found: {reasons}")
-    compensator = calibration.compensator
-
-    def checked(block: Block | None, kind: str, given: npt.ArrayLike) -> Array:
-        """One number for each sensor and sample."""
-        readings = numbers_of(kind, given, increments=dt is not None)
+    outcome = calibration.outcome
+    if not outcome.accel and (gyro is None or not outcome.gyro):
+        raise CalibrationError(
+            f"calibration: expected accepted accelerometers or gyros, found: {'; '.join(outcome.reasons)}"
+        )
+    compensator, readings = calibration.compensator, dict[str, Array]()
+    for kind, given in (("accel", accel), ("gyro", gyro)):
+        block: Block | None = getattr(compensator, kind)
+        if given is None:
+            continue
+        numbers = numbers_of(kind, given, increments=dt is not None)
         if block is None:
             raise InputError(f"{kind} readings: expected none, for the calibration has no {kind}, found some")
-        if readings.shape[-1:] != (block.size,):
+        if numbers.shape[-1:] != (block.size,):
             raise InputError(
                 f"{kind} readings: expected {block.size} numbers a sample, one for each sensor of the calibration, "
-                f"found an array of shape {readings.shape}"
+                f"found an array of shape {numbers.shape}"
             )
-        return readings
-
-    force_readings = checked(compensator.accel, "accel", accel)
-    shape, interval = force_readings.shape[:-1], np.ones(1)
+        readings[kind] = numbers
+    shape, interval = readings["accel"].shape[:-1], np.ones(1)
     if dt is not None:  # an interval for each sample; one for all of them is repeated
         intervals = numbers_of("dt", dt)
         if intervals.shape not in ((), shape):
@@ -288,20 +259,17 @@ def corrected_readings(
             raise InputError(f"dt: expected intervals above 0 s, found {intervals.min():g}")
         interval = np.ravel(np.broadcast_to(intervals, shape))[:, None]
     celsius = given_temperatures(temperature, compensator, shape)
-    force = compensator.force(force_readings.reshape(-1, compensator.accel.size) / interval, celsius["accel"])
+    force = compensator.force(readings["accel"].reshape(-1, compensator.accel.size) / interval, celsius["accel"])
     felt = np.full((*shape, 3), np.nan) if calibration.accel is None else (force * interval).reshape(*shape, 3)
     if gyro is None:
         return felt, None
-    rate_readings = checked(compensator.gyro, "gyro", gyro)
-    assert compensator.gyro is not None
-    if rate_readings.shape[:-1] != shape and not (compensator.linear and dt is None):
+    turned = readings["gyro"]
+    if turned.shape[:-1] != shape and not (compensator.linear and dt is None):
         raise InputError(
-            f"gyro readings: expected as many samples as of the accelerometers, {shape}, found the shape "
-            f"{rate_readings.shape}"
+            f"gyro readings: expected as many samples as of the accelerometers, {shape}, found the shape {turned.shape}"
         )
-    turned = rate_readings.reshape(-1, compensator.gyro.size) / interval
-    rate = compensator.rate(turned, force, celsius["gyro"]) * interval
-    return felt, rate.reshape(*rate_readings.shape[:-1], 3)
+    rate = compensator.rate(turned.reshape(-1, turned.shape[-1]) / interval, force, celsius["gyro"]) * interval
+    return felt, rate.reshape(*turned.shape[:-1], 3)
 
 
 def given_temperatures(

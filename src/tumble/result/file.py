@@ -182,24 +182,10 @@ def text_of(path: Path) -> str:
 
 
 def parsed(record: type, text: str, name: str, build: Callable[[Any], AnyCalibration]) -> AnyCalibration:
-    """Read a calibration.
+    """Read a calibration from the text of a file, which messages call `name`. A `file_record` describes the file;
+    `build` makes the calibration of such a record, and raises ValueError if its parts contradict each other.
 
-    Parameters
-    ----------
-    record
-        The `file_record` that describes the file.
-    text
-        Text of the file.
-    name
-        How messages call the file.
-    build
-        Function that makes the calibration of a record, and raises ValueError if the parts of the record contradict
-        each other.
-
-    Raises
-    ------
-    CalibrationError
-        With the first fault.
+    Raises CalibrationError with the first fault.
     """
     try:
         content = json_of(text)

@@ -16,15 +16,14 @@ with the degrees of freedom of s_p², the only part of s² that was estimated (G
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import scipy
 
 from tumble.result.calibration import Calibration
 from tumble.result.parts import CalibratedTemperature
-from tumble.result.record import reference_of_parameter
-from tumble.sensors.parameters import to_temperature
+from tumble.result.record import to_references
 from tumble.units import Array
 
 UNLIKE = 1e-3
@@ -35,19 +34,9 @@ _NOT_OWN = ("gravity", "clock", "type", "launches")
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LaunchVariances:
-    """Variances from launch to launch of the launches behind one calibration, or of several of a device.
-
-    Attributes
-    ----------
-    serial : str
-        Serial number of the device.
-    logs : frozenset of str
-        SHA-256 of the logs of the launches.
-    degrees : int
-        One fewer than there are launches.
-    variances : mapping of str to (float, float)
-        By parameter the variance from launch to launch, and the mean variance of the estimate in one launch, SI.
-    """
+    """Variances from launch to launch of a device with their degrees of freedom, one fewer than there are launches; the
+    SHA-256 of the logs of these; and by parameter the variance from launch to launch and the mean variance of the
+    estimate in one launch, SI."""
 
     serial: str
     logs: frozenset[str]
@@ -112,31 +101,16 @@ def at_temperature(
     for launch in launches:
         move, C = np.eye(len(names)), launch.covariance_of(names)
         if temperature.reference is not None:
-            moved = replace(launch, temperature=temperature)
-            warmer = [reference_of_parameter(moved, name) - reference_of_parameter(launch, name) for name in names]
-            move = to_temperature(names, np.array(warmer))
+            move = to_references(launch, names, temperature)
         values.append(move @ [launch[n].value for n in names])
         covariances.append(move @ (np.zeros_like(move) if C is None else C) @ move.T)
     return np.array(values), np.array(covariances)
 
 
 def variance_of_type(launches: Iterable[LaunchVariances], name: str, noise: float) -> tuple[float, float]:
-    """Variance from launch to launch of a parameter by the launches of other devices, and its degrees of freedom.
-
-    Parameters
-    ----------
-    launches
-        Those of other devices of the type.
-    name
-        The parameter.
-    noise
-        Variance of the estimate in one launch of the device in question, SI.
-
-    Returns
-    -------
-    variance, degrees
-        Eq. (1); (0, 0) if nothing is known.
-    """
+    """Variance from launch to launch of a parameter by the launches of other devices of the type, and its degrees of
+    freedom, Eq. (1); zeros if nothing is known. `noise` is the variance of the estimate in one launch of the device in
+    question, SI."""
     of_name = [(each.degrees, *each.variances[name]) for each in launches if name in each.variances]
     degrees = sum(count for count, _, _ in of_name)
     between = sum(count * variance for count, variance, _ in of_name)
@@ -148,20 +122,8 @@ def variance_of_type(launches: Iterable[LaunchVariances], name: str, noise: floa
 
 
 def pooled(variance: float, degrees: float, of_type: tuple[float, float]) -> tuple[float, float] | None:
-    """Pool the variance of a device from launch to launch with that of its type.
-
-    Parameters
-    ----------
-    variance, degrees
-        Of the device, SI, with its degrees of freedom.
-    of_type
-        The same of its type.
-
-    Returns
-    -------
-    variance, degrees
-        Or None if the device is more unstable than its type: by chance in fewer than UNLIKE of all cases.
-    """
+    """Variance of a device from launch to launch pooled with that of its type, each with its degrees of freedom; None
+    if the device is more unstable than its type, by chance in fewer than UNLIKE of all cases."""
     type_variance, type_degrees = of_type
     if type_degrees == 0.0:
         return variance, degrees

@@ -97,9 +97,11 @@ class Estimated(Protocol):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Parameter:
-    """A named quantity with its standard uncertainty (None where the method gives none), SI; where the session names a
-    systematic (passport) calibration, with the deviation from it; for the mean of several launches with the standard
-    deviation from launch to launch."""
+    """A named quantity with its standard uncertainty (None where the method gives none), SI, and the degrees of freedom
+    with which that was estimated (None where the noise is known); with the standard deviation of what was known before,
+    and how much of the variance of that the session has taken off, 0 to 1; where the session names a systematic
+    (passport) calibration, with the deviation from it; for the mean of several launches with the standard deviation
+    from launch to launch."""
 
     name: Name
     value: float
@@ -108,11 +110,8 @@ class Parameter:
     deviation: float | None = None
     run_to_run: Size | None = None
     dof: Size | None = None
-    """Degrees of freedom with which u was estimated; None where the noise is known."""
     prior: Positive | None = None
-    """Standard deviation of what was known before, where that is of any weight."""
     learned: float | None = None
-    """How much of the prior's variance the session has taken off, 0 to 1."""
 
     @property
     def k(self) -> float | None:
@@ -126,17 +125,18 @@ def learned_fraction(u: float, prior: float) -> float:
     return min(max(1.0 - (u / prior) ** 2, 0.0), 1.0)
 
 
-def _is_known(parameter: Parameter) -> Parameter:
+def _known(parameter: Parameter) -> Parameter:
     if not is_parameter(parameter.name):
         raise ValueError(
             f"expected parameters that this version of tumble knows, found {shown(parameter.name)}: without it "
             "readings would be corrected wrongly; read the file with the version that wrote it"
         )
-    is_size(parameter.u or 0.0)
     return parameter
 
 
-Parameters = Annotated[tuple[Annotated[Parameter, AfterValidator(_is_known)], ...], Field(max_length=MOST_PARAMETERS)]
+Parameters = Annotated[
+    tuple[Annotated[Parameter, AfterValidator(_known), checked_sizes("u")], ...], Field(max_length=MOST_PARAMETERS)
+]
 
 FEWEST_DEGREES = 0.99
 """Degrees of freedom without which no U is stated, those of two readings, one, but for its rounding: t is then beyond
@@ -193,6 +193,9 @@ def _of_equal_length(sensors: SensorsAtRest) -> SensorsAtRest:
     return sensors
 
 
+AtRest = Annotated[SensorsAtRest, AfterValidator(_of_equal_length)]
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RestResult:
     """A rest as used: times (s), residual |corrected reading| − g (m/s²) and how many sigmas it is from the fit; the
@@ -204,8 +207,8 @@ class RestResult:
     residual: float
     sigmas: float = 0.0
     attitude: str | None = None
-    accel: Annotated[SensorsAtRest, AfterValidator(_of_equal_length)] | None = None
-    gyro: Annotated[SensorsAtRest, AfterValidator(_of_equal_length)] | None = None
+    accel: AtRest | None = None
+    gyro: AtRest | None = None
     temperature: float | None = None
 
     @property
@@ -340,16 +343,14 @@ class CalibratedDevice:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CalibratedTemperature:
-    """At which temperatures, °C, parameters that change with it have their values."""
+    """At which temperatures, °C, parameters that change with it have their values: the reference, of several
+    thermometers the mean; of rests that are not in the file the range; and of each sensor of "accel" and "gyro" the
+    column of its thermometer and the reference by that, where there are such."""
 
     reference: float | None = None
-    """Of several thermometers the mean."""
     range: tuple[float, float] | None = None
-    """Of rests that are not in the file."""
     thermometers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """The column of the thermometer of each sensor of "accel" and "gyro", where there are such."""
     references: Mapping[str, Vector] = field(default_factory=dict)
-    """The reference of each sensor of "accel" and "gyro", by its own thermometer."""
 
 
 def checked_result(result: Launch) -> Launch:
@@ -408,9 +409,9 @@ class Launch:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Member:
-    """One of several sessions in one estimate: its name and the SHA-256 of its log, how many rests and turns it has,
-    those that warm counted part by part, the lowest and the highest temperature of its rests, °C, and the parameters
-    that it has of its own."""
+    """One of several sessions in one estimate: its name, the SHA-256 of its log and its date (ISO 8601), how many rests
+    and turns it has, those that warm counted part by part, the lowest and the highest temperature of its rests, °C, and
+    the parameters that it has of its own."""
 
     session: str
     log_sha256: str
@@ -419,7 +420,6 @@ class Member:
     temperatures: tuple[float, float]
     parameters: Parameters = ()
     date: IsoDate | None = None
-    """When it was recorded, ISO 8601."""
 
 
 # -------------------- evidence and provenance --------------------
@@ -439,30 +439,15 @@ _PerParameter, _PerSession = Field(max_length=MOST_PARAMETERS), Field(max_length
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Evidence:
-    """Data and fit behind the parameters of a calibration.
+    """Data and fit behind the parameters of a calibration: the rests and turns that were used, with their residuals; by
+    group of residuals chi-square, degrees of freedom and estimated scatter; the quantities of the noise model that were
+    estimated (scatter, in-run biases, sizes of groups of parameters), and how the posterior was integrated over them;
+    contributions to the u of every parameter by source, empty in a frame other than that of the estimate; the increment
+    of every parameter in each iteration; and the sessions whose calibrations were averaged, or that were estimated
+    together.
 
-    Attributes
-    ----------
-    rests, turns : tuple
-        Rests and turns that were used, with their residuals.
-    fits : mapping of str to Fit
-        Chi-square, degrees of freedom and estimated scatter by group of residuals.
-    hyperparameters : tuple
-        Quantities of the noise model that were estimated: scatter, in-run biases, sizes of groups of parameters.
-    integral : Integral or None
-        How the posterior was integrated over the hyperparameters.
-    process_bias : tuple
-        Biases as the means of their processes, about which those of the next minutes vary; the parameters are those of
-        the session. Empty unless the frame is that of the accelerometers.
-    budget : tuple
-        Contributions to the u of every parameter by source; empty in a frame other than that of the estimate.
-    iterations : tuple of mapping
-        Increment of every parameter in each iteration.
-    launches : tuple of Launch
-        Sessions whose calibrations were averaged.
-    together : tuple of Member
-        Sessions that were estimated together.
-    """
+    `process_bias` has biases as the means of their processes, about which those of the next minutes vary; the
+    parameters are those of the session. Empty unless the frame is that of the accelerometers."""
 
     rests: Rests = ()
     turns: Turns = ()
@@ -480,37 +465,15 @@ class Evidence:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Provenance:
-    """Recording, circumstances and software that a calibration comes from.
+    """Recording, circumstances and software that a calibration comes from: the SHA-256 of the log (of several logs, of
+    the list of theirs), program and version, the time of computing (ISO 8601), and the devices of the type whose
+    calibrations served as prior; the place, the samples per second and the relative standard uncertainty of the time
+    base, as it is in the scale factors of the gyros; date, operator, equipment and air; the name of the programme; and
+    of "accel", "gyro" and "mag" columns, unit and nominal scale.
 
-    Attributes
-    ----------
-    log_sha256 : str or None
-        SHA-256 of the log; of several logs, of the list of theirs.
-    software : str or None
-        Program and version.
-    created : str or None
-        Time of computing, ISO 8601.
-    prior : str or None
-        Devices of the same type whose calibrations served as prior.
-    site : Site or None
-        Place of the recording.
-    sample_rate : float or None
-        Samples per second of the recording.
-    clock_u : float
-        Relative standard uncertainty of the time base, as it is in the scale factors of the gyros.
-    circumstances : Circumstances
-        Date, operator, equipment and air of the recording.
-    programme : str or None
-        Name of the programme.
-    readings : mapping of str to Readings
-        Columns, unit and nominal scale of "accel", "gyro" and "mag".
-    notes : tuple of str
-        Remarks on the recording and the estimate.
-    assumptions : tuple of str
-        What was taken for granted of the log and the place, and what to state instead.
-    absent : tuple of str
-        Sensors of the device that the calibration does not have, and why.
-    """
+    In sentences, the `notes` are remarks on the recording and the estimate, the `assumptions` what was taken for
+    granted of the log and the place, and what to state instead, and `absent` the sensors of the device that the
+    calibration does not have, and why."""
 
     log_sha256: str | None = None
     software: str | None = None

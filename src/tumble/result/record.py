@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import Annotated, TypeVar
 
@@ -36,7 +36,7 @@ from tumble.result.parts import (
 from tumble.sensors.compensation import Compensator
 from tumble.sensors.frames import triad_axes
 from tumble.sensors.model import Block, SensorKind, SensorModel
-from tumble.sensors.parameters import sensor_kind, within_group
+from tumble.sensors.parameters import sensor_kind, to_temperature, within_group
 from tumble.units import Array
 
 
@@ -180,6 +180,13 @@ def reference_of_parameter(calibration: CalibrationData, name: str) -> float:
     block = _block(calibration, "accel" if kind == "accel" else "gyro", model)
     channel = dict(zip(block.sensors, block.channels.tolist(), strict=True)).get(sensor)
     return of_all if channel is None else float(_references(calibration, block)[channel])
+
+
+def to_references(calibration: CalibrationData, names: Sequence[str], temperature: CalibratedTemperature) -> Array:
+    """What takes (m, m) values of parameters of a calibration to their values at the references of another one."""
+    moved = replace(calibration, temperature=temperature)
+    warmer = [reference_of_parameter(moved, name) - reference_of_parameter(calibration, name) for name in names]
+    return to_temperature(names, np.array(warmer))
 
 
 def _references(calibration: CalibrationData, block: Block) -> Array:

@@ -22,13 +22,10 @@ from tumble.inference.sources import by_time_base, clocked
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import by_gravity, shared_gravity
 from tumble.result.parts import Parameter, SourceContributions
-from tumble.sensors.parameters import Variable, group_name, variable_of
+from tumble.sensors.parameters import group_name, variable_of
 from tumble.units import Array
 
 GRAVITY, TIME_BASE, PRIORS = "gravity", "the time base", "what only priors say"
-
-_OF_A_SESSION: tuple[Variable, ...] = ("time",)
-"""What parameters change with that is another in every session, and so no property of the device."""
 
 
 def shared_errors(first: Calibration, second: Calibration) -> dict[str, tuple[Array, Array]]:
@@ -79,7 +76,7 @@ def by_priors(
 
 def is_of_device(parameter: str) -> bool:
     """Whether a parameter or group is a property of the device and not of one session."""
-    return variable_of(parameter) not in _OF_A_SESSION
+    return variable_of(parameter) != "time"  # which is another in every session
 
 
 def of_time_base(calibration: Calibration) -> Array:

@@ -48,32 +48,10 @@ class Unaided:
     heading: float
     position: float
 
-    @staticmethod
-    def of(force: float, rate: float, rate_up: float, gravity: float, seconds: float) -> Unaided:
-        """Eq. (1) to (3), of root mean squares of f (m/s²), ω and ω_u (rad/s)."""
-        return Unaided(
-            tilt=hypot(force / gravity, rate * seconds),
-            heading=rate_up * seconds,
-            position=hypot(sqrt(0.5) * force * seconds**2, gravity * rate * seconds**3 / 6.0),
-        )
-
 
 def unaided(calibration: Calibration, seconds: float = SECONDS) -> tuple[Unaided, Unaided] | None:
-    """Errors of a vehicle without aid, before and after calibration.
-
-    Parameters
-    ----------
-    calibration
-        A calibration of accelerometers and gyros.
-    seconds
-        Time without aid, s.
-
-    Returns
-    -------
-    tuple of Unaided, or None
-        None if the calibration has no gyros, no uncertainties, more than three sensors of a kind, or if biases or axes
-        are not known.
-    """
+    """Errors of a vehicle without aid for so many seconds, before and after calibration; None if the calibration lacks
+    accelerometers, gyros or uncertainties, has more than three sensors of a kind, or does not know biases or axes."""
     accel, gyro, site = calibration.accel, calibration.gyro, calibration.provenance.site
     if accel is None or gyro is None or len(accel.bias) != 3 or len(gyro.bias) != 3:
         return None
@@ -92,10 +70,17 @@ def unaided(calibration: Calibration, seconds: float = SECONDS) -> tuple[Unaided
     if not {"accel.bias", "accel.axis", "gyro.bias"} <= before.keys():
         return None
     results = []
-    for squares in (before, after):  # Eq. (4)
+    for squares in (before, after):  # Eq. (4), and (1) to (3)
         force = sqrt(2.0 / 3.0 * squares["accel.bias"] + gravity**2 / 3.0 * squares["accel.axis"])
-        rate = sqrt(squares["gyro.bias"] / 3.0)
-        results.append(Unaided.of(force, sqrt(2.0) * rate, rate, gravity, seconds))
+        rate_up = sqrt(squares["gyro.bias"] / 3.0)
+        rate = sqrt(2.0) * rate_up
+        results.append(
+            Unaided(
+                tilt=hypot(force / gravity, rate * seconds),
+                heading=rate_up * seconds,
+                position=hypot(sqrt(0.5) * force * seconds**2, gravity * rate * seconds**3 / 6.0),
+            )
+        )
     return results[0], results[1]
 
 
@@ -108,10 +93,10 @@ def improvement(calibration: Calibration) -> tuple[str, ...]:
     accepted."""
     prediction, accepted, parts = calibration.prediction, accepted_kinds(calibration), list[str]()
     if prediction is not None and "accel" in accepted:
-        before, after = _as_read(calibration, "accel"), _of_vector(calibration, "accel", prediction.force_u)
+        before, after = _off_by(calibration, "accel", prediction.force_u)
         parts.append(f"at rest off by {_change(before, after, _FORCES, 0.01)}")
     if prediction is not None and prediction.rate_u is not None and prediction.at_rate and "gyro" in accepted:
-        before, after = _as_read(calibration, "gyro"), _of_vector(calibration, "gyro", prediction.rate_u)
+        before, after = _off_by(calibration, "gyro", prediction.rate_u)
         rate = prediction.at_rate
         parts.append(
             f"rates off by {_change(before / rate, after / rate, _PARTS, 0.01)} of {two_digits(rate / DEGREE)} °/s"
@@ -138,16 +123,11 @@ def _change(corrected: float, left: float, units: Sequence[tuple[float, str]], l
     return " → ".join(f"{two_digits(value / size)}{name}" for value, size, name in shown)
 
 
-def _as_read(calibration: Calibration, kind: SensorKind) -> float:
-    """Root mean square error, SI, of vectors of readings that are taken as they are."""
+def _off_by(calibration: Calibration, kind: SensorKind, u: float) -> tuple[float, float]:
+    """Root mean square error, SI, of vectors of readings that are taken as they are, and the standard uncertainty of
+    the length of the error of corrected ones, where that of each sensor is u."""
     block, _ = calibration.compensator.sensors(kind)
     assert block is not None
     nominal = left_inverse(block.axes)
-    return float(np.sqrt(np.mean(errors_left(calibration, kind, lambda readings: readings @ nominal.T) ** 2)))
-
-
-def _of_vector(calibration: Calibration, kind: SensorKind, u: float) -> float:
-    """Standard uncertainty of the length of a vector's error, where that of each sensor is u."""
-    block, _ = calibration.compensator.sensors(kind)
-    assert block is not None
-    return u * float(np.linalg.norm(left_inverse(block.axes)))
+    off = errors_left(calibration, kind, lambda readings: readings @ nominal.T)
+    return float(np.sqrt(np.mean(off**2))), u * float(np.linalg.norm(nominal))

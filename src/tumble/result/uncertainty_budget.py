@@ -1,4 +1,4 @@
-"""The uncertainty budget of a calibration: by source what every u is made of, and what would make it smaller.
+"""The uncertainty budget of a calibration: by source what every u is made of.
 
 u² = Σ c_s² u_s² over independent sources, as EA-4/02 lists them: the estimate x_s of the input quantity, its standard
 uncertainty u_s and distribution, the sensitivity |c_s| = contribution/u_s, the contribution |c_s| u_s and its share of
@@ -26,32 +26,14 @@ from tumble.result.record import CalibrationData
 from tumble.sensors.parameters import beyond_linear, group_name, sensor_kind
 from tumble.units import Array
 
-LESS = 0.25
-"""Of a variance: what four times as much of something leaves of it."""
 ROUNDING = 1e-15
 """Of a variance: less is none."""
-HELPS = 1.02
-"""A mean u that becomes smaller by less than this factor does not."""
 REFERENCES: Mapping[str, tuple[str, ...]] = {
     "accel": ("gravity",),
     "gyro": ("gravity", "earth", "clock"),
     "mag": (),
 }
 """The reference standards that the sensors of a kind are compared with."""
-_OF_RESTS = ("accel.noise", "gyro.noise")
-_REMEDIES: Mapping[str, tuple[str, ...]] = {
-    "rests four times as long": _OF_RESTS,
-    "four times as many rests and turns": (
-        *_OF_RESTS,
-        *("turn.gyro.noise", "turn.accel.noise", "fit", "launches"),
-        *("accel.scatter", "gyro.scatter", "turn.scatter", "velocity.scatter", "apart.scatter"),
-        *("jumps.scatter", "aliased.scatter", "aliased_apart.scatter", "accel.in_run", "gyro.in_run"),
-    ),
-    "half the u of gravity": ("gravity",),
-    "half the u of the time base": ("clock",),
-    "half the usual sizes, as by a data sheet": ("prior.",),
-}
-"""What takes three quarters off the variances of sources; a name that ends in a point stands for all that begin so."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -65,11 +47,9 @@ class BudgetLine(Source):
     share: float
 
     @staticmethod
-    def of(each: Source, *, estimate: float, sensitivity: float, contribution: float, share: float) -> BudgetLine:
-        """The line of a source."""
-        return BudgetLine(
-            **_as_source(each), estimate=estimate, sensitivity=sensitivity, contribution=contribution, share=share
-        )
+    def of(each: Source, **others: Any) -> BudgetLine:
+        """The line of a source, with the other fields."""
+        return BudgetLine(**_as_source(each), **others)
 
 
 def contributions_of(
@@ -156,28 +136,6 @@ def shares_of_priors(calibration: CalibrationData) -> dict[str, dict[str, float]
             of_basis = by_basis.setdefault(basis, {})
             of_basis[group] = of_basis.get(group, 0.0) + float(share[s])
     return by_basis
-
-
-def what_would_help(calibration: CalibrationData) -> str:
-    """One sentence: by how much u of bias, scale factors and axis angles would be smaller, the geometric mean, if there
-    were more of something, or something were known better; empty without a budget."""
-    variances = _variances(calibration)[:, [not beyond_linear(name) for name in calibration]]
-    variances = variances[:, variances.any(axis=0)]
-    if not variances.size:
-        return ""
-    total, gains = variances.sum(axis=0), list[tuple[float, str]]()
-    for remedy, names in _REMEDIES.items():
-        affected = [
-            any(s.name == n or (n.endswith(".") and s.name.startswith(n)) for n in names)
-            for s in calibration.evidence.budget
-        ]
-        if any(affected):
-            remaining = total - (1.0 - LESS) * variances[affected].sum(axis=0)
-            gains.append((float(np.exp(0.5 * np.mean(np.log(total / remaining)))), remedy))
-    helping = [f"{gain:.2f} times with {remedy}" for gain, remedy in sorted(gains, reverse=True) if gain >= HELPS]
-    idle = [remedy for gain, remedy in gains if gain < HELPS]
-    parts = [f"u would be smaller {', '.join(helping)}"] if helping else []
-    return ". ".join([*parts, *([f"Next to nothing would be gained by {', '.join(idle)}"] if idle else [])])
 
 
 def _variances(calibration: CalibrationData) -> Array:

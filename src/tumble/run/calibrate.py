@@ -31,7 +31,7 @@ from tumble.inference.prior import DevicePrior, with_prior
 from tumble.inference.sources import by_time_base, clocked, source
 from tumble.recording.arrays import SensorArrays, session_of_arrays
 from tumble.recording.log import Log
-from tumble.recording.session import LogSpec, Session
+from tumble.recording.session import Session
 from tumble.recording.session_file import session_from
 from tumble.reduction.observations import Observations
 from tumble.result.calibration import Calibration, calibration_from, read_calibration
@@ -59,10 +59,7 @@ def _imported(module: str, name: str) -> Callable[..., Estimate]:
     return lambda *args, **words: getattr(import_module(f"tumble.methods.{module}"), name)(*args, **words)
 
 
-METHODS: Mapping[str, Callable[..., Estimate]] = {
-    "joint": joint,
-    "ellipsoid": _imported("ellipsoid", "ellipsoid"),
-}
+METHODS: Mapping[str, Callable[..., Estimate]] = {"joint": joint, "ellipsoid": _imported("ellipsoid", "ellipsoid")}
 UNSCALED = (
     "[log.gyro] states no scale for its counts: the accelerometers are calibrated alone; state scale as the data sheet "
     "has it, and the gyros are too"
@@ -175,10 +172,8 @@ def calibrate(
         of_all = Outcome(reasons=(str(error),))
     of_whole = f"with what was left out: {': '.join(filter(None, [of_all.verdict, '; '.join(of_all.reasons)]))}"
     chosen = tuple(kind for kind in accepted_kinds(calibration) if not of_all.of(kind))
-    if not chosen:
-        return _with(calibration, notes=(of_whole,))
     remark = f"accepted without what was left out only, a choice of which u contains nothing; {of_whole}"
-    return _with(calibration, remarks={remark: chosen})
+    return _with(calibration, remarks={remark: chosen}) if chosen else _with(calibration, notes=(of_whole,))
 
 
 def _calibrated(
@@ -205,10 +200,9 @@ def _calibrated(
     if clock is None and not isinstance(estimate, Outcome) and (clock := clock_by_earth(estimate[0])) is not None:
         log = replace(session.log, clock_rate=session.log.clock_rate * clock.rate, clock_u=clock.u)
         made = _calibrated(replace(session, log=log), method, estimator, frame, terms, progress, prior, base, clock)
-        said = clock.sentence(" and ".join(clocked(clock.u, log.increments)) or "no parameter")
-        if abs(clock.rate - 1.0) > CLOCK_CONTRADICTED * session.log.time_base_u:
-            return _with(made, remarks={said: ()})
-        return _with(made, notes=(said,))
+        sentence = clock.sentence(" and ".join(clocked(clock.u, log.increments)) or "no parameter")
+        contradicted = abs(clock.rate - 1.0) > CLOCK_CONTRADICTED * session.log.time_base_u
+        return _with(made, remarks={sentence: ()}) if contradicted else _with(made, notes=(sentence,))
     bridged = (*bridged_in(observed.gaps), *observed.segmentation.unused())
     provenance = replace(
         provenance_of(observed.sha256),
@@ -227,15 +221,14 @@ def _calibrated(
         if by_gyros and method == "joint" and not isinstance(observations, Outcome):
             alone = estimated(session, observations.of_accelerometers(), *options)
             if not isinstance(alone, Outcome):
-                made_alone = result_of(session, *alone, systematic, frame, provenance, bridged)
-                lost = any(name.startswith("accel") for name in made_alone.outcome.unobservable)
-                if made_alone.outcome.accel.accepted and not lost:
+                of_accel = result_of(session, *alone, systematic, frame, provenance, bridged)
+                missing = any(name.startswith("accel") for name in of_accel.outcome.unobservable)
+                if of_accel.outcome.accel.accepted and not missing:
                     of_gyros = calibration.outcome.gyro.reasons
                     because = (f"{why}; the accelerometers are estimated alone" for why in of_gyros)
-                    estimate, calibration, faults = alone, made_alone, (*because, *faults)
-        remarks: dict[str, tuple[str, ...]] = dict.fromkeys(
-            little_used(observed.segmentation, in_motion=estimate[1].links is not None), ()
-        )
+                    estimate, calibration, faults = alone, of_accel, (*because, *faults)
+        little = little_used(observed.segmentation, in_motion=estimate[1].links is not None)
+        remarks: dict[str, tuple[str, ...]] = dict.fromkeys(little, ())
         if estimate[0].gyro is not None and not session.log.increments["gyro"]:
             grade, _ = grade_of(session, estimate[1])
             remarks |= dict.fromkeys(time_base_doubted(estimate[0], grade_named(grade).gyro.scale), ("gyro.scale",))
@@ -247,15 +240,13 @@ def _calibrated(
         if prior is not None and estimate[0].of_type:
             calibration = replace(calibration, provenance=replace(calibration.provenance, prior=prior.words))
         if faults:
-            without = session.gyro_block is not None and estimate[0].gyro is None
-            part = "gyro" if without else "gyro.bias"
-            concerns = {**calibration.outcome.concerns, **dict.fromkeys(faults, (part,))}
-            names = session.gyro_block.names if without and session.gyro_block is not None else ()
+            lost = () if session.gyro_block is None or estimate[0].gyro is not None else session.gyro_block.names
+            part, outcome = "gyro" if lost else "gyro.bias", calibration.outcome
             outcome = replace(
-                calibration.outcome,
-                reasons=(*calibration.outcome.reasons, *faults),
-                concerns=concerns,
-                unobservable=(*calibration.outcome.unobservable, *names),
+                outcome,
+                reasons=(*outcome.reasons, *faults),
+                concerns={**outcome.concerns, **dict.fromkeys(faults, (part,))},
+                unobservable=(*outcome.unobservable, *lost),
             )
             calibration = replace(calibration, outcome=outcome)
     for sentence in (*calibration.provenance.notes, *calibration.outcome.remarks, *calibration.outcome.reasons):
@@ -352,9 +343,8 @@ def estimated(
     observations = with_grade(session, observations)
     if prior is not None:
         observations = replace(observations, in_run={**observations.in_run, **prior.in_run})
-    notes = (*observations.notes, *by_reference_clock(session.log))
-    unstamped = session.log.unstamped
-    observations = replace(observations, start=start, notes=notes, by_clock=by_clock, unstamped=unstamped)
+    notes, unstamped = observations.notes, session.log.unstamped
+    observations = replace(observations, start=start, by_clock=by_clock, unstamped=unstamped)
     try:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # damaged samples, of which it breaks down
             estimate = linear_model.linear_joint(observations) if linear_joint else method(observations)
@@ -406,17 +396,6 @@ def assumptions(session: Session) -> tuple[str, ...]:
         )
     out += [f"doubt: {log.doubt}"] if log.doubt else []
     return tuple(out)
-
-
-def by_reference_clock(log: LogSpec) -> tuple[str, ...]:
-    """A note of what the second clock of a log says of the first, where there is one."""
-    if log.reference_clock is None:
-        return ()
-    corrected = " and ".join(clocked(log.time_base_u, log.increments)) or "no parameter"
-    return (
-        f"by '{log.reference_clock.column}' a second of the log's clock is {1e6 * (log.clock_rate - 1.0):+.1f} ppm "
-        f"longer than one, to {1e6 * log.time_base_u:.2g} ppm: {corrected} corrected for it",
-    )
 
 
 def provenance_of(log_sha256: str) -> Provenance:

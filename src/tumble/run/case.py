@@ -53,17 +53,8 @@ class CaseAlignment:
 
 
 def vertical_by_parameters(model: SensorModel, force: Array, change: Array) -> Array:
-    """Derivative (N, 3, m) of the vertical with respect to parameters.
-
-    Parameters
-    ----------
-    model
-        Model of the accelerometers.
-    force : shape (N, 3)
-        Specific force at rest.
-    change : shape (N, n, m)
-        Derivative of the readings with respect to the parameters.
-    """
+    """Derivative (N, 3, m) of the vertical in specific forces (N, 3) at rest with respect to parameters, by that of the
+    readings, `change` (N, n, m)."""
     u = unit_vector(force)
     length = np.linalg.norm(force, axis=1)[:, None, None]
     return np.asarray(-(np.eye(3) - u[:, :, None] * u[:, None, :]) @ model.inverse() / length @ change)
@@ -82,25 +73,11 @@ def rotation_between(first: Array, second: Array) -> Array:
 def align_case(
     vertical: Array, by_parameters: Array, normals_c: Array, *, rests: IntArray, attitudes: Array | None = None
 ) -> CaseAlignment:
-    """Align the accelerometers to the case by placements on its faces.
+    """Align the accelerometers to the case by N placements on its faces, of these numbers among the `rests`: by the
+    `vertical` (N, 3) in b with its derivative (N, 3, m) with respect to the parameters, the same (N, 3) in the case,
+    and attitudes (N, 3, 3) body → geographic if the azimuths are known.
 
-    Parameters
-    ----------
-    vertical : shape (N, 3)
-        Direction of the vertical in b.
-    by_parameters : shape (N, 3, m)
-        Derivative of the vertical with respect to the parameters of the accelerometers.
-    normals_c : shape (N, 3)
-        Direction of the vertical in the case.
-    rests : shape (N,)
-        Numbers of the rests that the placements are.
-    attitudes : shape (N, 3, 3), optional
-        Attitudes body → geographic if the azimuths are known.
-
-    Raises
-    ------
-    InputError
-        Unless the faces are in three different directions.
+    Raises InputError unless the faces are in three different directions.
     """
     if len(normals_c) < 3 or np.linalg.svd(normals_c, compute_uv=False)[2] < _SINGULAR:
         raise InputError(

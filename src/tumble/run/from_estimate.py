@@ -34,7 +34,7 @@ from tumble.result.parts import (
     learned_fraction,
 )
 from tumble.result.uncertainty_budget import contributions_of
-from tumble.sensors.frames import Frame, convert
+from tumble.sensors.frames import Frame
 from tumble.sensors.parameters import THERMAL, group_name, sensor_kind, variable_of
 from tumble.units import DEGREE, ZERO_CELSIUS, Array, IntArray
 
@@ -66,25 +66,12 @@ def result_of(
     complete = bool(estimate.observable[: len(observations.accel_block.names)].all())
     learned, limited = learned_in(estimate), tuple(over_temperature(estimate, observations))
     case = None
+    if frame != "accelerometer":  # in which alone the systematic calibration is
+        systematic = {}
     if frame != "accelerometer" and complete:
         from tumble.run.case import estimate_in
 
         estimate, case = estimate_in(frame, estimate, observations)
-    if frame != "accelerometer":  # nothing of a systematic calibration that lacks one of the parameters
-        kept = [block for kind, block in blocks.items() if kind == "accel" or estimate.gyro is not None]
-        names = [name for block in kept for name in block.names]
-        complete_passport, passport, systematic = set(names) <= set(systematic), systematic, {}
-        if complete_passport and (frame != "case" or case is not None):
-            framed = convert(
-                observations.accel_block,
-                observations.gyro_block if len(names) > len(observations.accel_block.names) else None,
-                source="accelerometer",
-                values=np.array([passport[name] for name in names]),
-                covariance=None,
-                target=frame,
-                alignment=None if case is None else case.alignment,
-            )
-            systematic = dict(zip(framed.names, framed.values.tolist(), strict=True))
     determined = np.flatnonzero(estimate.observable)
     faces = faces_alone(estimate, outcome.unobservable)
     missing = set() if faces else {sensor_kind(name) for name in outcome.unobservable}
@@ -217,6 +204,25 @@ def readings_of_session(session: Session) -> dict[str, Readings]:
         for kind, channels in by_kind.items()
         if channels is not None
     }
+
+
+def check_sensors(calibration: Calibration, session: Session) -> None:
+    """Raises InputError for a session of other sensors than those of a calibration, or with counts or volts that are
+    worth something else."""
+    for kind, now in readings_of_session(session).items():
+        model, then = getattr(calibration, kind), calibration.provenance.readings.get(kind)
+        if model is not None and len(model.bias) != len(now.columns):
+            raise InputError(
+                f"{session.name}: log.{kind}: expected the {len(model.bias)} sensors of the calibration of "
+                f"{calibration.serial!r}, found {len(now.columns)}"
+            )
+        raw = then is not None and {now.unit, then.unit} & {"count", "V"}
+        if then is not None and raw and (now.unit, now.scale, now.offset) != (then.unit, then.scale, then.offset):
+            raise InputError(
+                f"{session.name}: log.{kind}: expected the unit, scale and offset of the calibration of "
+                f"{calibration.serial!r}, {then.unit}, {then.scale}, {then.offset}, found {now.unit}, {now.scale}, "
+                f"{now.offset}; state them as they were"
+            )
 
 
 # -------------------- rests and turns --------------------

@@ -1,25 +1,24 @@
 """From a table of readings to a calibration, by the ellipsoid method, and what is said of it.
 
-Everything that the readings do not say of themselves is in `readings.Nominal`. The calibration is in the form of all
-others; what a table adds is the residual of every position, plain and left out in turn, and the coefficients in the
-form of the source: k in output per g, the angles θ of its upper triangular matrix, the bias b referred to the input,
+The calibration is in the form of all others; what a table adds is the residual of every position, plain and left out in
+turn, and the coefficients in the form of the source: k in output per g, the angles θ of its upper triangular matrix,
+the bias b referred to the input,
 
     u = diag(k) [[1, θz, θy], [0, 1, θx], [0, 0, 1]] (a + b)                                             (1), (5)
 
 The estimate is that of the method `ellipsoid` from rests, whose means the rows are: with quadratic and cubic terms,
-asymmetry and drift of the accelerometers in u, of the sizes usual for the grade, or, where none is stated, for any
-grade, as far as the residuals allow for them (`tumble.methods.group_sizes`). Rows are taken to be in the order and at
-the pace of an operator's sheet; those of a recording show in themselves what drifts.
+asymmetry and drift in u, of the sizes usual for the grade, or, where none is stated, for any grade, as far as the
+residuals allow for them (`tumble.methods.group_sizes`). Rows are taken to be in the order and at the pace of an
+operator's sheet.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Unpack
 
 import numpy as np
 import scipy
@@ -39,96 +38,83 @@ from tumble.methods.ellipsoid_fit import TRIAD, EllipsoidFit, fit_ellipsoid
 from tumble.methods.group_sizes import with_groups
 from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
-from tumble.reduction.rests.rests import Rests
 from tumble.result.calibration import Calibration
-from tumble.result.parts import CalibratedDevice, Evidence, Parameter, Readings
+from tumble.result.parts import CalibratedDevice, Evidence, Readings
 from tumble.run.calibrate import provenance_of
 from tumble.run.case import estimate_in
 from tumble.run.from_estimate import learned_in, parameters_of
 from tumble.run.readings_table import (
-    THE_FIELD,
     UNITS,
     Nominal,
-    ReadingsDescription,
     ReadingsTable,
     nominal_of,
     positions_of,
     read_table,
+    rests_of,
     sizes_seen,
     table_of,
 )
 from tumble.sensors.frames import Convention, Frame, convert, frame_of
 from tumble.sensors.grades import GRADES
 from tumble.sensors.grades import grade as grade_named
-from tumble.sensors.model import WORDS
-from tumble.sensors.parameters import FURTHER, Terms, prior_sizes, variable_of
+from tumble.sensors.parameters import FURTHER, Terms, prior_sizes
 from tumble.units import Array, engineering, fitting_units, is_near_one
-from tumble.usual_setup import MOVE, ON_TABLE
 
-SCATTER_SAID = {"accel": 1e-3, "gyro": 1e-3, "mag": 2e-2}
-"""Scatter of the positions, in parts of the modulus, that is said: u has it, but good instruments have less, or it is
-that of readings with few digits. Near steel the field of the Earth is not the same in every position."""
-
+SCATTER_SAID = 1e-3
+"""Scatter of the positions, in parts of gravity, that is said: u has it, but good instruments have less, or it is that
+of readings with few digits."""
 SCATTER_LIMIT = 2e-2
-"""The same above which a triad does not follow the model. Of an accelerometer that is waved about scatter is its own
-motion, which makes the vector longer by its square, 4e-4."""
-
+"""The same above which a triad does not follow the model."""
 FACES = 6
 """Positions at least that bias and scale factors of a triad need."""
+RECORDING = 100
+"""Rows from which on a table may be a recording of a device in motion."""
 WILD = 30.0
 """Times as long as the median of all readings: no sensor reads one vector so differently."""
 LEAST_NOISE = 1e-6
-"""Noise, in parts of the modulus, at least of a reading that nothing checks."""
-
+"""Noise, in parts of gravity, at least of a reading that nothing checks."""
 NAMED = 4
 """Of more positions than these, the one to look at is not told."""
-
 BAD_CHANCE = 1e-3
 """A position is bad where chance alone makes one of the positions so bad in less than this part of all tables."""
-
 DOUBT_CHANCE = 1e-2
 """The same where the scatter is more than good instruments have: it is then not that of all positions alike."""
-
-WAVED = (
-    "an accelerometer that is waved reads its own motion: what of it is always along the same side of the device, as "
-    "in turns about a wrist (0.1 m at 60 °/s: 11 mg), passes for a bias and is not in u; a table of readings at rest "
-    "has none of it"
-)
-"""What a recording cannot show of itself."""
-
 AT_REST = tuple(
     group.name
     for group in FURTHER
     if group.kind == "accel" and (group.regressors is not None or group.variable == "time")
 )
-"""The groups of the accelerometers that a table of readings may have in it: what it says nothing of, a temperature or a
-motion, is not known to have been there."""
+"""The groups that a table of readings may have in it: what it says nothing of, a temperature or a motion, is not known
+to have been there."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, repr=False)
 class ReadingsCalibration(Brief):
-    """A calibration from a table; `fit` is None where it was refused; whether its rows were recorded one after another
-    while the device was waved about."""
+    """A calibration from a table; `fit` is None where there is none: of six faces, or where it was refused."""
 
     calibration: Calibration
     table: ReadingsTable
     nominal: Nominal
     fit: EllipsoidFit | None
-    recorded: bool
 
 
 @checked
 def calibrate_readings(
     readings: ReadingsTable | Array | FilePath,
     *,
+    unit: str = "V",
+    scale: Sequence[float] | None = None,
+    scale_per: str | None = None,
+    gravity: float | None = None,
+    gravity_u: float | None = None,
+    directions: Mapping[int, Array] | None = None,
     rows_per_position: int = 1,
     grade: str | None = None,
     terms: Terms = "full",
     frame: Frame = "accelerometer",
     serial: str | None = None,
-    **described: Unpack[ReadingsDescription],
 ) -> ReadingsCalibration:
-    """Calibrate a triad from a table of its readings in nine or more positions, by the ellipsoid method.
+    """Calibrate three accelerometers from a table of their readings in nine or more positions, by the ellipsoid method.
 
     Six faces give bias and scale factor of each accelerometer, as the method `joint` has them.
 
@@ -137,6 +123,18 @@ def calibrate_readings(
     readings
         Array of shape (N, 3), a row per position; or the path of a CSV file with the names of three columns above the
         rows.
+    unit
+        Of the readings: V, count, g or m/s^2.
+    scale
+        Nominal output per unit, one number or three, signed by polarity; only for V and count, and by default from the
+        readings themselves.
+    scale_per
+        Unit that the scale is per, g (default) or m/s^2.
+    gravity, gravity_u
+        Gravity and its standard uncertainty, m/s²; by default gravity at the place is the unit and counts as
+        9.80665 m/s².
+    directions
+        Rough direction (3,) of up in positions by their numbers from 1, which gives the polarity of the columns.
     rows_per_position
         Number of rows of each position; equal positions count once.
     grade
@@ -148,8 +146,6 @@ def calibrate_readings(
         Frame of the result: `accelerometer`, `paper` or `symmetric`.
     serial
         Serial number of the device; the name of the file if None.
-    **described
-        What the readings are, see `tumble.types.ReadingsDescription`.
 
     Returns
     -------
@@ -171,56 +167,43 @@ def calibrate_readings(
     >>> result.calibration
     <Calibration of readings: ellipsoid, 24 parameters, accepted>
     """
-    sensor = described.get("sensor", "accel")
-    if sensor != "accel" and frame != "accelerometer":
-        raise InputError(f"--frame: expected accelerometer for --sensor {sensor}, found {frame!r}")
     if serial is not None and not serial.strip():
         raise InputError(f"--serial: expected a serial number, found {serial!r}")
     if isinstance(readings, str | os.PathLike):
-        rows = read_table(Path(readings), sensor)
+        rows = read_table(Path(readings))
     else:
         rows = readings if isinstance(readings, ReadingsTable) else table_of(np.asarray(readings))
     table = positions_of(rows, rows_per_position)
-    nominal = nominal_of(table, **described)
+    nominal = nominal_of(
+        table,
+        unit=unit,
+        scale=scale,
+        scale_per=scale_per,
+        gravity=gravity,
+        gravity_u=gravity_u,
+        directions=directions or {},
+    )
     _check_lengths(table, nominal)
     if grade is not None:
         grade_named(grade)
     fitted, noise = _fitted(table, nominal, _sigmas(BAD_CHANCE, table))
-    fit: EllipsoidFit | None = None
-    estimate: Estimate | None = None
-    notes: tuple[str, ...] = ()
-    recorded = table.stretch is not None
-    if isinstance(fitted, Refusal):
-        refusal = undetermined(nominal.to_si(rows.values), block=TRIAD) or fitted  # counts the rows as they are written
-        faces = None
-        if sensor == "accel" and len(refusal.null) and not recorded and len(table.values) >= FACES:
-            faces = _by_faces(table, nominal, noise, grade, terms)
-        if faces is not None:
-            estimate, outcome, notes = faces
-        else:
-            misstated = None if len(refusal.null) else _misstated(nominal, sizes_seen(table.values, nominal.modulus))
-            names = tuple(f"{sensor}.{name.partition('.')[2]}" for name in TRIAD.names)
-            outcome = Outcome(reasons=(misstated or refusal.reason,), unobservable=names)
-    else:
+    fit, estimate, notes = None, None, tuple[str, ...]()
+    if isinstance(fitted, EllipsoidFit):
         fit, estimate, notes = _estimated(fitted, noise, table, nominal, grade, terms)
-        reasons, remarks = tuple(_reasons(table, nominal, fit)), tuple(_remarks(table, nominal, fit))
-        outcome = Outcome(reasons=reasons, remarks=remarks)
-    parameters: tuple[Parameter, ...] = ()
-    has_u = fit is None or fit.covariance is not None
-    if estimate is not None:
-        learned, frame = learned_in(estimate), frame if fit is not None else "accelerometer"
-        if frame != "accelerometer":
-            estimate, _ = estimate_in(frame, estimate, _rests(table, nominal, np.zeros((3, 3))))
-        named = replace(
-            estimate,
-            names=tuple(f"{sensor}.{name.partition('.')[2]}" for name in estimate.names),
-            units=(nominal.result_unit,) * 3 + estimate.units[3:],
-        )
-        determined = np.flatnonzero(estimate.observable)
-        parameters = parameters_of(named, determined, {}, learned)
-        parameters = parameters if has_u else tuple(replace(p, u=None, dof=None) for p in parameters)
-    models: dict[str, Any] = dict.fromkeys(("accel", "gyro", "mag")) | {sensor: estimate and estimate.accel}
-    site = replace(_site(nominal), gravity_is_unit=nominal.modulus_u is None)
+        outcome = Outcome(reasons=tuple(_reasons(table, nominal, fit)), remarks=tuple(_remarks(table, nominal, fit)))
+    else:
+        refusal = undetermined(nominal.to_si(rows.values), block=TRIAD) or fitted  # counts the rows as they are written
+        by_faces = _by_faces(table, nominal, noise, grade, terms) if len(refusal.null) else None
+        misstated = None if len(refusal.null) else _misstated(nominal, sizes_seen(table.values, nominal.gravity))
+        outcome = Outcome(reasons=(misstated or refusal.reason,), unobservable=TRIAD.names)
+        if by_faces is not None:
+            estimate, outcome, notes = by_faces
+    frame = "accelerometer" if fit is None else frame
+    has_u, learned = fit is None or fit.covariance is not None, {} if estimate is None else learned_in(estimate)
+    if estimate is not None and frame != "accelerometer":
+        estimate, _ = estimate_in(frame, estimate, _rests(table, nominal, np.zeros((3, 3))))
+    determined = np.flatnonzero([] if estimate is None else estimate.observable)
+    parameters = () if estimate is None else parameters_of(estimate, determined, {}, learned)
     # where the scatter is that of all there is, a row has no uncertainty beside it
     row_known = fit is not None and (table.covariance is not None or fit.scatter == 0.0)
     meaning = Readings(
@@ -234,24 +217,23 @@ def calibrate_readings(
     calibration = Calibration(
         device=CalibratedDevice(serial=table.path.stem if serial is None else serial),
         method="ellipsoid" if estimate is None else estimate.method,
-        frame="accelerometer" if estimate is None else frame,
-        parameters=parameters,
+        frame=frame,
+        parameters=parameters if has_u else tuple(replace(p, u=None, dof=None) for p in parameters),
         covariance=estimate.covariance[np.ix_(determined, determined)] if estimate is not None and has_u else None,
-        **models,
+        accel=None if estimate is None else estimate.accel,
+        gyro=None,
         outcome=outcome,
         groups=() if estimate is None else estimate.groups,
         prediction=None if estimate is None else estimate.prediction,
-        evidence=Evidence(fits={} if fit is None else {WORDS[sensor]: fit.fit(nominal.result_unit)}),
+        evidence=Evidence(fits={} if fit is None else {"accelerometers": fit.fit("m/s^2")}),
         provenance=replace(
             provenance_of(table.sha256),
-            site=site if sensor == "accel" else None,
-            readings={sensor: meaning},
+            site=replace(_site(nominal), gravity_is_unit=nominal.gravity_u is None),
+            readings={"accel": meaning},
             notes=(*table.left_out, *_notes(table, nominal, fit), *notes),
         ),
     )
-    return ReadingsCalibration(
-        calibration=calibration, table=table, nominal=nominal, fit=fit, recorded=recorded and fit is not None
-    )
+    return ReadingsCalibration(calibration=calibration, table=table, nominal=nominal, fit=fit)
 
 
 def _check_lengths(table: ReadingsTable, nominal: Nominal) -> None:
@@ -267,30 +249,32 @@ def _check_lengths(table: ReadingsTable, nominal: Nominal) -> None:
 
 
 def _site(nominal: Nominal) -> Site:
-    """A place where the modulus is gravity."""
-    return Site(latitude=None, height=0.0, gravity=nominal.modulus, gravity_u=nominal.modulus_u or 0.0)
+    """The place of the readings, of which only gravity is known."""
+    return Site(latitude=None, height=0.0, gravity=nominal.gravity, gravity_u=nominal.gravity_u or 0.0)
+
+
+def _rests(table: ReadingsTable, nominal: Nominal, noise: Array) -> Observations:
+    """The readings as the mean readings of rests, with the covariance `noise` (3, 3) of each."""
+    return rests_of(nominal.to_si(table.values), noise, TRIAD, _site(nominal))
 
 
 def _fitted(table: ReadingsTable, nominal: Nominal, bad: float) -> tuple[EllipsoidFit | Refusal, Array]:
     """The fit without positions beyond `bad` standard deviations, and the covariance (3, 3) of a reading that it was
     made with. It has the scatter that the residuals show; where they show less than the last digit of the readings
-    explains, that. Of blocks of rows it has their own scatter."""
+    explains, that. Of several rows a position it has their own scatter."""
     readings = nominal.to_si(table.values)
-    fit = partial(fit_ellipsoid, readings, modulus=nominal.modulus, modulus_u=nominal.modulus_u or 0.0)
-    floor, none = np.diag((table.resolution_u / nominal.scale) ** 2), np.zeros((3, 3))
-    if table.stretch is not None:
-        return fit(blocks=table.stretch), none
+    fit = partial(fit_ellipsoid, readings, modulus=nominal.gravity, modulus_u=nominal.gravity_u or 0.0, bad_sigmas=bad)
+    floor, within = np.diag((table.resolution_u / nominal.scale) ** 2), table.covariance is not None
     if table.covariance is not None:
         floor += table.covariance / np.outer(nominal.scale, nominal.scale)
-    by_digits = fit(covariance=np.broadcast_to(floor, (len(readings), 3, 3)), bad_sigmas=bad)
+    by_digits = fit(covariance=np.broadcast_to(floor, (len(readings), 3, 3)))
     if isinstance(by_digits, Refusal):
         return by_digits, floor
-    within = table.covariance is not None
     if within and by_digits.scatter == 0.0 and table.degrees:
         by_digits = replace(by_digits, noise_degrees=float(table.degrees))
     if within or (by_digits.degrees > 0 and by_digits.chi_square <= by_digits.degrees):
         return by_digits, floor
-    return fit(bad_sigmas=bad), none
+    return fit(), np.zeros((3, 3))
 
 
 def _estimated(
@@ -299,17 +283,14 @@ def _estimated(
     """The fit, with the positions that what it leaves out makes look bad, the estimate of the method `ellipsoid`, and
     what its u has of what it leaves out, in words."""
     rests = _rests(table, nominal, noise)
-    if nominal.sensor == "gyro":
-        note = "u has no part of asymmetry and g-sensitivity of the gyros, which the readings do not tell from biases"
-        return fit, estimate_of(fit, rests), (note,)
-    if nominal.sensor == "mag" or terms == "linear" or fit.covariance is None:
+    if terms == "linear" or fit.covariance is None:
         return fit, estimate_of(fit, rests), ()
-    grades = [_usual(name, table) for name in (GRADES if grade is None else [grade])]
-    what = "quadratic and cubic terms and asymmetry" + (" and drift" if table.stretch is None else "")
+    every = [prior_sizes(name) for name in (GRADES if grade is None else [grade])]
+    grades = [{name: size for name, size in each.items() if name in AT_REST} for each in every]
     sizes = f"usual for the grade {grade}" if grade is not None else "usual for any grade (--grade states one)"
     note = (
-        f"{what} of the sizes {sizes} are in u, as far as the residuals allow for them; the values take them as "
-        "nothing, and --terms linear leaves them out"
+        f"quadratic and cubic terms and asymmetry and drift of the sizes {sizes} are in u, as far as the residuals "
+        "allow for them; the values take them as nothing, and --terms linear leaves them out"
     )
     bad = ~fit.used
     bad[list(fit.doubtful)] = True
@@ -320,8 +301,7 @@ def _estimated(
         of_all, noise = _fitted(table, nominal, np.inf)
         if isinstance(of_all, EllipsoidFit) and np.all(np.abs(of_all.residual) <= np.where(bad, allowed, np.inf)):
             fit, rests = of_all, _rests(table, nominal, noise)
-    estimate = with_groups(estimate_of(fit, rests), fit, rests, grades, by_residuals=table.stretch is None)
-    return fit, estimate, (note,)
+    return fit, with_groups(estimate_of(fit, rests), fit, rests, grades), (note,)
 
 
 def _by_faces(
@@ -329,17 +309,16 @@ def _by_faces(
 ) -> tuple[Estimate, Outcome, tuple[str, ...]] | None:
     """What positions give that determine bias and scale factor of each accelerometer and no angles, as six faces do, as
     the method `joint` has them from six logs; None where they do not."""
-    chosen = grade or [*GRADES][-1]
     rests, readings = _rests(table, nominal, noise), nominal.to_si(table.values)
-    if np.abs(rough_directions(readings)).max(axis=1).min() < UPRIGHT:
+    upright = np.abs(rough_directions(readings)).max(axis=1) >= UPRIGHT
+    if not FACES <= len(readings) < RECORDING or not upright.all():
         return None
-    middle = 0.5 * (readings.min(axis=0) + readings.max(axis=0))
-    usual = {} if terms == "linear" else prior_sizes(chosen)
-    covariance = rests.rests.accel_covariance + (LEAST_NOISE * nominal.modulus) ** 2 * np.eye(3)
+    chosen, middle = grade or [*GRADES][-1], 0.5 * (readings.min(axis=0) + readings.max(axis=0))
+    covariance = rests.rests.accel_covariance + (LEAST_NOISE * nominal.gravity) ** 2 * np.eye(3)
     observations = replace(
         rests,
         rests=replace(rests.rests, accel_covariance=covariance),
-        usual=usual,
+        usual={} if terms == "linear" else prior_sizes(chosen),
         in_run={"accel": GRADES[chosen].noise.accel_instability},
         start=dict(zip(TRIAD.names, middle.tolist(), strict=False)),
     )
@@ -353,25 +332,7 @@ def _by_faces(
     return estimate, verdict(estimate, observations), (note,)
 
 
-def _usual(grade: str, table: ReadingsTable) -> dict[str, float]:
-    """What a table may have beyond the linear model, and its usual size; a recording has its drift in its residuals."""
-    names = [name for name in AT_REST if table.stretch is None or variable_of(name) is None]
-    return {name: size for name, size in prior_sizes(grade).items() if name in names}
-
-
-def _rests(table: ReadingsTable, nominal: Nominal, noise: Array) -> Observations:
-    """The readings as the mean readings of rests, with the modulus in the place of gravity."""
-    readings = nominal.to_si(table.values)
-    N = len(readings)
-    none, start = np.zeros((N, 0)), np.asarray(np.arange(N) * (ON_TABLE.rest + MOVE))
-    white = Rests.of_white_noise(start, start + ON_TABLE.rest, accel=readings, gyro=none, densities=(0.0, 0.0))
-    covariance = np.broadcast_to(noise, (N, 3, 3))
-    return Observations(
-        accel_block=TRIAD,
-        gyro_block=None,
-        site=_site(nominal),
-        rests=replace(white, accel_covariance=covariance, accel_drift=none, accel_noise=none),
-    )
+# -------------------- what is said of it --------------------
 
 
 def _reasons(table: ReadingsTable, nominal: Nominal, fit: EllipsoidFit) -> Iterator[str]:
@@ -380,7 +341,7 @@ def _reasons(table: ReadingsTable, nominal: Nominal, fit: EllipsoidFit) -> Itera
     if misstated is not None:
         yield misstated
         return
-    size, unit = engineering(nominal.result_unit, float(np.abs(fit.residual).max()))
+    size, unit = engineering("m/s^2", float(np.abs(fit.residual).max()))
     for i in np.flatnonzero(~fit.used).tolist():
         yield (
             f"position {_named(table, [i])} does not fit: {fit.sigmas[i]:.1f} sigma, "
@@ -389,7 +350,7 @@ def _reasons(table: ReadingsTable, nominal: Nominal, fit: EllipsoidFit) -> Itera
     if fit.doubtful and fit.worst is not None:
         several = "; these positions do not tell which, so that none was left out" if len(fit.doubtful) > 1 else ""
         yield f"position {_named(table, sorted(fit.doubtful))} does not fit: {fit.worst.sigmas:.1f} sigma{several}"
-    if _limit(table, nominal, fit) * nominal.modulus < fit.scatter:
+    if fit.scatter > _limit(table, fit) * nominal.gravity:
         yield _scatter(table, nominal, fit)
     if not fit.converged:
         yield "the fit did not converge: the readings contradict the model"
@@ -397,30 +358,30 @@ def _reasons(table: ReadingsTable, nominal: Nominal, fit: EllipsoidFit) -> Itera
 
 def _remarks(table: ReadingsTable, nominal: Nominal, fit: EllipsoidFit) -> Iterator[str]:
     """What is to be known of a fit that may be accepted."""
-    if table.stretch is not None:
-        if nominal.sensor == "accel":
-            yield WAVED
-    elif SCATTER_SAID[nominal.sensor] < fit.scatter / nominal.modulus <= _limit(table, nominal, fit):
+    if SCATTER_SAID < fit.scatter / nominal.gravity <= _limit(table, fit):
         yield f"{_scatter(table, nominal, fit)}; u has it"
+    if len(table.values) >= RECORDING and table.rows == 1:
+        yield (
+            f"{len(table.values)} rows count as positions at rest: of a recording neighbours err alike, and a device "
+            "that is moved reads its own motion, of which u has nothing; take a log with `tumble calibrate`"
+        )
 
 
-def _limit(table: ReadingsTable, nominal: Nominal, fit: EllipsoidFit) -> float:
-    """The scatter, in parts of the modulus, above which there is no result."""
+def _limit(table: ReadingsTable, fit: EllipsoidFit) -> float:
+    """The scatter, in parts of gravity, above which there is no result."""
     single = fit.worst is not None and fit.worst.sigmas > _sigmas(DOUBT_CHANCE, table)
-    return SCATTER_SAID[nominal.sensor] if single and table.stretch is None else SCATTER_LIMIT
+    return SCATTER_SAID if single else SCATTER_LIMIT
 
 
 def _scatter(table: ReadingsTable, nominal: Nominal, fit: EllipsoidFit) -> str:
     """That readings scatter by more than they should, and where to look first."""
-    size, unit = engineering(nominal.result_unit, fit.scatter)
+    size, unit = engineering("m/s^2", fit.scatter)
     first, look = () if fit.worst is None else (fit.worst.position, *fit.worst.rivals), ""
     if fit.worst is not None and len(first) <= NAMED and fit.worst.scatter < 0.5 * fit.scatter:
         without = f"{fit.worst.scatter / size:.3g} {unit}"
         look = f"; look first at position {_named(table, sorted(first))}, without which it would be {without}"
-    rows = "positions" if table.stretch is None else "samples"
-    limits = (limit for limit in (SCATTER_LIMIT, SCATTER_SAID[nominal.sensor]) if limit * nominal.modulus < fit.scatter)
-    most = next(limits) * nominal.modulus / size
-    return f"the {rows} scatter by {fit.scatter / size:.3g} {unit}, more than {most:.3g} {unit}{look}"
+    limit = nominal.gravity * (SCATTER_LIMIT if SCATTER_LIMIT * nominal.gravity < fit.scatter else SCATTER_SAID)
+    return f"the positions scatter by {fit.scatter / size:.3g} {unit}, more than {limit / size:.3g} {unit}{look}"
 
 
 def _sigmas(chance: float, table: ReadingsTable) -> float:
@@ -434,18 +395,14 @@ def _named(table: ReadingsTable, which: Iterable[int]) -> str:
 
 
 def _misstated(nominal: Nominal, seen: Array | None) -> str | None:
-    """That the channels' output `seen` (3,), per SI unit, is not what scale and unit state, and which would fit; iron
-    around a magnetometer may do more."""
-    if nominal.estimated or nominal.sensor == "mag" or seen is None or is_near_one(seen / np.abs(nominal.scale)):
+    """That the channels' output `seen` (3,), per m/s², is not what scale and unit state, and which would fit."""
+    if nominal.estimated or seen is None or is_near_one(seen / np.abs(nominal.scale)):
         return None
-    stated, outputs = (
-        ", ".join(f"{v * nominal.per_factor:.3g}" for v in scale)
-        for scale in (nominal.scale, np.sign(nominal.scale) * seen)
-    )
-    fitting = [f"--unit {unit}" for unit in fitting_units(seen, UNITS[nominal.sensor])]
+    per_unit = np.sign(nominal.scale) * seen * UNITS[nominal.per]
+    stated, outputs = (", ".join(f"{v:.3g}" for v in scale) for scale in (nominal.per_unit, per_unit))
+    fitting = [f"--unit {unit}" for unit in fitting_units(seen, UNITS)]
     if nominal.unit == nominal.per:
-        length = "gravity" if nominal.sensor == "accel" else "--modulus"
-        fault = f"the readings are {outputs} times what --unit {nominal.unit} and {length} give"
+        fault = f"the readings are {outputs} times what --unit {nominal.unit} and gravity give"
     else:
         fault = f"the outputs seen are {outputs} {nominal.unit}/{nominal.per}, the scale states {stated}"
         fitting += [f"--scale={outputs}".replace(" ", "")]
@@ -453,26 +410,20 @@ def _misstated(nominal: Nominal, seen: Array | None) -> str | None:
 
 
 def _notes(table: ReadingsTable, nominal: Nominal, fit: EllipsoidFit | None) -> Iterator[str]:
-    """What u has of the modulus, where that is not what is usual, and what was taken for scale and polarity."""
-    u, per = nominal.modulus_u, ", ".join(f"{s * nominal.per_factor:.6g}" for s in nominal.scale)
-    if nominal.sensor == "accel" and u is None:
+    """What u has of gravity, where that is not what is usual, and what was taken for scale and polarity."""
+    u = nominal.gravity_u
+    if u is None:
         yield (
             "gravity is not stated: g at the place of the readings is the unit, for which 9.80665 m/s^2 stands; u has "
             "no part of it, which may be 0.3 %. For values in m/s^2 give --gravity and --gravity-u"
         )
-    elif nominal.sensor == "accel" and u == 0.0:
+    elif u == 0.0:
         yield "gravity is taken as exact, as --gravity-u states"
-    elif nominal.sensor == "accel":
-        yield f"gravity {nominal.modulus:.9g} m/s^2 with u = {u:.2g} m/s^2, in all scale factors"
-    elif u is None and nominal.per != THE_FIELD:
-        what = {"gyro": "the rate of the table", "mag": "the field"}[nominal.sensor]
-        yield (
-            f"the uncertainty of {what} is not stated (--modulus-u): scale factors are relative to it, and u has no "
-            "part of it"
-        )
+    else:
+        yield f"gravity {nominal.gravity:.9g} m/s^2 with u = {u:.2g} m/s^2, in all scale factors"
     if nominal.estimated:
-        fitting = [f"--unit {unit}" for unit in fitting_units(np.abs(nominal.scale), UNITS[nominal.sensor])]
-        also = f"; {' or '.join(fitting)} would fit" if fitting else ""
+        per, fitting = ", ".join(f"{s:.6g}" for s in nominal.per_unit), fitting_units(np.abs(nominal.scale), UNITS)
+        also = f"; {' or '.join(f'--unit {unit}' for unit in fitting)} would fit" if fitting else ""
         yield f"no nominal scale was stated: {per} {nominal.unit}/{nominal.per} was taken from the readings{also}"
     if nominal.assumed:
         yield (
@@ -519,20 +470,16 @@ def paper_form(result: ReadingsCalibration) -> PaperForm:
         covariance=None if calibration.covariance is None else calibration.covariance[:9, :9],
         target="paper",
     )
-    values, model = framed.values, framed.accel
-    inverse = model.inverse()
-    b = inverse @ model.bias
+    values, inverse, size = framed.values, framed.accel.inverse(), UNITS[nominal.per]
+    b = inverse @ framed.accel.bias
     derivative = Convention(frame="paper", block=TRIAD).jacobian(values)
     by_values = np.zeros((9, 9))
-    scale = nominal.scale * nominal.per_factor
-    by_values[:3, 3:6] = np.diag(scale)
+    by_values[:3, 3:6] = np.diag(nominal.per_unit)
     by_values[3:6, [8, 7, 6]] = np.eye(3)  # θx, θy, θz are yz, xz, xy
-    change = derivative[:, 3] - np.einsum("pqm,q->pm", derivative[:, :3], b)
-    by_values[6:] = inverse @ change / nominal.per_factor
-    covariance = None if framed.covariance is None else by_values @ framed.covariance @ by_values.T
+    by_values[6:] = inverse @ (derivative[:, 3] - np.einsum("pqm,q->pm", derivative[:, :3], b)) / size
     return PaperForm(
-        k=scale * (1.0 + values[3:6]),
+        k=nominal.per_unit * (1.0 + values[3:6]),
         theta=values[[8, 7, 6]],
-        b=b / nominal.per_factor,
-        covariance=covariance,
+        b=b / size,
+        covariance=None if framed.covariance is None else by_values @ framed.covariance @ by_values.T,
     )

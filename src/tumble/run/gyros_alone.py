@@ -30,11 +30,11 @@ from tumble.reduction.blocks.reducer import Reduction, reduce_log
 from tumble.reduction.noise.coloured_noise import fit_coloured_noise
 from tumble.reduction.rests.segmentation import Segmentation, find_rests
 from tumble.result.calibration import Calibration
-from tumble.result.parts import Evidence, Parameter, Readings
+from tumble.result.parts import Evidence, Parameter
 from tumble.result.uncertainty_budget import contributions_of
 from tumble.rotation import UP, rotation_matrix, rotation_vector
 from tumble.run.calibrate import provenance_of
-from tumble.run.from_estimate import device_of, readings_of_session
+from tumble.run.from_estimate import readings_of_session, without_result
 from tumble.run.observed import Progress
 from tumble.sensors.grades import GRADES
 from tumble.sensors.model import Block, SensorModel
@@ -115,44 +115,34 @@ def calibrate_gyros(found: GyroRests) -> Calibration:
     seconds = np.array([rest.stop - rest.start for rest in found.segmentation.rests])
     white = float(np.median(found.noise * np.sqrt(seconds)[:, None]))
     grade = min(GRADES, key=lambda name: abs(math.log(max(white, 1e-15) / GRADES[name].noise.gyro_white)))
-    by_force = usual_sizes(grade)["gyro.g_sensitivity"] * G_STANDARD
+    by_force = usual_sizes(grade)["gyro.g_sensitivity"]
     of_noise = (found.noise**2).mean(axis=0)
     scatter = np.maximum(found.mean.var(axis=0, ddof=1) - of_noise, 0.0) if N > 1 else np.zeros(3)
-    names = block.names[:3]
-    parts = (
-        (source("gyro.noise"), of_noise / N),
-        (source("gyro.scatter", dof=None if N < 2 else N - 1.0), scatter / N),
-        (source("earth", EARTH_RATE / math.sqrt(3.0), "rad/s"), np.full(3, EARTH_RATE**2 / 3.0)),
-        (source("prior.gyro.g_sensitivity", by_force / G_STANDARD, "rad*s/m"), np.full(3, by_force**2)),
-    )
-    budget = UncertaintyBudget(
-        sources=tuple(each for each, _ in parts), covariances=np.array([np.diag(variance) for _, variance in parts])
-    )
-    covariance, bias = budget.covariances.sum(axis=0), found.mean.mean(axis=0)
-    missing = block.names[3:]
+    parts = {  # Eq. (1)
+        source("gyro.noise"): of_noise / N,
+        source("gyro.scatter", dof=None if N < 2 else N - 1.0): scatter / N,
+        source("earth", EARTH_RATE / math.sqrt(3.0), "rad/s"): np.full(3, EARTH_RATE**2 / 3.0),
+        source("prior.gyro.g_sensitivity", by_force, "rad*s/m"): np.full(3, (by_force * G_STANDARD) ** 2),
+    }
+    budget = UncertaintyBudget(sources=tuple(parts), covariances=np.array([np.diag(each) for each in parts.values()]))
+    names, covariance, bias = block.names[:3], budget.covariances.sum(axis=0), found.mean.mean(axis=0)
     absent = "gyro.scale, gyro.axis: not shown by gyros alone, taken as 0"
-    provenance = provenance_of(found.sha256)
-    worth: Readings = readings_of_session(session)["accel"]
-    return Calibration(
-        device=device_of(session),
-        method="rest",
-        frame="accelerometer",
+    nothing = without_result(session, "rest", Outcome(unobservable=block.names[3:]), provenance_of(found.sha256))
+    return replace(
+        nothing,
         parameters=tuple(
             Parameter(name=name, value=float(value), u=float(u), unit="rad/s")
             for name, value, u in zip(names, bias, np.sqrt(np.diag(covariance)), strict=True)
         ),
         covariance=covariance,
-        accel=None,
         gyro=SensorModel(matrix=block.nominal().matrix, bias=bias),
-        outcome=Outcome(unobservable=missing),
         axes={"gyro": tuple(map(tuple, block.axes.tolist()))},
-        evidence=Evidence(
-            budget=contributions_of(budget, names, {"gyro.g_sensitivity": f"guessed grade {grade}"}),
-        ),
+        evidence=Evidence(budget=contributions_of(budget, names, {"gyro.g_sensitivity": f"guessed grade {grade}"})),
         provenance=replace(
-            provenance,
+            nothing.provenance,
+            site=None,
             sample_rate=found.reduction.rate,
-            readings={"gyro": worth},
+            readings={"gyro": readings_of_session(session)["accel"]},
             absent=(absent,),
             assumptions=(
                 f"{absent}; to have them {MORE}",

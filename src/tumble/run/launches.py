@@ -24,7 +24,7 @@ from tumble.inference.estimate import GroupFinding, Outcome
 from tumble.inference.magnetic_estimate import block_near
 from tumble.inference.prediction import Prediction, prediction
 from tumble.inference.prior import DevicePrior
-from tumble.inference.sources import Source, UncertaintyBudget, by_time_base, clocked, source
+from tumble.inference.sources import UncertaintyBudget, by_time_base, clocked, source
 from tumble.recording.log import Log
 from tumble.recording.session import AirConditions, Circumstances, Session
 from tumble.recording.session_file import session_from
@@ -107,62 +107,61 @@ def calibrate_launches(
         raise InputError("sessions: expected at least one, found none")
     if prior is not None and len(sessions) > 1:
         raise InputError(f"prior: expected one session with it, found {len(sessions)}")
-    runs = []
     words: dict[str, Any] = {"iterations": iterations, "frame": frame, "terms": terms, "prior": prior}
-    for session in map(session_from, sessions):
-        calibration = calibrate(session, method=method, progress=progress, **words)
-        runs.append(Run(session=session, calibration=calibration))
+    runs = [
+        Run(session=session, calibration=calibrate(session, method=method, progress=progress, **words))
+        for session in map(session_from, sessions)
+    ]
     return mean_of_launches(runs, alike=alike) if len(runs) > 1 else runs[0].calibration
-
-
-def _mean_magnetometer(one: SensorModel, by_name: Mapping[str, float]) -> SensorModel:
-    """The magnetometer of mean parameters, near the axes of one of those."""
-    return block_near(one.matrix).model(np.array([by_name[name] for name in NAMES]))
 
 
 def mean_of_launches(runs: Sequence[Run], *, alike: Sequence[LaunchVariances] = ()) -> Calibration:
     """Mean of the calibrations of several sessions of one device by the same method, see `calibrate_launches`."""
     launches = [run.calibration for run in runs]
     first, session, count = launches[0], runs[0].session, len(runs)
-    digests = [launch.provenance.log_sha256 or "" for launch in launches]
+    sources = [launch.provenance for launch in launches]
+    digests = [each.log_sha256 or "" for each in sources]
     for run in runs[1:]:
         if run.calibration.serial != first.serial:
             raise InputError(
                 f"{run.session.name}: expected a launch of device {first.serial!r} like the first session, found "
                 f"{run.calibration.serial!r}; calibrate each device by itself"
             )
-    check_recordings([(r.session.name, d, _means(r.calibration)) for r, d in zip(runs, digests, strict=True)])
+    check_recordings([run.session for run in runs], digests)
     names = [name for name in first if all(name in launch for launch in launches)]
     references = [launch.temperature.references for launch in launches]
-    sizes = [{kind: len(celsius) for kind, celsius in each.items()} for each in references]
-    kinds = sizes[0] if all(each == sizes[0] for each in sizes) else ()
+    alike_sensors = _common([{kind: len(celsius) for kind, celsius in each.items()} for each in references]) or ()
     temperature = CalibratedTemperature(
         reference=_mean_where_known([launch.reference_temperature for launch in launches]),
         thermometers=_common_items([launch.temperature.thermometers for launch in launches]),
-        references={kind: tuple(np.mean([each[kind] for each in references], axis=0).tolist()) for kind in kinds},
+        references={k: tuple(np.mean([each[k] for each in references], axis=0).tolist()) for k in alike_sensors},
     )
     values, covariances = at_temperature(launches, names, temperature)
     clock_u = min(run.session.log.time_base_u for run in runs)
-    common = _common_errors(launches, names, covariances, by_time_base(names, clocked(clock_u, session.log.increments)))
+    by_clock = by_time_base(names, clocked(clock_u, session.log.increments))
+    shared = _shared_covariances(launches, names, covariances, by_clock)
     instability, pooled_with = _instability(launches, names, values, digests, alike)
-    parameters, covariance, of_launches = _mean_parameters(launches, names, values, covariances, common, instability)
-    mean, of_common, site = values.mean(axis=0), common.all_launches, first.provenance.site
-    between = (source("launches", dof=None if alike else count - 1.0), covariance - of_launches - of_common)
-    of_gravity = (source("gravity", None if site is None else site.gravity_u, "m/s^2"), common.gravity)
-    of_clock = (source("clock", clock_u, "1"), common.clock)
-    budget = _by_source(launches, names, common, of_launches)
-    for each_source, of_source in (between, of_gravity, of_clock):
-        budget = budget.beside(each_source, of_source)
-    by_name, sources = dict(zip(names, mean.tolist(), strict=True)), [launch.provenance for launch in launches]
+    parameters, covariance, of_launches = _mean_parameters(launches, names, values, covariances, shared, instability)
+    mean, of_common = values.mean(axis=0), sum(each.mean(axis=0) for each in shared.values())
+    budget = _by_source(launches, names, shared, of_launches)
+    site = first.provenance.site
+    for each, part in (
+        (source("launches", dof=None if alike else count - 1.0), covariance - of_launches - of_common),
+        (source("gravity", None if site is None else site.gravity_u, "m/s^2"), shared["gravity"][0]),
+        (source("clock", clock_u, "1"), shared["clock"][0]),
+    ):
+        budget = budget.beside(each, part)
+    by_name = dict(zip(names, mean.tolist(), strict=True))
+    convention = frame_of(first.frame)
     return Calibration(
         device=replace(first.device, imu=_common_items([launch.imu for launch in launches])),
         method=first.method,
         frame=first.frame,
         parameters=parameters,
         covariance=covariance,
-        accel=_mean_model(first.frame, session.accel_block, by_name),
-        gyro=_mean_model(first.frame, session.gyro_block, by_name),
-        mag=None if first.mag is None or not set(NAMES) <= set(names) else _mean_magnetometer(first.mag, by_name),
+        accel=_mean_model(convention, session.accel_block, by_name),
+        gyro=_mean_model(convention, session.gyro_block, by_name),
+        mag=None if first.mag is None else _mean_model("accelerometer", block_near(first.mag.matrix), by_name),
         outcome=Outcome(  # every sentence with the name of its session
             reasons=tuple(f"{run.name}: {reason}" for run in runs for reason in run.calibration.outcome.reasons),
             remarks=tuple(f"{run.name}: {remark}" for run in runs for remark in run.calibration.outcome.remarks),
@@ -198,81 +197,32 @@ def mean_of_launches(runs: Sequence[Run], *, alike: Sequence[LaunchVariances] = 
 # -------------------- the statistics of the mean (see `tumble.result.coverage`) --------------------
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class CommonErrors:
-    """Covariances (m, m) of errors that all launches have in common: of gravity, of the time base, and by group
-    (L, m, m) of the priors."""
-
-    gravity: Array
-    clock: Array
-    of_groups: Mapping[str, Array]
-
-    @property
-    def priors(self) -> Array:
-        """Covariances (L, m, m) of the errors of all priors."""
-        return np.asarray(sum(self.of_groups.values(), np.zeros((1, *self.gravity.shape))))
-
-    @property
-    def all_launches(self) -> Array:
-        """Covariance (m, m) of all common errors in the mean."""
-        return np.asarray(self.gravity + self.clock + self.priors.mean(axis=0))
-
-
-def _common_errors(
+def _shared_covariances(
     launches: Sequence[Calibration], names: Sequence[str], covariances: Array, by_clock: Array
-) -> CommonErrors:
-    """Errors that the launches have in common, gravity where they used one value of it; `by_clock` (m,) is what one
-    standard uncertainty of the time base changes."""
+) -> dict[str, Array]:
+    """Covariances (L, m, m) of errors that the launches have in common, by source: of gravity where they used one value
+    of it, of the time base, one standard uncertainty of which changes `by_clock` (m,), and of the priors of groups."""
     site, members = launches[0].provenance.site, [[launch[n] for n in names] for launch in launches]
     gravity = np.zeros(len(names))
     if all(shared_gravity(site, launch.provenance.site) for launch in launches):
         gravity = np.mean([by_gravity(p, C, site) for p, C in zip(members, covariances, strict=True)], axis=0)
-    of_groups: dict[str, Array] = {}
+    shared = {
+        "gravity": np.broadcast_to(np.outer(gravity, gravity), covariances.shape),
+        "clock": np.broadcast_to(np.outer(by_clock, by_clock), covariances.shape),
+    }
     for i, (parameters, C, launch) in enumerate(zip(members, covariances, launches, strict=True)):
         changes = [
-            (group_name(name), np.outer(each, each))
+            (f"prior.{group_name(name)}", np.outer(each, each))
             for name, each in by_priors(parameters, C, launch.evidence.budget).items()
         ]
-        groups = {group for group, _ in changes}
+        known = {prior for prior, _ in changes}
         for each in launch.evidence.budget:  # of groups that are in u alone, as with linear terms
             prior, _, group = each.name.partition(".")
-            if prior == "prior" and beyond_linear(group) and group not in groups and is_of_device(group):
-                changes.append((group, np.diag([each.contributions.get(name, 0.0) ** 2 for name in names])))
-        for group, square in changes:
-            of_groups.setdefault(group, np.zeros_like(covariances))[i] += square
-    of_gravity, of_clock = np.outer(gravity, gravity), np.outer(by_clock, by_clock)
-    return CommonErrors(gravity=of_gravity, clock=of_clock, of_groups=of_groups)
-
-
-def _by_source(
-    launches: Sequence[Calibration], names: Sequence[str], common: CommonErrors, of_launches: Array
-) -> UncertaintyBudget:
-    """The budget of the mean by the sources of its launches: each has of the variances in `of_launches` (m, m) the
-    share that it has of the sum of those of the launches, and of a prior beside it what is common to all. Its standard
-    uncertainty is the root mean square over the launches, with the degrees of freedom of that."""
-    every: dict[str, list[SourceContributions]] = {}
-    for each in (each for launch in launches for each in launch.evidence.budget):
-        every.setdefault(each.name, []).append(each)
-    apart = {"clock", *(("gravity",) if common.gravity.any() else ())}
-    variances, sources, shared = list[Array](), list[Source](), list[Array]()
-    for name, members in every.items():
-        if name in apart:
-            continue
-        of_prior = common.of_groups.get(name.removeprefix("prior."), np.zeros((1, *of_launches.shape)))
-        summed = np.array([[each.contributions.get(n, 0.0) ** 2 for n in names] for each in members]).sum(axis=0)
-        variances.append((summed - np.diagonal(of_prior, axis1=1, axis2=2).sum(axis=0)).clip(0.0))
-        shared.append(of_prior.mean(axis=0))
-        u, dof = [each.u or 0.0 for each in members], None
-        if all(each.dof is not None for each in members):
-            dof = welch_satterthwaite((size**2, each.dof) for size, each in zip(u, members, strict=True))
-        rms = None if members[0].u is None else float(np.sqrt(np.mean(np.square(u))))
-        sources.append(replace(source(name, rms, members[0].unit, dof), basis=members[0].basis))
-    total = np.sum(variances, axis=0) if variances else np.zeros(len(names))
-    budget, between = UncertaintyBudget(sources=(), covariances=np.empty((0, *of_launches.shape))), np.diag(of_launches)
-    for of_source, variance, in_common in zip(sources, variances, shared, strict=True):
-        share = np.divide(variance, total, out=np.zeros_like(total), where=total > 0.0)
-        budget = budget.beside(of_source, np.diag(share * between) + in_common)
-    return budget
+            if prior == "prior" and beyond_linear(group) and each.name not in known and is_of_device(group):
+                changes.append((each.name, np.diag([each.contributions.get(name, 0.0) ** 2 for name in names])))
+        for prior, square in changes:
+            shared.setdefault(prior, np.zeros_like(covariances))[i] += square
+    return shared
 
 
 def _instability(
@@ -284,13 +234,13 @@ def _instability(
 ) -> tuple[list[tuple[float, float]], tuple[str, ...]]:
     """Variance from launch to launch of every parameter with its degrees of freedom, by these launches and, if the
     device is like them, by those of its type; and notes on that."""
-    others = [each for each in alike if not each.logs & set(digests)]
+    others, degrees = [each for each in alike if not each.logs & set(digests)], len(launches) - 1.0
     instability, unlike, model = [], [], launches[0].model
     for name, s2 in zip(names, np.var(values, axis=0, ddof=1).tolist(), strict=True):
         noise = float(np.mean([own_variance(launch, name) for launch in launches]))
-        both = pooled(s2, len(launches) - 1.0, variance_of_type(others, name, noise))
+        both = pooled(s2, degrees, variance_of_type(others, name, noise))
         unlike += [name] if both is None else []
-        instability.append((s2, len(launches) - 1.0) if both is None else both)
+        instability.append(both or (s2, degrees))
     if not alike:
         return instability, ()
     note = (
@@ -306,17 +256,16 @@ def _mean_parameters(
     names: Sequence[str],
     values: Array,
     covariances: Array,
-    common: CommonErrors,
+    shared: Mapping[str, Array],
     instability: Sequence[tuple[float, float]],
 ) -> tuple[tuple[Parameter, ...], Array, Array]:
     """Parameters of the mean with their covariance (m, m), and the part (m, m) of it from the launches themselves."""
-    count, of_common = len(launches), common.all_launches
-    apart = covariances - common.gravity - common.clock - common.priors
+    count, of_common = len(launches), np.sum([each.mean(axis=0) for each in shared.values()], axis=0)
+    apart = covariances - np.sum([*shared.values()], axis=0)
     variances = np.diagonal(apart, axis1=1, axis2=2).clip(0.0)
     of_launches = apart.sum(axis=0) / count**2
     covariance = of_launches + of_common
     np.fill_diagonal(of_launches, variances.sum(axis=0) / count**2)
-    mean, spread = values.mean(axis=0), np.std(values, axis=0, ddof=1)
     parameters = []
     for i, name in enumerate(names):
         each = [launch[name] for launch in launches]
@@ -327,22 +276,62 @@ def _mean_parameters(
         s2, degrees = instability[i]
         u, dof = degrees_of_mean(parts, float(np.sqrt(s2)), float(np.sqrt(of_common[i, i])), degrees=degrees)
         covariance[i, i] = u**2
-        deviations = [p.deviation for p in each if p.deviation is not None]
         prior = max((p.prior for p in each if p.prior is not None), default=None)
         parameters.append(
             Parameter(
                 name=name,
-                value=float(mean[i]),
+                value=float(values[:, i].mean()),
                 u=float(np.sqrt(covariance[i, i])),
                 unit=each[0].unit,
-                deviation=sum(deviations) / count if len(deviations) == count else None,
-                run_to_run=float(spread[i]),
+                deviation=_mean_where_known([p.deviation for p in each]),
+                run_to_run=float(np.std(values[:, i], ddof=1)),
                 dof=dof,
                 prior=prior,
                 learned=None if prior is None else learned_fraction(u, prior),
             )
         )
     return tuple(parameters), covariance, of_launches
+
+
+def _by_source(
+    launches: Sequence[Calibration], names: Sequence[str], shared: Mapping[str, Array], of_launches: Array
+) -> UncertaintyBudget:
+    """The budget of the mean by the sources of its launches: each has of the variances in `of_launches` (m, m) the
+    share that it has of the sum of those of the launches, and of a prior beside it what is common to all. Its standard
+    uncertainty is the root mean square over the launches, with the degrees of freedom of that."""
+    every: dict[str, list[SourceContributions]] = {}
+    for each in chain(*(launch.evidence.budget for launch in launches)):
+        if each.name != "clock" and (each.name != "gravity" or not shared["gravity"].any()):
+            every.setdefault(each.name, []).append(each)
+    nothing = np.zeros((1, *of_launches.shape))
+    priors = [shared.get(name, nothing) if name.startswith("prior.") else nothing for name in every]
+    own = [
+        np.sum([[each.contributions.get(n, 0.0) ** 2 for n in names] for each in members], axis=0)
+        - np.diagonal(prior, axis1=1, axis2=2).sum(axis=0)
+        for members, prior in zip(every.values(), priors, strict=True)
+    ]
+    variances = np.reshape(own, (len(own), len(names))).clip(0.0)
+    total = variances.sum(axis=0)
+    shares = np.divide(variances, total, out=np.zeros_like(variances), where=total > 0.0)
+    budget = UncertaintyBudget(sources=(), covariances=np.empty((0, *of_launches.shape)))
+    for (name, members), prior, share in zip(every.items(), priors, shares, strict=True):
+        u, dof = [each.u or 0.0 for each in members], None
+        if all(each.dof is not None for each in members):
+            dof = welch_satterthwaite((size**2, each.dof) for size, each in zip(u, members, strict=True))
+        rms = None if members[0].u is None else float(np.sqrt(np.mean(np.square(u))))
+        each_source = replace(source(name, rms, members[0].unit, dof), basis=members[0].basis)
+        budget = budget.beside(each_source, np.diag(share * np.diag(of_launches)) + prior.mean(axis=0))
+    return budget
+
+
+# -------------------- what the launches have in common --------------------
+
+
+def check_recordings(sessions: Sequence[Session], digests: Sequence[str]) -> None:
+    """Raises InputError where two sessions are one: of logs with the same SHA-256, without the same parts."""
+    for (one, digest), (other, other_digest) in combinations(zip(sessions, digests, strict=True), 2):
+        if digest == other_digest and one.excluded == other.excluded:
+            raise InputError(f"{other.name}: holds the same recording as {one.name}; name every recording once")
 
 
 def digest_of_all(digests: Iterable[str]) -> str:
@@ -420,60 +409,13 @@ def _prediction(runs: Sequence[Run], names: list[str], values: Array, covariance
     )
 
 
-def _mean_model(frame: str, block: Block | None, values: Mapping[str, float]) -> SensorModel | None:
+def _mean_model(frame: Frame, block: Block | None, values: Mapping[str, float]) -> SensorModel | None:
     """The sensor model of the mean parameters; None where a launch lacks one of them."""
     if block is None:
         return None
-    convention = Convention(frame=frame_of(frame), block=block)
+    if block.kind == "mag":
+        return block.model(np.array([values[name] for name in NAMES])) if set(NAMES) <= set(values) else None
+    convention = Convention(frame=frame, block=block)
     if not set(convention.names) <= set(values):
         return None
     return convention.model(np.array([values[name] for name in convention.names]))
-
-
-# -------------------- whether two recordings are one, given twice: in other formats, or with other digits -----------
-
-
-CLOSE = 0.5
-"""Standard uncertainties of the noise of a mean: rounding changes it by less, and another recording of the same
-attitude, whose means differ by √2 of them, is as close in six channels once in 2,500 times."""
-SHARE = 0.5
-"""Of the rests of the shorter recording, that have one like them in the other; chance makes two of them once in
-millions."""
-EQUAL = 1e-9
-"""Relative: means of equal numbers that were added up in another way."""
-
-Means = tuple[Array, Array]
-"""Mean readings (N, n) of all channels at rest, and the standard uncertainties (N, n) of their noise."""
-
-
-def check_recordings(recordings: Sequence[tuple[str, str, Means]]) -> None:
-    """Raises InputError where two recordings, each with its name, the SHA-256 of the log and what its rests read, are
-    one: they read the same to rounding, or neither rests and they are of one log."""
-    for (name, digest, means), (other, other_digest, other_means) in combinations(recordings, 2):
-        if same_recording(means, other_means) or (digest == other_digest and not len(means[0])):
-            raise InputError(
-                f"{other}: holds the same recording as {name}, their rests read the same to rounding; name every "
-                "recording once"
-            )
-
-
-def same_recording(first: Means, second: Means) -> bool:
-    """Whether rests of two recordings read the same values to rounding."""
-    fewer = min(len(first[0]), len(second[0]))
-    if not fewer or first[0].shape[1] != second[0].shape[1]:
-        return False
-    apart = np.abs(first[0][:, None] - second[0][None])
-    near = CLOSE * np.minimum(first[1][:, None], second[1][None]) + EQUAL * np.abs(first[0][:, None])
-    alike = np.any(np.all(apart <= near, axis=2), axis=1)
-    return bool(np.count_nonzero(alike) >= max(SHARE * fewer, 1))
-
-
-def _means(calibration: Calibration) -> Means:
-    """What the sensors read in the rests of a calibration."""
-    means, u = [], []
-    for rest in calibration.evidence.rests:
-        sensors = [each for each in (rest.accel, rest.gyro) if each is not None]
-        if sensors:
-            means.append(np.concatenate([each.mean for each in sensors]))
-            u.append(np.concatenate([each.noise for each in sensors]) / np.sqrt(rest.stop - rest.start))
-    return (np.array(means), np.array(u)) if means else (np.empty((0, 0)), np.empty((0, 0)))

@@ -56,7 +56,8 @@ class Observed(Judged):
     """What a session's log shows: the `digest` of its content, perhaps still on its way, the gaps that were bridged,
     the rests and turns that were found and rejected, and the observations of all of them (None where nothing rests);
     `faults`, in sentences, are what is wrong with the recording, `gyro_faults` what spoils the gyros alone, and
-    `gyro_bias_faults` what spoils nothing but their biases.
+    `gyro_bias_faults` what spoils nothing but their biases. When it was `recorded`, ISO 8601, is by the log's own
+    times; `notes` are what is remarkable in these.
 
     `trial` are the observations, or, where no rest was found with the gyros, those of the rests that the accelerometers
     alone show: in a wrong unit every turn is too slow to be one."""
@@ -74,9 +75,7 @@ class Observed(Judged):
     gyro_faults: tuple[str, ...] = ()
     gyro_bias_faults: tuple[str, ...] = ()
     recorded: str | None = None
-    """When, ISO 8601, by the log's own times."""
     notes: tuple[str, ...] = ()
-    """What is remarkable in the times of the log, in words."""
 
     @property
     def sha256(self) -> str:
@@ -209,25 +208,12 @@ def _observed(session: Session, reduction: Reduction, rests: tuple[Stretch, ...]
 
 
 def observations_for_calibration(observed: Observed, *, joint: bool = False) -> Observations | Outcome:
-    """What a method sees of a session: the positions of its programme, or all rests where it has none.
+    """What a method sees of a session: the positions of its programme, or all rests where it has none; an Outcome where
+    there is nothing to calibrate with.
 
-    Parameters
-    ----------
-    observed
-        What the log shows.
-    joint
-        Whether they are for the method joint, which follows a device with few rests through its motion, and gyros whose
-        biases jump, and takes the magnetometer in. For others gyros that jump are left out, as spoiled ones always are.
-
-    Returns
-    -------
-    Observations or Outcome
-        The latter where there is nothing to calibrate with.
-
-    Raises
-    ------
-    ProgrammeError
-        For a recording that does not go through the programme.
+    The method `joint` follows a device with few rests through its motion, and gyros whose biases jump, and takes the
+    magnetometer in. For others gyros that jump are left out, as spoiled ones always are. Raises ProgrammeError for a
+    recording that does not go through the programme.
     """
     if joint and (moving := _in_motion(observed)) is not None:
         return moving
@@ -237,8 +223,7 @@ def observations_for_calibration(observed: Observed, *, joint: bool = False) -> 
     reduction, match, torn = matched
     if joint and observed.gyro_bias_faults:
         reduction = without_jump(reduction, match, observed.session.gyro_block)
-    every = _observed_again(observed, reduction, match)
-    every = with_mended_samples(replace(every, notes=(*observed.notes, *every.notes, *torn))).with_blows()
+    every = _observed_again(observed, reduction, match, torn)
     spoiled = observed.gyro_faults or (observed.gyro_bias_faults and not joint)
     every = every.of_accelerometers() if spoiled else every
     return every if joint else every.without_magnetometer()
@@ -287,19 +272,20 @@ def observations_in_parts(observed: Observed, least: int = 1) -> tuple[Observati
         return matched
     reduction, match_of_rests, torn = matched
     match, numbers = in_parts(reduction, match_of_rests, least)
-    parts = _observed_again(observed, reduction, match)
-    parts = with_mended_samples(replace(parts, notes=(*observed.notes, *parts.notes, *torn))).with_blows()
-    return held(parts), numbers
+    return held(_observed_again(observed, reduction, match, torn)), numbers
 
 
-def _observed_again(observed: Observed, reduction: Reduction, match: Segmentation) -> Observations:
-    """The observations of these rests and turns, made anew where they are others."""
-    session, before = observed.session, observed.observations
-    if before is not None and match.rests == observed.segmentation.rests and reduction is observed.reduction:
-        return replace(before, programme=match.programme, position=match.position)
-    arrays = None if before is None or observed.gyro_bias_faults else before.arrays
-    again = observe(reduction, match.rests, session.accel_block, session.gyro_block, session.site, arrays)
-    return replace(again, programme=match.programme, position=match.position)
+def _observed_again(
+    observed: Observed, reduction: Reduction, match: Segmentation, notes: tuple[str, ...]
+) -> Observations:
+    """The observations of these rests and turns, made anew where they are others, with mended samples and further
+    notes."""
+    session, again = observed.session, observed.observations
+    if again is None or match.rests != observed.segmentation.rests or reduction is not observed.reduction:
+        arrays = None if again is None or observed.gyro_bias_faults else again.arrays
+        again = observe(reduction, match.rests, session.accel_block, session.gyro_block, session.site, arrays)
+    again = replace(again, programme=match.programme, position=match.position)
+    return with_mended_samples(replace(again, notes=(*observed.notes, *again.notes, *notes))).with_blows()
 
 
 def _matched(observed: Observed) -> tuple[Reduction, Segmentation, tuple[str, ...]] | Outcome:

@@ -1,14 +1,10 @@
-"""The samples of a recording at rest, for the Allan deviation: the longest rest of a session, or all of a log.
-
-A log is read once: its samples are kept while it is reduced, in memory while they are few, else in a temporary file.
-"""
+"""The samples of a recording at rest, for the Allan deviation: the longest rest of a session, or all of a log."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import SpooledTemporaryFile
 from typing import Any, ClassVar
 
 import numpy as np
@@ -21,12 +17,10 @@ from tumble.recording.log import Chunk, Log, open_log
 from tumble.recording.session import Session
 from tumble.recording.session_file import SESSION_FILE, session_from, session_of, session_of_gyros
 from tumble.reduction.noise.allan_deviation import allan_deviation, pooled
-from tumble.reduction.noise.filter_values import FilterValue, filter_values
 from tumble.reduction.noise.wavelet_moments import Panel, identify
 from tumble.run.observed import Progress, inspect_session
 from tumble.units import DEGREE, G_STANDARD, Array
 
-_IN_MEMORY_BYTES = 1 << 26
 _MARGIN = 1e-9  # s, of the ends of a rest
 BLOCKS, TURNED = 100, 10.0 * DEGREE
 """Of how many parts of a record the vertical is compared, and by how much, rad, it may differ at rest."""
@@ -47,20 +41,14 @@ class QuietRecord:
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
 class RecordedNoise(Brief):
     """Allan deviations and noise coefficients of the accelerometers and of the gyros, the sample rate, Hz, where they
-    are from in words, and sentences on what is not sure of them."""
+    are from in words, and what is not sure about the log, and what hangs on it."""
 
-    json_fields: ClassVar = ("source", "rate", "panels", "filters", "doubt")
+    json_fields: ClassVar = ("source", "rate", "panels", "doubt")
 
     panels: tuple[Panel, ...]
     rate: float
     source: str
     doubt: str = ""
-    """What is not sure about the log, and what hangs on it."""
-
-    @property
-    def filters(self) -> list[FilterValue]:
-        """The values that filters ask for."""
-        return filter_values(self.panels, self.rate)
 
 
 @checked
@@ -100,10 +88,13 @@ def noise_of(*recordings: Session | FilePath, layout: Mapping[str, Any] | None =
     if not records:
         raise InputError("noise: expected a recording, found none")
     several = f"{len(records)} records: " if len(records) > 1 else ""
-    source = several + "; ".join(record.source for record in records)
     doubts = dict.fromkeys([records[0].session.log.doubt, *map(moved, records)])
-    doubt = "; ".join(filter(None, doubts))
-    return RecordedNoise(panels=noise_panels(records), rate=records[0].rate, source=source, doubt=doubt)
+    return RecordedNoise(
+        panels=noise_panels(records),
+        rate=records[0].rate,
+        source=several + "; ".join(record.source for record in records),
+        doubt="; ".join(filter(None, doubts)),
+    )
 
 
 def moved(record: QuietRecord) -> str:
@@ -147,32 +138,17 @@ def is_session(path: Path) -> bool:
 
 def longest_rest(session: Session, *, progress: Progress = Log.chunks) -> QuietRecord:
     """The longest rest of a session. Raises InputError where nothing rests."""
-    pieces: list[tuple[int, float, int]] = []  # of the log: file, last time, rows
-    with SpooledTemporaryFile[bytes](max_size=_IN_MEMORY_BYTES) as store:
-
-        def kept(log: Log) -> Iterator[Chunk]:
-            for chunk in progress(log):
-                store.write(np.column_stack([chunk.time, _samples(chunk)]).tobytes())
-                pieces.append((chunk.file, float(chunk.time[-1]), len(chunk.time)))
-                yield chunk
-
-        observed = inspect_session(session, progress=kept)
-        if not observed.segmentation.rests:
-            raise InputError(
-                f"{session.name}: expected a rest to take the noise from, found none; see `tumble inspect`"
-            )
-        rest = max(observed.segmentation.rests, key=lambda rest: rest.stop - rest.start)
-        gyros = () if session.log.gyro is None else session.log.gyro.columns
-        width, first, tables = 1 + len(session.log.accel.columns) + len(gyros), 0, list[Array]()
-        for file, last, rows in pieces:
-            if file == rest.file and last > rest.start and (not tables or tables[-1][-1, 0] <= rest.stop):
-                store.seek(first * width * 8)
-                tables.append(np.frombuffer(store.read(rows * width * 8)).reshape(rows, width))
-            first += rows
-    table = np.concatenate(tables)
-    table = table[(table[:, 0] > rest.start + _MARGIN) & (table[:, 0] <= rest.stop + _MARGIN)]
+    observed = inspect_session(session, progress=progress)
+    if not observed.segmentation.rests:
+        raise InputError(f"{session.name}: expected a rest to take the noise from, found none; see `tumble inspect`")
+    rest = max(observed.segmentation.rests, key=lambda rest: rest.stop - rest.start)
+    samples = [
+        _samples(chunk)[(chunk.time > rest.start + _MARGIN) & (chunk.time <= rest.stop + _MARGIN)]
+        for chunk in open_log(session).chunks()
+        if chunk.file == rest.file
+    ]
     words = f"the longest rest, {rest.start:z.1f}–{rest.stop:z.1f} s"
-    return _record(session, table[:, 1:], observed.rate, words)
+    return _record(session, np.concatenate(samples), observed.rate, words)
 
 
 def whole_log(file: Path, layout: Mapping[str, Any]) -> QuietRecord:

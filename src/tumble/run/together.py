@@ -10,13 +10,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from tumble.arguments import checked
 from tumble.errors import InputError
 from tumble.files import FilePath
-from tumble.inference.estimate import Estimate, Outcome
+from tumble.inference.estimate import Outcome
 from tumble.inference.joint import joint
 from tumble.inference.sources import clocked
 from tumble.recording.log import Log
@@ -26,18 +27,15 @@ from tumble.reduction.observations import Observations
 from tumble.reduction.together import joined
 from tumble.result.calibration import Calibration
 from tumble.result.parts import Member, Parameter, learned_fraction
-from tumble.run.calibrate import assumptions, by_reference_clock, estimated, provenance_of, systematic_of
+from tumble.run.calibrate import assumptions, estimated, provenance_of, systematic_of
 from tumble.run.from_estimate import result_of, without_result
-from tumble.run.launches import Means, check_recordings, circumstances_of_all, digest_of_all
+from tumble.run.launches import check_recordings, circumstances_of_all, digest_of_all
 from tumble.run.observed import Progress, inspect_session, observations_in_parts
 from tumble.sensors.frames import Frame
-from tumble.sensors.model import Block
-from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, ZERO_CELSIUS
+from tumble.units import DEGREE, ZERO_CELSIUS
 
 SAME_GRAVITY = 1e-6  # m/s²
 SAME_LATITUDE = 1e-9  # rad
-SELDOM = 1e-3
-"""Residuals are more than noise where chance alone would make them so large less often."""
 
 
 @checked
@@ -112,13 +110,16 @@ def calibrate_together(
     provenance = provenance_of(digest_of_all(member.log_sha256 for member in members))
     if faults:
         return without_result(first, "joint", Outcome(reasons=tuple(faults)), provenance)
-    digests = [member.log_sha256 for member in members]
-    check_recordings(list(zip(names, digests, map(_means, observations), strict=True)))
+    check_recordings(described, [member.log_sha256 for member in members])
     for name, each in zip(names, observations, strict=True):
         if each.rests.temperature is None:
             raise InputError(f"{name}: expected temperatures in the log, found none that are numbers")
     joint_observations = joined(observations, [member.session for member in members], numbers)
     first, clocks = _with_clocks(described, members)
+    if any(session.log.magnetometer is not None for session in described):
+        clocks += (
+            "magnetometer: several sessions in one estimate leave it out; calibrate one alone for hard and soft iron",
+        )
     joint_observations = replace(joint_observations, notes=(*joint_observations.notes, *clocks))
     estimate = estimated(first, joint_observations, joint, systematic, "full")
     if isinstance(estimate, Outcome):
@@ -139,7 +140,6 @@ def calibrate_together(
         ]
     return replace(
         calibration,
-        outcome=_with_scatter(calibration.outcome, estimate[0]),
         evidence=replace(calibration.evidence, together=tuple(members)),
         provenance=replace(
             calibration.provenance,
@@ -168,34 +168,25 @@ def _with_clocks(sessions: Sequence[Session], members: Sequence[Member]) -> tupl
     worst = max(turned, key=lambda i: sessions[i].log.time_base_u)
     least = min(sessions[i].log.time_base_u for i in turned)
     most = sessions[worst].log
-    notes = tuple(
-        f"{member.session}: {note}"
-        for session, member in zip(sessions, members, strict=True)
-        for note in by_reference_clock(session.log)
-    )
+    notes: tuple[str, ...] = ()
     if most.time_base_u > 1.01 * least and clocked(most.time_base_u, most.increments):
-        notes += (
+        notes = (
             f"the clocks of the sessions are known to {1e6 * least:.2g} to {1e6 * most.time_base_u:.2g} ppm: u has "
             f"that of {members[worst].session}, the largest",
         )
     first = sessions[0]
-    return replace(first, log=replace(first.log, clock_u=most.clock_u, reference_clock=None)), notes
+    return replace(first, log=replace(first.log, clock_u=most.clock_u)), notes
 
 
 def _check_alike(sessions: Sequence[Session]) -> None:
     """Raises InputError for sessions of other devices, places or sensors than the first, or without temperatures."""
 
-    def same_sensors(block: Block | None, other: Block | None) -> bool:
-        if block is None or other is None:
-            return block is other
-        if block.axes.shape != other.axes.shape or not np.array_equal(block.thermometer, other.thermometer):
-            return False
-        return bool(np.allclose(block.axes, other.axes, rtol=0.0, atol=1e-9))
+    def same(a: float | None, b: float | None, limit: float) -> bool:
+        return a is b if a is None or b is None else abs(a - b) < limit
 
-    def same_place(a: Site, b: Site) -> bool:
-        if a.latitude is None or b.latitude is None:
-            return a.latitude is b.latitude and abs(a.gravity - b.gravity) < SAME_GRAVITY
-        return abs(a.latitude - b.latitude) < SAME_LATITUDE and abs(a.gravity - b.gravity) < SAME_GRAVITY
+    def sensors(session: Session) -> list[Any]:
+        blocks = (block for block in (session.accel_block, session.gyro_block) if block is not None)
+        return [(block.kind, block.axes.round(9).tolist(), block.thermometer.tolist()) for block in blocks]
 
     def place(site: Site) -> str:
         latitude = "no latitude" if site.latitude is None else f"latitude {site.latitude / DEGREE:.6g}°"
@@ -210,44 +201,15 @@ def _check_alike(sessions: Sequence[Session]) -> None:
                 f"{session.name}: expected the device {first.device.serial!r} of the first session, found "
                 f"{session.device.serial!r}; calibrate each device by itself"
             )
-        blocks = ((session.accel_block, first.accel_block), (session.gyro_block, first.gyro_block))
-        if not all(same_sensors(block, other) for block, other in blocks):
+        if sensors(session) != sensors(first):
             raise InputError(
                 f"{session.name}: expected the sensors and thermometers of the first session, found others; list them "
                 "alike"
             )
-        if not same_place(session.site, first.site):
+        ours, theirs = session.site, first.site
+        at_latitude = same(ours.latitude, theirs.latitude, SAME_LATITUDE)
+        if not (at_latitude and same(ours.gravity, theirs.gravity, SAME_GRAVITY)):
             raise InputError(
                 f"{session.name}: expected the place of the first session, {place(first.site)}, found "
-                f"{place(session.site)}; give the same [site]"
+                f"{place(ours)}; give the same [site]"
             )
-
-
-def _means(observations: Observations) -> Means:
-    """What the sensors read in the rests of a session."""
-    rests = observations.rests
-    variances = [np.diagonal(C, axis1=1, axis2=2) for C in (rests.accel_covariance, rests.gyro_covariance)]
-    return np.hstack([rests.accel, rests.gyro]), np.sqrt(np.hstack(variances))
-
-
-def _with_scatter(outcome: Outcome, estimate: Estimate) -> Outcome:
-    """The outcome with a remark where the noise within rests explains the residuals of each session, but not those of
-    all."""
-    if estimate.fits["noise within rests"].probability >= SELDOM or outcome.reasons or outcome.remarks:
-        return outcome
-    units = {
-        "accelerometers": (1e-6 * G_STANDARD, "µg"),
-        "gyro rests": (DEGREE_PER_HOUR, "°/h"),
-        "gyro turns": (DEGREE, "°"),
-        "velocities of turns": (1e-3, "mm/s"),
-    }
-    scatters = [
-        f"{name} by {fit.scatter / units[name][0]:.2g} {units[name][1]}"
-        for name, fit in estimate.fits.items()
-        if name in units and fit.scatter > 0.0
-    ]
-    remark = (
-        f"residuals are larger than the noise within rests: {', '.join(scatters)} beyond it; u contains it as far as "
-        "it is random"
-    )
-    return replace(outcome, remarks=(*outcome.remarks, remark))

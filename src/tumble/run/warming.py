@@ -31,8 +31,8 @@ known it may be any of those that were recorded, and the change of (3) over them
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import scipy
@@ -60,11 +60,11 @@ from tumble.result.parts import (
     SourceContributions,
     learned_fraction,
 )
-from tumble.result.record import reference_of_parameter
+from tumble.result.record import to_references
 from tumble.result.uncertainty_budget import contributions_of
 from tumble.run.from_estimate import (
-    device_of,
-    readings_of_session,
+    LAGS,
+    check_sensors,
     reference_of,
     references_of,
     rest_results,
@@ -111,22 +111,10 @@ def lies_still(observed: Observed) -> bool:
 
 
 def calibrate_warming(observed: Observed, base: Calibration | None, provenance: Provenance) -> Calibration:
-    """The calibration of a device that lay at rest over temperature.
+    """The calibration of a device that lay at rest over temperature: `base`, a calibration of it at one temperature,
+    whose biases get coefficients over temperature; without one the coefficients alone, and the biases of the gyros.
 
-    Parameters
-    ----------
-    observed
-        What the log of the session shows.
-    base
-        Calibration of the device at one temperature, whose biases get coefficients over temperature; without one there
-        are the coefficients alone, and the biases of the gyros.
-    provenance
-        Log, program and time.
-
-    Raises
-    ------
-    InputError
-        For a log without thermometer, and for a calibration of other sensors.
+    Raises InputError for a log without thermometer, and for a calibration of other sensors.
     """
     session = observed.session
     taken = observations_in_parts(_at_rest(observed), PARTS)
@@ -138,12 +126,14 @@ def calibrate_warming(observed: Observed, base: Calibration | None, provenance: 
             f"{session.name}: expected the temperature beside the readings, with which biases change, found none; name "
             "its column in [log.temperature]"
         )
+    notes = (*observed.notes, *observations.notes)
     if base is not None:
         base = accepted_part(base)
-        _check_alike(base, session, observations)
-    found = _estimated(session, observations, base)
-    known = _nominal(session, found) if base is None else base
-    made = _with_coefficients(known, found, session)
+        check_sensors(base, session)
+        if base.covariance is None:
+            raise InputError(f"calibration of {base.serial!r}: expected one with uncertainties, found none")
+    estimate, observations = _estimated(session, observations, base)
+    made = _with_coefficients(base or _nominal(session, estimate, observations), estimate, observations, session)
     own, digest = made.provenance, provenance.log_sha256
     if base is not None:
         from tumble.run.launches import digest_of_all
@@ -157,8 +147,8 @@ def calibrate_warming(observed: Observed, base: Calibration | None, provenance: 
             software=provenance.software,
             created=provenance.created,
             sample_rate=own.sample_rate or observed.rate,
-            notes=(*own.notes, *observed.notes, *observations.notes, *_notes(found)),
-            assumptions=(*own.assumptions, *_assumptions(found, base)),
+            notes=(*own.notes, *notes, *_notes(estimate, observations)),
+            assumptions=(*own.assumptions, *_assumptions(observations, base)),
         ),
     )
 
@@ -192,48 +182,16 @@ def _several_attitudes(means: Array) -> bool:
     return bool((up @ up[0]).min() < APART)
 
 
-def _check_alike(base: Calibration, session: Session, observations: Observations) -> None:
-    """Raises InputError for a calibration of other sensors than those of a session, or without uncertainties."""
-    if base.covariance is None:
-        raise InputError(f"calibration of {base.serial!r}: expected one with uncertainties, found none")
-    worth = readings_of_session(session)
-    for kind, block in (("accel", observations.accel_block), ("gyro", observations.gyro_block)):
-        before, own = base.provenance.readings.get(kind), worth.get(kind)
-        if block is None or getattr(base, kind) is None or before is None or own is None:
-            continue
-        raw = own.unit in ("count", "V") or before.unit in ("count", "V")
-        other = raw and (before.unit, before.scale, before.offset) != (own.unit, own.scale, own.offset)
-        if other or len(before.columns) != block.size:
-            raise InputError(
-                f"{session.name}: expected the {kind} readings that the calibration of {base.serial!r} is of, "
-                f"{len(before.columns)} columns in {before.unit} with its scale and offset, found {block.size} in "
-                f"{own.unit}; state unit, scale and offset as they were"
-            )
+def _blocks(observations: Observations) -> list[Block]:
+    """Accelerometers, and gyros where there are some."""
+    return [block for block in (observations.accel_block, observations.gyro_block) if block is not None]
 
 
 # -------------------- the estimate --------------------
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _Found:
-    """An estimate of coefficients over temperature, what it was made from, the latitude of the site, rad, the usual
-    sizes of groups, and whether there were several attitudes."""
-
-    estimate: Estimate
-    observations: Observations
-    latitude: float | None
-    usual: Mapping[str, float]
-    several: bool
-
-    @property
-    def blocks(self) -> tuple[Block, ...]:
-        """Accelerometers, and gyros where there are some."""
-        both = self.observations.accel_block, self.observations.gyro_block
-        return tuple(block for block in both if block is not None)
-
-
-def _estimated(session: Session, observations: Observations, base: Calibration | None) -> _Found:
-    """The coefficients over temperature by the joint estimate."""
+def _estimated(session: Session, observations: Observations, base: Calibration | None) -> tuple[Estimate, Observations]:
+    """The coefficients over temperature by the joint estimate, and the observations with the usual sizes of groups."""
     from tumble.run.calibrate import with_grade
 
     given, several = with_grade(session, observations), _several_attitudes(observations.rests.accel)
@@ -250,8 +208,7 @@ def _estimated(session: Session, observations: Observations, base: Calibration |
         names += [f"scale.{power}" for power in OVER_TEMPERATURE] if separate else []
         sizes |= {f"{kind}.{name}": usual[f"{kind}.{name}"] for name in names if f"{kind}.{name}" in usual}
     known = {} if base is None else {p.name: p for p in base.in_frame("accelerometer").parameters}
-    blocks = (given.accel_block, *(() if given.gyro_block is None else (given.gyro_block,)))
-    linear = [name for block in blocks for name in block.names]
+    linear = [name for block in _blocks(given) for name in block.names]
     prior = {name: (known[name].u or HELD) if name in known else HELD for name in linear if ".bias" not in name}
     observations = replace(
         with_thermometer_errors(given),
@@ -263,31 +220,24 @@ def _estimated(session: Session, observations: Observations, base: Calibration |
     )
     with np.errstate(invalid="ignore"):  # the mean rate of turns about nothing
         estimate = joint(observations, prior=Prior(parameters=prior, undisturbed=not several))
-    return _Found(
-        estimate=estimate,
-        observations=observations,
-        latitude=given.site.latitude,
-        usual=usual,
-        several=several,
-    )
+    return estimate, replace(observations, usual=usual, site=given.site)
 
 
 # -------------------- what it gives --------------------
 
 
-def _nominal(session: Session, found: _Found) -> Calibration:
+def _nominal(session: Session, estimate: Estimate, observations: Observations) -> Calibration:
     """What is known without a calibration: the biases of the gyros, and that the sensors are as they nominally are."""
-    estimate, observations, gyro = found.estimate, found.observations, found.observations.gyro_block
-    models = {block.kind: block.nominal() for block in found.blocks}
+    gyro, blocks, budget = observations.gyro_block, _blocks(observations), estimate.budget
+    models = {block.kind: block.nominal() for block in blocks}
     names, values, covariance = list[str](), np.zeros(0), np.zeros((0, 0))
-    budget = estimate.budget
     assert budget is not None
     if gyro is not None:
         names, axes = list(gyro.names[: gyro.size]), gyro.axes[gyro.channels]
         at = [estimate.names.index(name) for name in names]
         up = observations.accel_block.nominal().apply(observations.rests.accel).mean(axis=0)
         up /= np.linalg.norm(up)
-        mean, of_earth = earth_at_rest(up, found.latitude)
+        mean, of_earth = earth_at_rest(up, observations.site.latitude)
         values = estimate.values[at] + axes @ (EARTH_RATE * up - mean)
         budget = budget.carried(np.eye(len(estimate.names))[at])
         budget = budget.beside(source("earth", EARTH_RATE / np.sqrt(3.0), "rad/s"), axes @ of_earth @ axes.T)
@@ -295,12 +245,15 @@ def _nominal(session: Session, found: _Found) -> Calibration:
         read = np.zeros(gyro.size)
         read[gyro.channels] = values
         models["gyro"] = SensorModel(matrix=models["gyro"].matrix, bias=read)
-    missing = tuple(name for block in found.blocks for name in block.names if name not in names)
+    missing = tuple(name for block in blocks for name in block.names if name not in names)
     absent = f"{', '.join(dict.fromkeys(map(group_name, missing)))}: not shown at rest, taken as 0"
-    return Calibration(
-        device=device_of(session),
-        method="joint",
-        frame="accelerometer",
+    provenance = Provenance(
+        absent=(absent,),
+        assumptions=(f"{absent}; tumble calibrate LOG --base FILE.json takes them from a calibration",),
+    )
+    nothing = without_result(session, "joint", Outcome(unobservable=missing), provenance)
+    return replace(
+        nothing,
         parameters=tuple(
             Parameter(name=name, value=float(value), u=float(u), unit="rad/s")
             for name, value, u in zip(names, values, np.sqrt(np.diag(covariance)), strict=True)
@@ -308,91 +261,85 @@ def _nominal(session: Session, found: _Found) -> Calibration:
         covariance=covariance,
         accel=models["accel"],
         gyro=models.get("gyro"),
-        outcome=Outcome(unobservable=missing),
-        axes={block.kind: tuple(map(tuple, block.axes.tolist())) for block in found.blocks},
-        temperature=_temperature(session, found),
+        axes={block.kind: tuple(map(tuple, block.axes.tolist())) for block in blocks},
+        temperature=_temperature(session, observations),
         evidence=Evidence(
             fits=estimate.fits,
             hyperparameters=estimate.hyperparameters,
             integral=estimate.integral,
             budget=contributions_of(budget, names) if names else (),
         ),
-        provenance=Provenance(
-            site=replace(observations.site, latitude=found.latitude),
-            readings=readings_of_session(session),
-            absent=(absent,),
-            assumptions=(f"{absent}; tumble calibrate LOG --base FILE.json takes them from a calibration",),
-        ),
+        provenance=replace(nothing.provenance, site=observations.site),
     )
 
 
-def _with_coefficients(base: Calibration, found: _Found, session: Session) -> Calibration:
+def _with_coefficients(
+    base: Calibration, estimate: Estimate, observations: Observations, session: Session
+) -> Calibration:
     """A calibration with these coefficients in the place of any that it has, Eq. (2) and (3)."""
-    estimate, observations = found.estimate, found.observations
     assert estimate.budget is not None
     assert base.covariance is not None
     new = [n for n in estimate.names if beyond_linear(n) and getattr(base, sensor_kind(n)) is not None]
     replaced = set(map(group_name, new))
     kept = [i for i, p in enumerate(base.parameters) if group_name(p.name) not in replaced]
-    names, known = [base.parameters[i].name for i in kept], base.reference_temperature is not None
+    at, known = [base.parameters[i].name for i in kept], base.reference_temperature is not None
+    names, first = [*at, *new], len(kept)
     move = np.eye(len(estimate.names))
-    if known:
-        own = replace(base, temperature=_temperature(session, found))
-        warmer = [reference_of_parameter(base, n) - reference_of_parameter(own, n) for n in estimate.names]
-        move = to_temperature(estimate.names, np.array(warmer))
+    if known:  # from the references of this recording
+        own = replace(base, temperature=_temperature(session, observations))
+        move = to_references(own, estimate.names, base.temperature)
     move = move[[estimate.names.index(name) for name in new]]
     budget = estimate.budget.carried(move)
-    covariance = scipy.linalg.block_diag(base.covariance[np.ix_(kept, kept)], move @ estimate.covariance @ move.T)
+    of_data = move @ estimate.covariance @ move.T
+    covariance = scipy.linalg.block_diag(base.covariance[np.ix_(kept, kept)], of_data)
     values = np.append([base.parameters[i].value for i in kept], move @ estimate.values)
 
     # Eq. (2)
-    by_scale = np.eye(len(values))
-    block = observations.accel_block
+    by_scale, block = np.eye(len(values)), observations.accel_block
     force = dict(zip(block.sensors, observations.rests.accel.mean(axis=0)[block.channels], strict=True))
-    for power in () if found.several else OVER_TEMPERATURE:
-        of_scale = np.zeros(len(new))
-        size = found.usual.get(f"accel.scale.{power}", 0.0)
+    for power in () if _several_attitudes(observations.rests.accel) else OVER_TEMPERATURE:
+        of_scale, size = np.zeros(len(new)), observations.usual.get(f"accel.scale.{power}", 0.0)
         for sensor, f in force.items():
             name, scale = f"accel.bias.{sensor}.{power}", f"accel.scale.{sensor}.{power}"
-            if scale in names:
-                by_scale[len(names) + new.index(name), names.index(scale)] = -f
+            if scale in at:
+                by_scale[first + new.index(name), at.index(scale)] = -f
             elif name in new:
                 of_scale[new.index(name)] = size * f
         budget = budget.beside(source(f"prior.accel.scale.{power}", size, "1/K"), np.diag(of_scale**2))
-        covariance[len(names) :, len(names) :] += np.diag(of_scale**2)
+        covariance[first:, first:] += np.diag(of_scale**2)
     covariance, values = by_scale @ covariance @ by_scale.T, by_scale @ values
-    lines = [*base.evidence.budget, *contributions_of(budget, new, observations.size_basis)]
-
-    # a calibration of unknown temperature
-    at, names = list(range(len(names))), [*names, *new]
-    if not known:
-        of_course = _course(found, names, values)
-        covariance[np.ix_(at, at)] += of_course[np.ix_(at, at)]
-        sizes = {names[i]: float(np.sqrt(of_course[i, i])) for i in at if of_course[i, i] > 0.0}
-        words = "temperature of the calibration"
-        lines.append(SourceContributions(name="temperature", words=words, type="B", contributions=sizes))
+    lines = {line.name: line for line in base.evidence.budget}
+    for line in contributions_of(budget, new, observations.size_basis):
+        before = lines.get(line.name, line)
+        lines[line.name] = replace(before, contributions={**before.contributions, **line.contributions})
+    if not known:  # it may be any of the temperatures that were recorded
+        of_course = _course(observations, names, values)[:first, :first]
+        covariance[:first, :first] += of_course
+        lines["temperature"] = SourceContributions(
+            name="temperature",
+            words="temperature of the calibration",
+            type="B",
+            contributions={name: float(u) for name, u in zip(at, np.sqrt(np.diag(of_course)), strict=True) if u > 0.0},
+        )
 
     every = np.full(len(estimate.names), np.inf) if estimate.degrees is None else estimate.degrees
     degrees = degrees_through(move, estimate.u, every.tolist())
     of_lag = sum(c.diagonal() for c, each in zip(budget.covariances, budget.sources, strict=True) if each.name == "lag")
-    of_lag, whole = np.broadcast_to(of_lag, len(new)), np.diag(move @ estimate.covariance @ move.T)
-    u, own_sizes = np.sqrt(np.diag(covariance)), {group.name: group for group in estimate.groups}
+    of_lag, u = np.broadcast_to(of_lag, len(new)), np.sqrt(np.diag(covariance))
+    sizes = {group.name: group.prior * group.prior_widened for group in estimate.groups}
     parameters = [replace(base.parameters[i], u=float(u[j])) for j, i in enumerate(kept)]
-    for i in range(len(kept), len(names)):
-        group = own_sizes[group_name(names[i])]
-        size = group.prior * group.prior_widened
-        j = i - len(kept)
-        by_lag, of_data = float(of_lag[j]), float(whole[j])
-        parts = (of_data - by_lag, degrees[j]), (by_lag, _degrees_of_lag(estimate, sensor_kind(names[i])))
+    for j, name in enumerate(new):
+        variance, by_lag, size, of_name = float(of_data[j, j]), float(of_lag[j]), sizes[group_name(name)], u[first + j]
+        parts = (variance - by_lag, degrees[j]), (by_lag, _degrees_of_lag(estimate, sensor_kind(name)))
         parameters.append(
             Parameter(
-                name=names[i],
-                value=float(values[i]),
-                u=float(u[i]),
-                unit=units_of([names[i]])[0],
-                dof=welch_satterthwaite([*parts, (float(u[i]) ** 2 - of_data, None)]),
+                name=name,
+                value=float(values[first + j]),
+                u=float(of_name),
+                unit=units_of([name])[0],
+                dof=welch_satterthwaite([*parts, (float(of_name) ** 2 - variance, None)]),
                 prior=size,
-                learned=learned_fraction(float(u[i]), size),
+                learned=learned_fraction(float(of_name), size),
             )
         )
     order = {group.name: i for i, group in enumerate(groups())}
@@ -409,8 +356,8 @@ def _with_coefficients(base: Calibration, found: _Found, session: Session) -> Ca
             *(group for group in base.groups if group.name not in replaced),
             *(replace(group, kept=True) for group in estimate.groups if group.name in replaced),
         ),
-        temperature=replace(base.temperature, range=None) if known else _temperature(session, found),
-        evidence=replace(base.evidence, rests=(*base.evidence.rests, *rests), budget=_one_line_each(lines)),
+        temperature=replace(base.temperature, range=None) if known else _temperature(session, observations),
+        evidence=replace(base.evidence, rests=(*base.evidence.rests, *rests), budget=tuple(lines.values())),
     )
 
 
@@ -429,70 +376,56 @@ def _degrees_of_lag(estimate: Estimate, kind: str) -> float | None:
     return max(0.5 / max(float(share * r), 1e-6) ** 2, FEWEST_DEGREES)
 
 
-def _temperature(session: Session, found: _Found) -> CalibratedTemperature:
+def _temperature(session: Session, observations: Observations) -> CalibratedTemperature:
     """Thermometers of a session, and their means as references."""
     channels = session.log.temperature
     assert channels is not None
     return CalibratedTemperature(
-        reference=reference_of(found.observations),
-        thermometers={block.kind: channels.names(block.kind) for block in found.blocks},
-        references=references_of(found.observations),
+        reference=reference_of(observations),
+        thermometers={block.kind: channels.names(block.kind) for block in _blocks(observations)},
+        references=references_of(observations),
     )
 
 
-def _course(found: _Found, names: Sequence[str], values: Array) -> Array:
+def _kelvin(observations: Observations) -> Array:
+    """Temperatures (N, T) of the rests, K."""
+    assert observations.rests.temperatures is not None
+    return observations.rests.temperatures
+
+
+def _course(observations: Observations, names: list[str], values: Array) -> Array:
     """Covariance (m, m) of parameters over the temperatures of the rests, by how they change with them."""
-    kelvin = found.observations.rests.temperatures
-    assert kelvin is not None
-    base = {name: i for i, name in enumerate(names)}
-    mean = kelvin.mean(axis=0)
-    moves = [to_temperature(names, float(d)) for d in (kelvin - mean).mean(axis=1)]
-    changed = np.array([move @ values for move in moves])
-    changed[:, [base[name] for name in names if beyond_linear(name)]] = 0.0
-    return np.cov(changed, rowvar=False)
-
-
-def _one_line_each(lines: Sequence[SourceContributions]) -> tuple[SourceContributions, ...]:
-    """Contributions by source, each source once."""
-    out = dict[str, SourceContributions]()
-    for line in lines:
-        before = out.get(line.name)
-        out[line.name] = (
-            line if before is None else replace(before, contributions={**before.contributions, **line.contributions})
-        )
-    return tuple(out.values())
+    kelvin = _kelvin(observations)
+    moves = [to_temperature(names, float(d)) for d in (kelvin - kelvin.mean(axis=0)).mean(axis=1)]
+    return np.cov(np.array([(move - np.eye(len(names))) @ values for move in moves]), rowvar=False)
 
 
 # -------------------- what is said of it --------------------
 
 
-def _notes(found: _Found) -> Iterator[str]:
+def _notes(estimate: Estimate, observations: Observations) -> Iterator[str]:
     """What the temperatures show, and what not."""
-    estimate, kelvin = found.estimate, found.observations.rests.temperatures
-    assert kelvin is not None
-    low, high = kelvin.min() - ZERO_CELSIUS, kelvin.max() - ZERO_CELSIUS
-    yield f"over temperature: {low:z.1f} to {high:z.1f} °C; beyond them nothing was measured"
-    for name, value, u in zip(estimate.names, estimate.values.tolist(), estimate.u.tolist(), strict=True):
-        if variable_of(name) == "lag":
-            sensors = "accelerometers" if sensor_kind(name) == "accel" else "gyros"
-            yield f"the {sensors} are {value:z.0f} s behind their thermometer, u {u:.0f} s"
+    celsius = _kelvin(observations) - ZERO_CELSIUS
+    yield f"over temperature: {celsius.min():z.1f} to {celsius.max():z.1f} °C; beyond them nothing was measured"
+    for name, sensors in LAGS.items():
+        if name in estimate.names:
+            i = estimate.names.index(name)
+            yield f"the {sensors} are {estimate.values[i]:z.0f} s behind their thermometer, u {estimate.u[i]:.0f} s"
     if not any(variable_of(name) == "hysteresis" for name in estimate.names):
         yield (
             "the temperature went one way: a hysteresis is not seen, and in no u; let the device warm and cool in one "
             "recording"
         )
-    if not found.several:
+    if not _several_attitudes(observations.rests.accel):
         yield (
             "one attitude does not tell a change of the scale factor of an accelerometer from one of its bias: what is "
             "given is right in this attitude, and u holds what is usual for others; record another attitude too"
         )
 
 
-def _assumptions(found: _Found, base: Calibration | None) -> Iterator[str]:
+def _assumptions(observations: Observations, base: Calibration | None) -> Iterator[str]:
     """What was taken for granted."""
-    kelvin = found.observations.rests.temperatures
-    assert kelvin is not None
-    span = float(np.ptp(kelvin, axis=0).max())
+    span = float(np.ptp(_kelvin(observations), axis=0).max())
     if span < WIDE:
         yield (
             f"the temperatures span {span:.1f} K, less than {WIDE:.0f}: curvatures are what is usual, and beyond these "

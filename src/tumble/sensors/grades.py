@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import math
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from types import MappingProxyType
 from typing import Protocol
 
 from tumble.earth import EARTH_RATE
 from tumble.errors import InputError, did_you_mean
-from tumble.sensors.parameters import LINEAR, group_name, sensor_kind, within_kind
-from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR
+from tumble.sensors.parameters import LINEAR, group_name, sensor_kind, size_of, within_kind
 from tumble.usual_setup import INSTABILITY_TIME
 
 OUTLYING = 100.0
 """Times the spread of a grade's gyro biases: what no gyro of it has."""
-DEGREE_PER_ROOT_HOUR = DEGREE / 60.0
-"""1 °/√h in rad/s/√Hz."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -82,41 +81,30 @@ def spread_of(instruments: _OfInstruments, parameter: str) -> float:
     return float(getattr(of_kind, within_kind(group_name(parameter))))
 
 
-def _noise(grade: str, accel: float, gyro: float, accel_instability: float, gyro_instability: float) -> Grade:
-    """A grade with these densities, m/s²/√Hz and rad/s/√Hz, instabilities, m/s² and °/h, and the spreads of the linear
-    model in the table of parameters."""
-    of_accel, of_gyro = (
-        Spread(**{within_kind(group.name): group.usual[grade] for group in LINEAR if group.kind == kind})
-        for kind in ("accel", "gyro")
+def _spreads(sizes: Mapping[str, Mapping[str, float | str]]) -> dict[str, Spread]:
+    """Spreads by kind of sensors from sizes in SI or with a unit."""
+    return {kind: Spread(**{name: size_of(size) for name, size in of_kind.items()}) for kind, of_kind in sizes.items()}
+
+
+def _over_instruments(grade: str) -> dict[str, Spread]:
+    """Spreads of the linear model in the table of parameters."""
+    return _spreads(
+        {
+            kind: {within_kind(group.name): group.usual[grade] for group in LINEAR if group.kind == kind}
+            for kind in ("accel", "gyro")
+        }
     )
-    in_run = {"accel_instability": accel_instability, "gyro_instability": gyro_instability * DEGREE_PER_HOUR}
-    return Grade(accel=of_accel, gyro=of_gyro, noise=NoiseModel(accel_white=accel, gyro_white=gyro, **in_run))
 
 
+_TABLE = tomllib.loads((Path(__file__).parent / "grades.toml").read_text(encoding="utf-8"))
 GRADES: Mapping[str, Grade] = MappingProxyType(
     {
-        "navigation": _noise("navigation", 1e-4, 0.003 * DEGREE_PER_ROOT_HOUR, 5e-6, 0.002),
-        "tactical": _noise("tactical", 3e-4, 0.1 * DEGREE_PER_ROOT_HOUR, 5e-5, 0.2),
-        "mems": _noise("mems", 1.5e-3, 0.01 * DEGREE, 3e-4, 5.0),
-        "consumer": _noise("consumer", 3e-3, 0.02 * DEGREE, 2e-3, 20.0),
+        name: Grade(**_over_instruments(name), noise=NoiseModel(**{key: size_of(size) for key, size in noise.items()}))
+        for name, noise in _TABLE["noise"].items()
     }
 )
-"""Fibre-optic or ring-laser gyros with pendulous accelerometers are of navigation grade."""
-
-
-def _turn_on(accel: tuple[float, float, float], gyro: tuple[float, float, float]) -> Spreads:
-    """Standard deviations of bias, m/s² and rad/s, scale factor and axis angles, rad."""
-    of_accel, of_gyro = (Spread(bias=bias, scale=scale, axis=axis) for bias, scale, axis in (accel, gyro))
-    return Spreads(accel=of_accel, gyro=of_gyro)
-
-
 TURN_ON: Mapping[str, Spreads] = MappingProxyType(
-    {
-        "navigation": _turn_on((2e-4, 1e-5, 2 * ARCSEC), (0.01 * DEGREE_PER_HOUR, 5e-6, 2 * ARCSEC)),
-        "tactical": _turn_on((3e-3, 1e-4, 10 * ARCSEC), (1 * DEGREE_PER_HOUR, 1e-4, 10 * ARCSEC)),
-        "mems": _turn_on((5e-3, 3e-4, 1e-4), (0.02 * DEGREE, 3e-4, 1e-4)),
-        "consumer": _turn_on((3e-2, 1e-3, 3e-4), (0.1 * DEGREE, 1e-3, 3e-4)),
-    }
+    {name: Spreads(**_spreads(sizes)) for name, sizes in _TABLE["power_on"].items()}
 )
 """By grade, how far parameters at a power-on are from their mean over many."""
 

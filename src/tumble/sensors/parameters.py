@@ -8,9 +8,9 @@ own being the component of what sensor p measures along its nominal axis. K (n, 
 bias, and every further group adds to it: a group is the constant array ∂K/∂θ, its `regressors` (n, 15, m). Some groups
 change no reading at rest: lever arms and delays act in a turn alone, and are named by `Motion`.
 
-Everything that deals with parameters loops over this table: estimation, bounds, planning, simulation, frames, the
-calibration file, terminal, report, registry and limits. A further group is one entry, or one of another package
-(`tumble.plugins`).
+Everything that deals with parameters loops over the table, parameters.toml: estimation, bounds, planning, simulation,
+frames, the calibration file, terminal, report, registry and limits. A further group is one entry, or one of another
+package (`tumble.plugins`).
 
 The groups are those of docs/explanation/mathematics.md (1) and (2); their usual sizes those of data sheets of each
 class.
@@ -20,11 +20,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import tomllib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, lru_cache
 from operator import attrgetter
-from typing import Literal
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 
@@ -134,24 +136,27 @@ OVER_TEMPERATURE = tuple(_ENDINGS[variable] for variable in THERMAL)
 # What parameters are called within their group
 
 
-_every_sensor, _angles = attrgetter("sensors"), attrgetter("angles")
-
-
-def _others(block: Block) -> tuple[str, ...]:
-    return block.sensors[:-1]
-
-
 def _by_force(block: Block) -> tuple[str, ...]:
     apart = "" if block.triad else "."
     return tuple(f"{sensor}{apart}{axis}" for sensor in block.sensors for axis in "xyz")
 
 
 def _levers(block: Block) -> tuple[str, ...]:
-    return tuple(f"{sensor}.{axis}" for sensor in _others(block) for axis in "xyz")
+    return tuple(f"{sensor}.{axis}" for sensor in block.sensors[:-1] for axis in "xyz")
 
 
 def _once(_: Block) -> tuple[str, ...]:
     return ("",)
+
+
+_SUFFIXES: Mapping[str, Callable[[Block], tuple[str, ...]]] = {
+    "sensors": attrgetter("sensors"),
+    "angles": attrgetter("angles"),
+    "others": lambda block: block.sensors[:-1],
+    "by force": _by_force,
+    "levers": _levers,
+    "once": _once,
+}
 
 
 # Regressors
@@ -185,200 +190,99 @@ def g_sensitivity(block: Block) -> Array:
     return out
 
 
-# The table
+_REGRESSORS: Mapping[str, Regressors] = {
+    "own square": quadratic,
+    "own cube": _own(OWN_CUBE),
+    "own size": _own(OWN_SIZE),
+    "force": g_sensitivity,
+}
 
-Units = tuple[tuple[float, str], ...]
-_NANO_G: Units = ((1e-3 * MICRO_G, "ng"),)
-_MASS: Units = ((MICRO_G, "µg"), (1e3 * MICRO_G, "mg"))
-_PARTS: Units = ((1e-6, "ppm"),)
-_TURN_RATE: Units = ((DEGREE_PER_HOUR, "°/h"), (DEGREE, "°/s"))
-_TIME: Units = ((1e-6, "µs"), (1e-3, "ms"))
-_HOUR = 3600.0
-_AT_TEN = 1e-6 / (10.0 * DEGREE) ** 2
-"""s²/rad²: what changes the scale factor by 1 ppm at 10 °/s."""
+
+# The table, parameters.toml
+
 CURVED = 1.0 / 60.0
 """Usual curvature over temperature, K⁻¹, in parts of the usual slope: at 60 K from the reference they do as much."""
+_HOUR = 3600.0
+_AT_TEN = 1e-6 / (10.0 * DEGREE) ** 2
+_SIZES: Mapping[str, float] = {
+    "ng": 1e-3 * MICRO_G, "µg": MICRO_G, "mg": 1e3 * MICRO_G, "ppb": 1e-9, "ppm": 1e-6, "arcsec": ARCSEC,
+    "°/h": DEGREE_PER_HOUR, "°/s": DEGREE, "°/√h": DEGREE / 60.0, "µs": 1e-6, "ms": 1e-3, "s": 1.0, "mm": 1e-3,
+    "µg/g²": 1e-6 / G_STANDARD, "mg/g²": 1e-3 / G_STANDARD, "µg/g³": 1e-6 / G_STANDARD**2,
+    "mg/g³": 1e-3 / G_STANDARD**2, "°/h/g": DEGREE_PER_HOUR / G_STANDARD, "°/s/g": DEGREE / G_STANDARD,
+    "ppm at 100 °/s": 0.01 * _AT_TEN, "ppm at 10 °/s": _AT_TEN,
+}  # fmt: skip
+"""SI, of the units in the tables."""
 
 
-def _per(units: Units, by: str, size: float = 1.0) -> Units:
-    """Units divided by another."""
-    return tuple((each / size, f"{name}/{by}") for each, name in units)
+def size_of(written: float | str) -> float:
+    """A size that is written in SI, or with a unit of the tables."""
+    number, _, unit = str(written).partition(" ")
+    return float(number) * _SIZES[unit] if unit else float(number)
 
 
-def _grades(navigation: float, tactical: float, mems: float, consumer: float, unit: float = 1.0) -> dict[str, float]:
-    sizes = navigation, tactical, mems, consumer
-    return {
-        grade: unit * size for grade, size in zip(("navigation", "tactical", "mems", "consumer"), sizes, strict=True)
-    }
+def _usual(row: Mapping[str, Any], key: str = "usual") -> dict[str, float]:
+    """The sizes of a row by grade."""
+    return dict(zip(("navigation", "tactical", "mems", "consumer"), map(size_of, row.get(key, ())), strict=False))
 
 
-def _group(
-    name: str,
-    unit: str,
-    words: str,
-    suffixes: Callable[[Block], tuple[str, ...]],
-    limit: float,
-    shown: Units,
-    usual: dict[str, float] | None = None,
-    regressors: Regressors | None = None,
-    motion: Motion | None = None,
-    stem: str | None = None,
-    sized_with: str | None = None,
-    source: str = DATA_SHEETS,
-) -> ParameterGroup:
-    kind: SensorKind = "accel" if name.startswith("accel") else "mag" if name.startswith("mag") else "gyro"
+def _shown(units: Iterable[str], per: str = "", size: float = 1.0) -> tuple[tuple[float, str], ...]:
+    """Units, divided by another, as (their size in SI, their names)."""
+    return tuple((_SIZES[unit.removesuffix("/°C³")] / size, unit + per) for unit in units)
+
+
+def _entry(row: Mapping[str, Any]) -> ParameterGroup:
+    """The group of a row that is no change of another."""
+    more = {key: row[key] for key in ("motion", "stem", "variable", "sized_with", "source") if key in row}
     return ParameterGroup(
-        name=name, kind=kind, unit=unit, words=words, suffixes=suffixes, limit=limit, shown=shown, usual=usual or {},
-        regressors=regressors, motion=motion, stem=stem, sized_with=sized_with, source=source,
-    )  # fmt: skip
-
-
-LINEAR: tuple[ParameterGroup, ...] = (
-    _group(
-        "accel.bias", "m/s^2", "biases of the accelerometers", _every_sensor,
-        1.0, _MASS, _grades(2e-3, 2e-2, 5e-2, 0.3),
-    ),
-    _group(
-        "accel.scale", "1", "scale-factor errors of the accelerometers", _every_sensor,
-        0.1, _PARTS, _grades(1e-4, 5e-4, 6e-3, 1.5e-2),
-    ),
-    _group(
-        "accel.axis", "rad", "axis angles of the accelerometers", _angles,
-        0.1, (), _grades(20 * ARCSEC, 100 * ARCSEC, 4e-3, 1e-2),
-    ),
-    _group(
-        "gyro.bias", "rad/s", "biases of the gyros", _every_sensor,
-        0.1, _TURN_RATE, _grades(0.1 * DEGREE_PER_HOUR, 5 * DEGREE_PER_HOUR, 1e-2, 2e-2),
-    ),
-    _group(
-        "gyro.scale", "1", "scale-factor errors of the gyros", _every_sensor,
-        0.1, _PARTS, _grades(1e-4, 5e-4, 6e-3, 1.5e-2),
-    ),
-    _group(
-        "gyro.axis", "rad", "axis angles of the gyros", _angles,
-        0.1, (), _grades(10 * ARCSEC, 100 * ARCSEC, 4e-3, 1e-2),
-    ),
-)  # fmt: skip
-"""Bias, scale-factor error and axis angles: the 21 of two triads."""
-
-MAGNETIC: tuple[ParameterGroup, ...] = (
-    _group("mag.bias", "1", "hard iron of the magnetometer, in parts of the field", _every_sensor, 10.0, ()),
-    _group("mag.scale", "1", "scale-factor errors of the magnetometer", _every_sensor, 1.0, _PARTS),
-    _group("mag.axis", "rad", "axis angles of the magnetometer", _angles, 1.0, ()),
-)
-"""Those of a magnetometer, which each recording determines anew: hard and soft iron are those of all that turns with
-it."""
-
-
-def _change(
-    base: str, variable: Variable, shown: Units, usual: dict[str, float], scaled: float = 1.0
-) -> ParameterGroup:
-    """The change of a group of the linear model with a variable, usual sizes times a factor."""
-    group = next(group for group in LINEAR if group.name == base)
-    ending, per, words = _CHANGES[variable]
-    return replace(
-        group,
-        name=f"{base}.{ending}",
-        unit=f"{group.unit}/{per}" if per else group.unit,
-        words=words + group.words,
-        shown=shown,
-        usual={grade: scaled * size for grade, size in usual.items()},
-        base=base,
-        variable=variable,
+        name=row["name"],
+        kind=row["name"].partition(".")[0],
+        unit=row["unit"],
+        words=row["words"],
+        suffixes=_SUFFIXES[row.get("named", "sensors")],
+        limit=size_of(row["limit"]),
+        shown=_shown(row.get("shown", ())),
+        usual=_usual(row),
+        regressors=_REGRESSORS.get(row.get("regressors", "")),
+        **more,
     )
 
 
-def _steady_changes(
-    base: str, units: Units, per_hour: dict[str, float], per_kelvin: dict[str, float], finer: Units = ()
-) -> list[ParameterGroup]:
-    """The drift, the slope and the curvature of a group of the linear model."""
-    return [
-        _change(base, "time", _per(units, "h", _HOUR), per_hour, 1.0 / _HOUR),
-        _change(base, "temperature", _per(units, "°C"), per_kelvin),
-        _change(base, "temperature²", _per((*finer, *units), "°C²"), per_kelvin, CURVED),
-    ]
+_TABLE: Mapping[str, Any] = tomllib.loads((Path(__file__).parent / "parameters.toml").read_text(encoding="utf-8"))
+LINEAR, MAGNETIC = (tuple(map(_entry, _TABLE[part])) for part in ("linear", "magnetic"))
+"""Bias, scale-factor error and axis angles: the 21 of two triads, and those of a magnetometer."""
+
+
+def _changes(row: Mapping[str, Any]) -> Iterator[ParameterGroup]:
+    """The change of a group of the linear model with a variable, or its drift, slope and curvature."""
+    group = next(group for group in LINEAR if group.name == row["base"])
+
+    def change(
+        variable: Variable, shown: tuple[tuple[float, str], ...], usual: dict[str, float], scaled: float = 1.0
+    ) -> ParameterGroup:
+        ending, per, words = _CHANGES[variable]
+        return replace(
+            group,
+            name=f"{group.name}.{ending}",
+            unit=f"{group.unit}/{per}" if per else group.unit,
+            words=words + group.words,
+            shown=shown,
+            usual={grade: scaled * size for grade, size in usual.items()},
+            base=group.name,
+            variable=variable,
+        )
+
+    if "variable" in row:
+        yield change(row["variable"], _shown(row["shown"]), _usual(row))
+        return
+    per_kelvin = _usual(row, "per_kelvin")
+    yield change("time", _shown(row["shown"], "/h", _HOUR), _usual(row, "per_hour"), 1.0 / _HOUR)
+    yield change("temperature", _shown(row["shown"], "/°C"), per_kelvin)
+    yield change("temperature²", _shown((*row.get("finer", ()), *row["shown"]), "/°C²"), per_kelvin, CURVED)
 
 
 FURTHER: list[ParameterGroup] = [
-    _group(
-        "accel.quadratic", "s^2/m", "quadratic nonlinearity of the accelerometers, K₂", _every_sensor,
-        1e-2 / G_STANDARD, ((MICRO_G / G_STANDARD**2, "µg/g²"), (1e3 * MICRO_G / G_STANDARD**2, "mg/g²")),
-        _grades(30.0, 50.0, 50.0, 50.0, 1e-6 / G_STANDARD), quadratic,
-        source="restricted likelihood: 6 [1, 40] µg/g² (8 InvenSense chips, 72 sessions), at most 160–300 (ADXL355, "
-        "MTi, MPU-9150); exceptions of 870 (BMI160, one axis) and 1500 (LSM9DS1)",
-    ),
-    _group(
-        "accel.cubic", "s^4/m^2", "cubic nonlinearity of the accelerometers, K₃", _every_sensor,
-        1e-2 / G_STANDARD**2, ((MICRO_G / G_STANDARD**3, "µg/g³"), (1e3 * MICRO_G / G_STANDARD**3, "mg/g³")),
-        _grades(10.0, 30.0, 100.0, 100.0, 1e-6 / G_STANDARD**2), _own(OWN_CUBE),
-        source="3011 ± 365 µg/g³ (ADXL355, one axis, both halves of the recording), else unseen",
-    ),
-    _group(
-        "accel.asymmetry", "1", "difference of the + and − scale factors of the accelerometers, half", _every_sensor,
-        1e-2, _PARTS, _grades(20e-6, 50e-6, 50e-6, 50e-6), _own(OWN_SIZE), sized_with="accel.quadratic",
-        source="as the quadratic terms, from which rests hardly tell it apart",
-    ),
-    _group(
-        "gyro.asymmetry", "1", "difference of the + and − scale factors of the gyros, half", _every_sensor,
-        1e-2, _PARTS, _grades(10e-6, 100e-6, 100e-6, 100e-6), _own(OWN_SIZE),
-        source="630, at most 250, and 57 ppm (three sets of chips)",
-    ),
-    _group(
-        "gyro.cubic", "s^2/rad^2", "cubic nonlinearity of the gyros: their scale factors with the square of the rate",
-        _every_sensor, 1e-2 / (10.0 * DEGREE) ** 2,
-        ((0.01 * _AT_TEN, "ppm at 100 °/s"), (_AT_TEN, "ppm at 10 °/s")), None, _own(OWN_CUBE),
-    ),
-    _group(
-        "gyro.g_sensitivity", "rad*s/m", "g-sensitivity of the gyros", _by_force,
-        DEGREE, _per(_TURN_RATE, "g", G_STANDARD),
-        _grades(0.05, 5.0, 30.0, 30.0, DEGREE_PER_HOUR / G_STANDARD), g_sensitivity,
-        source="11, 20, 41 and 4.5 °/h/g (four sets of chips)",
-    ),
-    _group(
-        "accel.lever", "m", "lever arms of the accelerometers from the last one", _levers,
-        1.0, ((1e-3, "mm"),), _grades(0.03, 0.03, 0.005, 0.005), motion="lever",
-    ),
-    _group(
-        "accel.delay", "s", "delay of the accelerometers after the gyros", _once,
-        0.1, _TIME, _grades(1e-3, 3e-3, 5e-3, 10e-3), motion="delay",
-    ),
-    _group(
-        "accel.single_delay", "s", "delays of single accelerometers after the last one", _others,
-        0.1, _TIME, _grades(20e-6, 100e-6, 300e-6, 500e-6), motion="single delay", stem="accel.delay",
-    ),
-    *_steady_changes(
-        "accel.bias", _MASS, _grades(20.0, 200.0, 2e3, 5e3, MICRO_G), _grades(20.0, 50.0, 300.0, 1e3, MICRO_G),
-        _NANO_G,
-    ),
-    *_steady_changes(
-        "accel.scale", _PARTS, _grades(10e-6, 50e-6, 200e-6, 500e-6), _grades(20e-6, 30e-6, 150e-6, 300e-6),
-        ((1e-9, "ppb"),),
-    ),
-    *_steady_changes(
-        "gyro.bias", _TURN_RATE, _grades(0.005, 0.5, 50.0, 200.0, DEGREE_PER_HOUR),
-        _grades(0.01, 1.0, 80.0, 200.0, DEGREE_PER_HOUR),
-    ),
-    *_steady_changes(
-        "gyro.scale", _PARTS, _grades(5e-6, 50e-6, 200e-6, 500e-6), _grades(10e-6, 30e-6, 200e-6, 400e-6),
-        ((1e-9, "ppb"),),
-    ),
-    _change("accel.bias", "temperature³", _per((*_NANO_G, *_MASS), "°C³"), {}),
-    _change("gyro.bias", "temperature³", _per(_TURN_RATE, "°C³"), {}),
-    _change("accel.bias", "hysteresis", _MASS, _grades(20.0, 50.0, 500.0, 1e3, MICRO_G)),
-    _change("gyro.bias", "hysteresis", _TURN_RATE, _grades(0.01, 0.5, 20.0, 50.0, DEGREE_PER_HOUR)),
-    _change("accel.bias", "launch", _MASS, _grades(20.0, 100.0, 500.0, 2e3, MICRO_G)),
-    _change("gyro.bias", "launch", _TURN_RATE, _grades(0.005, 0.5, 20.0, 100.0, DEGREE_PER_HOUR)),
-    *(
-        replace(
-            _group(
-                f"{kind}.lag", "s", f"lag of the {sensors} behind their thermometer", _once,
-                _HOUR, ((1.0, "s"),), _grades(100.0, 60.0, 40.0, 40.0),
-            ),
-            variable="lag",
-        )
-        for kind, sensors in (("accel", "accelerometers"), ("gyro", "gyros"))
-    ),
-]  # fmt: skip
+    group for row in _TABLE["further"] for group in (_changes(row) if "base" in row else [_entry(row)])
+]
 """The groups beyond the linear model, in the order of the calibration file."""
 
 

@@ -58,23 +58,11 @@ def simulate_observations(
     course: Itinerary | None = None,
     only_programmed: bool = False,
 ) -> Observations:
-    """Simulate the observations of one session.
+    """Simulate the observations of one session of a scenario, whose `truth` is that of the session.
 
-    Parameters
-    ----------
-    scenario
-        Instrument, programme and site; its `truth` is that of the session.
-    rng
-        Random numbers.
-    course
-        Attitudes and times of the rests; drawn where None.
-    only_programmed
-        Whether turns that the programme does not prescribe are left out, as if the log had been stopped for them.
-
-    Raises
-    ------
-    InputError
-        For a scenario that is impossible or vibrates.
+    `course` are attitudes and times of the rests, drawn where None. With `only_programmed` turns are left out that the
+    programme does not prescribe, as if the log had been stopped for them. Raises InputError for a scenario that is
+    impossible or vibrates.
     """
     if scenario.vibration.amplitude > 0.0:
         raise InputError(

@@ -4,16 +4,14 @@ All the time the Earth turns. With n and θ of a move and L₀ the attitude at i
 
     L(t) = exp([nθ×]) L₀,   ω = n θ̇ + Ω,   f = (g + v) e_U        geographic frame; v: vibration, vertical
 
-A sample is the mean over the interval that ends at its time stamp, in the body frame. Since Lᵀn is constant,
+A sample is the mean of the readings over the interval that ends at its time stamp, of late accelerometers so much
+earlier, by forces Lᵀf and rates Lᵀω in the body, with R = exp([nθ×]),
 
-    mean Lᵀω = L₀ᵀ( n Δθ/h + mean(R)ᵀ Ω ),   mean Lᵀf = L₀ᵀ mean((g + v) Rᵀ) e_U
-    Rᵀ = nnᵀ + cos θ (I − nnᵀ) − sin θ [n×]
+    Lᵀ = L₀ᵀ Rᵀ,   Rᵀ = nnᵀ + cos θ (I − nnᵀ) − sin θ [n×]
 
-so that a move is three scalar series: Δθ, and the means of cos θ and sin θ. The means are Gauss–Legendre
-sums over panels that end wherever a sample ends or θ(t) is not smooth, exact to rounding; moves need not
-begin or end with a sample. The reading of a linear instrument is `matrix @ mean + bias + noise`; of another the mean is
-taken of the readings, with f + [ω̇×]r + [ω×]²r at an accelerometer with lever arm r, and with late accelerometers, of
-the interval so much earlier. Parameters that change with temperature have the value of the middle of the sample.
+and f + [ω̇×]r + [ω×]²r at an accelerometer with lever arm r. The means are Gauss–Legendre sums over panels that end
+wherever a sample ends or θ(t) is not smooth, exact to rounding; moves need not begin or end with a sample. Parameters
+that change with temperature have at rest the value of the middle of the sample.
 """
 
 from __future__ import annotations
@@ -28,7 +26,6 @@ from tumble.earth import earth_rate
 from tumble.errors import InputError
 from tumble.planning.itinerary import Itinerary
 from tumble.rotation import UP, skew
-from tumble.sensors.instrument import is_linear
 from tumble.sensors.model import Block
 from tumble.simulation.scenario import Scenario, itinerary
 from tumble.simulation.sensors import SimulatedBlock
@@ -84,17 +81,22 @@ def _block_readings(
     fs, rests = scenario.setup.sample_rate, course.rests
     sensors = SimulatedBlock.of(block, scenario, course.middle)
     out = np.empty((block.size, math.floor(rests[-1, 1] * fs + 1e-6)))
-    sampled = _SampledBlock(sensors=sensors, scenario=scenario, late=late, rng=rng, readings=out)
     shifted = rests + late
     shifted[0, 0], shifted[-1, 1] = rests[0, 0], rests[-1, 1]
     edges = np.column_stack([np.ceil(shifted[:, 0] * fs - 1e-6), np.floor(shifted[:, 1] * fs + 1e-6)]).astype(int)
     normal = np.empty((len(rests), block.size))
     for i, L in enumerate(course.attitudes):
         normal[i] = rng.standard_normal(block.size)
-        for first, last in _chunks(edges[i, 0], edges[i, 1]):
-            sampled.put(first, last, sampled.at_rest(L, first, last))
-        for first, last in _chunks(edges[i, 1], edges[i + 1, 0]) if i < len(course.moves) else ():
-            sampled.put(first, last, sampled.in_move(L, course.moves[i], float(shifted[i, 1]), first, last))
+        moves = () if i == len(course.moves) else _chunks(edges[i, 1], edges[i + 1, 0])
+        pieces = [(*piece, True) for piece in _chunks(*edges[i])] + [(*piece, False) for piece in moves]
+        for first, last, still in pieces:
+            if still:
+                means = _at_rest(sensors, scenario, late, L, first, last)
+            else:
+                means = _in_move(sensors, scenario, late, L, course.moves[i], float(shifted[i, 1]), first, last)
+            out[:, first:last] = means.T
+            if sensors.white > 0.0:
+                out[:, first:last] += math.sqrt(fs) * sensors.white * rng.standard_normal((block.size, last - first))
     bias = sensors.bias(normal, rests)
     for first, last in _chunks(0, out.shape[1]) if np.any(bias.values) else ():
         begins = (np.arange(first, last) + 1e-6) / fs - late  # that of a rest, where it begins with it
@@ -108,92 +110,66 @@ def _chunks(first: int, last: int) -> Iterator[tuple[int, int]]:
         yield start, min(start + _CHUNK, int(last))
 
 
-@dataclass(kw_only=True, slots=True, eq=False)
-class _SampledBlock:
-    """One block at work: its sensors, by how much it is `late`, s, and its readings (n, N) as they fill up."""
+def _at_rest(sensors: SimulatedBlock, scenario: Scenario, late: float, L: Array, first: int, last: int) -> Array:
+    """Mean readings of samples [first, last) at rest: (1, n), or with vibration or drift those of every sample."""
+    setup, vibration, fs = scenario.setup, scenario.vibration, scenario.setup.sample_rate
+    still = vibration.amplitude == 0.0 and not sensors.changes
+    middle = np.asarray((np.arange(first, first + 1 if still else last) + 0.5) / fs - late, dtype=float)
+    force = np.full(len(middle), setup.gravity)
+    if vibration.amplitude > 0.0:
+        mean = vibration.amplitude * np.sinc(vibration.frequency / fs)
+        force += mean * np.sin(2.0 * np.pi * vibration.frequency * middle)
+    rates = np.broadcast_to(np.array(earth_rate(setup.latitude)) @ L, (len(force), 3))
+    return sensors.read(_with_levers(sensors, force[:, None] * L[1], rates, np.zeros_like(rates)), rates, middle)
 
-    sensors: SimulatedBlock
-    scenario: Scenario
-    late: float
-    rng: np.random.Generator
-    readings: Array
 
-    def put(self, first: int, last: int, means: Array) -> None:
-        """Samples of mean readings (last − first, n), or (1, n) for all of them."""
-        out = self.readings[:, first:last]
-        out[:] = means.T
-        if self.sensors.white > 0.0:
-            sigma = math.sqrt(self.scenario.setup.sample_rate) * self.sensors.white
-            out += sigma * self.rng.standard_normal(out.shape)
+def _in_move(
+    sensors: SimulatedBlock,
+    scenario: Scenario,
+    late: float,
+    L: Array,
+    move: Array,
+    start: float,
+    first: int,
+    last: int,
+) -> Array:
+    """Mean readings (last − first, n) of samples of a move from attitude L that starts at time `start`. The formulas
+    are those at the head of the module."""
+    profile, vibration, fs = scenario.profile, scenario.vibration, scenario.setup.sample_rate
+    total = float(np.linalg.norm(move))
+    n, earth = move / total if total > 0.0 else UP, np.array(earth_rate(scenario.setup.latitude))
+    whole = math.floor(start * fs)  # time within the move, in samples, so that nothing is lost late in a log
+    passed = (first - whole) - (start * fs - whole)
+    panels = _panels(scenario, total, passed, last - first)
+    nodes = panels[:-1, None] + np.diff(panels)[:, None] * _NODES
+    theta = profile.angle((nodes + passed) / fs, total)
+    rate, change = (each[..., None] for each in profile.rates((nodes + passed) / fs, total))
+    waves = np.stack([np.ones_like(theta), np.cos(theta), np.sin(theta)], axis=-1)
+    vertical = np.full_like(theta, scenario.setup.gravity)
+    if vibration.amplitude > 0.0:
+        seconds = (first + nodes - late * fs) / fs
+        vertical += vibration.amplitude * np.sin(2.0 * np.pi * vibration.frequency * seconds)
+    earth_b, axis_b = waves @ _turning(n, earth) @ L, n @ L
+    force = vertical[..., None] * waves @ _turning(n, UP) @ L
+    changes = change * axis_b - rate * np.cross(axis_b, earth_b)
+    force, rates, changes = (each.reshape(-1, 3) for each in (force, earth_b + rate * axis_b, changes))
+    readings = sensors.read(_with_levers(sensors, force, rates, changes), rates, (first + nodes).ravel() / fs)
+    integrals = np.einsum("pnk,n,p->pk", readings.reshape(*theta.shape, -1), _WEIGHTS, np.diff(panels))
+    return np.asarray(np.add.reduceat(integrals, np.searchsorted(panels, np.arange(last - first)), axis=0))
 
-    def read(self, force: Array, rate: Array, change: Array, when: Array) -> Array:
-        """Readings (N, n) in forces, rates and angular accelerations (N, 3) of the body at times (N,), s: at a lever
-        arm r the force is f + [ω̇×]r + [ω×]²r."""
-        if np.any(self.sensors.arms):
-            around = skew(change) + skew(rate) @ skew(rate)
-            force = force[:, None] + np.einsum("nij,pj->npi", around, self.sensors.arms)
-        return self.sensors.read(force, rate, when)
 
-    def at_rest(self, L: Array, first: int, last: int) -> Array:
-        """Mean readings of samples [first, last) at rest: (1, n), or with vibration or drift those of every sample."""
-        scenario = self.scenario
-        setup, vibration, fs = scenario.setup, scenario.vibration, scenario.setup.sample_rate
-        rate = np.array(earth_rate(scenario.setup.latitude)) @ L
-        still = vibration.amplitude == 0.0 and not self.sensors.changes
-        middle = np.asarray((np.arange(first, first + 1 if still else last) + 0.5) / fs - self.late, dtype=float)
-        force = np.full(len(middle), setup.gravity)
-        if vibration.amplitude > 0.0:
-            mean = vibration.amplitude * np.sinc(vibration.frequency / fs)
-            force = setup.gravity + mean * np.sin(2.0 * np.pi * vibration.frequency * middle)
-        rates = np.broadcast_to(rate, (len(force), 3))
-        return self.read(force[:, None] * L[1], rates, np.zeros_like(rates), middle)
-
-    def in_move(self, L: Array, move: Array, start: float, first: int, last: int) -> Array:
-        """Mean readings (last − first, n) of samples of a move from attitude L that starts at time `start`. The
-        formulas are those at the head of the module."""
-        scenario, profile = self.scenario, self.scenario.profile
-        fs, total = scenario.setup.sample_rate, float(np.linalg.norm(move))
-        n, earth = move / total if total > 0.0 else UP, np.array(earth_rate(scenario.setup.latitude))
-        whole = math.floor(start * fs)  # time within the move, in samples, so that nothing is lost late in a log
-        passed = (first - whole) - (start * fs - whole)
-        samples = np.arange(last - first + 1.0)
-        panels = _panels(scenario, total, passed, last - first)
-        nodes = panels[:-1, None] + np.diff(panels)[:, None] * _NODES
-        theta = profile.angle((nodes + passed) / fs, total)
-        waves = np.stack([np.ones_like(theta), np.cos(theta), np.sin(theta)])
-        vertical, vibration = np.full(1, scenario.setup.gravity), scenario.vibration
-        if vibration.amplitude > 0.0:
-            seconds = (first + nodes - self.late * fs) / fs
-            vertical = vertical + vibration.amplitude * np.sin(2.0 * np.pi * vibration.frequency * seconds)
-        if np.any(self.sensors.arms) or not is_linear(self.sensors.block, self.sensors.coefficients):
-            rate, change = profile.rates((nodes + passed) / fs, total)
-            earth_b, axis_b = np.moveaxis(waves, 0, -1) @ _turning(n, earth) @ L, n @ L
-            means = self.read(
-                (np.moveaxis(vertical * waves, 0, -1) @ _turning(n, UP) @ L).reshape(-1, 3),
-                (earth_b + rate[..., None] * axis_b).reshape(-1, 3),
-                (change[..., None] * axis_b - rate[..., None] * np.cross(axis_b, earth_b)).reshape(-1, 3),
-                (first + nodes).ravel() / fs,
-            )
-            return _means(np.moveaxis(means.reshape(*theta.shape, -1), -1, 0), panels, samples)
-        when = (first + samples[:-1] + 0.5) / fs
-        if self.sensors.block.kind == "accel":
-            force = _means(vertical * waves, panels, samples) @ _turning(n, UP) @ L
-            return self.read(force, np.zeros_like(force), np.zeros_like(force), when)
-        turned = np.diff(profile.angle((samples + passed) / fs, total)) * fs
-        mean_rate = (_means(waves, panels, samples) @ _turning(n, earth) + np.outer(turned, n)) @ L
-        return self.read(np.zeros_like(mean_rate), mean_rate, np.zeros_like(mean_rate), when)
+def _with_levers(sensors: SimulatedBlock, force: Array, rate: Array, change: Array) -> Array:
+    """Forces (N, n, 3) at lever arms r, f + [ω̇×]r + [ω×]²r, or those (N, 3) of the body without any."""
+    if not np.any(sensors.arms):
+        return force
+    around = skew(change) + skew(rate) @ skew(rate)
+    return np.asarray(force[:, None] + np.einsum("nij,pj->npi", around, sensors.arms))
 
 
 def _turning(n: Array, vector: Array) -> Array:
     """Rows a, b, c with Rᵀ vector = a + b cos θ + c sin θ, R the rotation by θ about n."""
     along = n * (n @ vector)
     return np.stack([along, vector - along, -np.cross(n, vector)])
-
-
-def _means(values: Array, panels: Array, samples: Array) -> Array:
-    """Means over every sample, (samples, k), of k series given at the nodes of every panel, (k, P, 6)."""
-    integrals = (values @ _WEIGHTS) * np.diff(panels)
-    return np.asarray(np.add.reduceat(integrals, np.searchsorted(panels, samples[:-1]), axis=1).T)
 
 
 def _panels(scenario: Scenario, total: float, passed: float, samples: int) -> Array:

@@ -78,25 +78,12 @@ NO_VIBRATION = Vibration()
 
 @dataclass(frozen=True, kw_only=True)
 class Scenario:
-    """Everything that a simulated session is made of, apart from chance.
+    """Everything that a simulated session is made of, apart from chance: a set-up, whose spreads are not used, blocks
+    of sensors, the true values of all parameters, SI, as truth.json has them, a vibration throughout the log, and the
+    temperatures, with which parameters change.
 
     Errors of table and mounting are rotations uniform within ± about each axis: of the mounting for the launch (body
     axes), of the table for every position (geographic axes).
-
-    Attributes
-    ----------
-    setup : Setup
-        Programme, site and noise; its spreads are not used.
-    accel, gyro : Block
-        The sensors.
-    truth : mapping of str to float
-        True values of all parameters, SI, which truth.json has.
-    vibration : Vibration
-        Vibration throughout the log.
-    serial : str
-        Serial number of the device.
-    climate : Climate or None
-        Temperatures of the session, with which parameters change.
     """
 
     setup: Setup
@@ -130,9 +117,8 @@ class Scenario:
     @cached_property
     def instrument(self) -> Instrument:
         """The instrument whose true values are given."""
-        variables: tuple[Variable, ...] = ("time",)
-        if self.climate is not None:
-            variables = ("time", "temperature", "temperature²", "hysteresis")
+        thermal: tuple[Variable, ...] = ("temperature", "temperature²", "hysteresis")
+        variables: tuple[Variable, ...] = ("time", *(() if self.climate is None else thermal))
         return Instrument.of(self.accel, self.gyro, tuple({group_name(name) for name in self.truth}), variables)
 
     @property
@@ -222,7 +208,7 @@ MOST_POSITIONS = 100_000
 def _check(scenario: Scenario) -> None:
     """Raise InputError if a scenario is one nothing can be recorded of."""
     setup, vibration = scenario.setup, scenario.vibration
-    sizes = [("sample rate", setup.sample_rate, "Hz"), ("rate", setup.turn_rate / DEGREE, "deg/s")]
+    sizes = (("sample rate", setup.sample_rate, "Hz"), ("rate", setup.turn_rate / DEGREE, "deg/s"))
     for what, value, unit in (*sizes, ("ramp", setup.ramp, "s")):
         if not 0.0 < value < math.inf:
             raise InputError(f"{what}: expected more than 0, in {unit}, found {value:g}")
@@ -230,20 +216,18 @@ def _check(scenario: Scenario) -> None:
     for what, rest in (("first rest", max(setup.rest, setup.first_rest)), ("rest", setup.rest)):
         if not shortest <= rest < math.inf:
             raise InputError(f"{what}: expected at least two samples, {shortest:g} s, found {rest:g} s")
-    highest = _MAX_CYCLES_PER_SAMPLE * setup.sample_rate
+    highest, by_hand = _MAX_CYCLES_PER_SAMPLE * setup.sample_rate, setup.by_hand
     if vibration.amplitude > 0.0 and not 0.0 < vibration.frequency <= highest:
         raise InputError(
             f"vibration: expected more than 0 and at most {highest:g} Hz (ten cycles a sample), "
             f"found {vibration.frequency:g} Hz"
         )
-    if (positions := setup.by_hand) is not None:
-        if not 1 <= positions <= MOST_POSITIONS:
-            least = "least 1" if positions < 1 else f"most {MOST_POSITIONS}"
-            raise InputError(f"positions: expected at {least}, found {Decimal(positions):.6g}")
-    else:
-        for what, error in (("table error", setup.table_error), ("mounting error", setup.mounting_error)):
-            if not 0.0 <= error < math.inf:
-                raise InputError(f"{what}: expected 0 or more, in deg, found {error / DEGREE:g}")
+    if by_hand is not None and not 1 <= by_hand <= MOST_POSITIONS:
+        least = "least 1" if by_hand < 1 else f"most {MOST_POSITIONS}"
+        raise InputError(f"positions: expected at {least}, found {Decimal(by_hand):.6g}")
+    for what, error in (("table error", setup.table_error), ("mounting error", setup.mounting_error)):
+        if by_hand is None and not 0.0 <= error < math.inf:
+            raise InputError(f"{what}: expected 0 or more, in deg, found {error / DEGREE:g}")
     missing = sorted(set(scenario.names) ^ set(scenario.truth))
     if missing:
         raise InputError(

@@ -26,17 +26,8 @@ from tumble.units import Array
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class InRunBias:
-    """Change of the biases of a block during a session.
-
-    Attributes
-    ----------
-    rests : (R, 2) array
-        Start and stop of the rests, s.
-    values : (R, n) array
-        Change at each rest, SI.
-    held : bool
-        Whether it is held until the next rest, or goes there linearly.
-    """
+    """Changes (R, n), SI, of the biases of a block at rests (R, 2) from start to stop, s, each `held` until the next
+    rest, or else going there linearly."""
 
     rests: Array
     values: Array
@@ -52,21 +43,10 @@ class InRunBias:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SimulatedBlock:
-    """A block of sensors with true errors.
-
-    Attributes
-    ----------
-    coefficients : (n, 15) array
-        K at the mean time of the rests, `middle`, and at the reference temperature.
-    changes : mapping of Variable to (n, 15) array
-        Change of K per second, and with what goes with the temperature of the `climate`.
-    arms : (n, 3) array
-        Lever arms, m.
-    white : float
-        Density of the white noise, SI/√Hz.
-    instability, instability_time : float
-        Standard deviation of the in-run bias, SI, and its correlation time, s.
-    """
+    """A block of sensors with true errors: coefficients K (n, 15) at the mean time of the rests, `middle`, and at the
+    reference temperature; changes (n, 15) of K per second, and with what goes with the temperature of the `climate`;
+    lever arms (n, 3), m; the density of the white noise, SI/√Hz; and the standard deviation of the in-run bias, SI,
+    with its correlation time, s."""
 
     block: Block
     coefficients: Array
@@ -97,17 +77,8 @@ class SimulatedBlock:
         )
 
     def bias(self, normal: Array, rests: Array) -> InRunBias:
-        """In-run change of the biases in a session.
-
-        A process that lasts is taken less its mean over the rests, which is the parameter.
-
-        Parameters
-        ----------
-        normal : (R, n)
-            Standard normal numbers.
-        rests : (R, 2)
-            Start and stop of the rests, s.
-        """
+        """In-run change of the biases in a session by standard normal numbers (R, n), at rests (R, 2) from start to
+        stop, s. A process that lasts is taken less its mean over the rests, which is the parameter."""
         values = self.instability * normal
         if self.instability_time > 0.0:
             ρ = np.exp(-np.diff(rests.mean(axis=1)) / self.instability_time)
@@ -117,19 +88,9 @@ class SimulatedBlock:
         return InRunBias(rests=rests, values=values, held=self.instability_time == 0.0)
 
     def read(self, force: Array, rate: Array, when: Array, seconds: Array | None = None) -> Array:
-        """Readings (N, n) without white noise.
-
-        Parameters
-        ----------
-        force : (N, 3) or (N, n, 3)
-            Specific force of the body, or at each sensor.
-        rate : (N, 3)
-            Angular rate of the body.
-        when : (N,)
-            Times from the start of the session, s.
-        seconds : (N,), optional
-            Intervals about these times over which temperatures are averaged.
-        """
+        """Readings (N, n) without white noise in specific forces (N, 3) of the body, or (N, n, 3) at each sensor, and
+        rates (N, 3) of the body, at times (N,) from the start of the session, s, with the temperatures of these times,
+        or means over intervals of so many `seconds` (N,) about them."""
         out = readings(self.block, self.coefficients, force, rate)
         if not self.changes:
             return out

@@ -32,7 +32,7 @@ from tumble.simulation.temperature_profile import (
 from tumble.units import DEGREE, G_STANDARD, ZERO_CELSIUS, Array
 
 if TYPE_CHECKING:
-    import polars as pl
+    pass
 
 LogFormat = Literal["parquet", "csv", "counts"]
 COUNTS: Mapping[str, tuple[str, float]] = {"a": ("acc_", 4096.0 / G_STANDARD), "g": ("gyr_", 32.8 / DEGREE)}
@@ -93,11 +93,9 @@ def simulate_session(
         geometry, _ = np.random.default_rng([seed, launch]).spawn(2)
         duration = float(itinerary(scenario, geometry).rests[-1, 1])
         accel, gyro = temperature.blocks(scenario.accel, scenario.gyro)
-        blocks = {"accel": accel, "gyro": gyro}
-        thermal = draw_thermal(setup.further, setup.instrument, blocks, truth)
+        thermal = draw_thermal(setup.further, setup.instrument, {"accel": accel, "gyro": gyro}, truth)
         climate = temperature.climate(duration, draw_lags(setup.further, truth))
-        truth_now = dict(scenario.truth) | thermal
-        scenario = replace(scenario, accel=accel, gyro=gyro, truth=truth_now, climate=climate)
+        scenario = replace(scenario, accel=accel, gyro=gyro, truth={**scenario.truth, **thermal}, climate=climate)
     return write_simulation(Path(folder), scenario, course, log_format=log_format)
 
 
@@ -136,8 +134,13 @@ def write_simulation(
         with nothing_left(folder) as output:
             frame = pl.DataFrame(_columns_of(scenario, recording))  # SI; float64 survives in both formats
             if log_format == "counts":
-                time = (1e3 * pl.col("t")).round().cast(pl.Int64).alias("ms")
-                frame = frame.select(time, *map(_counted, frame.columns[1:]))
+                counted = {"t": ("ms", 1e3)}
+                for column in frame.columns:
+                    if column[0] in COUNTS:
+                        name, counts = COUNTS[column[0]]
+                        counted[column] = f"{name}{column[1:]}", counts
+                whole = [(size * pl.col(c)).round().cast(pl.Int64).alias(name) for c, (name, size) in counted.items()]
+                frame = frame.select(*whole, *(c for c in frame.columns if c not in counted))
             with whole_file(output.new_file(log)) as temporary:
                 (frame.write_parquet if log_format == "parquet" else frame.write_csv)(temporary)
             with whole_file(output.new_file(TRUTH_FILE)) as temporary:
@@ -147,16 +150,6 @@ def write_simulation(
     except OSError as error:
         raise InputError(f"{folder}: expected a folder to write to, found: {error.strerror or error}") from None
     return folder
-
-
-def _counted(column: str) -> pl.Expr:
-    """A column of sensors in whole counts, under another name; any other as it is."""
-    import polars as pl
-
-    if column[0] not in COUNTS:
-        return pl.col(column)
-    name, counts = COUNTS[column[0]]
-    return (counts * pl.col(column)).round().cast(pl.Int64).alias(f"{name}{column[1:]}")
 
 
 def session_in_memory(scenario: Scenario, rng: np.random.Generator) -> Session:
@@ -214,21 +207,17 @@ def _content(scenario: Scenario, log_format: LogFormat) -> dict[str, Any]:
             "file": f"log.{log_format}",
             "time": "t",
             "clock_ppm_u": 0,
-            "accel": _block_content(scenario.accel, "m/s^2"),
-            "gyro": _block_content(scenario.gyro, "rad/s"),
+            "accel": {"columns": _columns(scenario.accel), "unit": "m/s^2"},
+            "gyro": {"columns": _columns(scenario.gyro), "unit": "rad/s"},
         },
     }
+    for block in (scenario.accel, scenario.gyro):
+        if not np.array_equal(block.axes, np.eye(3)):
+            content["log"][block.kind]["axes"] = block.axes.tolist()
     if scenario.climate is not None:
         names = list(thermometer_columns(scenario.climate, np.zeros(1)))
         content["log"]["temperature"] = {"columns": names, "unit": "degC"}
     if (listed := scenario.programme) is not None:
         attitudes = [{"attitude": position.attitude} for position in listed.positions]
         content["programme"] = {"name": listed.name} if listed.name in programmes() else {"position": attitudes}
-    return content
-
-
-def _block_content(block: Block, unit: str) -> dict[str, Any]:
-    content: dict[str, Any] = {"columns": _columns(block), "unit": unit}
-    if not np.array_equal(block.axes, np.eye(3)):
-        content["axes"] = block.axes.tolist()
     return content

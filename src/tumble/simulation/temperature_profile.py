@@ -34,21 +34,9 @@ NODES = 128
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Climate:
-    """Temperatures of thermometers and sensors throughout a session.
-
-    Attributes
-    ----------
-    time : (N,) array
-        Times from the start of the session, s, between which temperatures change linearly.
-    kelvin : (N, T) array
-        Temperatures of the thermometers, K.
-    reference : float
-        Temperature at which the true parameters have their values, K.
-    lags : mapping of str to float
-        Lags of the sensors behind their thermometers, s, by kind.
-    span : (float or (T,) array, float or (T,) array)
-        Middle and half the range of the temperatures, K, of which the hysteresis is made.
-    """
+    """Temperatures (N, T), K, of thermometers throughout a session, between times (N,), s, linear; the temperature, K,
+    at which the true parameters have their values; the lags of the sensors behind their thermometers, s, by kind; and
+    of each thermometer the middle and half the range, of which the hysteresis is made."""
 
     time: Array
     kelvin: Array
@@ -112,16 +100,9 @@ _NODES = 2000
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TemperatureProfile:
-    """Temperatures of a session.
-
-    Attributes
-    ----------
-    celsius : tuple of float
-        Temperatures, °C, at equal steps from the start to the end; one if it stays the same.
-    heating : tuple of (float, float)
-        Rise of each thermometer after power-on, K, and the time constant, s, with which it is reached: one for all
-        sensors, two for accelerometers and gyros, or one a sensor.
-    """
+    """Temperatures of a session: those, °C, at equal steps from the start to the end, one if it stays the same; and the
+    rise of each thermometer after power-on, K, with the time constant, s, by which it is reached: one for all sensors,
+    two for accelerometers and gyros, or one a sensor."""
 
     celsius: tuple[float, ...]
     heating: tuple[tuple[float, float], ...] = ((0.0, 600.0),)

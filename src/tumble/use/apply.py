@@ -11,9 +11,8 @@ samples that are missing in it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -37,64 +36,13 @@ from tumble.recording.text.text_log import times_of
 from tumble.result.accepted import accepted_part
 from tumble.result.calibration import Calibration, calibration_from
 from tumble.sensors.compensation import Compensator
-from tumble.sensors.model import SensorModel
+from tumble.sensors.model import Block
 from tumble.sensors.parameters import groups, positions_by_group
 from tumble.units import Array, Unit
 from tumble.use.corrector import Stream
 
 _SLICE = 1 << 14
 """Rows that are corrected at a time: what is made of them on the way fits the cache of a core."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Correction:
-    """The sensors of one kind and their model. If they are not in the calibration, their columns are `copied`, and
-    their readings are used in the correction of others."""
-
-    kind: str
-    channels: Channels
-    model: SensorModel
-    copied: bool = False
-
-    @cached_property
-    def written(self) -> Channels:
-        """The corrected columns: in the log's unit, scale and offset if their names state them, else in SI."""
-        named = {unit_of_name(self.kind, column) for column in self.channels.columns}
-        if self.copied or named == {self.channels.unit_name}:
-            return self.channels
-        sensors, (rate, increment) = len(self.channels.columns), SI.get(self.kind, (self.channels.unit_name,) * 2)
-        return replace(
-            self.channels,
-            unit=Unit(factor=1.0, kind=self.channels.unit.kind),
-            unit_name=increment if self.increments else rate,
-            scale=np.ones(sensors),
-            offset=np.zeros(sensors),
-        )
-
-    @property
-    def increments(self) -> bool:
-        return self.channels.unit.kind == "increment"
-
-    @property
-    def added(self) -> tuple[str, ...]:
-        """Columns for the vector of a redundant block."""
-        return (
-            tuple(f"{self.kind}_{axis}" for axis in "xyz") if len(self.channels.columns) > 3 and not self.copied else ()
-        )
-
-    def readings(self, table: pl.DataFrame) -> Array:
-        """Readings (N, n) of a table, SI; of increments the integrals themselves."""
-        raw = side_by_side(table, self.channels.columns)
-        return self.channels.to_si(raw, np.ones(len(raw)))
-
-    def columns(self, true: Array) -> dict[str, Array]:
-        """The columns of corrected vectors (N, 3)."""
-        if self.copied:
-            return {}
-        along_body = np.array_equal(self.channels.axes, np.eye(3))
-        perfect = true if along_body else true @ self.channels.axes.T
-        out = dict(zip(self.channels.columns, self.written.from_si(perfect).T, strict=True))
-        return out | dict(zip(self.added, true.T, strict=False))
 
 
 @checked
@@ -140,16 +88,17 @@ def apply_to_session(
     """
     calibration, session, path = accepted_part(calibration_from(calibration)), session_from(session), Path(out)
     session.check_new(path, force=force)
-    parts = _parts(calibration, session)
+    read = _channels(calibration, session)
+    written = {kind: _written(kind, each) for kind, each in read.items() if getattr(calibration, kind) is not None}
     log = open_log(session)
     nameless = path.suffix == ".csv" and session.log.dialect is not None and not session.log.dialect.header
-    write_tables(path, _tables(session, parts, calibration.compensator, 1.0 / log.rate), header=not nameless)
+    write_tables(path, _tables(session, calibration, read, written, 1.0 / log.rate), header=not nameless)
     content = description_of(session)
     table = {key: value for key, value in content["log"].items() if key not in (*DIALECT_KEYS, "file")}
-    for part in parts:
-        if part.written is not part.channels and part.kind in table:
-            stated = {key: table[part.kind][key] for key in ("columns", "axes") if key in table[part.kind]}
-            table[part.kind] = {**stated, "unit": part.written.unit_name}
+    for kind, channels in written.items():
+        if channels is not read[kind] and kind in table:
+            stated = {key: table[kind][key] for key in ("columns", "axes") if key in table[kind]}
+            table[kind] = {**stated, "unit": channels.unit_name}
     return {**content, "log": {"file": str(path.resolve()), **({"header": False} if nameless else {}), **table}}
 
 
@@ -181,61 +130,94 @@ def applied(calibration: Calibration | FilePath, session: Session | FilePath) ->
     return tuple(out)
 
 
-def _parts(calibration: Calibration, session: Session) -> tuple[_Correction, ...]:
-    """The sensors to correct. Raises InputError for a calibration of another device or of other sensors."""
+def _channels(calibration: Calibration, session: Session) -> dict[str, Channels]:
+    """The sensors whose readings the correction takes, by kind; accelerometers that the calibration does not have for
+    what gyros feel of them. Raises InputError for a calibration of another device or of other sensors."""
     check_device(calibration, session)
-    copied = calibration.accel is None
-    wanted: list[tuple[str, SensorModel | None, Channels]] = [
-        ("accel", calibration.accel or calibration.compensator.model("accel"), session.log.accel)
-    ]
-    if session.log.gyro is not None and (calibration.gyro is not None or not calibration.provenance.absent):
-        wanted.append(("gyro", calibration.gyro, session.log.gyro))
-    parts = []
-    for kind, model, channels in wanted:
-        count = 0 if model is None else len(model.bias)
-        if model is None or count != len(channels.columns):
+    log, compensator = session.log, calibration.compensator
+    read = {"accel": log.accel}
+    if log.gyro is not None and (calibration.gyro is not None or not calibration.provenance.absent):
+        read["gyro"] = log.gyro
+    for kind, channels in read.items():
+        block: Block | None = getattr(compensator, kind)
+        count = 0 if block is None else block.size
+        if count != len(channels.columns):
             raise InputError(
                 f"{session.name}: log.{kind}: expected as many sensors as the calibration has, {count}, found "
                 f"{len(channels.columns)}; columns that the session does not name are copied"
             )
-        parts.append(_Correction(kind=kind, channels=channels, model=model, copied=copied and kind == "accel"))
-    if session.log.magnetometer is not None and calibration.mag is not None:
-        magnetometer, unit = session.log.magnetometer, calibration["mag.bias.x"].unit
-        if magnetometer.unit_name != unit:
+    if log.magnetometer is not None and calibration.mag is not None:
+        unit = calibration["mag.bias.x"].unit
+        if log.magnetometer.unit_name != unit:
             raise InputError(
                 f"{session.name}: log.magnetometer.unit: expected that of the calibration, {unit!r}, found "
-                f"{magnetometer.unit_name!r}; calibrate in the unit of the log"
+                f"{log.magnetometer.unit_name!r}; calibrate in the unit of the log"
             )
-        parts.append(_Correction(kind="mag", channels=magnetometer, model=calibration.mag))
-    return tuple(parts)
+        read["mag"] = log.magnetometer
+    return read
+
+
+def _written(kind: str, channels: Channels) -> Channels:
+    """The corrected columns: in the log's unit, scale and offset if their names state them, else in SI."""
+    if {unit_of_name(kind, column) for column in channels.columns} == {channels.unit_name}:
+        return channels
+    sensors, (rate, increment) = len(channels.columns), SI.get(kind, (channels.unit_name,) * 2)
+    return replace(
+        channels,
+        unit=Unit(factor=1.0, kind=channels.unit.kind),
+        unit_name=increment if channels.unit.kind == "increment" else rate,
+        scale=np.ones(sensors),
+        offset=np.zeros(sensors),
+    )
+
+
+def _vector_columns(kind: str, channels: Channels) -> list[str]:
+    """Columns for the vector of a redundant block."""
+    return [f"{kind}_{axis}" for axis in "xyz"] if len(channels.columns) > 3 else []
+
+
+def _readings(channels: Channels, table: pl.DataFrame) -> Array:
+    """Readings (N, n) of a table, SI; of increments the integrals themselves."""
+    raw = side_by_side(table, channels.columns)
+    return channels.to_si(raw, np.ones(len(raw)))
 
 
 def _tables(
-    session: Session, parts: tuple[_Correction, ...], compensator: Compensator, interval: float
+    session: Session,
+    calibration: Calibration,
+    read: Mapping[str, Channels],
+    written: Mapping[str, Channels],
+    interval: float,
 ) -> Iterator[pl.DataFrame]:
     """The corrected rows of all files, in tables of a bounded size."""
     names: list[str] | None = None
     spec = session.log
-    numbers = [column for part in parts for column in part.channels.columns]  # the other columns are as they are
+    numbers = [column for channels in read.values() for column in channels.columns]  # the others are as they are
     if spec.dialect is not None and spec.dialect.decimal == ",":  # all that the session names
         numbers = [column for column in spec.columns if not (spec.clock and column == spec.time)]
-    blocks, heat = (session.accel_block, session.gyro_block), 1
-    if spec.temperature is not None:
-        heat = len(spec.temperature.columns)
-    stream = Stream(compensator, interval, blocks=blocks, heat=heat)
+    heat = 1 if spec.temperature is None else len(spec.temperature.columns)
+    compensator = calibration.compensator
+    stream = Stream(compensator, interval, blocks=(session.accel_block, session.gyro_block), heat=heat)
     for file in spec.files:
         source = source_of(file, spec.dialect)
-        for added in (column for part in parts for column in part.added if column in source.names):
-            raise InputError(f"{source.path}: expected no column '{added}', the block's vector gets it; rename it")
+        added = (column for kind, channels in written.items() for column in _vector_columns(kind, channels))
+        for column in (column for column in added if column in source.names):
+            raise InputError(f"{source.path}: expected no column '{column}', the block's vector gets it; rename it")
         slices = chain.from_iterable(t.iter_slices(_SLICE) for t in one_ahead(source.whole(numbers)))
-        for table, true in _corrected(slices, source.path, session, parts, compensator, stream, interval):
+        for table, true in _corrected(slices, source.path, session, read, compensator, stream, interval):
             names = table.columns if names is None else names
             if table.columns != names:
                 raise LogError(
                     f"{source.path}: expected the columns of the first file, {', '.join(names)}; write them alike"
                 )
-            true |= {part.kind: part.model.apply(part.readings(table)) for part in parts if part.kind == "mag"}
-            new = {name: c for part in parts for name, c in part.columns(true[part.kind]).items()}
+            if calibration.mag is not None and "mag" in read:
+                true["mag"] = calibration.mag.apply(_readings(read["mag"], table))
+            new = dict[str, Array]()
+            for kind, channels in written.items():
+                along_body = np.array_equal(channels.axes, np.eye(3))
+                perfect = true[kind] if along_body else true[kind] @ channels.axes.T
+                new |= zip(channels.columns, channels.from_si(perfect).T, strict=True)
+                new |= zip(_vector_columns(kind, channels), true[kind].T, strict=False)
             corrected_columns = {name: pl.Series(name, column.copy()) for name, column in new.items()}
             # `with_columns` of polars takes as long as correcting a few thousand rows
             yield pl.DataFrame(list(({each.name: each for each in table} | corrected_columns).values()))
@@ -245,23 +227,24 @@ def _corrected(
     tables: Iterable[pl.DataFrame],
     path: Path,
     session: Session,
-    parts: tuple[_Correction, ...],
+    read: Mapping[str, Channels],
     compensator: Compensator,
     stream: Stream,
     interval: float,
 ) -> Iterator[tuple[pl.DataFrame, dict[str, Array]]]:
     """Tables of one file with the true vectors (N, 3) of their rows by kind of sensor, or their increments. With a
     stream that has a delay, a table comes after the next one is read."""
-    spec, increments = session.log, [part.kind for part in parts if part.increments]
+    spec, increments = session.log, {kind for kind, channels in read.items() if channels.unit.kind == "increment"}
     irregular = spec.time is not None and not spec.regular and (stream.moved or bool(increments))
     warm = compensator.warm and bool(compensator.references)
     ready = {kind: np.zeros((0, 3)) for kind in ("accel", "gyro")[: 1 + stream.gyros]}
-    waiting, last = list[tuple[pl.DataFrame, Array | None]](), None
+    waiting, last = list[tuple[pl.DataFrame, Array]](), None
     for table in chain(tables, [None]):
         if table is None:
             now = stream.finish()
         else:
-            time = celsius = intervals = None
+            time = celsius = None
+            intervals = np.ones((table.height, 1))
             with rows_of_numbers(path):
                 if irregular:
                     time = times_of(table[spec.time or ""], spec)
@@ -282,9 +265,9 @@ def _corrected(
                 intervals = steps[:, None]
             with np.errstate(invalid="ignore"):  # damaged readings or steps give readings that are no numbers
                 means = {
-                    part.kind: part.readings(table) / (intervals if intervals is not None and part.increments else 1.0)
-                    for part in parts
-                    if part.kind in ("accel", "gyro")
+                    kind: _readings(read[kind], table) / (intervals if kind in increments else 1.0)
+                    for kind in ("accel", "gyro")
+                    if kind in read
                 }
             now = stream.add(means["accel"], means.get("gyro"), time, celsius)
             waiting.append((table, intervals))
@@ -293,14 +276,12 @@ def _corrected(
                 ready[kind] = np.concatenate([ready[kind], vectors])
         while waiting and len(ready["accel"]) >= waiting[0][0].height:
             table, intervals = waiting.pop(0)
+            N = table.height
             yield (
                 table,
-                {
-                    kind: vectors[: table.height] * (intervals if intervals is not None and kind in increments else 1.0)
-                    for kind, vectors in ready.items()
-                },
+                {kind: true[:N] * (intervals if kind in increments else 1.0) for kind, true in ready.items()},
             )
-            ready = {kind: vectors[table.height :] for kind, vectors in ready.items()}
+            ready = {kind: true[N:] for kind, true in ready.items()}
 
 
 def check_device(calibration: Calibration, session: Session) -> None:

@@ -26,7 +26,7 @@ readings, for the rests of the calibration itself, and for a calibration in the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -56,19 +56,18 @@ from tumble.result.accepted import accepted_part
 from tumble.result.calibration import Calibration, calibration_from
 from tumble.result.coverage import by_gravity, shared_gravity
 from tumble.result.launch_variances import LaunchVariances, launch_variances
-from tumble.result.record import reference_of_parameter
+from tumble.result.record import to_references
 from tumble.run.calibrate import grade_of
-from tumble.run.from_estimate import readings_of_session, reference_of, references_of
+from tumble.run.from_estimate import check_sensors, reference_of, references_of
 from tumble.run.observed import inspect_session, observations_for_calibration
 from tumble.sensors.grades import GRADES, TURN_ON, spread_of
 from tumble.sensors.instrument import Instrument
-from tumble.sensors.parameters import group_of, shown_in, to_temperature, usual_sizes, variable_of
+from tumble.sensors.parameters import group_name, group_of, shown_in, usual_sizes, variable_of
 from tumble.units import ZERO_CELSIUS, engineering
 from tumble.use.apply import check_device
 from tumble.use.positions import PositionResiduals, residuals_in, table_observations
 
 _FITS = {"accel": "accelerometers", "gyro": "gyro rests", "turn": "gyro turns", "velocity": "velocities of turns"}
-_RAW = ("count", "V")
 
 USUAL_DEGREES = 4.0
 """Degrees of freedom with which the variances of a grade count: these are known to a third."""
@@ -76,22 +75,12 @@ USUAL_DEGREES = 4.0
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CheckedRest:
-    """A rest, or a position of a table, compared with gravity.
+    """A rest, or a position of a table, compared with gravity: the difference of gravity less the modulus of the
+    corrected reading, m/s², its standard uncertainty, and the ratio of both, in a stream as the calibration and the
+    rests before predict it, None, or not a number, if nothing predicts the rest; with times, s, and temperature, °C.
 
-    Attributes
-    ----------
-    label : str
-        Name of the rest or the position.
-    difference : float
-        Gravity less the modulus of the corrected reading, m/s².
-    u, sigmas : float or None
-        Standard uncertainty of the difference, m/s², and the difference in units of it; in a stream as the calibration
-        and the rests before predict it. None, or not a number, if nothing predicts the rest.
-    start, stop, celsius : float or None
-        Times, s, and temperature, °C.
-    outside, judged, why : tuple of str, JudgedRest or None, str
-        In a stream only: which of "temperature" and "force" are outside of the calibrated range, the tests of the
-        biases by this rest, and why a quiet stretch is not used as a rest.
+    In a stream only: which of "temperature" and "force" are `outside` of the calibrated range, the tests of the biases
+    by this rest, and `why` a quiet stretch is not used as a rest.
     """
 
     label: str
@@ -110,28 +99,12 @@ class CheckedRest:
 class FieldCheck(Judged):
     """Result of the check of a calibration.
 
-    Attributes
-    ----------
-    source : str
-        The session, table or stream.
-    rests : tuple of CheckedRest
-        Its rests or positions; if `left_out`, those of the calibration, each left out in turn.
-    rest_limit : float or None
-        What the largest |difference|/u exceeds by chance in one of 100 cases; None in a stream.
-    turns : int
-        Turns between the rests that were used.
-    changes : tuple of ChangedParameter
-        What has changed.
-    parameters : tuple of ParameterTest
-        The test of every parameter that the rests and turns determine; empty if the rests alone decide.
-    largest, limit : float or None
-        The largest |change|/u of these, and what it exceeds by chance in CHANCE of all checks.
-    unseen : tuple of str
-        Groups of parameters that the rests and turns do not determine.
-    misfit : Fit or None
-        Residuals that no change explains; `rests_agree` if they are those of the turns alone.
-    notes : tuple of str
-        What was assumed.
+    `rests` are those of the session, table or stream; if `left_out`, those of the calibration, each left out in turn.
+    `rest_limit` is what their largest |difference|/u exceeds by chance in one of 100 cases, None in a stream. Of
+    `turns` so many were used. `changes` is what has changed, `parameters` the test of every parameter that rests and
+    turns determine, empty if the rests alone decide, with the `largest` |change|/u and the `limit` that it exceeds by
+    chance in CHANCE of all checks; `unseen` are groups of parameters that they do not determine. `misfit` are residuals
+    that no change explains; `rests_agree` if they are those of the turns alone. `notes` say what was assumed.
     """
 
     json_fields: ClassVar = (
@@ -255,9 +228,8 @@ def check_calibration(
     accepted = accepted_for_check(calibration)
     if not isinstance(readings, Session) and not Path(readings).is_dir():
         rows, table = table_observations(accepted, Path(readings))
-        residuals = residuals_in(accepted, rows, table.sha256)
         labels = [f"position {i} (line {line})" for i, line in enumerate(table.lines, 1)]
-        return _checked_rests(str(readings), residuals, labels)
+        return _by_gravity(str(readings), residuals_in(accepted, rows, table.sha256), label=labels)
     session = session_from(readings)
     check_session(accepted, session)
     observed = inspect_session(replace(session, programme=None))
@@ -267,18 +239,18 @@ def check_calibration(
     grade, guessed_from = grade_of(session, observations)
 
     # each rest against gravity
-    residuals = residuals_in(accepted, observations, observed.sha256)
-    rest_means, kelvin = observations.rests, observations.rests.temperature
-    times = list(zip(rest_means.start.tolist(), rest_means.stop.tolist(), strict=True))
-    celsius = len(times) * [None] if kelvin is None else (kelvin - ZERO_CELSIUS).tolist()
-    labels = [f"rest {i} ({start:z.1f}–{stop:z.1f} s)" for i, (start, stop) in enumerate(times, 1)]
-    by_rests = _checked_rests(session.name, residuals, labels)
-    rests = tuple(
-        replace(rest, start=start, stop=stop, celsius=warmth)
-        for rest, (start, stop), warmth in zip(by_rests.rests, times, celsius, strict=True)
+    rests, kelvin = observations.rests, observations.rests.temperature
+    start, stop = rests.start.tolist(), rests.stop.tolist()
+    by_rests = _by_gravity(
+        session.name,
+        residuals_in(accepted, observations, observed.sha256),
+        label=[f"rest {i} ({t:z.1f}–{end:z.1f} s)" for i, (t, end) in enumerate(zip(start, stop, strict=True), 1)],
+        start=start,
+        stop=stop,
+        celsius=len(rests) * [None] if kelvin is None else (kelvin - ZERO_CELSIUS).tolist(),
     )
-    by_rests = replace(by_rests, rests=rests, notes=accepted.provenance.absent)
-    if residuals.left_out or accepted.frame == "case":
+    by_rests = replace(by_rests, notes=accepted.provenance.absent)
+    if by_rests.left_out or accepted.frame == "case":
         return by_rests
 
     # all parameters
@@ -301,34 +273,30 @@ def check_calibration(
     )
 
 
-def _checked_rests(source: str, residuals: PositionResiduals, labels: Sequence[str]) -> FieldCheck:
-    """A check by the differences from gravity alone."""
-    numbers = zip(
-        labels, *(each.tolist() for each in (residuals.difference, residuals.u, residuals.sigmas)), strict=True
-    )
-    rests = tuple(CheckedRest(label=label, difference=d, u=u, sigmas=sigmas) for label, d, u, sigmas in numbers)
+def _by_gravity(source: str, residuals: PositionResiduals, **columns: Sequence[Any]) -> FieldCheck:
+    """A check by the differences from gravity alone; `columns` are the other fields of its rests."""
+    columns |= {name: getattr(residuals, name).tolist() for name in ("difference", "u", "sigmas")}
+    rows = zip(*columns.values(), strict=True)
+    rests = tuple(CheckedRest(**dict(zip(columns, row, strict=True))) for row in rows)
     return FieldCheck(source=source, rests=rests, left_out=residuals.left_out, rest_limit=residuals.limit)
 
 
 def _assumptions(
     calibration: Calibration, now: float | None, grade: str, guessed_from: str, launches: Sequence[LaunchVariances]
-) -> tuple[str, str] | tuple[str]:
+) -> Iterator[str]:
     """Notes on what turning on again changes, and on the temperature, which is `now` in °C."""
     origin = f", guessed from {guessed_from}; [device] grade states another" if guessed_from else ""
     count = sum(each.degrees + 1 for each in launches)
     of_device = f", or as from launch to launch of {count} launches of the device" if launches else ""
-    turning_on = (
+    yield (
         f"what turning on again changes: as usual of the grade {grade}{of_device}{origin}; it is allowed for in the "
         "tests of the parameters, and not in u of g − |f|"
     )
     then = calibration.reference_temperature
     if then is None or now is None:
-        warmth = "the temperatures of calibration and check are not both known: no difference is allowed for"
-        return turning_on, warmth
-    if abs(now - then) > 1.0:
-        warmth = f"calibrated at {then:.1f} °C, checked at {now:.1f} °C: parameters by their slopes and curvatures"
-        return turning_on, warmth
-    return (turning_on,)
+        yield "the temperatures of calibration and check are not both known: no difference is allowed for"
+    elif abs(now - then) > 1.0:
+        yield f"calibrated at {then:.1f} °C, checked at {now:.1f} °C: parameters by their slopes and curvatures"
 
 
 def accepted_for_check(calibration: Calibration | FilePath) -> Calibration:
@@ -348,20 +316,7 @@ def accepted_for_check(calibration: Calibration | FilePath) -> Calibration:
 def check_session(calibration: Calibration, session: Session) -> None:
     """Raise InputError for a session of another device than the calibration's, or of other sensors."""
     check_device(calibration, session)
-    for block, model in ((session.accel_block, calibration.accel), (session.gyro_block, calibration.gyro)):
-        if block is not None and model is not None and len(model.bias) != block.size:
-            raise InputError(
-                f"{session.name}: log.{block.kind}: expected the {len(model.bias)} sensors of the calibration, found "
-                f"{block.size}"
-            )
-    for kind, now in readings_of_session(session).items():
-        then = calibration.provenance.readings.get(kind)
-        raw = then is not None and (now.unit in _RAW or then.unit in _RAW)
-        if then is not None and raw and (now.scale, now.offset) != (then.scale, then.offset):
-            raise InputError(
-                f"{session.name}: log.{kind}: expected the nominal scale and offset of the calibration, {then.scale} "
-                f"and {then.offset}, found {now.scale} and {now.offset}"
-            )
+    check_sensors(calibration, session)
 
 
 def _launches(calibration: Calibration, others: Sequence[LaunchVariances]) -> Sequence[LaunchVariances]:
@@ -397,38 +352,31 @@ def prior_at_check(
             f"calibration of {calibration.serial!r}: expected the parameters of the session's sensors, found none of "
             f"{', '.join(missing)}; check with recordings of the same device"
         )
-    values, with_gravity = np.zeros(len(names)), np.zeros((len(names) + 1,) * 2)
-    gravity, covariance = observations.site.gravity_u, with_gravity[1:, 1:]
-    with_gravity[0, 0] = gravity**2
-    for group, members in instrument.members.items():
-        covariance[members, members] = usual[group] ** 2 * np.eye(members.stop - members.start)
-    places = [i for i, name in enumerate(names) if name in calibrated]
-    values[places] = [calibrated[names[i]] for i in places]
-    covariance[np.ix_(places, places)] = calibration.covariance_of([names[i] for i in places])
+    gravity, values = observations.site.gravity_u, np.array([calibrated.get(name, 0.0) for name in names])
+    with_gravity = np.diag([gravity**2, *(usual.get(group_name(name), 0.0) ** 2 for name in names)])
+    places = 1 + np.flatnonzero([name in calibrated for name in names])
+    with_gravity[np.ix_(places, places)] = calibration.covariance_of([names[i - 1] for i in places])
     if shared_gravity(calibration.provenance.site, observations.site):
         change = by_gravity(calibration.parameters, calibration.covariance, calibration.provenance.site)
-        by_name = {p.name: c for p, c in zip(calibration.parameters, change.tolist(), strict=True)}
+        by_name = dict(zip(calibration, change.tolist(), strict=True))
         with_gravity[0, 1:] = with_gravity[1:, 0] = gravity * np.array([by_name.get(name, 0.0) for name in names])
 
     # at the temperature of the check
     now, J = references_of(observations), np.eye(len(with_gravity))
     if calibration.reference_temperature is not None and now:
-        at_check = replace(calibration, temperature=replace(calibration.temperature, references=now))
-        warmer = [reference_of_parameter(at_check, name) - reference_of_parameter(calibration, name) for name in names]
-        J[1:, 1:] = to_temperature(names, np.array(warmer))
+        J[1:, 1:] = to_references(calibration, names, replace(calibration.temperature, references=now))
     # s² and 1/ν_s of another power-on, Eq. (2)
     single = len(calibration.evidence.launches) < 2 and not calibration.evidence.together
     others = _launches(calibration, launches)
     turned_on, inverse_degrees = np.zeros((2, len(with_gravity)))
     for i, name in enumerate(linear, 1):
-        pooled_from = [(each.degrees, each.variances[name][0]) for each in others if name in each.variances]
-        degrees = sum(count for count, _ in pooled_from)
-        between_launches = sum(count * between for count, between in pooled_from) / max(degrees, 1)
-        pooled = USUAL_DEGREES * spread_of(TURN_ON[grade], name) ** 2 + degrees * between_launches
-        pooled /= USUAL_DEGREES + degrees
-        turned_on[i] = max(between_launches, pooled) * (2.0 if single else 1.0)
-        if degrees:
-            inverse_degrees[i] = 1.0 / degrees if between_launches > pooled else 1.0 / (USUAL_DEGREES + degrees)
+        known = [(each.degrees, each.variances[name][0]) for each in others if name in each.variances]
+        degrees = sum(count for count, _ in known)
+        between = sum(count * variance for count, variance in known) / max(degrees, 1)
+        both = USUAL_DEGREES + degrees
+        pooled = (USUAL_DEGREES * spread_of(TURN_ON[grade], name) ** 2 + degrees * between) / both
+        turned_on[i] = max(between, pooled) * (2.0 if single else 1.0)
+        inverse_degrees[i] = 0.0 if not degrees else 1.0 / (degrees if between > pooled else both)
 
     inverse = {p.name: 1.0 / p.dof for p in calibration.parameters if p.dof is not None}
     fits = calibration.evidence.fits

@@ -44,16 +44,9 @@ LEAST_PROBABILITY = 1e-3
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Difference:
-    """A parameter in both calibrations, SI.
-
-    Attributes
-    ----------
-    first, second : float
-        Its values.
-    u, dof : float or None
-        Standard uncertainty of the difference, without errors in common, and its degrees of freedom, None if infinite.
-        u is None if one of the two has no uncertainty, and zero if both have no more than the prior.
-    """
+    """A parameter in both calibrations, SI, with the standard uncertainty of the difference, without errors in common,
+    and its degrees of freedom, None if infinite. u is None if one of the two has no uncertainty, and zero if both have
+    no more than the prior."""
 
     json_fields: ClassVar[tuple[str, ...]] = ("name", "unit", "first", "second", "value", "u", "dof", "e_n")
 
@@ -105,20 +98,9 @@ class Difference:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
 class Comparison(Judged):
-    """Differences of two calibrations in one frame.
-
-    Attributes
-    ----------
-    covariance : (m, m) array or None
-        Covariance of the differences.
-    chi_square, degrees, probability : float or None
-        χ² of all differences, its degrees of freedom, and the probability that chance exceeds it; None without
-        covariances.
-    missing : tuple of str
-        Parameters of one calibration only.
-    remarks : tuple of str
-        What a user should know.
-    """
+    """Differences of two calibrations in one frame, with their covariance (m, m); χ² of all of them, its degrees of
+    freedom, and the probability that chance exceeds it, None without covariances; the parameters that only one of them
+    has; and remarks."""
 
     json_fields: ClassVar = (
         *("verdict", "reasons", "frame", "differences", "covariance", "chi_square", "degrees", "probability"),

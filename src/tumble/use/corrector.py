@@ -18,17 +18,14 @@ import numpy as np
 import numpy.typing as npt
 
 from tumble.brief import Brief
-from tumble.errors import CalibrationError, InputError
+from tumble.errors import InputError
 from tumble.files import FilePath
 from tumble.recording.arrays import check_kelvin
 from tumble.result.accepted import accepted_part
 from tumble.result.calibration import Calibration, calibration_from
-from tumble.rotation import left_inverse
 from tumble.sensors.compensation import Compensator
-from tumble.sensors.fixed_point import ACROSS, ALONG, TOO_FAST, TOO_MUCH, TOO_WARM, WIDTH, advance
-from tumble.sensors.instrument import Instrument, functions, measured_by
+from tumble.sensors.fixed_point import TOO_FAST, TOO_MUCH, TOO_WARM, WIDTH, advance
 from tumble.sensors.model import Block
-from tumble.sensors.parameters import FORCE, THERMAL, group_name
 from tumble.units import G_STANDARD, ZERO_CELSIUS, Array, BoolArray
 
 LONGEST_STEP = 3.5
@@ -44,21 +41,12 @@ _ROWS = 1 << 12
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
 class Corrected(Brief):
-    """Corrected samples in the order in which they came, as views of memory that the next block overwrites.
+    """Corrected samples in the order in which they came, as views of memory that the next block overwrites: stamps
+    (N,), s, specific force (N, 3), m/s², and angular rate (N, 3), rad/s, None without gyros.
 
-    Attributes
-    ----------
-    time : (N,) array
-        Stamps, s.
-    force : (N, 3) array
-        Specific force, m/s².
-    rate : (N, 3) array or None
-        Angular rate, rad/s; None without gyros.
-    flags : (N,) array
-        Sum of 1, 2 and 4 for a temperature, a rate and a force outside of the calibrated range.
-    temperature : (N, T) array
-        Temperatures of the sensors that follow each thermometer, K; where accelerometers and gyros have other lags
-        (N, 2 T), those of the accelerometers first.
+    `flags` (N,) are the sums of 1, 2 and 4 for a temperature, a rate and a force outside of the calibrated range.
+    `temperature` (N, T) is that of the sensors that follow each thermometer, K; where accelerometers and gyros have
+    other lags (N, 2 T), those of the accelerometers first.
     """
 
     time: Array
@@ -100,24 +88,9 @@ class Ranges:
 class Stream:
     """Corrects the rows of one stream.
 
-    Parameters
-    ----------
-    compensator
-        The correction.
-    interval
-        Usual interval of samples, s.
-    blocks
-        Accelerometers and gyros of the stream, with their thermometers.
-    heat
-        Number of thermometers.
-    gyros
-        Whether rates are corrected.
-    ranges
-        Ranges outside of which samples are flagged.
-    zero
-        0 °C in the unit of the temperatures.
-    latest
-        LATEST, or 0 for stamps that are in order.
+    `interval` is that of samples, s, `blocks` are the sensors of the stream and `heat` its number of thermometers,
+    which read 0 °C as `zero`. Without `gyros` no rates are corrected. Samples outside of the `ranges` are flagged;
+    `latest` is LATEST, or 0 for stamps that are in order.
     """
 
     def __init__(
@@ -362,68 +335,6 @@ class Corrector:
         """Return the last sample, if it waits for the next, with ω̇ from the one before; another stream begins."""
         return self._without_absent(self._stream.finish())
 
-    def covariance(self, force: Array, rate: Array | None = None, celsius: float | None = None) -> Array:
-        """Covariance of one corrected sample, SI.
-
-        It is the sum of the uncertainty of the calibration at this force, rate and temperature, with biases as in the
-        next recording, and the noise of a sample, d² · sample_rate with the noise density d of the rests of the
-        calibration. With lever arms the noise of ω̇ is added. The uncertainty of lever arms and delays, which needs the
-        motion, is left out.
-
-        Parameters
-        ----------
-        force, rate
-            Specific force, m/s², and angular rate, rad/s, of the sample.
-        celsius
-            Its temperature, °C; by default the reference.
-
-        Returns
-        -------
-        (3, 3) or (6, 6) array
-            Covariance of the specific force, or with a rate that of both. Not a number for absent accelerometers.
-
-        Raises
-        ------
-        CalibrationError
-            For a calibration without covariance.
-        """
-        loaded, compensator = self.calibration.in_frame("accelerometer"), self._compensator
-        if loaded.covariance is None:
-            raise CalibrationError(f"{loaded.serial}: expected a calibration with covariance, found none")
-        framed = loaded.compensator
-        turned = left_inverse(compensator.accel_coefficients[:, FORCE]) @ framed.accel_coefficients[:, FORCE]
-        felt, spun = turned.T @ np.asarray(force), turned.T @ (np.zeros(3) if rate is None else np.asarray(rate))
-        variables = *THERMAL, "hysteresis"
-        instrument = Instrument.of(framed.accel, framed.gyro, set(map(group_name, loaded)), variables=variables)
-        values = np.array([loaded[name].value if name in loaded else 0.0 for name in instrument.names])
-        places = [i for i, name in enumerate(instrument.names) if name in loaded]
-        names = [instrument.names[i] for i in places]
-        reference = loaded.reference_temperature
-        warmer = 0.0 if celsius is None or reference is None else celsius - reference
-        beta = np.concatenate([functions(block, felt[None], spun[None])[0] for block in instrument.blocks])
-        J = (beta[:, None] @ derivative(instrument, values, warmer)[:, :, places])[:, 0]
-        parameters = np.array(loaded.covariance_of(names))
-        for bias in loaded.evidence.process_bias:
-            if bias.name in names:
-                parameters[(names.index(bias.name),) * 2] = max(loaded[bias.name].u or 0.0, bias.next_u) ** 2
-        kinds = ("accel", "gyro")[: len(instrument.blocks)]
-        density = [
-            white_noise(loaded).get(kind, np.zeros(b.size)) for kind, b in zip(kinds, instrument.blocks, strict=True)
-        ]
-        noise = np.diag(np.concatenate(density) ** 2 * self.sample_rate)
-        onto = np.zeros((3 * len(kinds), len(noise)))
-        for k, (block, K) in enumerate(
-            zip(instrument.blocks, (framed.accel_coefficients, framed.gyro_coefficients), strict=False)
-        ):
-            onto[3 * k : 3 * k + 3, instrument.rows(block)] = turned @ left_inverse(K[:, measured_by(block)])
-        out = onto @ (J @ parameters @ J.T + noise) @ onto.T
-        if self._stream.moved:  # of a central difference over two samples, var(ω̇) = var(ω) · 2 / (2 h)²
-            across = onto[:3, : framed.accel.size] @ framed.accelerometers.sheet[:, ACROSS:ALONG] @ turned.T
-            out[:3, :3] += 0.5 * self.sample_rate**2 * across @ (onto @ noise @ onto.T)[3:, 3:] @ across.T
-        if loaded.accel is None:
-            out[:3], out[:, :3] = nan, nan
-        return np.asarray(out if rate is not None else out[:3, :3])
-
     def _without_absent(self, corrected: Corrected) -> Corrected:
         if self.calibration.accel is None:
             corrected.force[:] = nan
@@ -441,23 +352,3 @@ class Corrector:
                 f"{'none' if given is None else f'an array of shape {np.shape(given)}'}"
             )
         return readings
-
-
-def white_noise(given: Calibration) -> dict[str, Array]:
-    """Density (n,) of the white noise of "accel" and "gyro" in the rests of a calibration, unit/√Hz."""
-    white = {}
-    for kind in ("accel", "gyro"):
-        rests = [sensors.noise for rest in given.evidence.rests if (sensors := getattr(rest, kind)) is not None]
-        if rests:
-            white[kind] = np.sqrt(np.mean(np.square(rests), axis=0))
-    return white
-
-
-def derivative(instrument: Instrument, values: Array, warmer: float) -> Array:
-    """Derivative ∂K/∂θ (n, 15, m) of the coefficients of accelerometers and gyros at a temperature `warmer` K above the
-    reference, on which those by slopes, curvatures and hysteresis depend."""
-    D = instrument.linearised(values)[1].copy()
-    by = {variable: warmer**power for power, variable in enumerate(THERMAL, 1)} | {"hysteresis": float(warmer != 0.0)}
-    for changing, base, variable in instrument.changes:
-        D[:, :, changing] = by[variable] * D[:, :, base]
-    return D

@@ -27,7 +27,7 @@ What turning the device on again changes is not a part of u; `tumble.use.check` 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -38,10 +38,9 @@ from tumble.inference.estimate import Fit
 from tumble.inference.variables import sensors_at
 from tumble.methods.least_squares import sigmas
 from tumble.reduction.observations import Observations
-from tumble.reduction.rests.rests import Rests
 from tumble.result.calibration import Calibration
 from tumble.rotation import unit_vector
-from tumble.run.readings_table import ReadingsTable, read_table
+from tumble.run.readings_table import ReadingsTable, read_table, rests_of
 from tumble.sensors.frames import Convention, frame_of, triad_axes
 from tumble.sensors.instrument import Instrument, functions
 from tumble.sensors.model import Block
@@ -96,16 +95,8 @@ def table_observations(calibration: Calibration, path: Path) -> tuple[Observatio
             "scatter in it: it has as many positions as parameters; calibrate with more"
         )
     readings = (table.values - np.array(meaning.offset)) / np.array(meaning.scale)
-    N, none = len(readings), np.zeros((len(readings), 0))
-    start = np.arange(float(N))
-    rests = Rests.of_white_noise(start, start + 1.0, accel=readings, gyro=none, densities=(0.0, 0.0))
-    observations = Observations(
-        accel_block=Block(kind="accel", axes=triad_axes(calibration.accel.matrix)),
-        gyro_block=None,
-        site=calibration.provenance.site,
-        rests=replace(rests, accel_covariance=np.broadcast_to(np.diag(variance), (N, 3, 3))),
-    )
-    return observations, table
+    block = Block(kind="accel", axes=triad_axes(calibration.accel.matrix))
+    return rests_of(readings, np.diag(variance), block, calibration.provenance.site), table
 
 
 def _accelerometer_fit(calibration: Calibration) -> Fit:

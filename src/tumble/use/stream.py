@@ -34,7 +34,7 @@ from tumble.run.from_estimate import reference_of
 from tumble.sensors.parameters import usual_sizes
 from tumble.units import ZERO_CELSIUS, Array
 from tumble.use.check import CheckedRest, FieldCheck, accepted_for_check, check_session, prior_at_check, tested
-from tumble.use.corrector import LATEST, Ranges, Stream, white_noise
+from tumble.use.corrector import LATEST, Ranges, Stream
 
 SHAKEN = 10.0
 """Times the noise of the calibration's rests: more is movement."""
@@ -54,30 +54,12 @@ Event: TypeAlias = CheckedRest | Notice
 
 
 class StreamCheck:
-    """Checks a calibration with a stream of readings.
+    """Checks an accepted calibration, or its file, with a stream of readings, of which a session, or its folder, has
+    columns, sensors and site: `rests` are those so far, with quiet stretches that are not used, and `moved` the biases
+    that have changed during the stream.
 
-    Parameters
-    ----------
-    calibration
-        An accepted calibration with uncertainties, or its file.
-    session
-        A session that describes the columns, sensors and site of the stream, or its folder.
-    sample_rate
-        Samples per second.
-
-    Attributes
-    ----------
-    rests : list of CheckedRest
-        The rests so far, with quiet stretches that are not used.
-    moved : tuple of MovedBias
-        Biases that have changed during the stream.
-
-    Raises
-    ------
-    CalibrationError
-        For a calibration that is not accepted, has no uncertainties, or is in the frame of the case.
-    InputError
-        For a session of another device or of other sensors.
+    Raises CalibrationError for a calibration that is not accepted, has no uncertainties, or is in the frame of the
+    case, and InputError for a session of another device or of other sensors.
     """
 
     def __init__(self, calibration: Calibration | FilePath, session: Session | FilePath, *, sample_rate: float) -> None:
@@ -89,7 +71,7 @@ class StreamCheck:
         self.session, self.rate = session, sample_rate
         self.rests, self.moved = list[CheckedRest](), tuple[MovedBias, ...]()
         self._gyro = None if accepted.gyro is None else session.gyro_block
-        self._white, self._ranges = white_noise(accepted), Ranges.of(accepted)
+        self._white, self._ranges = _white_noise(accepted), Ranges.of(accepted)
         heat = 1 if session.log.temperature is None else len(session.log.temperature.columns)
         self._stream = Stream(
             self.calibration.compensator,
@@ -211,13 +193,8 @@ class StreamCheck:
         return replace(rest, u=u * abs(upward), sigmas=-sigmas)
 
     def result(self) -> FieldCheck:
-        """All rests so far as one check, with the biases that have moved among its changes.
-
-        Raises
-        ------
-        InputError
-            If there was no rest.
-        """
+        """All rests so far as one check, with the biases that have moved among its changes. Raises InputError if there
+        was no rest."""
         if self._chain is None:
             raise InputError(f"{self.session.name}: expected rests to check with, found none")
         origin = f", guessed from {self._guessed_from}; [device] grade states another" if self._guessed_from else ""
@@ -228,6 +205,15 @@ class StreamCheck:
             **tested(self._chain.result(self.moved)),
             notes=(*self.calibration.provenance.absent, note),
         )
+
+
+def _white_noise(calibration: Calibration) -> dict[str, Array]:
+    """Density (n,) of the white noise of "accel" and "gyro" in the rests of a calibration, unit/√Hz."""
+    by_kind = {
+        kind: [sensors.noise for rest in calibration.evidence.rests if (sensors := getattr(rest, kind)) is not None]
+        for kind in ("accel", "gyro")
+    }
+    return {kind: np.sqrt(np.mean(np.square(noise), axis=0)) for kind, noise in by_kind.items() if noise}
 
 
 @checked

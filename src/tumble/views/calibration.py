@@ -11,7 +11,6 @@ import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from itertools import chain
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,7 +21,6 @@ from tumble.result.accepted import accepted_kinds
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import without_expanded
 from tumble.result.further import (
-    BY_PRIOR,
     accepted_groups,
     by_group,
     decided_by_priors,
@@ -36,7 +34,7 @@ from tumble.result.further import (
 from tumble.result.parts import Parameter
 from tumble.result.unaided import improvement
 from tumble.run.calibrate import ITERATED_METHODS
-from tumble.sensors.parameters import group_name, sensor_kind, within_group
+from tumble.sensors.parameters import group_name, within_group
 from tumble.units import Array, engineering
 from tumble.views.blocks import Block, Items, Table, table
 from tumble.views.numbers import (
@@ -52,9 +50,6 @@ from tumble.views.numbers import (
     with_expanded,
 )
 from tumble.views.render.terminal import text_of
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 WHAT_AN_INCREMENT_SAYS = (
     "All iterations work on the same readings. What a later one adds is the error that the one before made by its "
@@ -90,24 +85,12 @@ def calibration_blocks(
     """What `tumble calibrate` prints: the verdict, what the calibration improves, the parameters, remarks, and the next
     command.
 
-    Parameters
-    ----------
-    calibration
-        The result.
-    truth
-        True values by the names of parameters, where they are known.
-    others
-        Calibrations of the same sessions by other methods.
-    every
-        Show all parameters, tables of groups, rests, turns, fits, launches, iterations and methods, and all remarks and
-        notes. Without it there are the accepted parameters of the linear model, a row a group where nothing stands
-        beside each, a line on launches, iterations and other methods, and as many remarks, of MOST_REMARKS, as leave
-        room for the whole on MOST_LINES lines.
-    budget
-        Show what every u is made of.
-    file, session
-        Where the calibration is written and what it is of, for the next command.
-    """
+    With `every` there are all parameters, tables of groups, rests, turns, fits, launches, iterations and methods, and
+    all remarks and notes; without it the accepted parameters of the linear model, a row a group where nothing stands
+    beside each, a line on launches, iterations and other methods, and as many remarks, of MOST_REMARKS, as leave room
+    for the whole on MOST_LINES lines. With `budget` it shows what every u is made of. `truth` are true values by the
+    names of parameters, `others` calibrations of the same sessions by other methods, `file` and `session` where the
+    calibration is written and what it is of."""
     parameters, evidence = calibration.parameters, calibration.evidence
     if not every:
         outcome = calibration.outcome
@@ -224,21 +207,30 @@ def _largest(calibration: Calibration, changes: Mapping[str, float]) -> str:
 
 
 def parameter_table(
-    calibration: Calibration, parameters: Sequence[Parameter], truth: Mapping[str, float] | None = None
+    calibration: Calibration,
+    parameters: Sequence[Parameter],
+    truth: Mapping[str, float] | None = None,
+    *,
+    whole: bool = False,
 ) -> Table:
     """Parameters with their standard uncertainties; where a coverage factor is not 2, with U = k u; where there are
     any, with deviations from the systematic values and from launch to launch; with `truth`, also true values and the
-    distance from them in units of u."""
-    several, expanded = bool(calibration.evidence.launches), other_factors(parameters)
-    passport = any(p.deviation is not None for p in parameters)
+    distance from them in units of u; the `whole` with U, degrees of freedom, priors and learned fractions."""
+    several, factors = bool(calibration.evidence.launches), other_factors(parameters)
+    passport, priors = (any(getattr(p, name) is not None for p in parameters) for name in ("deviation", "prior"))
 
     def row(p: Parameter, size: float, unit: str) -> dict[str, str]:
         value, u = cells(p.value, p.u, size)
         row = {"mean" if several else "value": value, "u (k=1)": u}
-        row |= {"k": factor(p) if p.u else "", "U (95 %)": with_expanded(p, size)[1]} if expanded else {}
+        row |= {"k": factor(p) if p.u else ""} if factors else {}
+        row |= {"U (95 %)": with_expanded(p, size)[1]} if factors or whole else {}
         row |= {"run to run": to_digits_of(p.run_to_run, p.u, size)} if several else {}
         row |= {"deviation": to_digits_of(p.deviation, p.u, size)} if passport else {}
         row |= {"unit": unit}
+        if whole:
+            row["dof"] = "" if p.dof is None else f"{p.dof:.0f}" if p.k else f"{p.dof:.1g}"
+        if whole and priors:
+            row |= {"prior": "" if p.prior is None else f"{p.prior / size:.2g}", "learned": percent(p.learned)}
         if truth is None:
             return row
         true = truth.get(p.name) if p.u else None
@@ -265,24 +257,6 @@ def compact_table(parameters: Sequence[Parameter]) -> Table:
 
 _BESIDE = 3
 """Parameters on a row."""
-
-
-def whole_table(calibration: Calibration) -> Table:
-    """All parameters with u and U = k u; where there are any, with coverage factors other than 2 and degrees of
-    freedom, priors and learned fractions."""
-    parameters = calibration.parameters
-    factors, priors = other_factors(parameters), any(p.prior is not None for p in parameters)
-
-    def row(p: Parameter, size: float, unit: str) -> dict[str, str]:
-        value, u = cells(p.value, p.u, size)
-        row = {"value": value, "u": u, "U (95 %)": with_expanded(p, size)[1], "unit": unit}
-        if factors:
-            row |= {"k": factor(p), "dof": "" if p.dof is None else f"{p.dof:.0f}" if p.k else f"{p.dof:.1g}"}
-        if priors:
-            row |= {"prior": "" if p.prior is None else f"{p.prior / size:.2g}", "learned": percent(p.learned)}
-        return row
-
-    return quantity_table(parameters, shown_units(parameters), row)
 
 
 def group_table(calibration: Calibration, *, of_a_page: bool = False) -> Table:
@@ -405,16 +379,14 @@ def as_html(calibration: Calibration) -> str:
     def each(tag: str, texts: Iterable[str]) -> str:
         return "".join(f"<{tag}>{escape(text)}</{tag}>" for text in texts)
 
-    def html(block: Block) -> str:
-        if isinstance(block, str):
-            return f"<p><b>{escape(block)}</b></p>"
-        if isinstance(block, Items):
-            return f"<ul>{each('li', block.items)}</ul>"
-        assert isinstance(block, Table)
-        rows = "".join(f"<tr>{each('td', row)}</tr>" for row in block.rows)
-        return f"<table><thead><tr>{each('th', block.columns)}</tr></thead><tbody>{rows}</tbody></table>"
-
-    return f"<div>{''.join(map(html, _short(calibration)))}</div>"
+    html = []
+    for block in _short(calibration):
+        if isinstance(block, Table):
+            rows = "".join(f"<tr>{each('td', row)}</tr>" for row in block.rows)
+            html.append(f"<table><tr>{each('th', block.columns)}</tr>{rows}</table>")
+        else:
+            html.append(f"<ul>{each('li', block.items)}</ul>" if isinstance(block, Items) else each("h4", [str(block)]))
+    return f"<div>{''.join(html)}</div>"
 
 
 def _short(calibration: Calibration) -> list[Block]:
@@ -422,34 +394,8 @@ def _short(calibration: Calibration) -> list[Block]:
     sentences = (*outcome.reasons, *remarks_of(calibration))
     notes = tuple(f"note: {note}" for note in calibration.provenance.notes)
     blocks: list[Block] = [calibration.headline, *([Items(items=sentences)] if sentences else [])]
-    return [*blocks, whole_table(calibration), *([Items(items=notes)] if notes else [])]
-
-
-_COLOURS = {"accel": "#1f4e79", "gyro": "#c0561a", "mag": "#3d7d52"}
-
-
-def draw(calibration: Calibration, axes: Axes) -> None:
-    """The residual of every rest on axes, with the scatter between rests as a band; without rests the parameters in
-    units of their uncertainty, hollow where the prior rather than the data knows them."""
-    axes.axhline(0.0, color="0.7", linewidth=0.8)
-    axes.set_title(calibration.headline, fontsize="medium")
-    if calibration.evidence.rests:
-        residual = np.array([rest.residual for rest in calibration.evidence.rests])
-        size, unit = engineering("m/s^2", float(np.abs(residual).max()))
-        fit, colour = calibration.evidence.fits.get("accelerometers"), _COLOURS["accel"]
-        if fit is not None and fit.scatter > 0.0:
-            band = fit.scatter / size
-            axes.axhspan(-band, band, color=colour, alpha=0.12, linewidth=0, label="scatter between rests")
-            axes.legend(frameon=False)
-        number = np.arange(1, len(residual) + 1)
-        axes.vlines(number, 0.0, residual / size, color=colour, linewidth=1.0)
-        axes.plot(number, residual / size, "o", color=colour, markersize=4.0)
-        axes.set(xlabel="rest", ylabel=f"|f| − g, {unit}")
-        return
-    shown = [(i, p, p.value / p.u) for i, p in enumerate(p for p in calibration.parameters if p.u) if p.u]
-    for i, p, ratio in shown:
-        colour = _COLOURS.get(sensor_kind(p.name), "#6b7785")
-        face = colour if p.learned is None or p.learned >= BY_PRIOR else "none"
-        axes.plot(i, ratio, "o", color=colour, markerfacecolor=face, markersize=4)
-    axes.set_xticks(range(len(shown)), [p.name for _, p, _ in shown], rotation=90)
-    axes.set_ylabel("value / u")
+    return [
+        *blocks,
+        parameter_table(calibration, calibration.parameters, whole=True),
+        *([Items(items=notes)] if notes else []),
+    ]

@@ -68,7 +68,7 @@ def check_blocks(check: FieldCheck, *, rests: bool = True) -> list[Block]:
 
 def rest_table(rests: Sequence[CheckedRest]) -> Table:
     """Rests, or positions, with their differences from gravity; empty cells where nothing predicts them."""
-    size, unit = engineering("m/s^2", _largest(rest for rest in rests))
+    size, unit = engineering("m/s^2", _largest(rests))
     shown = []
     for rest in rests:
         row = {"": rest.label, f"g−|f| {unit}": "", f"u (k=1) {unit}": "", "ratio": ""}

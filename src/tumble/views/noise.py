@@ -61,9 +61,8 @@ def shown(parameters: NoiseParameters, unit: str) -> list[NoiseRow]:
     return out
 
 
-def noise_blocks(noise: RecordedNoise, *, filters: bool = False) -> list[Block]:
-    """Noise coefficients of every channel and how sure its processes are; with `filters` the values that filters ask
-    for."""
+def noise_blocks(noise: RecordedNoise) -> list[Block]:
+    """Noise coefficients of every channel and how sure its processes are."""
     rows: list[dict[str, str]] = []
     for panel in noise.panels:
         for channel, parameters in zip(panel.channels, panel.parameters, strict=True):
@@ -82,14 +81,6 @@ def noise_blocks(noise: RecordedNoise, *, filters: bool = False) -> list[Block]:
             if p.probability < MISFIT:
                 none = "no sum of processes fits (vibration, a filter?); u is enlarged by what is left."
                 blocks.append(f"{channel}: {none}")
-    if filters:
-        values, reasons = [], dict[str, list[str]]()
-        for v in noise.filters:
-            sizes = {"at rest": f"{v.measured:.2g}", "value": f"{v.value:.2g}", "unit": v.unit}
-            values.append({"filter": v.filter, "parameter": v.parameter} | sizes)
-            reasons.setdefault(v.why, []).append(v.filter)
-        blocks.append(table(values, words=("filter", "parameter", "unit")))
-        blocks += (f"{', '.join(dict.fromkeys(who))}: {why}." for why, who in reasons.items())
     if noise.doubt:
         blocks.append(f"doubt: {noise.doubt}")
     return blocks

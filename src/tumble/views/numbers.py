@@ -84,29 +84,12 @@ def quantity_table(
     dense: bool = False,
     halves: bool = False,
 ) -> Table:
-    """A table with one row for each quantity, which begins with its name.
+    """A table with one row for each quantity, which begins with its name; without quantities it has no columns, and
+    nothing of it is shown.
 
-    Parameters
-    ----------
-    quantities
-        What has a `name`.
-    units
-        The unit in which each is shown, by its name: `shown_units` or `units_of_values`.
-    row
-        The further cells of a quantity by their headings, from the quantity, the size in SI of the unit in which it is
-        shown, and the name of this unit.
-    name
-        Heading of the names.
-    words
-        Headings of further columns of words beside "unit".
-    caption, dense, halves
-        As in `Table`.
-
-    Returns
-    -------
-    Table
-        Without quantities it has no columns, and nothing of it is shown.
-    """
+    `units` are those in which each is shown, by its name (`shown_units`, `units_of_values`); `row` gives the further
+    cells of a quantity by their headings, from the quantity, the size in SI of its unit, and the name of this unit.
+    `name` is the heading of the names, `words` are those of further columns of words beside "unit"."""
     rows = [{name: q.name} | row(q, *units[q.name]) for q in quantities]
     return table(rows, words={name, "unit", *words}, caption=caption, dense=dense, halves=halves)
 

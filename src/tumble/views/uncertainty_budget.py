@@ -1,38 +1,30 @@
-"""The uncertainty budget: shares of sources by group of parameters, a picture, and the table of each parameter in the
-form of EA-4/02."""
+"""The uncertainty budget: shares of sources by group of parameters, and the table of each parameter in the form of
+EA-4/02."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tumble.inference.sources import Source
 from tumble.result.calibration import Calibration
-from tumble.result.uncertainty_budget import REFERENCES, BudgetLine, shares_by_group, what_would_help, with_references
+from tumble.result.uncertainty_budget import REFERENCES, BudgetLine, shares_by_group, with_references
 from tumble.sensors.parameters import beyond_linear, sensor_kind, shown_in
-from tumble.views.blocks import Block, Figure, Section, Table, section, table
+from tumble.views.blocks import Block, Section, Table, section, table
 from tumble.views.numbers import cells, percent, shown_units, significant
-from tumble.views.render.pictures import COLOURS, FAINT, PAGE, drawn
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure as Drawing
 
 SHOWN = 0.02
 """Of u²: sources with less in every group are summed up in one line."""
-IN_PICTURE = 6
-"""Sources with a colour of their own in the picture."""
 REST = "all others"
 
 
 def budget_blocks(calibration: Calibration, *, every: bool = False) -> list[Block]:
-    """What would help most, and the shares of sources in u² of the groups of the linear model; with `every`, the table
-    of each of its parameters too. Nothing without a budget."""
+    """The shares of sources in u² of the groups of the linear model; with `every`, the table of each of its parameters
+    too. Nothing without a budget."""
     if not calibration.evidence.budget:
         return []
-    helps = what_would_help(calibration)
-    blocks: list[Block] = [*([f"{helps}."] if helps else []), share_table(calibration)]
+    blocks: list[Block] = [share_table(calibration)]
     if every:
         blocks += [parameter_budget(calibration, name) for name in calibration if not beyond_linear(name)]
     return blocks
@@ -126,38 +118,10 @@ def _words(source: Source) -> str:
     return f"{source.words}, by the {source.basis}" if source.basis else source.words
 
 
-def budget_section(calibration: Calibration, name: str = "") -> Section | None:
-    """The budget on a page: the shares of all sources and, as a figure of this `name`, a bar of each parameter of the
-    linear model by source, and its table; nothing without a budget."""
+def budget_section(calibration: Calibration, *, short: bool = False) -> Section | None:
+    """The budget on a page: the shares of all sources and, unless it is to be `short`, the table of each parameter of
+    the linear model; nothing without a budget."""
     if not calibration.evidence.budget:
         return None
-    if not name:
-        return section("Uncertainty budget", share_table(calibration))
-    caption = "Bars: share of the largest sources in u² of every parameter of the linear model."
-    bars = Figure(svg=_bars(calibration, name), caption=caption)
-    return section("Uncertainty budget", bars, *budget_blocks(calibration, every=True))
-
-
-def _bars(calibration: Calibration, name: str) -> str:
-    """Bars of the shares of the largest sources in u² of the parameters of the linear model."""
-    names = [each for each in calibration if not beyond_linear(each)]
-    u = np.array([calibration[each].u or np.inf for each in names])
-    every = np.array(
-        [[source.contributions.get(each, 0.0) for each in names] for source in calibration.evidence.budget]
-    )
-    shares = (every / u) ** 2
-    order = np.argsort(-shares.mean(axis=1))
-    largest = order[:IN_PICTURE].tolist()
-
-    def draw(figure: Drawing) -> None:
-        axes, left = figure.subplots(), np.zeros(len(names))
-        rows = [(calibration.evidence.budget[s].words, shares[s], COLOURS[i]) for i, s in enumerate(largest)]
-        for words, share, colour in [*rows, (REST, shares[order[IN_PICTURE:]].sum(axis=0), FAINT)]:
-            axes.barh(np.arange(len(names)), share, left=left, height=0.7, color=colour, label=words)
-            left = left + share
-        axes.set_yticks(np.arange(len(names)), names)
-        axes.invert_yaxis()
-        axes.set(xlim=(0.0, 1.0), xlabel="share of u²")
-        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2)
-
-    return drawn(name, PAGE, 0.16 * len(names) + 1.6, draw)
+    blocks = [share_table(calibration)] if short else budget_blocks(calibration, every=True)
+    return section("Uncertainty budget", *blocks)

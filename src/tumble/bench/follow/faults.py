@@ -12,7 +12,7 @@ from tumble.bench.follow.wishes import Task
 from tumble.programme.positions import Programme
 from tumble.programme.sheet_words import move_text
 from tumble.reduction.rests.matching import POSITION_LIMIT, TURN_LIMIT
-from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, Array
+from tumble.units import ACCEL_UNITS, DEGREE, Array
 
 STUCK_SECONDS = 1.0
 """A channel that repeats itself for so long, while others of its kind do not, is stuck."""
@@ -25,9 +25,6 @@ WRONG_WAY = 30.0 * DEGREE
 """A turn that has gone so far against its sense is wrong, before it ends."""
 KNOCK_SECONDS = 5.0
 """A rest that was left for longer has been left for another position, and come back to."""
-PUT_DOWN_BLOCKS = 7
-"""Of the beginning and of the end of a rest, which are to agree."""
-PUT_DOWN_SIGMAS = 10.0
 LEFT_BY_THE_NEXT = ("wrong position", "wrong way", "wrong turn")
 """Faults of a rest that is left out once the right position follows it."""
 
@@ -145,18 +142,6 @@ def faults_of_rests(task: Task, progress: Progress) -> Iterator[Fault]:
         for rest, k in zip(rests, nearest_positions(programme, units), strict=True):
             if k is None:
                 yield Fault(kind="wrong position", said=said, start=rest.start, stop=rest.stop)
-
-    # a rest that lasts and began while the unit still moved slowly: its first blocks differ from its last ones by more
-    # than their scatter allows, and by enough to move its mean by more than the wanted u
-    if current is not None and current.last - current.first >= 2 * PUT_DOWN_BLOCKS:
-        force = blocks.force[current.first : current.last]
-        apart = np.abs(force[:PUT_DOWN_BLOCKS].mean(axis=0) - force[-PUT_DOWN_BLOCKS:].mean(axis=0))
-        scatter = np.sqrt(0.5 * (np.diff(force[PUT_DOWN_BLOCKS // 2 :], axis=0) ** 2).mean(axis=0))
-        seen = apart > PUT_DOWN_SIGMAS * scatter * np.sqrt(2.0 / PUT_DOWN_BLOCKS)
-        if float(np.max(apart * seen)) * PUT_DOWN_BLOCKS / len(force) > task.wanted.accel:
-            off = float(np.max(apart)) / G_STANDARD * 1e3
-            said = f"rest {len(groups)} was put down with movement: it began {off:.2g} mg from where it is now"
-            yield Fault(kind="movement", said=said, start=current.start, stop=current.stop)
 
     # the temperature, which is named again each time that it has changed by as much more
     if blocks.temperature is not None:

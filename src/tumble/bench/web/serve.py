@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import socket
-import tempfile
-import webbrowser
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -25,7 +23,6 @@ def serve(
     folder: Path,
     host: str = LOOPBACK,
     port: int = 8422,
-    browser: bool = False,
     say: Callable[[str], None],
 ) -> None:
     """Serve the page of a station until the process is interrupted.
@@ -79,20 +76,7 @@ def serve(
         say(f"the page: {link}")
         if not access.loopback:
             say(_qr(link))
-        if browser:
-            running.enter_context(_in_browser(link))
         Server(config).run(sockets=[bound])
-
-
-@contextmanager
-def _in_browser(link: str) -> Iterator[None]:
-    """A browser with the link: it gets the name of a file that only this user can read and that leads to it, for the
-    words of a process are seen by all who use the machine."""
-    with tempfile.TemporaryDirectory(prefix="tumble-bench-") as private:
-        way = Path(private) / "bench.html"
-        way.write_text(f'<meta http-equiv="refresh" content="0; url={link}">\n', encoding="ascii")
-        webbrowser.open(way.as_uri())
-        yield
 
 
 @contextmanager

@@ -4,8 +4,8 @@ Records are added and never changed; the database itself refuses updates and del
 
     registry   the class `Registry`: what is added, listed, judged and learned
     records    records and limits as they are read back, and when a device is due
-    trend      run to run, drift a year, as found against as left; when a drift meets a limit
-    database   its tables, where it is; transactions of readers and writers
+    trend      run to run, drift a year, as found against as left
+    database   its tables, where it is, transactions of readers and writers
     views      what is shown of it
 
 Needs the extra `tumble[lab]`.

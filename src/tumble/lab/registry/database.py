@@ -1,9 +1,9 @@
-"""The database of a registry: its tables, what is asked of them, and the transactions of readers and writers.
+"""The database of a registry: its tables, and the transactions of readers and writers.
 
 A device is its serial number; it has no table of its own, since there is nothing to say about a device that could not
-change. A calibration has the columns by which records are searched and listed, and the text of its file. Times are in
-UTC, without a zone. Triggers refuse that a row is changed or deleted. A change of the tables takes another name of one
-of them, by which a database of another version is recognised.
+change. A calibration has the columns by which records are searched and listed, and the text of its file. Triggers
+refuse that a row is changed or deleted. A change of the tables takes another name of one of them, by which a database
+of another version is recognised.
 
 Writers come one after the other: SQLite's BEGIN IMMEDIATE, an advisory lock on PostgreSQL. A plain BEGIN on SQLite
 takes the lock only at the first write, and what was read before it may be stale by then. A reader sees one state of the
@@ -16,7 +16,7 @@ import errno
 import os
 import shutil
 import sqlite3
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -26,7 +26,6 @@ from typing import Any
 from sqlalchemy import (
     URL,
     Column,
-    ColumnElement,
     Connection,
     DateTime,
     Engine,
@@ -37,6 +36,7 @@ from sqlalchemy import (
     String,
     Table,
     Text,
+    TypeDecorator,
     create_engine,
     event,
     insert,
@@ -60,6 +60,22 @@ _PLACE = "expected a file or postgresql://USER@HOST/NAME"
 _REFUSED = "a registry is added to, never changed"
 
 
+class _Moment(TypeDecorator[datetime]):
+    """A time, which the database has in UTC and without a zone."""
+
+    impl, cache_ok = DateTime, True
+
+    def process_bind_param(self, value: datetime | None, dialect: object) -> datetime | None:
+        del dialect
+        return None if value is None else value.astimezone(UTC).replace(tzinfo=None)
+
+    def process_result_value(self, value: datetime | None, dialect: object) -> datetime:
+        del dialect
+        if value is None:
+            raise ValueError("no time")
+        return value.replace(tzinfo=UTC)
+
+
 TABLES = MetaData()
 
 LIMITS = Table(
@@ -68,8 +84,7 @@ LIMITS = Table(
     Column("number", Integer, primary_key=True),
     Column("model", Text, nullable=False, index=True),
     Column("file", Text, nullable=False),  # the TOML file
-    Column("systematic", Text),  # the calibration file it names
-    Column("added", DateTime, nullable=False),
+    Column("added", _Moment, nullable=False),
     sqlite_autoincrement=True,
 )
 
@@ -82,12 +97,12 @@ CALIBRATION = Table(
     Column("model", Text),
     Column("method", Text, nullable=False),
     Column("frame", Text, nullable=False),
-    Column("performed", DateTime, nullable=False),
+    Column("performed", _Moment, nullable=False),
     Column("occasion", String(16), nullable=False),  # incoming, periodic
     Column("state", String(16), nullable=False),  # as-found, as-left, unchanged
     Column("limits", ForeignKey("limits.number")),  # that were in force
     Column("verdict", String(24)),  # by them
-    Column("added", DateTime, nullable=False),
+    Column("added", _Moment, nullable=False),
     Column("file", Text, nullable=False),  # the whole calibration file
     Index("calibration_of_device", "serial", "performed", "number"),
     sqlite_autoincrement=True,
@@ -103,49 +118,56 @@ LOGS = Table(  # a log stands behind one calibration alone
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Database:
-    """An open database. `name` is what messages call it: its file, or its URL without the password. `file`: that of
-    SQLite. A `new` one is there with the first that is written, and not before."""
+    """A database that can be opened. `name` is what messages call it: its SQLite `file`, or its URL without the
+    password. A file that is not there is made with the first that is written."""
 
     name: str
     engine: Engine
     file: Path | None
-    new: bool
 
     @contextmanager
     def reading(self) -> Iterator[Rows]:
         """A transaction that sees one state of the database. Raises InputError, one line, where the database fails."""
-        if self.new:
+        if self.file is not None and not self.file.exists():
             with self.writing():
                 pass
-        with self._transaction(**{} if _is_file(self.engine.url) else {"isolation_level": "REPEATABLE READ"}) as begun:
-            yield Rows(connection=begun)
+        options = {"isolation_level": "REPEATABLE READ"} if self.file is None else {}
+        with self._transaction(**options) as connection:
+            yield Rows(connection=connection)
 
     @contextmanager
     def writing(self) -> Iterator[Rows]:
         """The transaction of the only writer, committed when the block ends without an error."""
-        created = False
+        new, made = self.file is not None and not self.file.exists(), False
         try:
-            with self._transaction(tumble_writes=True) as begun:
-                created = self.new and not _has_tables(begun, self.name, create=True)
-                if created:
-                    _make_tables(begun)
-                yield Rows(connection=begun)
+            with self._transaction(tumble_writes=True) as connection:
+                if made := not _has_tables(connection, self.name, create=True):
+                    _make_tables(connection)
+                yield Rows(connection=connection)
         except BaseException:
             self.engine.dispose()
-            if self.new and self.file is not None and self.file.is_file() and self.file.stat().st_size == 0:
+            if new and self.file is not None and self.file.is_file() and self.file.stat().st_size == 0:
                 self.file.unlink()
             raise
         if self.file is not None and not self.file.is_file():
             raise InputError(f"{self.name}: expected the registry, found that it was removed meanwhile; try again")
-        if created and self.file is not None:  # readers do not wait for writers then; the file remembers it
+        if made and self.file is not None:  # readers do not wait for writers then; the file remembers it
             with suppress(sqlite3.OperationalError), closing(self.engine.raw_connection()) as raw:
                 raw.cursor().execute("PRAGMA journal_mode = WAL")  # or the last of those that opened it at once does
 
     @contextmanager
     def _transaction(self, **options: Any) -> Iterator[Connection]:
+        """A transaction whose errors are InputError, those of SQLite's own module too."""
         try:
-            with in_one_line(self.name), self.engine.connect() as begun, begun.execution_options(**options).begin():
-                yield begun
+            with self.engine.connect() as connection, connection.execution_options(**options).begin():
+                yield connection
+        except (DBAPIError, sqlite3.Error) as error:
+            reason = " ".join(str(getattr(error, "orig", error)).split())
+            if "database is locked" in reason or "lock timeout" in reason:
+                reason = f"another writer has held it for {PATIENCE:.0f} s; try again"
+            elif reason in _NO_ROOM and shutil.disk_usage(Path(self.name).parent).free < _ROOM:
+                reason = os.strerror(errno.ENOSPC)
+            raise InputError(f"{self.name}: the registry cannot be used: {reason}") from error
         except (ValueError, TypeError) as error:  # a column that is not what it was written as
             raise InputError(
                 f"{self.name}: the registry cannot be used: expected what was written into it, found a damaged value: "
@@ -155,40 +177,27 @@ class Database:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Rows:
-    """What is asked of the tables within a transaction."""
+    """The rows of the tables within a transaction."""
 
     connection: Connection
 
-    def records(self, **values: object) -> list[Record]:
-        """The records that have these values in their columns, by number."""
-        return self._records(*(CALIBRATION.c[name] == value for name, value in values.items()))
-
-    def records_with_logs(self, logs: set[str]) -> list[Record]:
-        """The records that stand on one of these logs (SHA-256)."""
-        return self._records(CALIBRATION.c.number.in_(select(LOGS.c.calibration).where(LOGS.c.sha256.in_(logs))))
-
-    def _records(self, *conditions: ColumnElement[bool]) -> list[Record]:
+    def records(self, *, of_logs: Collection[str] | None = None, **values: object) -> list[Record]:
+        """The records that have these values in their columns, or stand on one of these logs (SHA-256), by number."""
+        conditions = [CALIBRATION.c[name] == value for name, value in values.items()]
+        if of_logs is not None:
+            conditions.append(CALIBRATION.c.number.in_(select(LOGS.c.calibration).where(LOGS.c.sha256.in_(of_logs))))
         columns = [column for column in CALIBRATION.c if column.name != "file"]
         query = select(*columns).where(*conditions).order_by(CALIBRATION.c.number)
-        return [Record(**_whole(row._asdict(), CALIBRATION)) for row in self.connection.execute(query)]
+        return [Record(**row._asdict()) for row in self.connection.execute(query)]
 
     def file(self, number: int) -> str:
         """The text of the calibration file of a record."""
         query = select(CALIBRATION.c.file).where(CALIBRATION.c.number == number)
         return str(self.connection.execute(query).scalar_one())
 
-    def add(self, values: Mapping[str, Any], logs: set[str]) -> Record:
-        """A new record with the values of its columns, and the logs (SHA-256) it stands on."""
-        added = insert(CALIBRATION).returning(CALIBRATION.c.number)
-        number = int(self.connection.execute(added, _without_zone(values)).scalar_one())
-        if logs:
-            self.connection.execute(insert(LOGS), [{"sha256": log, "calibration": number} for log in sorted(logs)])
-        return self.records(number=number)[0]
-
     def limits(self) -> list[LimitsRecord]:
         """All limits of all types by number; the last ones of a type are in force."""
-        every = self.connection.execute(select(LIMITS).order_by(LIMITS.c.number))
-        rows = [_whole(row._asdict(), LIMITS) for row in every]
+        rows = [row._asdict() for row in self.connection.execute(select(LIMITS).order_by(LIMITS.c.number))]
         last = {row["model"]: row["number"] for row in rows}
         return [LimitsRecord(**row, in_force=last[row["model"]] == row["number"]) for row in rows]
 
@@ -196,51 +205,41 @@ class Rows:
         """The limits that are in force for a type."""
         return next((each for each in self.limits() if each.in_force and each.model == model), None)
 
-    def add_limits(self, model: str, file: str, systematic: str | None) -> LimitsRecord:
-        """New limits of a type, in force from now on."""
-        values = {"model": model, "file": file, "systematic": systematic, "added": datetime.now(UTC)}
-        self.connection.execute(insert(LIMITS), _without_zone(values))
-        return self.limits()[-1]
+    def add(self, table: Table, **values: Any) -> int:
+        """Add a row to a table, now; its number."""
+        added = insert(table).values(added=datetime.now(UTC), **values).returning(table.c.number)
+        return int(self.connection.execute(added).scalar_one())
 
-
-def _whole(row: dict[str, Any], table: Table) -> dict[str, Any]:
-    """A row of a table with its times in UTC. Raises ValueError for one that lacks what every row has."""
-    if missing := [name for name, value in row.items() if value is None and not table.c[name].nullable]:
-        raise ValueError(f"no {missing[0]}")
-    return row | {name: v.replace(tzinfo=UTC) for name, v in row.items() if isinstance(v, datetime)}
-
-
-def _without_zone(values: Mapping[str, Any]) -> dict[str, Any]:
-    return {
-        name: v.astimezone(UTC).replace(tzinfo=None) if isinstance(v, datetime) else v for name, v in values.items()
-    }
-
-
-# -------------------- where it is --------------------
+    def add_logs(self, calibration: int, logs: Collection[str]) -> None:
+        """Say on which logs (SHA-256) a calibration stands."""
+        if logs:
+            self.connection.execute(insert(LOGS), [{"sha256": log, "calibration": calibration} for log in sorted(logs)])
 
 
 def connected(place: str, create: bool) -> Database:
     """The database of a registry at a file or URL. Raises as `open_registry`."""
     url = _url(place)
-    file = Path(url.database or "") if _is_file(url) else None
-    name, new = str(file) if file else url.render_as_string(hide_password=True), False
-    if file is not None:
-        new = not file.exists()
-        if file.is_dir():
-            raise InputError(f"{file}: expected a registry, found a folder")
-        if new and not create:
-            raise InputError(f"{file}: expected a registry, found no such file; `tumble registry add` makes one")
-        if new and not file.parent.is_dir():
-            raise InputError(f"{file}: expected a folder for the registry, found no {file.parent}; make it first")
-    engine = _engine(url, name)
+    file = Path(url.database or "") if url.get_backend_name() == "sqlite" else None
+    if file is not None and file.is_dir():
+        raise InputError(f"{file}: expected a registry, found a folder")
+    new = file is not None and not file.exists()
+    if new and not create:
+        raise InputError(f"{file}: expected a registry, found no such file; `tumble registry add` makes one")
+    if file is not None and not file.parent.is_dir():
+        raise InputError(f"{file}: expected a folder for the registry, found no {file.parent}; make it first")
+    name = url.render_as_string(hide_password=True) if file is None else str(file)
+    database = Database(name=name, engine=_engine(url, name), file=file)
     try:
         if not new:
-            with Database(name=name, engine=engine, file=file, new=False).reading() as rows:
-                new = not _has_tables(rows.connection, name, create)
-        return Database(name=name, engine=engine, file=file, new=new)
+            with database.reading() as rows:
+                has_tables = _has_tables(rows.connection, name, create=create)
+            if not has_tables:
+                with database.writing():
+                    pass
     except BaseException:
-        engine.dispose()
+        database.engine.dispose()
         raise
+    return database
 
 
 def _url(place: str) -> URL:
@@ -261,24 +260,16 @@ def _url(place: str) -> URL:
     raise InputError(f"registry: {_PLACE}, found a URL of {backend!r}")
 
 
-def _is_file(url: URL) -> bool:
-    return url.get_backend_name() == "sqlite"
-
-
 def _engine(url: URL, name: str) -> Engine:
-    """An engine whose transactions begin as the module docstring says."""
-    on_file = _is_file(url)
+    """An engine whose transactions begin as the module docstring says, and not by the driver."""
+    on_file = url.get_backend_name() == "sqlite"
     try:
-        arguments: dict[str, Any] = {"timeout": PATIENCE} if on_file else {"connect_timeout": int(PATIENCE)}
+        arguments = {"timeout": PATIENCE, "isolation_level": None} if on_file else {"connect_timeout": int(PATIENCE)}
         engine = create_engine(url, connect_args=arguments)
     except (ValueError, TypeError) as error:
         raise InputError(f"{name}: expected a URL of a registry, found {error}") from error
 
-    def set_up(connection: Any, _: object) -> None:
-        connection.isolation_level = None  # transactions are begun below, not by the driver
-        for pragma in ("foreign_keys = ON", "synchronous = FULL"):
-            connection.execute(f"PRAGMA {pragma}")
-
+    @event.listens_for(engine, "begin")
     def begin(connection: Connection) -> None:
         writes = connection.get_execution_options().get("tumble_writes", False)
         if on_file:
@@ -287,25 +278,20 @@ def _engine(url: URL, name: str) -> Engine:
             connection.exec_driver_sql(f"SET LOCAL lock_timeout = '{PATIENCE:.0f}s'")
             connection.exec_driver_sql(f"SELECT pg_advisory_xact_lock({WRITERS_LOCK})")
 
-    if on_file:
-        event.listen(engine, "connect", set_up)
-    event.listen(engine, "begin", begin)
     return engine
 
 
-def _has_tables(connection: Connection, name: str, create: bool) -> bool:
+def _has_tables(connection: Connection, name: str, *, create: bool) -> bool:
     """Whether a database is a registry; False if it is empty and one may be made of it. Raises InputError."""
     tables = set(inspect(connection).get_table_names()) - {"sqlite_sequence"}
-    if tables == set(TABLES.tables):
-        return True
-    if tables:
+    if tables and tables != set(TABLES.tables):
         raise InputError(
             f"{name}: expected a registry or an empty database, found tables of another program, or of another version "
             "of tumble; add the calibration files to a new registry"
         )
-    if not create:
+    if not tables and not create:
         raise InputError(f"{name}: expected a registry, found an empty database; `tumble registry add` makes one")
-    return False
+    return bool(tables)
 
 
 def _make_tables(connection: Connection) -> None:
@@ -330,18 +316,3 @@ def _make_tables(connection: Connection) -> None:
         ]
     for statement in refusals:
         connection.exec_driver_sql(statement)
-
-
-@contextmanager
-def in_one_line(name: str) -> Iterator[None]:
-    """Errors of the database as InputError, those of SQLite's own module too."""
-    try:
-        yield
-    except (DBAPIError, sqlite3.Error) as error:
-        text = " ".join(str(getattr(error, "orig", error)).split())
-        reason = text
-        if "database is locked" in text or "lock timeout" in text:
-            reason = f"another writer has held it for {PATIENCE:.0f} s; try again"
-        elif text in _NO_ROOM and shutil.disk_usage(Path(name).parent).free < _ROOM:
-            reason = os.strerror(errno.ENOSPC)
-        raise InputError(f"{name}: the registry cannot be used: {reason}") from error

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import date, datetime
-from typing import ClassVar, Literal, get_args
+from typing import ClassVar, Literal
 
 from tumble.lab.limits import Limits, Occasion, parse_limits
 
 State = Literal["as-found", "as-left", "unchanged"]
-STATES: tuple[State, ...] = get_args(State)
 """Before an adjustment, after it, or without one: then the device leaves as it was found."""
 FAILED = ("fail", "conditional fail")
 """Verdicts that withdraw a device from use."""
@@ -49,80 +48,34 @@ class Record:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LimitsRecord:
-    """Acceptance limits of a device type.
-
-    Parameters
-    ----------
-    file
-        The text of the TOML file.
-    systematic
-        The text of the calibration file with the systematic values of the type, if the limits name one.
-    in_force
-        Whether no later limits of the type replace them.
-    """
+    """Acceptance limits of a device type: the text of their TOML `file`; `in_force` unless later ones of the type
+    replace them."""
 
     json_fields: ClassVar = ("number", "model", "added", "in_force", "file")
 
     number: int
     model: str
     file: str
-    systematic: str | None
     added: datetime
     in_force: bool
 
     def parsed(self) -> Limits:
         """The limits as they judge."""
-        return parse_limits(self.file, self.systematic, f"limits {self.number}")
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Forecast:
-    """When a parameter is `expected` to meet a `limit` (SI), at the `earliest` and at the `latest` (95.45 %); None for
-    a latest time beyond 50 years."""
-
-    name: str
-    unit: str
-    limit: float
-    expected: datetime
-    earliest: datetime
-    latest: datetime | None
+        return parse_limits(self.file, f"limits {self.number}")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Due:
-    """When a device is to be calibrated again.
+    """When a device is to be calibrated again, as on the day `on`: its latest record, how many `calibrations` it has,
+    the `months` between them and the `day` when the next one is due; None without an interval."""
 
-    Parameters
-    ----------
-    record, calibrations
-        The latest record of the device, and how many it has.
-    on
-        The day on which the question is asked.
-    months, by_calendar
-        Interval between calibrations, and the day the next one is due by it; None without an interval.
-    by_drift
-        The parameter that may meet its limit first by its drift; None without one.
-    """
-
-    json_fields: ClassVar = ("record", "calibrations", "months", "day", "by_drift", "withdrawn", "overdue")
+    json_fields: ClassVar = ("record", "calibrations", "months", "day", "withdrawn", "overdue")
 
     record: Record
     calibrations: int
     on: date
-    months: int | None = None
-    by_calendar: date | None = None
-    by_drift: Forecast | None = None
-
-    @property
-    def day(self) -> date | None:
-        """The day the next calibration is due, the earlier of both; None if neither is known."""
-        days = [self.by_calendar, None if self.by_drift is None else self.by_drift.earliest.date()]
-        return min((day for day in days if day is not None), default=None)
-
-    @property
-    def drifts(self) -> bool:
-        """Whether it is due by its drift, before the calendar says so."""
-        return self.by_drift is not None and self.day != self.by_calendar
+    months: int | None
+    day: date | None
 
     @property
     def withdrawn(self) -> bool:
@@ -131,4 +84,5 @@ class Due:
 
     @property
     def overdue(self) -> bool:
+        """Whether its day has passed."""
         return self.day is not None and self.day < self.on

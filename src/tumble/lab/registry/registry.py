@@ -9,20 +9,20 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, timedelta
-from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from tumble.documents import text_of_document
 from tumble.errors import InputError, needs_extra
 from tumble.files import FilePath
 from tumble.lab.conformity import Verdict, verdict_at
-from tumble.lab.limits import Limits, Occasion, read_limits
-from tumble.lab.registry.records import Due, Forecast, LimitsRecord, Record, State
+from tumble.lab.limits import Limits, Occasion, parse_limits
+from tumble.lab.registry.records import Due, LimitsRecord, Record, State
 from tumble.result.accepted import accepted_part
 from tumble.result.calibration import Calibration, calibration_of, text_and_name
 from tumble.result.launch_variances import LaunchVariances, launch_variances, variances_between
@@ -119,6 +119,8 @@ class Registry:
             One line: no calibration file, one that was not accepted, a date that is missing or in the future, another
             type for a known serial number, a log that another record stands on.
         """
+        from tumble.lab.registry.database import CALIBRATION
+
         text, name = text_and_name(calibration)
         part = accepted_part(calibration_of(text, name), name)
         if not part.parameters:
@@ -130,7 +132,7 @@ class Registry:
         with self.database.writing() as rows:
             if same := rows.records(sha256=digest):
                 return same[0]
-            for record in rows.records_with_logs(logs):
+            for record in rows.records(of_logs=logs):
                 raise InputError(
                     f"{name}: expected a log that is not in the registry, found that of record {record.number} "
                     f"({record.serial}, {record.method})"
@@ -145,48 +147,43 @@ class Registry:
                     )
             occasion = occasion or ("periodic" if earlier else "incoming")
             limits = rows.limits_in_force(model)
-            values = {
-                "sha256": digest,
-                "serial": part.serial,
-                "model": model,
-                "method": part.method,
-                "frame": part.frame,
-                "performed": performed,
-                "occasion": occasion,
-                "state": state,
-                "limits": None if limits is None else limits.number,
-                "verdict": None if limits is None else _in_a_word(part, limits.parsed(), occasion),
-                "added": datetime.now(UTC),
-                "file": text,
-            }
-            return rows.add(values, logs)
+            number = rows.add(
+                CALIBRATION,
+                sha256=digest,
+                serial=part.serial,
+                model=model,
+                method=part.method,
+                frame=part.frame,
+                performed=performed,
+                occasion=occasion,
+                state=state,
+                limits=None if limits is None else limits.number,
+                verdict=None if limits is None else _in_a_word(part, limits.parsed(), occasion),
+                file=text,
+            )
+            rows.add_logs(number, logs)
+            return rows.records(number=number)[0]
 
     def set_limits(self, model: str, file: FilePath) -> LimitsRecord:
         """Put the acceptance limits of a file (TOML) in force for a device type, unless they are in force already.
 
         Raises InputError, one line, for a file that cannot be used."""
-        text, systematic = read_limits(Path(file))
+        from tumble.lab.registry.database import LIMITS
+
+        text = text_of_document(Path(file))
+        parse_limits(text, str(file))
         with self.database.writing() as rows:
             in_force = rows.limits_in_force(model)
-            if in_force is None or (in_force.file, in_force.systematic) != (text, systematic):
-                in_force = rows.add_limits(model, text, systematic)
+            if in_force is None or in_force.file != text:
+                rows.add(LIMITS, model=model, file=text)
+                in_force = rows.limits()[-1]
             return in_force
 
     # -------------------- reading --------------------
 
     def records(self, serial: str | None = None) -> list[Record]:
-        """The records in the order in which they were performed.
-
-        Parameters
-        ----------
-        serial
-            Serial number of a device; of all devices by default.
-
-        Raises
-        ------
-        InputError
-            For a device without records.
-        """
+        """The records of a device, by default of all devices, in the order in which they were performed. Raises
+        InputError for a device without records."""
         with self.database.reading() as rows:
             records = rows.records() if serial is None else rows.records(serial=serial)
         if serial is not None and not records:
@@ -233,14 +230,7 @@ class Registry:
     # -------------------- what calibrations say together --------------------
 
     def trend(self, serial: str, parameter: str | None = None) -> Trend:
-        """The parameters of a device over its calibrations, against the limits in force now.
-
-        Parameters
-        ----------
-        serial
-            Serial number of the device.
-        parameter
-            Name of a parameter; all by default.
+        """The parameters of a device over its calibrations, or one of them, against the limits in force now.
 
         Raises
         ------
@@ -248,121 +238,60 @@ class Registry:
             For an unknown device or parameter, and for a record that cannot be taken to the frame of the limits, or of
             the latest record where there are none.
         """
-        from tumble.lab.registry.trend import latest_comparison, trend_of
+        from tumble.lab.registry.trend import trend_of
 
         records = self.records(serial)
         with self.database.reading() as rows:
             in_force = rows.limits_in_force(records[-1].model)
         limits = None if in_force is None else in_force.parsed()
-        past = self._past(records, records[-1].frame if limits is None else limits.frame)
-        names = [p.name for _, calibration in reversed(past) for p in calibration.parameters]
-        if parameter is not None and parameter not in names:
-            listed = ", ".join(dict.fromkeys(names))
-            raise InputError(f"device {serial!r}: expected one of {listed}, found {parameter!r}")
-        return trend_of(past, limits, names if parameter is None else [parameter], latest_comparison(past))
+        frame = records[-1].frame if limits is None else limits.frame
+        trend = trend_of([(record, self.calibration(record, frame)) for record in records], limits)
+        return trend if parameter is None else trend.of(parameter)
 
     def due(self, on: date | None = None) -> list[Due]:
-        """When every device is to be calibrated again.
-
-        Parameters
-        ----------
-        on
-            Day on which this is asked; today by default.
-
-        Returns
-        -------
-        list of Due
-            Devices that failed their latest check first, then the most urgent; those without an interval last.
-        """
+        """When every device is to be calibrated again, as on a day, by default today: devices that failed their latest
+        check first, then the most urgent; those without an interval last."""
         on = datetime.now(UTC).date() if on is None else on
         in_force = {each.model: each.parsed() for each in self.limits() if each.in_force}
+        of_devices = defaultdict[str, list[Record]](list)
+        for record in self.records():
+            of_devices[record.serial].append(record)
         items = []
-        for serial, each in groupby(sorted(self.records(), key=lambda r: r.serial), key=lambda r: r.serial):
-            records = list(each)
+        for serial, records in of_devices.items():
             latest, limits = records[-1], in_force.get(records[-1].model or "")
-            items.append(
-                Due(
-                    record=latest,
-                    calibrations=len(records),
-                    on=on,
-                    months=None if limits is None else limits.interval(serial),
-                    by_calendar=None if limits is None else limits.due(serial, latest.performed.date()),
-                    by_drift=None if limits is None else self._first_forecast(records, limits),
-                )
-            )
+            months = None if limits is None else limits.interval(serial)
+            day = None if limits is None else limits.due(serial, latest.performed.date())
+            items.append(Due(record=latest, calibrations=len(records), on=on, months=months, day=day))
         return sorted(items, key=lambda item: (not item.withdrawn, item.day or date.max, item.record.serial))
-
-    def _first_forecast(self, records: Sequence[Record], limits: Limits) -> Forecast | None:
-        """The parameter of a device that may meet its limit first; None without one, and for a device of which a record
-        cannot be taken to the frame of the limits."""
-        if len(records) < 2 or not limits.checks.get("periodic"):
-            return None
-        from tumble.lab.registry.trend import trend_of
-
-        try:
-            past = self._past(records, limits.frame)
-        except InputError:
-            return None
-        names = {p.name for _, calibration in past for p in calibration.parameters}
-        limited = [name for name in names if limits.of(name, "periodic") is not None]
-        return next(iter(trend_of(past, limits, limited).forecasts), None)
-
-    def _past(self, records: Iterable[Record], frame: str) -> list[tuple[Record, Calibration]]:
-        return [(record, self.calibration(record, frame)) for record in records]
 
     def launches(
         self, *, serial: str | None = None, model: str | None = None, frame: str = "accelerometer"
     ) -> tuple[LaunchVariances, ...]:
-        """The launches behind calibrations, for `check_calibration` and `calibrate_launches`.
+        """The launches behind the calibrations of a device, or of a type of devices, with variances in a `frame`, for
+        `check_calibration` and `calibrate_launches`; calibrations that cannot be taken to the frame are left out.
 
         Calibrations of one launch each are launches of their device, too, if they are by one method and it was not
-        adjusted between them.
-
-        Parameters
-        ----------
-        serial, model
-            A device, or a type of devices.
-        frame
-            Frame of the variances; calibrations that cannot be taken to it are left out.
-
-        Raises
-        ------
-        InputError
-            If no device has two launches.
-        """
-        of_means, single = list[LaunchVariances | None](), dict[tuple[str, int, str], list[Calibration]]()
+        adjusted between them. Raises InputError if no device has two launches."""
+        variances = list[LaunchVariances | None]()
+        single = defaultdict[tuple[str, int, str], list[Calibration]](list)
         adjusted = Counter[str]()
         for record in self.records(serial):
             adjusted[record.serial] += record.state == "as-left"
-            if serial is None and record.model != model:
-                continue
-            for calibration in self._in_frame((record,), frame):
-                evidence = calibration.evidence
-                if not (evidence.launches or evidence.together or calibration.provenance.prior):
-                    stretch = (record.serial, adjusted[record.serial], record.method)
-                    single.setdefault(stretch, []).append(calibration)
-                of_means.append(launch_variances(calibration))
-        variances = tuple(each for each in (*of_means, *map(variances_between, single.values())) if each is not None)
-        if not variances:
+            if serial is not None or record.model == model:
+                for calibration in self._in_frame(record, frame):
+                    variances.append(launch_variances(calibration))
+                    evidence = calibration.evidence
+                    if not (evidence.launches or evidence.together or calibration.provenance.prior):
+                        single[record.serial, adjusted[record.serial], record.method].append(calibration)
+        variances += map(variances_between, single.values())
+        if not any(variances):
             which = f"type {model!r}" if serial is None else f"device {serial!r}"
             raise InputError(f"{which}: expected several launches of one device in the registry, found none")
-        return variances
+        return tuple(each for each in variances if each is not None)
 
     def prior(self, model: str, *, without: str | None = None) -> DevicePrior:
-        """What other units of a type are like, as a prior for `calibrate` and `plan`.
-
-        Parameters
-        ----------
-        model
-            The type.
-        without
-            Serial number of a unit to leave out.
-
-        Returns
-        -------
-        DevicePrior
-            Without parameters if there are fewer than three units.
-        """
+        """What the units of a type are like but for one, by its serial number, as a prior for `calibrate` and `plan`;
+        without parameters if there are fewer than three units."""
         from tumble.lab.device_type import prior_of
 
         return prior_of([unit for unit in self._units(model) if unit.serial != without], model)
@@ -378,14 +307,13 @@ class Registry:
         from tumble.lab.device_type import unit_of
 
         records = (record for record in self.records() if record.model == model)
-        units = map(unit_of, self._in_frame(records, "accelerometer"))
+        units = (unit_of(each) for record in records for each in self._in_frame(record, "accelerometer"))
         return list({unit.serial: unit for unit in units if unit is not None}.values())
 
-    def _in_frame(self, records: Iterable[Record], frame: str) -> Iterator[Calibration]:
-        """The calibrations of records that can be taken to a frame."""
-        for record in records:
-            with suppress(InputError):
-                yield self.calibration(record, frame)
+    def _in_frame(self, record: Record, frame: str) -> Iterator[Calibration]:
+        """The calibration of a record, if it can be taken to a frame."""
+        with suppress(InputError):
+            yield self.calibration(record, frame)
 
 
 def _performed(calibration: Calibration, stated: datetime | None, name: str) -> datetime:

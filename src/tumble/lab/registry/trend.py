@@ -1,4 +1,4 @@
-"""The trend of a device: run to run, drift a year, as found against as left, and when a drift meets a limit.
+"""The trend of a device: run to run, drift a year, as found against as left.
 
 A parameter y, calibrated at the times t_i (years), is modelled as
 
@@ -18,30 +18,20 @@ a normal distribution.
 The u_i are without what all calibrations share: the uncertainty of the same stated gravity, that of the same time
 base, and what only priors say of the device. With g_i what one standard uncertainty of these changes in y_i, u_i² is
 less by |g_i|² and more by |g_i − ḡ|², for what is the same every time is no part of a drift, nor of a change between
-two that share it (`tumble.result.shared_errors`). The level of the line has |ḡ|² in its variance. A parameter of which
-no more than its prior is known has neither τ nor drift.
+two that share it (`tumble.result.shared_errors`). A parameter of which no more than its prior is known has neither τ
+nor drift.
 
 A change has the expanded uncertainty U = t(ν) u with ν by Welch and Satterthwaite (`tumble.result.coverage`).
 Whether the last one is beyond chance says the comparison of the two calibrations (`tumble.use.compare`).
 
-On this line the parameter is at the time t, with Δ = t − t̄,
-
-    y(t) = a + b Δ,   u(y)² = u_a² + 2 c Δ + u_b² Δ² + τ²                                                        (1)
-
-c the covariance of a and b, τ the instability from run to run, so that it is the value of a single power-on. The limit
-is expected to be met where y(t) is the limit; it may be met, with 95.45 %, between the two times at which
-|limit − y(t)| = t(ν) u(y), the roots of a quadratic (Fieller). These are finite where the drift is beyond its U; a
-drift that is not gives no forecast.
-
-Sources: Mandel & Paule, Anal. Chem. 42 (1970) 1194, for τ; JCGM 100 (GUM) G.4 for t; ISO 13528, 9.7 for E_n; Fieller,
-J. R. Stat. Soc. B 16 (1954) 175.
+Sources: Mandel & Paule, Anal. Chem. 42 (1970) 1194, for τ; JCGM 100 (GUM) G.4 for t; ISO 13528, 9.7 for E_n.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from itertools import pairwise
 from typing import ClassVar
@@ -49,9 +39,10 @@ from typing import ClassVar
 import numpy as np
 import scipy
 
+from tumble.errors import InputError
 from tumble.lab.conformity import Result, judge_value
 from tumble.lab.limits import Limits
-from tumble.lab.registry.records import Forecast, Record, State
+from tumble.lab.registry.records import Record, State
 from tumble.methods.least_squares import scatter_of
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import apart, by_gravity
@@ -60,13 +51,8 @@ from tumble.units import Array
 from tumble.use.compare import Comparison, Difference, compare_calibrations
 
 YEAR = timedelta(days=365.25)
-HORIZON = 50.0
-"""Years after the latest calibration, further than which nothing is forecast."""
 COVERED = float(scipy.special.ndtr(2.0))
 """One-sided probability of two standard deviations of a normal distribution."""
-
-Past = Sequence[tuple[Record, Calibration]]
-"""The records of a device with their calibrations, all in one frame, in the order in which they were performed."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -99,25 +85,13 @@ class Point:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Drift:
-    """A drift in SI a year with its standard and its expanded uncertainty.
-
-    Without degrees of freedom nothing shows how unstable the device is from run to run, and there is no expanded
-    uncertainty. The line: `level` (SI) at `since` (years since the first calibration) in the last stretch, with its
-    standard uncertainty and its covariance with the drift."""
+    """A drift in SI a year with its standard and its expanded uncertainty. Without degrees of freedom nothing shows how
+    unstable the device is from run to run, and there is no expanded uncertainty."""
 
     per_year: float
     u: float
     degrees: int
     expanded: float | None
-    level: float
-    level_u: float
-    level_with_drift: float
-    since: float
-
-    @property
-    def beyond_u(self) -> bool:
-        """Whether it is larger than its U."""
-        return self.expanded is not None and abs(self.per_year) > self.expanded
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -174,37 +148,31 @@ class Trend:
         The latest calibration that is no adjustment with the one before it; None without two.
     """
 
-    json_fields: ClassVar = ("serial", "frame", "limits", "parameters", "changed", "forecasts")
+    json_fields: ClassVar = ("serial", "frame", "limits", "parameters", "changed")
 
     latest: Record
     frame: str
     parameters: tuple[ParameterTrend, ...]
     limits: Mapping[str, tuple[float, float]]
-    comparison: Comparison | None = None
+    comparison: Comparison | None
 
     @property
     def serial(self) -> str:
+        """Of the device."""
         return self.latest.serial
 
-    @property
-    def latest_verdicts(self) -> Mapping[str, Result]:
-        """The verdict on the latest value of every parameter that has limits."""
-        return {t.name: self._verdict(t, t.points[-1]) for t in self.parameters if t.name in self.limits}
+    def of(self, parameter: str) -> Trend:
+        """That of one parameter alone. Raises InputError where there is none of this name."""
+        names = [each.name for each in self.parameters]
+        if parameter not in names:
+            raise InputError(f"device {self.serial!r}: expected one of {', '.join(names)}, found {parameter!r}")
+        limits = {name: ends for name, ends in self.limits.items() if name == parameter}
+        return replace(self, parameters=(self.parameters[names.index(parameter)],), limits=limits)
 
     def verdicts(self, trend: ParameterTrend) -> Mapping[int, Result]:
         """The verdicts on a parameter in every record, by number; none without limits."""
-        limited = trend.name in self.limits
-        return {point.number: self._verdict(trend, point) for point in trend.points} if limited else {}
-
-    def _verdict(self, trend: ParameterTrend, point: Point) -> Result:
-        return judge_value(point.value, point.u, *self.limits[trend.name], dof=point.dof)
-
-    @property
-    def forecasts(self) -> list[Forecast]:
-        """When parameters that are inside their limits meet them by their drift, the earliest first."""
-        passing = {name for name, verdict in self.latest_verdicts.items() if verdict == "pass"}
-        met = [forecast(trend, self.limits[trend.name]) for trend in self.parameters if trend.name in passing]
-        return sorted((each for each in met if each is not None), key=lambda each: each.earliest)
+        ends = self.limits.get(trend.name)
+        return {p.number: judge_value(p.value, p.u, *ends, dof=p.dof) for p in trend.points} if ends else {}
 
     @property
     def changed(self) -> list[str]:
@@ -217,37 +185,34 @@ class Trend:
         return [name for name in self.comparison.changed if name in names] or ["all parameters together"] * together
 
 
-def trend_of(past: Past, limits: Limits | None, names: Iterable[str], comparison: Comparison | None = None) -> Trend:
-    """The trend of a device over its past: of the parameters `names`, in the order of the latest calibration."""
-    points: dict[str, list[Point]] = {name: [] for name in names}
-    units: dict[str, str] = {}
+def trend_of(past: Sequence[tuple[Record, Calibration]], limits: Limits | None) -> Trend:
+    """The trend of a device over its records with their calibrations, in one frame and in the order in which they were
+    performed; parameters in the order of the latest calibration."""
+    points, units = dict[str, list[Point]](), dict[str, str]()
     for record, calibration in reversed(past):
-        launches: dict[tuple[str, str], list[tuple[float, float | None]]] = {}
-        for p in (p for launch in calibration.evidence.launches for p in launch.parameters):
-            launches.setdefault((p.name, p.unit), []).append((p.value, p.u))
         sources = _sources(calibration)
+        launches = [q for launch in calibration.evidence.launches for q in launch.parameters]
         for i, p in enumerate(calibration.parameters):
-            if p.name in points and units.setdefault(p.name, p.unit) == p.unit:
-                point = Point(
-                    number=record.number,
-                    performed=record.performed,
-                    state=record.state,
-                    value=p.value,
-                    u=p.u,
-                    dof=p.dof,
-                    launches=tuple(launches.get((p.name, p.unit), ())),
-                    shared={source: float(change[i]) for source, change in sources.items()},
-                )
-                points[p.name].append(point)
-    (latest, calibration), ends = past[-1], dict[str, tuple[float, float]]()
-    if limits is not None:
-        ends = {name: between for name in units if (between := limits.of(name, "periodic")) is not None}
+            if units.setdefault(p.name, p.unit) != p.unit:
+                continue
+            point = Point(
+                number=record.number,
+                performed=record.performed,
+                state=record.state,
+                value=p.value,
+                u=p.u,
+                dof=p.dof,
+                launches=tuple((q.value, q.u) for q in launches if (q.name, q.unit) == (p.name, p.unit)),
+                shared={source: float(change[i]) for source, change in sources.items()},
+            )
+            points.setdefault(p.name, []).insert(0, point)
+    ends = {} if limits is None else {name: limits.of(name, "periodic") for name in points}
     return Trend(
-        latest=latest,
-        frame=calibration.frame,
-        parameters=tuple(parameter_trend(name, unit, points[name][::-1]) for name, unit in units.items()),
-        limits=ends,
-        comparison=comparison,
+        latest=past[-1][0],
+        frame=past[-1][1].frame,
+        parameters=tuple(parameter_trend(name, units[name], each) for name, each in points.items()),
+        limits={name: between for name, between in ends.items() if between is not None},
+        comparison=_latest_comparison(past),
     )
 
 
@@ -264,24 +229,34 @@ def _sources(calibration: Calibration) -> dict[Hashable, Array]:
     return sources
 
 
-def latest_comparison(past: Past) -> Comparison | None:
+def _latest_comparison(past: Sequence[tuple[Record, Calibration]]) -> Comparison | None:
     """The last calibration of a device that is no adjustment compared with the one before it; None where there are no
     two with parameters in common."""
-    latest = next((i for i in range(len(past) - 1, 0, -1) if past[i][0].state != "as-left"), None)
-    if latest is None:
+    pairs = [(first, second) for (_, first), (record, second) in pairwise(past) if record.state != "as-left"]
+    if not pairs or not set(pairs[-1][0]) & set(pairs[-1][1]):
         return None
-    earlier, later = past[latest - 1][1], past[latest][1]
-    if not {p.name for p in later.parameters} & {p.name for p in earlier.parameters}:
-        return None
-    return compare_calibrations(earlier, later)
+    return compare_calibrations(*pairs[-1])
 
 
 def parameter_trend(name: str, unit: str, points: Sequence[Point]) -> ParameterTrend:
     """Run-to-run instability, drift and changes of a parameter."""
-    spreads = [np.array([value for value, _ in p.launches]) for p in points if len(p.launches) > 1]
-    degrees = sum(len(values) - 1 for values in spreads)
-    squares = sum(float(np.sum((values - values.mean()) ** 2)) for values in spreads)
+    launches = [np.array([value for value, _ in p.launches]) for p in points if p.launches]
+    degrees = sum(len(values) - 1 for values in launches)
+    squares = sum(float(np.sum((values - values.mean()) ** 2)) for values in launches)
     instability, drift = _instability_and_drift(points)
+    changes = []
+    for first, second in pairwise(points):
+        of_records = Change.between(
+            first,
+            second,
+            *_shared([first, second]),
+            name=name,
+            unit=unit,
+            earlier=first.number,
+            later=second.number,
+            adjustment=second.state == "as-left",
+        )
+        changes.append(of_records)
     return ParameterTrend(
         name=name,
         unit=unit,
@@ -290,19 +265,7 @@ def parameter_trend(name: str, unit: str, points: Sequence[Point]) -> ParameterT
         run_to_run_degrees=degrees,
         instability=instability,
         drift=drift,
-        changes=tuple(
-            Change.between(
-                earlier,
-                later,
-                *_shared([earlier, later]),
-                name=name,
-                unit=unit,
-                earlier=earlier.number,
-                later=later.number,
-                adjustment=later.state == "as-left",
-            )
-            for earlier, later in pairwise(points)
-        ),
+        changes=tuple(changes),
     )
 
 
@@ -312,99 +275,48 @@ def _shared(points: Sequence[Point]) -> Array:
     return np.array([[p.shared[source] for source in common] for p in points]).reshape(len(points), len(common))
 
 
-# -------------------- drift --------------------
-
-
 def _instability_and_drift(points: Sequence[Point]) -> tuple[float | None, Drift | None]:
     """τ and the drift, as far as the points say anything about them (module docstring)."""
     if not points or not all(p.u and all(u for _, u in p.launches) for p in points):
         return None, None
     shared = _shared(points)
-    mean = shared.mean(axis=0)
-    variance = np.empty(len(points))  # of the points, and that of the means of their launches, without τ²
-    of_mean, count = np.zeros(len(points)), np.array([len(p.launches) for p in points])
-    launch_variance, launch_square = [], []
-    for i, (p, g) in enumerate(zip(points, shared, strict=True)):
-        variance[i] = apart(p.u, None, g.tolist())[0] + float((g - mean) @ (g - mean))
-        variances = np.array([apart(u, None, g.tolist())[0] for _, u in p.launches])
-        if variance[i] == 0.0 or not np.all(variances > 0.0):
-            return None, None
-        of_mean[i] = variances.sum() / max(count[i], 1) ** 2
-        if count[i] > 1:
-            values = np.array([value for value, _ in p.launches])
-            launch_variance.append(variances)
-            launch_square.append((values - values.mean()) ** 2)
-    within, squares = (np.concatenate(each) if each else np.empty(0) for each in (launch_variance, launch_square))
+    common = ((shared - shared.mean(axis=0)) ** 2).sum(axis=1)
+    variance = np.array([apart(p.u, None, g)[0] for p, g in zip(points, shared, strict=True)]) + common
+    of_launches = [[apart(u, None, g)[0] for _, u in p.launches] for p, g in zip(points, shared, strict=True)]
+    within = np.array([each for several in of_launches for each in several])  # a launch
+    squares = np.array([(y - np.mean([x for x, _ in p.launches])) ** 2 for p in points for y, _ in p.launches])
+    if not variance.all() or not within.all():
+        return None, None
+    count = np.array([max(len(each), 1) for each in of_launches])
+    # variances of the points without τ²: of the mean of launches, and the least that there is
+    of_mean = np.array(
+        [sum(each) / len(each) ** 2 if each else v for each, v in zip(of_launches, variance, strict=True)]
+    )
+    least = np.array([v if each else 0.0 for each, v in zip(of_launches, variance, strict=True)])
 
     # a column for the level of each stretch between adjustments and, where any has two times, one of the years
     stretch = np.cumsum([i > 0 and p.state == "as-left" for i, p in enumerate(points)])
     t = np.array([(p.performed - points[0].performed) / YEAR for p in points], dtype=float)
     y = np.array([p.value for p in points])
     X = (stretch[:, None] == np.arange(stretch[-1] + 1)).astype(float)
-    levels = X.shape[1]
-    drifts = any(np.ptp(t[stretch == s]) > 0.0 for s in range(levels))
+    drifts = any(np.ptp(t[stretch == s]) > 0.0 for s in range(X.shape[1]))
     X = np.column_stack([X, t - t.mean()]) if drifts else X
 
     def line(tau: float) -> tuple[Array, Array, float]:
-        """Weighted least squares: Q and R of the whitened columns, and chi-square of the residuals."""
-        u = np.sqrt(
-            np.where(count > 0, np.maximum(variance, of_mean + tau**2 / np.maximum(count, 1)), variance + tau**2)
-        )
+        """Weighted least squares: Qᵀy and R of the whitened columns, and chi-square of the residuals."""
+        u = np.sqrt(np.maximum(least, of_mean + tau**2 / count))
         Q, R = np.linalg.qr(X / u[:, None])
         z = Q.T @ (y / u)
         return z, R, float(np.sum((y / u - Q @ z) ** 2))
 
-    degrees = len(points) - X.shape[1] + int(np.maximum(count - 1, 0).sum())
-    tau = None
+    degrees, tau = len(points) - X.shape[1] + int((count - 1).sum()), None
     if degrees > 0:
         start = float(np.median(np.sqrt(variance)))
         tau = scatter_of(lambda s: line(s)[2] + float(np.sum(squares / (within + s**2))) - degrees, start)
     if not drifts:
         return tau, None
     z, R, _ = line(tau or 0.0)
-    inverse = np.linalg.inv(R)
-    values, covariance = inverse @ z, inverse @ inverse.T
-    u, last = math.sqrt(float(covariance[-1, -1])), levels - 1
-    return tau, Drift(
-        per_year=float(values[-1]),
-        u=u,
-        degrees=degrees,
-        expanded=float(scipy.special.stdtrit(degrees, COVERED)) * u if degrees > 0 else None,
-        level=float(values[last]),
-        level_u=math.sqrt(float(covariance[last, last] + mean @ mean)),
-        level_with_drift=float(covariance[last, -1]),
-        since=float(t.mean()),
-    )
-
-
-def forecast(trend: ParameterTrend, limits: tuple[float, float]) -> Forecast | None:
-    """When the last stretch of a trend meets the limit (SI) towards which it drifts; None without a drift beyond its U,
-    without a limit on that side, where the limit is met already, and beyond HORIZON."""
-    drift, points = trend.drift, trend.points
-    if drift is None or not drift.beyond_u:
-        return None
-    limit = limits[1] if drift.per_year > 0.0 else limits[0]
-    now = (points[-1].performed - points[0].performed) / YEAR
-    expected = drift.since + (limit - drift.level) / drift.per_year
-    if not math.isfinite(limit) or not now < expected <= now + HORIZON:
-        return None
-    # the roots of |limit − y(t)| = t(ν) u(y), Eq. (1)
-    k, off, b = (drift.expanded or 0.0) / drift.u, limit - drift.level, drift.per_year
-    A = b**2 - (k * drift.u) ** 2
-    half = off * b + k**2 * drift.level_with_drift
-    C = off**2 - k**2 * (drift.level_u**2 + (trend.instability or 0.0) ** 2)
-    root = math.sqrt(max(half**2 - A * C, 0.0))
-    earliest, latest = drift.since + (half - root) / A, drift.since + (half + root) / A
-
-    def at(years: float) -> datetime:
-        moment: timedelta = years * YEAR
-        return points[0].performed + moment
-
-    return Forecast(
-        name=trend.name,
-        unit=trend.unit,
-        limit=limit,
-        expected=at(expected),
-        earliest=at(max(earliest, now)),
-        latest=at(latest) if latest <= now + HORIZON else None,
-    )
+    of_drift = np.linalg.inv(R)[-1]
+    u = float(np.linalg.norm(of_drift))
+    expanded = float(scipy.special.stdtrit(degrees, COVERED)) * u if degrees > 0 else None
+    return tau, Drift(per_year=float(of_drift @ z), u=u, degrees=degrees, expanded=expanded)

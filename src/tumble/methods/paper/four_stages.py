@@ -11,31 +11,32 @@ ways that holds for any bias. Stage 4 uses the programme matrix of §6.3 and pla
 pass over the same data, with the turns integrated about the gyro model of the pass.
 
 The covariance is that of the data, propagated by the derivative of the passes with respect to every mean reading, turn,
-gravity and start value, by central differences, chained. If the residuals need more than the noise within rests and
-turns and the groups below, scatter between rests and of turns is estimated from them. The error of the last pass by its
-method is the difference from where further passes would lead; there the residuals are taken, too. What instruments
-usually have beyond bias, scale factor and axis angles is in the result as nothing within its size, and in the
-covariance, by the same derivative (`tumble.diagnosis.linear_model`).
+gravity and start value, by central differences, chained. The error of the last pass by its method is the difference
+from where further passes would lead. What instruments usually have beyond bias, scale factor and axis angles is in the
+result as nothing within its size, and in the covariance, by the same derivative (`tumble.diagnosis.linear_model`).
+Scatter, and which rests and turns do not fit, are those of the method `joint`, beside all groups.
 
 Source: Vodicheva & Parysheva 2019; the turntable method, §2 to §6.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from tumble.diagnosis.linear_model import by_joint, groups_in_data, left_out_sizes, with_left_out
 from tumble.earth import earth_rate
 from tumble.errors import InputError, ProgrammeError, SessionError
-from tumble.inference.estimate import Estimate, Fit
-from tumble.inference.sources import UncertaintyBudget, source
-from tumble.methods.least_squares import Residuals, scatter_of, solved, unexplained
+from tumble.inference.estimate import Estimate
+from tumble.inference.joint import joint
+from tumble.inference.noise import VarianceComponents, typical_noise
+from tumble.inference.problem import Problem
+from tumble.inference.sources import Source, UncertaintyBudget, source
+from tumble.methods.least_squares import solved
 from tumble.methods.paper.accelerometers import (
     by_modulus,
     by_modulus_nominal,
@@ -48,6 +49,7 @@ from tumble.methods.paper.gyros import (
     RecordedTurn,
     Series,
     along_vertical,
+    axes_and_angles,
     check_directions,
     horizontal_differences,
     known_turns,
@@ -60,7 +62,7 @@ from tumble.methods.paper.gyros import (
 from tumble.programme.positions import Programme
 from tumble.reduction.observations import Observations
 from tumble.reduction.turns.turns import Turns
-from tumble.rotation import rotation_matrix, unit_vector
+from tumble.rotation import rotation_matrix
 from tumble.sensors.model import PERFECT_TRIAD, Block, SensorModel, triad_model
 from tumble.sensors.parameters import group_name, units_of
 from tumble.units import Array, IntArray
@@ -87,22 +89,6 @@ class PaperMethod:
 SEQUENTIAL = PaperMethod(name="sequential", accelerometers=by_vector, check=check_for_vector, any_axes=True)
 SCALAR = PaperMethod(name="scalar", accelerometers=by_modulus, check=check_for_modulus)
 SCALAR_NOMINAL = PaperMethod(name="scalar-nominal", accelerometers=by_modulus_nominal, check=check_for_modulus)
-
-
-def sequential(observations: Observations, iterations: int = 2, *, intervals: bool = True) -> Estimate:
-    """Estimate of the paper's method with the sequential vector method for accelerometers. Raises as `iterated`."""
-    return iterated(observations, SEQUENTIAL, iterations, intervals)
-
-
-def scalar(observations: Observations, iterations: int = 2, *, intervals: bool = True) -> Estimate:
-    """Estimate of the paper's method with the scalar method on all rests, in the estimated orientation. Raises as
-    `iterated`."""
-    return iterated(observations, SCALAR, iterations, intervals)
-
-
-def scalar_nominal(observations: Observations, iterations: int = 2, *, intervals: bool = True) -> Estimate:
-    """The same in the orientation of the programme, which the paper compares it with. Raises as `iterated`."""
-    return iterated(observations, SCALAR_NOMINAL, iterations, intervals)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -166,19 +152,15 @@ def one_pass(
         return accel, gyro
     matrix = course.matrix if matrix is None else matrix
     assert matrix is not None
-    x = solved(matrix, differences(course, rates, force, turn(gyro), gyro))
+    attitude = triad(force, gyro.apply(rates))
+    y = horizontal_differences(course.series, attitude, force, turn(gyro), course.duration, course.earth_rate)
+    x = solved(matrix, y)
     sensitivity = axes @ triad_model(np.zeros_like(x[..., :3]), x[..., :3], x[..., 3:]).matrix
     if integral is not None:
         unbiased = integral - course.duration[:, None] * gyro.bias[..., None, :]
         scaled = compensated(replace(gyro, bias=np.zeros_like(gyro.bias)), unbiased, axes)
         sensitivity = sensitivity + spare_sensitivities(scaled, axes)
     return accel, composed(gyro, SensorModel(matrix=sensitivity, bias=np.zeros_like(bias)), axes)
-
-
-def differences(course: ProgrammeCourse, rates: Array, force: Array, C: Array, model: SensorModel) -> Array:
-    """y (..., 2T) of the indirect method for a gyro model and the turns integrated about it."""
-    attitude = triad(force, model.apply(rates))
-    return horizontal_differences(course.series, attitude, force, C, course.duration, course.earth_rate)
 
 
 # The course of a session
@@ -242,11 +224,10 @@ def course_of(observations: Observations, method: PaperMethod) -> ProgrammeCours
 def course_of_programme(programme: Programme, *, turn_rate: float, latitude: float) -> ProgrammeCourse:
     """The course of a recording of a programme's known turns alone, at this rate, rad/s."""
     known = [k for series in known_turns(programme) for k in series]
-    angles = np.array([programme.moves[k].angle for k in known], dtype=float)
     return ProgrammeCourse(
         nominal=np.array([position.vertical_b for position in programme.positions]),
         series=_series(programme, np.arange(len(programme.positions)), known),
-        duration=np.abs(angles) / turn_rate,
+        duration=np.abs(axes_and_angles(programme)[1]) / turn_rate,
         earth_rate=np.array(earth_rate(latitude)),
         matrix=programme_matrix(programme)[0],
     )
@@ -276,24 +257,24 @@ def _series(programme: Programme, position: IntArray, first: Sequence[int]) -> t
 # Iterations
 
 
-def iterated(observations: Observations, method: PaperMethod, iterations: int, intervals: bool = True) -> Estimate:
+def iterated(
+    observations: Observations, iterations: int = 2, *, method: PaperMethod, intervals: bool = True
+) -> Estimate:
     """The estimate after so many iterations, at least one, with covariance. The first starts from what is known of the
-    sensors (`Observations.start`). How large groups are is the maximum of `joint`, with `intervals` integrated. Raises
-    InputError."""
+    sensors (`Observations.start`). Scatter and sizes of groups are the maximum of `joint`, with `intervals` integrated.
+    Raises InputError."""
     if iterations < 1:
         raise InputError(f"iterations: expected at least 1, found {iterations}")
     launch = _SessionData.of(observations, method)
-    values = np.concatenate([observations.start_values(block) for block in launch.blocks])
-    derivative = np.zeros((len(values), len(launch.data)))
-    increments = []
-    for _ in range(iterations):
-        turned = launch.turned(launch.after_pass(launch.data, values, None))
-        by_data, by_start = launch.derivatives(launch.after_pass, values, turned)
-        after = launch.after_pass(launch.data, values, turned)
-        derivative = by_data + by_start @ derivative
-        increments.append(after - values)
-        values = after
-    return _estimate(launch, values, derivative, tuple(increments), intervals)
+    return _estimate(launch, *launch.passes(iterations), intervals)
+
+
+def moved_by_groups(observations: Observations, method: PaperMethod, iterations: int = 2) -> tuple[Problem, Array]:
+    """The likelihood with the groups that a method takes as nothing, and by how much one of each parameter of these
+    moves its result (m, k). Raises as `iterated`."""
+    _, derivative, _ = _SessionData.of(observations, method).passes(iterations)
+    problem, shown = groups_in_data(observations)
+    return problem, derivative @ shown
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -346,18 +327,20 @@ class _SessionData:
         return tuple(name for block in self.blocks for name in block.names)
 
     @property
-    def kinds(self) -> dict[str, slice]:
-        """Where the data of each kind are, by the group of residuals that they make."""
+    def places(self) -> tuple[slice, slice, slice, slice]:
+        """Where the readings of the accelerometers are in the data, those of the gyros, the errors of the turns, and
+        the integrals over them."""
         N, (accel, *gyro) = len(self.observations.rests), self.blocks
         first = N * accel.size
         second = first + sum(N * block.size for block in gyro)
-        return {"accelerometers": slice(0, first), "gyro rests": slice(first, second), "gyro turns": slice(second, -1)}
+        third = second + 3 * len(self.course.duration)
+        return slice(0, first), slice(first, second), slice(second, third), slice(third, -1)
 
     @property
     def steps(self) -> Array:
         """Steps of the central differences for the data and the values."""
-        data = np.full(len(self.data), 1e-5)
-        data[self.kinds["gyro rests"]], data[self.kinds["gyro turns"]] = 1e-9, 1e-6
+        data, (_, rates, *turns) = np.full(len(self.data), 1e-5), self.places
+        data[rates], data[turns[0]], data[turns[1]] = 1e-9, 1e-6, 1e-6
         values = [{"accel.bias": 1e-5, "gyro.bias": 1e-9}.get(group_name(name), 1e-6) for name in self.names]
         return np.concatenate([data, values])
 
@@ -365,22 +348,16 @@ class _SessionData:
         """Specific forces and rates (..., N, n) at rest, errors of turns (..., K, 3), empty without gyros, integrals
         over turns (..., K, n) of more than three gyros, and g (...)."""
         accel, *gyro = self.blocks
-        force, rate, turning = (data[..., kind] for kind in self.kinds.values())
-        n, split = gyro[0].size if gyro else 3, 3 * len(self.course.duration)
+        force, rate, turning, integral = (data[..., place] for place in self.places)
+        n, spare = gyro[0].size if gyro else 3, self.observations.turn_readings is not None
         at_rest = _rows(force, accel.size), _rows(rate, n)
-        integral = None if self.observations.turn_readings is None else _rows(turning[..., split:], n)
-        return at_rest, _rows(turning[..., :split], 3), integral, data[..., -1]
+        return at_rest, _rows(turning, 3), _rows(integral, n) if spare else None, data[..., -1]
 
     def models(self, values: Array) -> tuple[SensorModel, SensorModel]:
         """Models of the data; without gyros those of perfect ones."""
         accel, *gyro = self.blocks
         own = len(accel.names)
         return model_of(accel, values[..., :own]), model_of(gyro[0], values[..., own:]) if gyro else PERFECT_TRIAD
-
-    def values(self, accel: SensorModel, gyro: SensorModel) -> Array:
-        """Parameters of models: `models` inverted."""
-        parts = zip(self.blocks, (accel, gyro), strict=False)
-        return np.concatenate([parameters_of(block, model) for block, model in parts], axis=-1)
 
     def turned(self, values: Array) -> _Turned | None:
         """The turns integrated about the gyro model of values (m,). Raises ProgrammeError where they do not determine
@@ -407,45 +384,81 @@ class _SessionData:
         stages of the rests where the turns are not integrated."""
         at_rest, turning, integral, gravity = self.readings(data)
         turn, matrix = (None, None) if turned is None else (partial(turned.rotations, turning), turned.matrix)
-        before = self.models(values)
-        return self.values(*one_pass(self.method, self.course, at_rest, turn, gravity, before, matrix, integral))
+        models = one_pass(self.method, self.course, at_rest, turn, gravity, self.models(values), matrix, integral)
+        parts = zip(self.blocks, models, strict=False)
+        return np.concatenate([parameters_of(block, model) for block, model in parts], axis=-1)
 
-    def residuals(self, data: Array, values: Array, turned: _Turned | None) -> Array:
-        """What is left at values (..., m): |w| − g of every rest, û·ω − Ω sin B of every rest, y of every turn."""
-        (force, rate), turning, _, gravity = self.readings(data)
-        accel, gyro = self.models(values)
-        corrected = accel.apply(force)
-        parts = [np.linalg.norm(corrected, axis=-1) - gravity[..., None]]
-        if turned is not None:
-            C = turned.rotations(turning, gyro)
-            parts.append((unit_vector(corrected) * gyro.apply(rate)).sum(axis=-1) - self.course.earth_rate[1])
-            parts.append(differences(self.course, rate, corrected, C, gyro))
-        return np.concatenate(parts, axis=-1)
-
-    def derivatives(
-        self, function: Callable[[Array, Array, _Turned | None], Array], values: Array, turned: _Turned | None
-    ) -> tuple[Array, Array]:
-        """Derivatives of `function(data, values, turned)` with respect to data and values, by central differences."""
+    def derivatives(self, values: Array, turned: _Turned | None) -> tuple[Array, Array]:
+        """Derivatives of the values after a pass with respect to data and values, by central differences."""
         d, steps = len(self.data), self.steps
         shifted = np.concatenate([self.data, values]) + np.concatenate([np.diag(steps), -np.diag(steps)])
-        high, low = np.split(function(shifted[:, :d], shifted[:, d:], turned), 2)
+        high, low = np.split(self.after_pass(shifted[:, :d], shifted[:, d:], turned), 2)
         both = (high - low).T / (2.0 * steps)
         return both[:, :d], both[:, d:]
 
-    def covariance(self, scatter: Mapping[str, float]) -> Array:
-        """Covariance (d, d) of the data: noise within rests and turns, scatter between them, and gravity."""
+    def passes(self, iterations: int) -> tuple[Array, Array, tuple[Array, ...]]:
+        """Values (m,) after so many passes, their derivative (m, d) with respect to the data, and the increments."""
+        values = np.concatenate([self.observations.start_values(block) for block in self.blocks])
+        derivative, increments = np.zeros((len(values), len(self.data))), list[Array]()
+        for _ in range(iterations):
+            turned = self.turned(self.after_pass(self.data, values, None))
+            by_data, by_start = self.derivatives(values, turned)
+            increments.append(self.after_pass(self.data, values, turned) - values)
+            derivative, values = by_data + by_start @ derivative, values + increments[-1]
+        return values, derivative, tuple(increments)
+
+    def limit(self, values: Array, turned: _Turned | None, u: Array) -> tuple[Array, bool]:
+        """Where the passes lead from values (m,) of uncertainty u, with the turns to first order, and whether they get
+        there."""
+        negligible = NEGLIGIBLE * np.maximum(u, self.steps[len(self.data) :])
+        for _ in range(MAX_PASSES):
+            after = self.after_pass(self.data, values, turned)
+            if np.all(np.abs(after - values) <= negligible):
+                return after, True
+            values = after
+        return values, False
+
+    def errors(self, components: VarianceComponents) -> Iterator[tuple[Source, slice, Array]]:
+        """Sources of independent errors of the data: where each is, and covariances (N, n, n) of N rests or turns. An
+        in-run bias turns a device by T in a turn of T s."""
         rests, turns, integrals = self.observations.rests, self.observations.turns, self.observations.turn_readings
-        scatters, every = [scatter.get(name, 0.0) for name in _GROUPS], list[Array]()
-        for block, noise, more in zip(
-            self.blocks, (rests.accel_covariance, rests.gyro_covariance), scatters, strict=False
-        ):
-            axes = to_sensors(block)
-            every += [*(axes.T @ noise @ axes + more**2 * np.eye(block.size))]
+        alike = np.ones(sum(block.size for block in self.blocks))
+        sensors, (forces, rates, rotations, spare) = components.unlike if components.unlike.size else alike, self.places
+        for block, place, unit in zip(self.blocks, (forces, rates), ("m/s^2", "rad/s"), strict=False):
+            kind, axes = block.kind, to_sensors(block)
+            noise: Array = getattr(rests, f"{kind}_covariance")
+            yield source(f"{kind}.noise", typical_noise(noise), unit), place, axes.T @ noise @ axes
+            own, sensors = sensors[: block.size], sensors[block.size :]
+            by_one = np.broadcast_to(axes.T @ np.diag(own**2) @ axes, noise.shape)
+            for name, what in (("scatter", kind), ("in_run", f"{kind}_in_run")):
+                size = float(getattr(components, what))
+                yield source(f"{kind}.{name}", size, unit), place, size**2 * by_one
         if len(self.blocks) == 2 and turns is not None:
-            drift = (scatters[1] * turns.duration) ** 2 + scatters[2] ** 2
-            every += [*(turns.covariance + drift[:, None, None] * np.eye(3))]
-            every += [] if integrals is None else [*integrals.covariance]
-        return np.asarray(block_diag(*every, np.array([[self.observations.site.gravity_u**2]])))
+            T, aliased = turns.duration[:, None, None], turns.aliased[:, None, None]
+            yield source("turn.gyro.noise", typical_noise(turns.covariance), "rad"), rotations, turns.covariance
+            for name, size, unit, variance in (
+                ("gyro.in_run", components.gyro_in_run, "rad/s", T**2),
+                ("turn.scatter", components.turn, "rad", np.ones_like(T)),
+                ("aliased.scatter", components.aliased, "1", aliased),
+            ):
+                yield source(name, size, unit), rotations, size**2 * variance * np.eye(3)
+            if integrals is not None:
+                yield source("turn.gyro.noise"), spare, integrals.covariance
+        g_u = self.observations.site.gravity_u
+        yield source("gravity", g_u, "m/s^2"), slice(len(self.data) - 1, None), np.array([[[g_u**2]]])
+
+    def budget(self, derivative: Array, components: VarianceComponents) -> UncertaintyBudget:
+        """The covariance of values by source, with their derivative (m, d) with respect to the data."""
+        sources, covariances = dict[str, Source](), dict[str, Array]()
+        for each, place, blocks in self.errors(components):
+            by = derivative[:, place].reshape(len(derivative), len(blocks), -1)
+            part = np.einsum("min,inp,kip->mk", by, blocks, by)
+            sources.setdefault(each.name, each)
+            covariances[each.name] = covariances.get(each.name, 0.0) + part
+        every = UncertaintyBudget(sources=(), covariances=np.empty((0, *[len(derivative)] * 2)))
+        for name, covariance in covariances.items():
+            every = every.beside(sources[name], covariance)
+        return every
 
 
 def _rows(values: Array, n: int) -> Array:
@@ -453,67 +466,26 @@ def _rows(values: Array, n: int) -> Array:
     return values.reshape(*values.shape[:-1], -1, n)
 
 
-# Uncertainty, and how well it fits
-
-
-_GROUPS = {"accelerometers": ("m/s^2", 1), "gyro rests": ("rad/s", 1), "gyro turns": ("rad", 2)}
-"""Groups of residuals: the unit of the scatter they judge, on top of the noise within rests and turns, and how many a
-rest or a turn has."""
-_SOURCES = {
-    "accelerometers": ("accel.noise", "accel.scatter"),
-    "gyro rests": ("gyro.noise", "gyro.scatter"),
-    "gyro turns": ("turn.gyro.noise", "turn.scatter"),
-}
-"""The sources of uncertainty that their noise and their scatter are."""
-
-
 def _estimate(
     launch: _SessionData, values: Array, derivative: Array, increments: tuple[Array, ...], intervals: bool
 ) -> Estimate:
     """The estimate of values (m,) with their derivative (m, d) with respect to the data."""
-    turned, n = launch.turned(values), len(launch.observations.rests)
-    u = np.sqrt(np.diag(derivative @ launch.covariance({}) @ derivative.T))
-    limit, converged = _limit(launch, values, turned, u)
-    direct, by_values = launch.derivatives(launch.residuals, limit, turned)
-    residual, total = launch.residuals(launch.data, limit, turned), direct + by_values @ derivative
-    rows = {"accelerometers": slice(0, n), "gyro rests": slice(n, 2 * n), "gyro turns": slice(2 * n, None)}
-    groups = {name: _GROUPS[name] for name in list(_GROUPS)[: 3 if len(launch.blocks) == 2 else 1]}
-
-    problem, shown, observations, beside = None, np.zeros((len(launch.data), 0)), launch.observations, None
-    sizes = np.zeros(0)
-    if observations.usual:
-        beside, (problem, shown) = by_joint(observations, intervals), groups_in_data(observations)
-        sizes = left_out_sizes(problem, beside)
-    by_groups = (shown * sizes**2) @ shown.T
-
-    def residuals_of(name: str, scatter: Mapping[str, float]) -> Residuals:
-        noise, chosen = launch.covariance(scatter) + by_groups, rows[name]
-        variance = np.sum(direct[chosen] @ noise * direct[chosen], axis=1)
-        return Residuals(residual=residual[chosen], variance=variance, left=total[chosen] @ noise @ total[chosen].T)
-
-    scatter = dict[str, float]()
-    for name in groups:
-        scatter[name] = 0.0
-        if unexplained(*residuals_of(name, scatter).chi_square()):
-            noise = np.diag(launch.covariance({}))[launch.kinds[name]]
-            scatter[name] = scatter_of(
-                lambda trial, name=name: residuals_of(name, {**scatter, name: trial}).excess(),  # type: ignore[misc]
-                float(np.sqrt(np.median(noise))),
-            )
-    fits, outliers = {}, {}
-    for name, (unit, size) in groups.items():
-        residuals = residuals_of(name, scatter)
-        fits[name] = residuals.fit(scatter[name], unit)
-        outliers[name] = residuals.sigmas(size, scaled=scatter[name] > 0.0)
-    turn_sigmas = np.zeros(len(launch.course.duration))
-    counted = [t.turn for series in launch.course.series for t in series if t.counts]
-    if counted:
-        turn_sigmas[counted] = outliers.pop("gyro turns")
-    accel, *gyro = launch.blocks
-    budget = _budget(launch, derivative, scatter, fits, limit - values)
+    observations, turned = launch.observations, launch.turned(values)
+    beside = by_joint(observations, intervals and bool(observations.usual))
+    if beside is None:  # with groups that leave a linear parameter open, or without
+        beside = joint(replace(observations, usual={}), intervals=False)
+    assert beside.budget is not None
+    assert beside.linearised is not None
+    budget = launch.budget(derivative, beside.linearised.components)
+    limit, converged = launch.limit(values, turned, np.sqrt(np.diag(budget.covariances.sum(axis=0))))
+    budget = budget.beside(source("passes"), np.outer(limit - values, limit - values))
+    dof = {each.name: each.dof for each in beside.budget.sources}
+    budget = replace(budget, sources=tuple(replace(each, dof=dof.get(each.name)) for each in budget.sources))
     variances = np.diagonal(budget.covariances, axis1=1, axis2=2)
-    known = np.array([np.inf if each.dof is None else each.dof for each in budget.sources])
+    known = np.array([each.dof or np.inf for each in budget.sources])
     by_scatter = (variances**2 / known[:, None]).sum(axis=0)
+    accel, *gyro = launch.blocks
+    own = accel.model(values[: len(accel.names)])
     estimate = Estimate(
         method=launch.method.name,
         names=launch.names,
@@ -522,54 +494,31 @@ def _estimate(
         covariance=budget.covariances.sum(axis=0),
         observable=np.ones(len(values), dtype=bool),
         null=np.empty((0, len(values))),
-        accel=accel.model(values[: len(accel.names)]),
+        accel=own,
         gyro=gyro[0].model(values[len(accel.names) :]) if gyro else None,
-        rest_residual=launch.residuals(launch.data, values, turned)[:n],
-        rest_sigmas=np.max(list(outliers.values()), axis=0),
-        turn_sigmas=turn_sigmas,
+        rest_residual=np.linalg.norm(own.apply(observations.rests.accel), axis=1) - observations.site.gravity,
+        rest_sigmas=beside.rest_sigmas,
+        gyro_rest_sigmas=beside.gyro_rest_sigmas,
+        turn_sigmas=beside.turn_sigmas,
         increments=increments,
-        fits=fits,
-        converged=converged,
+        fits=beside.fits,
+        converged=converged and beside.converged,
+        linearised=beside.linearised,
+        hyperparameters=beside.hyperparameters,
         degrees=np.divide(  # Welch, Satterthwaite
             variances.sum(axis=0) ** 2, by_scatter, out=np.full(len(values), np.inf), where=by_scatter > 0.0
         ),
         budget=budget,
     )
-    if problem is None:
+    if not observations.usual:
         return estimate
-    estimate = replace(estimate, linearised=None if beside is None or not converged else beside.linearised)
-    return with_left_out(estimate, problem, derivative @ shown, sizes)
+    problem, shown = groups_in_data(observations)
+    return with_left_out(estimate, problem, derivative @ shown, left_out_sizes(problem, beside))
 
 
-def _budget(
-    launch: _SessionData, derivative: Array, scatter: Mapping[str, float], fits: Mapping[str, Fit], left: Array
-) -> UncertaintyBudget:
-    """The covariance of values by source, with their derivative (m, d) with respect to the data, and what the passes
-    have left (m,) of them."""
-    noise, every = launch.covariance({}), UncertaintyBudget(sources=(), covariances=np.empty((0, *[len(left)] * 2)))
-    for name, kind in launch.kinds.items():
-        of_kind, unit = derivative[:, kind], _GROUPS[name][0]
-        if not of_kind.size:
-            continue
-        of_noise, of_scatter = _SOURCES[name]
-        usual = float(np.sqrt(np.median(np.diag(noise)[kind])))
-        every = every.beside(source(of_noise, usual, unit), of_kind @ noise[kind, kind] @ of_kind.T)
-        more = derivative @ (launch.covariance({name: scatter[name]}) - noise) @ derivative.T
-        every = every.beside(source(of_scatter, scatter[name], unit, fits[name].degrees), more)
-    every = every.beside(
-        source("gravity", float(np.sqrt(noise[-1, -1])), "m/s^2"),
-        noise[-1, -1] * np.outer(derivative[:, -1], derivative[:, -1]),
-    )
-    return every.beside(source("passes"), np.outer(left, left))
-
-
-def _limit(launch: _SessionData, values: Array, turned: _Turned | None, u: Array) -> tuple[Array, bool]:
-    """Where the passes lead from values (m,) of uncertainty u, with the turns to first order, and whether they get
-    there."""
-    negligible = NEGLIGIBLE * np.maximum(u, launch.steps[len(launch.data) :])
-    for _ in range(MAX_PASSES):
-        after = launch.after_pass(launch.data, values, turned)
-        if np.all(np.abs(after - values) <= negligible):
-            return after, True
-        values = after
-    return values, False
+sequential = partial(iterated, method=SEQUENTIAL)
+"""The estimate of the paper's method with the sequential vector method for accelerometers."""
+scalar = partial(iterated, method=SCALAR)
+"""The same with the scalar method on all rests, in the estimated orientation."""
+scalar_nominal = partial(iterated, method=SCALAR_NOMINAL)
+"""The same in the orientation of the programme, which the paper compares it with."""

@@ -25,6 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import islice, pairwise
 
 import numpy as np
 
@@ -85,15 +86,16 @@ def along_vertical(nominal: Array, axes: Array) -> BoolArray:
 
 def known_turns(programme: Programme) -> tuple[tuple[int, ...], ...]:
     """Series of turns with known axis and angle that follow each other: indices of the moves."""
-    series: list[list[int]] = []
-    for k, move in enumerate(programme.moves):
-        if move.axis is None or move.angle is None:
-            continue
-        if series and series[-1][-1] == k - 1:
-            series[-1].append(k)
-        else:
-            series.append([k])
-    return tuple(tuple(s) for s in series)
+    known = [k for k, move in enumerate(programme.moves) if move.axis is not None and move.angle is not None]
+    starts = [i for i, k in enumerate(known) if i == 0 or known[i - 1] != k - 1]
+    return tuple(tuple(known[i:j]) for i, j in pairwise([*starts, len(known)]))
+
+
+def axes_and_angles(programme: Programme) -> tuple[Array, Array]:
+    """Geographic axes (K, 3) and angles (K,), rad, of the known turns of a programme."""
+    moves = [programme.moves[k] for series in known_turns(programme) for k in series]
+    axes, angles = [move.axis for move in moves], [move.angle for move in moves]
+    return np.array(axes, dtype=float).reshape(-1, 3), np.array(angles, dtype=float)
 
 
 def matrix_error(scale: Array, angles: Array) -> Array:
@@ -124,12 +126,9 @@ def swept(axis: Array, angle: Array, vector: Array) -> Array:
 def programme_matrix(programme: Programme) -> tuple[Array, Array]:
     """Derivatives H_G and H_A (2T, 9) of y of the T known turns with respect to the errors of gyros and accelerometers,
     at the programmed attitudes, Eq. (6.3). Terms of the order of Ω T (1.5e-3) are left out, as in the paper."""
-    known = [(k, m) for k, m in enumerate(programme.moves) if m.axis is not None and m.angle is not None]
-    if not known:
-        return np.empty((0, 9)), np.empty((0, 9))
-    first = np.array([k for k, _ in known])
-    L = np.array([position.matrix for position in programme.positions])
-    axis, angle = np.array([m.axis for _, m in known], dtype=float), np.array([m.angle for _, m in known], dtype=float)
+    first = np.array([k for series in known_turns(programme) for k in series], dtype=np.int64)
+    L = np.array([position.matrix for position in programme.positions]).reshape(-1, 3, 3)
+    axis, angle = axes_and_angles(programme)
     each = np.eye(9)[:, None]
     ψ = turn_error(L[first], axis, angle, matrix_error(each[..., :3], each[..., 3:]))
     M, up = matrix_error(each[..., 3:6], each[..., 6:]), np.broadcast_to(L[:, 1], (9, len(L), 3))
@@ -171,14 +170,9 @@ def check_directions(programme: Programme) -> None:
     accelerometer biases leak into the gyro scale factors, as with (+N, +U, +N), where k takes up 2/π of them."""
     H_G, _ = programme_matrix(programme)
     rank = int(np.linalg.matrix_rank(H_G)) if len(H_G) else 0
-    described = "; ".join(
-        ", ".join(
-            f"{'NUE'[int(np.argmax(np.abs(move.axis)))]}{move.angle / DEGREE:+.0f}"
-            for move in (programme.moves[k] for k in series)
-            if move.axis is not None and move.angle is not None
-        )
-        for series in known_turns(programme)
-    )
+    known = axes_and_angles(programme)
+    turns = (f"{'NUE'[int(np.argmax(np.abs(n)))]}{Θ / DEGREE:+.0f}" for n, Θ in zip(*known, strict=True))
+    described = "; ".join(", ".join(islice(turns, len(series))) for series in known_turns(programme))
     advice = "take the programme rough-table or the method joint"
     if rank < 9:
         raise ProgrammeError(
@@ -217,26 +211,19 @@ def carried(attitude: Array, C: Array, earth_rate: Array, seconds: Array | float
     return np.asarray(rotation_matrix(-earth_rate * seconds) @ attitude @ C)
 
 
-def carried_attitudes(series: Series, attitude: Array, C: Array, duration: Array, earth_rate: Array) -> list[Array]:
-    """Attitudes (..., 3, 3) of a series before its first turn and after each: that of the rest before the first turn,
-    of attitudes (..., N, 3, 3), is held during rests and carried by the turns C (..., K, 3, 3)."""
-    attitudes = [attitude[..., series[0].first, :, :]]
-    for t in series:
-        attitudes.append(carried(attitudes[-1], C[..., t.turn, :, :], earth_rate, float(duration[t.turn])))
-    return attitudes
-
-
 def horizontal_differences(
     course: Sequence[Series], attitude: Array, force: Array, C: Array, duration: Array, earth_rate: Array
 ) -> Array:
     """y (..., 2T): change of the north and east specific force, in units of its modulus, over every turn that counts.
-    `attitude` (..., N, 3, 3) by TRIAD and `force` (..., N, 3) are those of the rests. §6.2."""
-    f = unit_vector(force)
-    rows = []
+
+    The attitude of the rest before the first turn of a series, of attitudes (..., N, 3, 3) by TRIAD, is held during
+    rests and carried by the turns C (..., K, 3, 3); `force` (..., N, 3) is that of the rests. §6.2."""
+    f, rows = unit_vector(force), []
     for series in course:
-        L = carried_attitudes(series, attitude, C, duration, earth_rate)
-        for j, t in enumerate(series):
+        after = attitude[..., series[0].first, :, :]
+        for t in series:
+            before, after = after, carried(after, C[..., t.turn, :, :], earth_rate, float(duration[t.turn]))
             if t.counts:
-                change = L[j + 1] @ f[..., t.last, :, None] - L[j] @ f[..., t.first, :, None]
+                change = after @ f[..., t.last, :, None] - before @ f[..., t.first, :, None]
                 rows.append((_LEVEL @ change)[..., 0])
     return np.concatenate(rows, axis=-1)

@@ -32,8 +32,8 @@ from tumble.recording.columns.patterns import (
 __all__ = ["ACCEL", "GYRO", "MAGNETOMETER", "SENSOR_WORDS", "TIME_KIND", "Columns", "columns_by_name", "in_order"]
 
 _LETTERS = {"x": "x", "y": "y", "z": "z", "0": "x", "1": "y", "2": "z"}
-_NUMBERED = re.compile(r"([a-z]+)([xyz])(\d)")
-_COUNTED = {"1": "x", "2": "y", "3": "z"}
+_WITH_AXIS = [re.compile(word) for word in (r"([a-z]+)([xyz])(\d)", "(.+)([xyz])()", "()([xyz])(.+)", "(.+)([123])()")]
+"""Words with an axis and something else: that of several devices, ax1, gyroz2, and AccX, xacc, acc1."""
 _THERMOMETER = re.compile(r"(t|temp|temperature)(\d?)")
 _ACCEL_WORD = re.compile(r"(acc|accel|accelerometers?|a)([xyz]?)")
 _GYRO_WORD = re.compile(r"(gyr|gyros?|gyroscopes?|g)([xyz]?)")
@@ -193,14 +193,9 @@ def _axes(words: list[str]) -> list[tuple[str, str]]:
         word, before, after = words[at], words[:at], words[at + 1 :]
         if word in _LETTERS and before + after:
             readings.append((_LETTERS[word], "_".join(before + after)))
-        elif numbered := _NUMBERED.fullmatch(word):  # of several devices: ax1, gyroz2
-            readings.append((numbered[2], "_".join([*before, numbered[1] + numbered[3], *after])))
-        elif len(word) > 1 and word[-1] in "xyz":
-            readings.append((word[-1], "_".join([*before, word[:-1], *after])))
-        elif len(word) > 1 and word[0] in "xyz":
-            readings.append((word[0], "_".join([*before, word[1:], *after])))
-        elif len(word) > 1 and word[-1] in _COUNTED:
-            readings.append((_COUNTED[word[-1]], "_".join([*before, word[:-1], *after])))
+        elif found := next(filter(None, (pattern.fullmatch(word) for pattern in _WITH_AXIS)), None):
+            axis = {"1": "x", "2": "y", "3": "z"}.get(found[2], found[2])
+            readings.append((axis, "_".join([*before, found[1] + found[3], *after])))
     return readings
 
 

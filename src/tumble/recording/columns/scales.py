@@ -1,12 +1,15 @@
 """What accelerometers read for one g and gyros for one °/s: the units in which programs write, and the counts of data
-sheets, with how often each is met in logs whose columns do not say it: judged, not counted, and good to a factor of
-three, which is 2 of a cost in which 6 are 1 : 20. Every guess at a unit or a scale is one of these.
+sheets, with how often each is met in logs whose columns do not say it (scales.toml). Every guess at a unit or a scale
+is one of these.
 """
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -49,26 +52,15 @@ class KnownScale:
         return self.unit or (f"{self.value:.6g} counts" if self.value != 1.0 else "counts")
 
 
-_SHARES: Mapping[str, Mapping[str, tuple[float, float]]] = {
-    ACCEL: {
-        "m/s^2": (0.45, 0.02), "g": (0.3, 0.01), "mg": (0.04, 0.08), "cm/s^2": (0.03, 0.05), "mm/s^2": (0.01, 0.03),
-        "m/s": (0.02, 1e-3),
-    },
-    GYRO: {
-        "rad/s": (0.4, 0.005), "deg/s": (0.4, 0.03), "mdeg/s": (0.03, 0.06), "0.1 deg/s": (0.01, 0.03),
-        "deg/h": (0.02, 0.01), "rad": (0.02, 1e-3), "deg": (0.01, 1e-3), "arcsec": (0.01, 5e-3),
-    },
-}  # fmt: skip
-_COMMON: Mapping[str, tuple[float, ...]] = {
-    ACCEL: (16384.0, 8192.0, 4096.0, 2048.0, 1024.0, 256.0, 1e3 / 0.732),
-    GYRO: (131.0, 65.5, 32.8, 16.4, 16.0, *(1e3 / s for s in (8.75, 17.5, 35.0, 70.0))),
-}
-"""Of ranges of 16 bits; of other makers' mg and mdps per count; of the BNO055 (16). Powers of two are 0.061, 0.122 … mg
-per count too."""
-_RARE: Mapping[str, tuple[float, ...]] = {
-    ACCEL: (*(2.0**k for k in (5, 6, 7, 9, 15, 16, 17)), 800.0, 1200.0, 1e6),
-    GYRO: (262.1, 8.2, 1e3 / 4.375, 14.375, 10.0, 25.0, 40.0, 160.0, 100.0, 1e3, 1e6),
-}
+MET: Mapping[str, Any] = tomllib.loads((Path(__file__).parent / "scales.toml").read_text(encoding="utf-8"))
+
+
+def _counts(kind: str, met: str) -> list[float]:
+    """Counts per g or per °/s that are met so often, "common" or "rare"."""
+    table = MET["counts"][kind]
+    return [*table[met], *(1e3 / milli for milli in table[f"{met}_milli"])]
+
+
 _COUNTS = 0.03, 0.75
 """Share of logs in counts of data sheets; a common one is three times as frequent as a rare one."""
 ON_NO_SHEET = KnownScale(value=1.0, shares=(0.005, 0.05), known=False)
@@ -77,11 +69,16 @@ ON_NO_SHEET = KnownScale(value=1.0, shares=(0.005, 0.05), known=False)
 
 def _candidates(kind: str, units: Mapping[str, Unit]) -> tuple[KnownScale, ...]:
     named = [
-        KnownScale(value=ONE[kind] / units[name].factor, unit=name, shares=s, increment=units[name].kind == "increment")
-        for name, s in _SHARES[kind].items()
+        KnownScale(
+            value=ONE[kind] / units[name].factor,
+            unit=name,
+            shares=(fractions, whole),
+            increment=units[name].kind == "increment",
+        )
+        for name, (fractions, whole) in MET["units"][kind].items()
     ]
     rates = [c.value for c in named if not c.increment]
-    weights = dict.fromkeys(_COMMON[kind], 3.0) | dict.fromkeys(_RARE[kind], 1.0)
+    weights = dict.fromkeys(_counts(kind, "common"), 3.0) | dict.fromkeys(_counts(kind, "rare"), 1.0)
     weights = {value: weight for value, weight in weights.items() if not np.isclose(value, rates).any()}
     part = 1.0 / sum(weights.values())
     counts = (
@@ -105,7 +102,7 @@ def off_table(kind: str, found: float) -> float:
 
 _STEPS = (
     *(full / 32768.0 for full in GYRO_RANGES),
-    *(round(1.0 / counts, 12) for counts in (*_COMMON[GYRO], *_RARE[GYRO])),
+    *(round(1.0 / counts, 12) for counts in (*_counts(GYRO, "common"), *_counts(GYRO, "rare"))),
 )
 """°/s per count."""
 _DECIMALS = range(9)

@@ -19,10 +19,10 @@ from tumble.brief import Brief
 from tumble.documents import shown
 from tumble.errors import InputError, ProgrammeError
 from tumble.programme.positions import BUILT_IN, Programme, attitude, programme_of, programmes
-from tumble.recording.session.table import SessionTable, check_known, check_span, key, one_of
+from tumble.recording.session.table import SessionTable, check_known, check_span, key
 from tumble.recording.text.dialect import Dialect
 from tumble.sensors.model import Block
-from tumble.units import TIME_UNITS, Array, Unit
+from tumble.units import Array, Unit
 
 if TYPE_CHECKING:
     from tumble.recording.log_source import LogSource
@@ -159,24 +159,6 @@ USUAL_RATE_U = 1e-2
 have to some per cent, or a number of a configuration."""
 
 
-class ReferenceClock(SessionTable):
-    """A second clock in the log, [log.reference_clock]: its column and unit, and how well it keeps time."""
-
-    column: str = Field(min_length=1, description="a column name")
-    unit: Annotated[str, one_of(TIME_UNITS)] = key(f"one of {', '.join(TIME_UNITS)}", "s")
-    ppm_u: float = Field(ge=0, description="a number that is not negative")
-
-    @property
-    def factor(self) -> float:
-        """s, of its unit."""
-        return TIME_UNITS[self.unit]
-
-    @property
-    def u(self) -> float:
-        """Relative standard uncertainty of its rate."""
-        return 1e-6 * self.ppm_u
-
-
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LogSpec:
     """The log's files, or tables in memory, and columns. Either `time`, a column in units of `time_factor` s, or
@@ -199,9 +181,8 @@ class LogSpec:
     """What is not sure about the log, and what hangs on it."""
     dialect: Dialect | None = None
     clock_u: float | None = None
-    reference_clock: ReferenceClock | None = None
     clock_rate: float = 1.0
-    """Seconds in a second of the log's clock, by the reference clock."""
+    """Seconds in a second of the log's clock, as the Earth's rate shows it."""
 
     @property
     def unstamped(self) -> bool:

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from tumble.documents import as_written
-from tumble.recording.session import Channels, LogSpec, ReferenceClock, TemperatureChannels
+from tumble.recording.session import Channels, LogSpec, TemperatureChannels
 from tumble.recording.session.table import SessionTable, check_known, key, one_of
 from tumble.recording.text.dialect import DELIMITERS, DIALECT_KEYS, Dialect
 from tumble.sensors.model import thermometers_of
@@ -254,7 +254,6 @@ class LogTable(SessionTable):
     gyro: GyroTable | None = key("the table [log.gyro]")
     magnetometer: MagnetometerTable | None = key("the table [log.magnetometer]")
     temperature: TemperatureTable | None = key("the table [log.temperature]")
-    reference_clock: ReferenceClock | None = key("the table [log.reference_clock]")
 
     @property
     def sensors(self) -> tuple[int, int]:
@@ -270,14 +269,8 @@ class LogTable(SessionTable):
             raise ValueError("time_unit: expected only with log.time, found log.rate_hz")
         if self.regular and self.time is None:
             raise ValueError("regular: expected only with log.time, found log.rate_hz, which makes rows regular")
-        if self.reference_clock is not None and (self.time is None or self.time_unit == CLOCK):
-            found = "log.rate_hz" if self.time is None else f'log.time_unit "{CLOCK}"'
-            raise ValueError(f"reference_clock: expected a time column of numbers to compare with it, found {found}")
-        if self.reference_clock is not None and self.clock_ppm_u is not None:
-            raise ValueError("clock_ppm_u: expected none beside log.reference_clock, which says it, found one")
         # every column is one thing; a thermometer may be that of several sensors where each has one
         keys = {"time": [self.time] if self.time is not None else []}
-        keys["reference_clock.column"] = [] if self.reference_clock is None else [self.reference_clock.column]
         for kind, table in (("accel", self.accel), ("gyro", self.gyro), ("magnetometer", self.magnetometer)):
             keys[f"{kind}.columns"] = table.columns if table is not None else []
         if self.temperature is not None:
@@ -314,5 +307,4 @@ class LogTable(SessionTable):
             doubt=self.doubt or "",
             dialect=Dialect(**dialect) if dialect else None,
             clock_u=None if self.clock_ppm_u is None else 1e-6 * self.clock_ppm_u,
-            reference_clock=self.reference_clock,
         )

@@ -12,7 +12,7 @@ put together: with [φ | V | P] the first-order change of a link, and those of a
 
 δV on the right being that before the part. Within a part what an accelerometer's error adds to the velocity grows with
 time, what a rotation adds, ½ φ_p × V_p in all, with its square, so that δP_p = T_p (½ δV_p − φ_p × V_p/12), to ω T_p/6
-of itself. White noise of the samples, of density N_g and N_a, follows the same recursion.
+of itself. White noise of the samples follows the same recursion, as rotations and velocities that arise in each part.
 """
 
 from __future__ import annotations
@@ -264,32 +264,25 @@ def joined_parts(rows: Array, C: Array, V: Array, P: Array, T: Array) -> Increme
     return Increments(C=R, V=velocity, P=place, columns=columns)
 
 
-def noise_of_links(C: Array, V: Array, P: Array, T: Array, N_g: Array, N_a: Array) -> tuple[Array, Array]:
+def noise_of_links(C: Array, V: Array, P: Array, T: Array, densities: tuple[float, float]) -> tuple[Array, Array]:
     """Covariances (K, 9, 9) of the increments of links by white noise of gyros, and by that of accelerometers.
 
     Parameters
     ----------
     C, V, P, T : (K, PARTS, …)
         As in `joined_parts`.
-    N_g, N_a : (3, 3)
-        Densities in the body, rad²/s and m²/s³.
+    densities
+        Of the noise of gyros, rad²/s, and of accelerometers, m²/s³.
     """
     K, parts = T.shape
-    R, by_gyros, by_accels = np.broadcast_to(np.eye(3), (K, 3, 3)), np.zeros((K, 9, 9)), np.zeros((K, 9, 9))
-    for p in range(parts):
-        t = T[:, p, None, None]
-        F = np.broadcast_to(np.eye(9), (K, 9, 9)).copy()
-        F[:, 3:6, :3] = -skew((R @ V[:, p, :, None])[..., 0])
-        F[:, 6:, :3] = -skew((R @ P[:, p, :, None])[..., 0])
-        F[:, 6:, 3:6] = t * np.eye(3)
-        # a rotation that arises evenly over the part has half of its effect on what the part gains, and a third
-        G = np.concatenate([R, 0.5 * F[:, 3:6, :3] @ R, F[:, 6:, :3] @ R / 3.0], axis=1)
-        by_gyros = F @ by_gyros @ np.swapaxes(F, 1, 2) + t * G @ N_g @ np.swapaxes(G, 1, 2)
-        by_accels = F @ by_accels @ np.swapaxes(F, 1, 2)
-        density = R @ N_a @ np.swapaxes(R, 1, 2)
-        by_accels[:, 3:6, 3:6] += t * density
-        by_accels[:, 3:6, 6:] += 0.5 * t**2 * density
-        by_accels[:, 6:, 3:6] += 0.5 * t**2 * density
-        by_accels[:, 6:, 6:] += t**3 / 3.0 * density
-        R = R @ C[:, p]
+    rows = np.zeros((K, parts, 6, 6 * parts + 1))
+    rows[:, :, 3:, -1] = V
+    for p in range(parts):  # a rotation that arises evenly over the part has half of its effect on the velocity
+        of_gyros, of_accels = np.split(rows[:, p, :, 6 * p : 6 * p + 6], 2, axis=2)
+        of_gyros[:, :3], of_gyros[:, 3:], of_accels[:, 3:] = np.eye(3), -0.5 * skew(V[:, p]), np.eye(3)
+    every = joined_parts(rows, C, V, P, T).columns.reshape(K, 9, parts, 2, 3) * np.sqrt(T)[:, None, :, None, None]
+    by_gyros, by_accels = (
+        density * np.einsum("kapx,kbpx->kab", each, each)
+        for density, each in zip(densities, np.moveaxis(every, 3, 0), strict=True)
+    )
     return by_gyros, by_accels

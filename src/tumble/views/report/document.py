@@ -102,20 +102,8 @@ def write_document(document: Document, out: FilePath) -> None:
 
 
 def report_of(sources: Sequence[ReportedFile], further_sections: Sequence[Sequence[Section]] = ()) -> Document:
-    """The report of calibrations of one device.
-
-    Parameters
-    ----------
-    sources
-        The calibrations.
-    further_sections
-        Sections that stand after the result of each calibration.
-
-    Raises
-    ------
-    InputError
-        For calibrations of several devices.
-    """
+    """The report of calibrations of one device, with further sections after the result of each. Raises InputError for
+    calibrations of several devices."""
     calibrations, first, several = [source.calibration for source in sources], sources[0].calibration, len(sources) > 1
     for source in sources[1:]:
         if source.calibration.serial != first.serial:
@@ -124,7 +112,7 @@ def report_of(sources: Sequence[ReportedFile], further_sections: Sequence[Sequen
                 f"found {source.calibration.serial!r}; make a report for each device"
             )
     titles = titles_of(calibrations)
-    parts = [Part(title="Comparison", sections=(result.compared(titles, calibrations),))] if several else []
+    parts = []
     for i, (source, title) in enumerate(zip(sources, titles, strict=True)):
         inserted = further_sections[i] if further_sections else ()
         sections = tuple(each for each in _sections(source, inserted, f"c{i + 1}") if each is not None)
@@ -173,14 +161,13 @@ def reasons_of(sources: Sequence[ReportedFile]) -> list[str]:
 
 def _sections(source: ReportedFile, inserted: Sequence[Section], key: str) -> Iterator[Section | None]:
     """All sections on a calibration in their order; `key` begins the names of its figures."""
-    calibration, recordings = source.calibration, recording.recordings(source.calibration)
+    calibration = source.calibration
     yield result.result(calibration, f"{key}-improvement")
     yield from inserted
     origin = calibration.provenance
     yield notes(*further.remarks(calibration), *origin.assumptions, *origin.notes)
     yield from annexes(calibration, key)
     yield result.unknown(calibration)
-    yield from (recording.noise(each) for each in recordings)
     yield provenance(source)
 
 
@@ -188,18 +175,15 @@ def annexes(calibration: Calibration, key: str, *, short: bool = False) -> Itera
     """How a calibration is applied, and what it rests on; `short`, as in a certificate, without figures of recordings
     and budget, and of the groups beyond the linear model with their parameters alone."""
     recordings = recording.recordings(calibration)
-
-    def named(figure: str) -> str:
-        return "" if short else f"{key}-{figure}"
-
     yield application.application(calibration)
     yield result.launches(calibration)
     yield result.beyond(calibration, groups=not short)
     yield over_temperature.section(calibration, f"{key}-temperature")
     yield recording.sites(recordings)
-    yield from (recording.found(each, named(f"sphere{i}")) for i, each in enumerate(recordings))
-    yield from (recording.residuals(each, named(f"residuals{i}")) for i, each in enumerate(recordings))
-    yield budget_section(calibration, named("budget"))
+    yield from map(recording.found, recordings)
+    names = ("" if short else f"{key}-residuals{i}" for i in range(len(recordings)))
+    yield from map(recording.residuals, recordings, names)
+    yield budget_section(calibration, short=short)
     yield result.correlations(calibration)
 
 

@@ -1,13 +1,10 @@
-"""Figures of a report: where the vertical was in the body at each rest, and residuals.
-
-The sphere is orthographic, seen from a fixed direction; picture coordinates are x right, y up, z towards the viewer.
-"""
+"""Figures of a report: errors before and after, and residuals."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,101 +16,14 @@ from tumble.result.further import linear_parameters
 from tumble.result.parts import RestResult, TurnResult
 from tumble.sensors.model import WORDS
 from tumble.sensors.parameters import group_name, sensor_kind, within_kind
-from tumble.units import DEGREE, G_STANDARD, Array, engineering
-from tumble.views.render.pictures import COLOURS, FAINT, GREY, INK, PAGE, drawn, grid
+from tumble.units import DEGREE, G_STANDARD, engineering
+from tumble.views.render.pictures import COLOURS, FAINT, GREY, PAGE, drawn, grid
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-SPHERE = 0.66
-"""Width of the drawing as a part of the page."""
-
-_SAME = 8.0 * DEGREE
-"""Directions so near to each other are labelled together."""
-
-_MOST_NUMBERS = 20
-"""More rests than these are not numbered in the picture."""
 
 _MOST_TICKS = 25
 """Rests that are numbered below a figure."""
-
-_CIRCLE = np.linspace(0.0, 2.0 * math.pi, 181)
-
-_AZIMUTH, _ABOVE = 32.0 * DEGREE, 24.0 * DEGREE
-_TOWARDS = np.array([math.cos(_AZIMUTH) * math.cos(_ABOVE), math.sin(_AZIMUTH) * math.cos(_ABOVE), math.sin(_ABOVE)])
-"""From the body to a viewer at this azimuth, from X towards Y, and elevation."""
-_RIGHT = np.array([-math.sin(_AZIMUTH), math.cos(_AZIMUTH), 0.0])
-FRONT = np.stack([_RIGHT, np.cross(_TOWARDS, _RIGHT), _TOWARDS])
-"""Body → picture (right, up, towards the viewer)."""
-BACK = np.diag([-1.0, 1.0, -1.0]) @ FRONT
-"""The other side of the sphere, seen after half a turn about the vertical of the picture."""
-
-
-def sphere(name: str, verticals: Array, nominal: Array) -> str:
-    """Both sides of the sphere of directions in the body with the vertical (N, 3) of every rest, by its number, and
-    those of the programme (M, 3)."""
-    together: list[list[int]] = []  # rests in groups whose directions are nearly one
-    for i, direction in enumerate(verticals):
-        near = [group for group in together if float(verticals[group[0]] @ direction) > math.cos(_SAME)]
-        if near:
-            near[0].append(i)
-        else:
-            together.append([i])
-
-    def draw(figure: Figure) -> None:
-        for axes, view, title in zip(figure.subplots(1, 2), (FRONT, BACK), ("front", "back"), strict=True):
-            axes.set(aspect="equal", xlim=(-1.3, 1.3), ylim=(-1.22, 1.22))
-            axes.set_axis_off()
-            axes.set_title(title, loc="center", fontweight="normal", color=GREY)
-            _globe(axes, view)
-            if len(nominal):
-                positions, ring = _in_front(nominal @ view.T), {"markeredgecolor": COLOURS[1], "markeredgewidth": 0.9}
-                axes.plot(*positions, "o", label="programme", markerfacecolor="none", markersize=9, **ring)
-            rests = verticals @ view.T
-            axes.plot(*_in_front(rests), "o", color=COLOURS[0], markersize=3.5, label="vertical at a rest")
-            for members in together if len(verticals) <= _MOST_NUMBERS else ():
-                x, y, z = rests[members].mean(axis=0)
-                if z >= 0.0:
-                    numbers: dict[str, Any] = {"ha": "center", "va": "bottom", "fontsize": 7}
-                    text = ", ".join(str(i + 1) for i in members)
-                    axes.annotate(text, (x, y), (0, 6), textcoords="offset points", **numbers)
-        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2)
-
-    return drawn(name, SPHERE * PAGE, 0.62 * SPHERE * PAGE, draw)
-
-
-def _in_front(directions: Array) -> Array:
-    """Picture coordinates (2, N) of directions (N, 3) on the near side."""
-    return np.asarray(directions[directions[:, 2] >= 0.0, :2].T)
-
-
-def _globe(axes: Axes, view: Array) -> None:
-    axes.fill(np.cos(_CIRCLE), np.sin(_CIRCLE), facecolor="#f4f6f8", edgecolor=GREY, linewidth=0.8)
-    for p, q, sine in [(p, q, s) for p, q in ((0, 1), (1, 2), (2, 0)) for s in (-0.5, 0.0, 0.5)]:
-        circle = np.zeros((len(_CIRCLE), 3))
-        radius = math.sqrt(1.0 - sine**2)
-        circle[:, p], circle[:, q], circle[:, 3 - p - q] = radius * np.cos(_CIRCLE), radius * np.sin(_CIRCLE), sine
-        projected = circle @ view.T
-        projected[projected[:, 2] < 0.0] = np.nan
-        colour, width = (GREY, 0.6) if sine == 0.0 else (FAINT, 0.4)
-        axes.plot(projected[:, 0], projected[:, 1], color=colour, linewidth=width)
-    for axis, sign in ((axis, sign) for axis in range(3) for sign in (1.0, -1.0)):
-        x, y, z = sign * view[:, axis]
-        if z > 0.0:
-            axes.plot(x, y, "+", color=INK, markersize=6, markeredgewidth=0.8)
-            mark = f"{'+' if sign > 0 else '−'}{'XYZ'[axis]} up"
-            axes.annotate(mark, (x, y), (0, -9), textcoords="offset points", ha="center", va="top", color=GREY)
-
-
-def farthest_from(verticals: Array) -> float:
-    """The largest angle (rad) from any direction to the nearest of these (N, 3), to about a degree."""
-    n = 5000
-    k = np.arange(n) + 0.5
-    z, azimuth = 1.0 - 2.0 * k / n, math.pi * (1.0 + math.sqrt(5.0)) * k
-    radius = np.sqrt(1.0 - z**2)
-    everywhere = np.column_stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z])
-    return float(np.arccos(np.clip((everywhere @ verticals.T).max(axis=1), -1.0, 1.0)).max())
 
 
 def before_and_after(name: str, calibration: Calibration) -> str:

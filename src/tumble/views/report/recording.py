@@ -1,4 +1,4 @@
-"""The recording in a report: site, programme and what was found, residuals, noise and drift of the rests."""
+"""The recording in a report: site, programme and what was found, residuals."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ from tumble.result.calibration import Calibration
 from tumble.result.further import checked, rests_said
 from tumble.result.parts import Launch, TurnResult
 from tumble.rotation import unit_vector
-from tumble.sensors.model import UNITS
 from tumble.units import DEGREE, G_STANDARD, Array
 from tumble.views.blocks import Block, Facts, Figure, Section, Table, Text, section, table
 from tumble.views.numbers import NONE, fixed, in_engineering, significant
@@ -98,23 +97,12 @@ def sites(all_of_them: Sequence[RecordedSession]) -> Section | None:
 # -------------------- programme and what was found --------------------
 
 
-def found(recording: RecordedSession, name: str) -> Section | None:
-    """Every rest and every turn against the programme, and, with the `name` of a figure, where the vertical was in
-    the body."""
+def found(recording: RecordedSession) -> Section | None:
+    """Every rest and every turn against the programme."""
     if not recording.recorded.rests:
         return None
-    sphere, verticals = None, recording.verticals()
-    if name and verticals is not None:
-        nominal = np.array([p.vertical_b for p in recording.positions() if p is not None]).reshape(-1, 3)
-        gap = figures.farthest_from(verticals) / DEGREE
-        sphere = Figure(
-            svg=figures.sphere(name, verticals, nominal),
-            caption="Orientation coverage: where the vertical was in the body at each rest, on both sides of the "
-            f"sphere. The direction farthest from any rest is {gap:.0f}° away from the nearest.",
-            width=figures.SPHERE,
-        )
-    sentence, (rests, turns, *_) = _programme_said(recording), tables_of(recording)
-    return section(recording.titled("Programme and what was found"), sentence, rests, sphere, turns)
+    rests, turns, _ = tables_of(recording)
+    return section(recording.titled("Programme and what was found"), _programme_said(recording), rests, turns)
 
 
 def tables_of(recording: RecordedSession) -> tuple[Table | None, Table | None, Table | None]:
@@ -208,36 +196,6 @@ def _fit_table(fits: Mapping[str, Fit]) -> Table | None:
         "within rests; it is in every uncertainty. Noise within rests: the residuals if nothing were added."
     )
     return table(rows, words=("residuals of",), caption=caption) if rows else None
-
-
-# -------------------- noise and drift --------------------
-
-
-def noise(recording: RecordedSession) -> Section | None:
-    """Noise density and drift over the rests of every sensor, by its column in the log, else a number."""
-    rows = []
-    for kind, si in UNITS.items():
-        at_rest = [getattr(rest, kind) for rest in recording.recorded.rests]
-        if not at_rest or any(each is None for each in at_rest):
-            continue
-        density, drift = np.array([s.noise for s in at_rest]), np.array([s.drift for s in at_rest])
-        readings = recording.calibration.provenance.readings.get(kind)
-        sensors = [f"{kind} {i}" for i in range(density.shape[1])] if readings is None else readings.columns
-        for i, sensor in enumerate(sensors):
-            rows.append(
-                {
-                    "sensor": sensor,
-                    "noise density, median": in_engineering(si, float(np.median(density[:, i]))) + "/√Hz",
-                    "drift over a rest, rms": in_engineering(si, float(np.sqrt(np.mean(drift[:, i] ** 2)))),
-                    "drift, largest": in_engineering(si, float(drift[np.argmax(np.abs(drift[:, i])), i])),
-                }
-            )
-    caption = (
-        "Noise density: of the mean of a rest, whatever the colour of the noise. Drift: the change of a reading over a "
-        "rest."
-    )
-    shown = table(rows, words=("sensor",), caption=caption)
-    return section(recording.titled("Noise and drift of the rests"), shown) if rows else None
 
 
 def temperature(all_of_them: Sequence[RecordedSession]) -> str:

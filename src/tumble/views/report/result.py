@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from tumble.errors import CalibrationError
 from tumble.result.accepted import accepted_kinds
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import expanded
@@ -51,8 +50,8 @@ _STRONGEST = 8
 """Correlations that are listed."""
 _MOST_ROWS = 26
 """Rows of the table of results for which the first page has room."""
-_MOST_LARGE, _MOST_WITH_WORDS = 9, 12
-"""Columns for which a page has room in the larger type, and in the smaller one with the parameters in words."""
+_MOST_LARGE = 9
+"""Columns for which a page has room in the larger type."""
 
 
 def result(calibration: Calibration, name: str) -> Section:
@@ -98,9 +97,9 @@ def verdict_blocks(calibration: Calibration) -> list[Block]:
     return [*blocks, *([Items(items=outcome.reasons, tone="bad")] if outcome.reasons else [])]
 
 
-def value_blocks(calibration: Calibration, further: Cells | None = None, words: Collection[str] = ()) -> list[Block]:
+def value_blocks(calibration: Calibration, further: Cells | None = None) -> list[Block]:
     """Parameters of the linear model with U and `further` cells, what U means, and what corrected readings are known
-    to; `words` are the headings of further columns of words."""
+    to."""
     blocks: list[Block] = []
     if calibration.parameters:
         if len(calibration.evidence.launches) > 1:
@@ -117,7 +116,7 @@ def value_blocks(calibration: Calibration, further: Cells | None = None, words: 
             f"with ν degrees of freedom, where it was estimated from few residuals. {next_one} "
             '1 µg is 9.80665·10⁻⁶ m/s², " a second of arc.'
         )
-        blocks += [_parameter_table(calibration, further, words), Text(text=meaning, tone="small")]
+        blocks += [_parameter_table(calibration, further), Text(text=meaning, tone="small")]
     if calibration.prediction is not None:
         left_over = left_by_matrix(calibration)
         alone = f", with the whole correction; {left_over}" if left_over else ""
@@ -132,7 +131,7 @@ def value_blocks(calibration: Calibration, further: Cells | None = None, words: 
     return blocks
 
 
-def _parameter_table(calibration: Calibration, further: Cells | None, words: Collection[str]) -> Table:
+def _parameter_table(calibration: Calibration, further: Cells | None) -> Table:
     """Parameters of the linear model with U; where there are such, coverage factors other than 2 with the degrees of
     freedom, and deviations from the systematic values and from launch to launch."""
     parameters = linear_parameters(calibration.parameters)
@@ -148,13 +147,8 @@ def _parameter_table(calibration: Calibration, further: Cells | None, words: Col
         row |= {"from nominal": to_digits_of(p.deviation, U, size)} if passport else {}
         return row | ({} if further is None else further(p, size))
 
-    def short(p: Parameter, size: float, unit: str) -> dict[str, str]:
-        return {heading: cell for heading, cell in row(p, size, unit).items() if heading}
-
-    units, halves = shown_units(parameters), len(parameters) > _MOST_ROWS
-    shown = quantity_table(parameters, units, row, words={"", *words}, halves=halves)
-    if len(shown.columns) > _MOST_WITH_WORDS:
-        shown = quantity_table(parameters, units, short, words=words, halves=halves)
+    halves = len(parameters) > _MOST_ROWS
+    shown = quantity_table(parameters, shown_units(parameters), row, words=("",), halves=halves)
     return replace(shown, dense=len(shown.columns) > _MOST_LARGE)
 
 
@@ -223,42 +217,6 @@ def launches(calibration: Calibration) -> Section | None:
     return section("Launches", *blocks, Facts(rows=digests))
 
 
-def compared(titles: Sequence[str], calibrations: Sequence[Calibration]) -> Section:
-    """Every parameter of several calibrations side by side, in the frame of the first: methods on one log, or launches
-    and dates."""
-    first, digests = calibrations[0], {calibration.provenance.log_sha256 for calibration in calibrations}
-    one_log = len(digests) == 1 and None not in digests
-    title = "Methods compared" if one_log else "Calibrations compared"
-    try:
-        alike = [c.in_frame(first.frame) for c in calibrations]
-    except CalibrationError as error:
-        return section(title, f"They cannot be compared: {error}")
-    if not first.parameters:
-        return section(title, "The first calibration has no parameters to compare.")
-
-    def row(p: Parameter, size: float, unit: str) -> dict[str, str]:
-        same = [each.get(p.name) for each in alike]
-        shown = ["" if q is None else " ± ".join(x or NONE for x in with_expanded(q, size)) for q in same]
-        values = [q.value for q in same if q is not None]
-        spread = max(values) - min(values)
-        if not one_log:
-            spread = float(np.std(values, ddof=1)) if len(values) > 1 else np.nan
-        last = to_digits_of(None if np.isnan(spread) else spread, expanded(p), size)
-        return dict(zip(titles, shown, strict=True)) | {"range" if one_log else "spread": last, "unit": unit}
-
-    meaning = (
-        "The calibrations are of one log: its noise is common to all of them, so that methods should agree within much "
-        "less than U."
-        if one_log
-        else "The spread is the standard deviation of the values."
-    )
-    parameters = alike[0].parameters
-    side_by_side = quantity_table(
-        parameters, shown_units(parameters), row, caption="Value ± U.", dense=len(titles) > 2 or len(parameters) > 21
-    )
-    return section(title, f"All in the frame “{first.frame}”. {meaning}", side_by_side)
-
-
 def correlations(calibration: Calibration) -> Section | None:
     """What U covers and what not, and the strongest correlations."""
     if calibration.covariance is None:
@@ -273,10 +231,8 @@ def correlations(calibration: Calibration) -> Section | None:
         {"parameter": names[p[i]], "with": names[q[i]], "coefficient": fixed(float(r[p[i], q[i]]), 3)} for i in order
     ]
     meaning = (
-        "U is the expanded uncertainty, which covers 95.45 %: the standard uncertainty times the coverage factor k, 2 "
-        "where u is known, and more where it was estimated from few residuals. It contains the noise at rest and in "
-        "turns, the scatter between rests that the residuals show, and the stated uncertainty of gravity; of several "
-        "launches also their instability. "
+        "U contains the noise at rest and in turns, the scatter between rests that the residuals show, and the stated "
+        "uncertainty of gravity; of several launches also their instability. "
     )
     if further_parameters(calibration.parameters):
         meaning += (
