@@ -28,23 +28,8 @@ _TIME_KEYS = ("time", "time_unit", "regular", "rate_hz")
 
 
 def completed(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> tuple[Draft, list[str]]:
-    """Complete a draft by what its rests and turns show.
-
-    Parameters
-    ----------
-    draft
-        Columns and times of a log, its sensors as raw numbers.
-    progress
-        Shows how far the log is read.
-    widths
-        Standard deviations of the cost of hypotheses.
-
-    Returns
-    -------
-    draft : Draft
-        With units, scales and times.
-    faults : list of str
-        Faults of the recording."""
+    """Complete a draft, whose sensors are raw numbers, by what its rests and turns show: with units, scales and times,
+    and the faults of its recording. `widths` are the standard deviations of the cost of hypotheses."""
     shown = evidence_of(draft, progress, widths)
     every = ranked(shown, draft, widths)
     best = every[0]

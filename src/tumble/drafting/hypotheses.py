@@ -193,16 +193,8 @@ def length_and_zero(means: Array, widths: Widths = WIDTHS) -> tuple[float, float
     is near to that, or if the readings determine no sphere. The length is a least-squares solution of |m − c| = r with
     offsets of the usual size from a known zero, so that few rests do not move it far.
 
-    Returns
-    -------
-    length : float
-        Raw numbers for one g.
-    length_u : float
-        Its relative standard uncertainty.
-    zero : list of float
-        Zero of each sensor, to five digits.
-    gravity : ndarray, shape (N, 3)
-        Readings relative to the centre."""
+    Returns the raw numbers for one g with their relative standard uncertainty, the zero of each sensor, to five digits,
+    and the readings (N, 3) relative to the centre."""
     length = float(np.median(np.linalg.norm(means, axis=1)))
     zero, offset = np.zeros(3), widths.offset
     if len(means) >= 4:

@@ -42,22 +42,9 @@ Mend = tuple[str, Callable[[pl.DataFrame], pl.DataFrame]]
 
 
 def repaired(log: ForeignLog, folder: OutputFolder, rate: float | None) -> ForeignLog:
-    """A log of which a session file can say all that is needed: the log itself, or a mended copy of it.
-
-    Parameters
-    ----------
-    log
-        The log with its columns.
-    folder
-        Where copies are written.
-    rate
-        Samples per second as the user states them, Hz, which stand for time stamps.
-
-    Raises
-    ------
-    InputError
-        For sensors without numbers, and positions of too few rows.
-    """
+    """A log of which a session file can say all that is needed: the log itself, or a mended copy of it in the folder.
+    A `rate`, Hz, that the user states stands for time stamps. Raises InputError for sensors without numbers, and
+    positions of too few rows."""
     triads = log.columns.triads
     for kind, sensors in triads.items():
         if kind != MAGNETOMETER and not np.isfinite(log.read(sensors.columns, rows=SAMPLE_ROWS)).any():

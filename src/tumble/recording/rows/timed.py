@@ -106,19 +106,8 @@ def _no_later(time: Array, before: float) -> BoolArray:
 def rows_of(
     source: LogSource, spec: LogSpec, file: int, grid: Grid, gaps: list[Gap], *, on_grid: bool
 ) -> Iterator[LogRows]:
-    """Rows of a file that have a time, table by table.
-
-    Parameters
-    ----------
-    source, spec, file
-        The file, how the session describes it, and its number from 0.
-    grid
-        Times of equally spaced rows.
-    gaps
-        What is left out is added to them.
-    on_grid
-        Whether row k has time k of the grid, or the one nearest to its stamp, in place of the stamp.
-    """
+    """Rows of a file, of this number from 0, that have a time, table by table; what is left out is added to `gaps`. If
+    they are `on_grid`, row k has time k of the grid, or the one nearest to its stamp, in place of the stamp."""
     groups = [part.columns for part in (spec.accel, spec.gyro, spec.magnetometer, spec.temperature) if part is not None]
     timed = _TimedRows(source=source, spec=spec, file=file, grid=grid, on_grid=on_grid, gaps=gaps)
     first = 1
