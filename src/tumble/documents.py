@@ -13,6 +13,7 @@ import unicodedata
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import is_dataclass
 from datetime import date
+from functools import cache
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar, get_args, get_origin, get_type_hints
 
@@ -171,29 +172,11 @@ def one_line(text: str) -> str:
 
 _Model = TypeVar("_Model", bound="BaseModel")
 
-_EXPECTED = {
-    "missing": "this key",
-    "float_type": "a number",
-    "finite_number": "a number",
-    "int_type": "a whole number",
-    "int_from_float": "a whole number",
-    "bool_type": "true or false",
-    "string_type": "a text",
-    "string_too_short": "a text that is not empty",
-    "string_pattern_mismatch": "a text, without spaces at its ends",
-    "date_type": "a day without quotes, such as 2026-05-04",
-    "list_type": "a list",
-    "tuple_type": "a list",
-    "too_short": "a longer list",
-    "too_long": "a shorter list",
-    "dict_type": "a table",
-    "dataclass_type": "a table",
-    "model_type": "a table",
-    "greater_than": "a larger number",
-    "greater_than_equal": "a larger number",
-    "less_than_equal": "a smaller number",
-}
-"""What is expected of a key whose field has no description, by the type of the fault."""
+
+@cache
+def _expected() -> Mapping[str, str]:
+    """What is expected of a key whose field has no description, by the type of the fault."""
+    return toml_of(Path(__file__).with_name("expected.toml").read_text(encoding="utf-8"), "expected.toml")
 
 
 def validated(
@@ -247,7 +230,7 @@ def faults_of(error: ValidationError, content: Any, model: type[Any]) -> list[st
             separator = "" if not key else ": " if inner is None or said.startswith("expected") else "."
             faults[key] = f"{place}{separator}{said}"
         else:
-            expected = expected or _EXPECTED.get(kind) or fault.get("ctx", {}).get("expected") or fault["msg"]
+            expected = expected or _expected().get(kind) or fault.get("ctx", {}).get("expected") or fault["msg"]
             found = "none" if kind == "missing" else as_written(value)
             faults.setdefault(key, f"{place}: expected {expected}, found {found}")
     return list(faults.values())

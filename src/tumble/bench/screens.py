@@ -5,7 +5,11 @@ from __future__ import annotations
 
 import hashlib
 import math
+import tomllib
+from collections.abc import Mapping
 from dataclasses import asdict
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -157,9 +161,7 @@ def _turn(task: Task, progress: Progress) -> Screen:
         "screen": "turn",
         "headline": "Hold still: the unit is not yet at rest" if arrived else f"Turn now {label}",
         **_where(task, progress, at),
-        "early": ""
-        if progress.judged[-1].enough
-        else f"rest {at} was left before its mean was known as well as is wanted",
+        "early": "" if progress.judged[-1].enough else f"rest {at} was left before its mean was known well enough",
         "turn": {"done": degrees[0], "angle": degrees[1], "rate": degrees[2], "full_scale": degrees[3]},
     }
 
@@ -190,24 +192,8 @@ def _done(task: Task, taken: int, estimate: EstimateShown | None, *, complete: b
 # -------------------- what can be answered --------------------
 
 _ANEW = "Record this unit anew", "in a folder of its own beside this one"
-_LEFT_OUT = {
-    "knock": ("Take this rest again", "hold still: it begins anew, what came before the knock is left out"),
-    "wrong position": ("Leave this rest out", "then turn into {wanted}, as in the picture"),
-    "wrong way": ("Leave this rest out", "then turn back the way you came, and into {wanted} the other way"),
-    "wrong turn": ("Leave this rest out", "then turn back the way you came, and into {wanted} as it says"),
-    "surplus": ("Leave this rest out", "the programme is complete without it"),
-    "gap": ("Leave this out", "what was recorded since the gap, until you move; then take {wanted} again"),
-}
-_GOING_ON = {
-    "unit": "the unit is right; such a log cannot be calibrated",
-    "gap": "nothing is left out; a turn with the gap in it tells nothing",
-    "temperature": "nothing is left out; the change is one more unknown of the calibration",
-    "clipped": "nothing is left out; such a log cannot be calibrated",
-    "stuck": "nothing is left out; such a log cannot be calibrated",
-    "turning wrong": "this is the right way, the page is wrong",
-}
-_FIRST = {"gap": "go_on", "temperature": "go_on", "turning wrong": ""}
-"""Of the answers to a fault the one that is usual, where that is not its first."""
+_WORDS: Mapping[str, Any] = tomllib.loads((Path(__file__).parent / "answers.toml").read_text(encoding="utf-8"))
+"""What the buttons say that answer a fault."""
 
 
 def answers(state: State) -> list[Answer]:
@@ -227,17 +213,17 @@ def answers(state: State) -> list[Answer]:
         usual = "resume"
     elif fault is not None:
         position = state.get("position")
-        label, says = _LEFT_OUT.get(fault["kind"], ("Leave this out", ""))
+        label, says = _WORDS["left_out"].get(fault["kind"], ("Leave this out", ""))
         wanted = f"position {position['number']}" if position else "a new position"
         each = {
             "again": (label, says.format(wanted=wanted)),
             "unit": (f"Yes, in {fault['unit']}", "the session is changed, and what is recorded is read anew"),
             "keep_first": ("Keep the first part", "the rest ends at the knock; go on to the next position"),
             "anew": _ANEW,
-            "go_on": ("Go on", _GOING_ON.get(fault["kind"], "nothing is left out: where the page is wrong")),
+            "go_on": ("Go on", _WORDS["going_on"].get(fault["kind"], "nothing is left out: where the page is wrong")),
         }
         named = {name: each[name] for name in fault["choices"]}
-        usual = _FIRST.get(fault["kind"], fault["choices"][0])
+        usual = _WORDS["usual"].get(fault["kind"], fault["choices"][0])
     elif state["screen"] == "done":
         named["calibrate"] = "Stop and calibrate", "recording ends"
         if not state["complete"]:

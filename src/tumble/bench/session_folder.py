@@ -18,7 +18,6 @@ from tumble.bench.follow.progress import Progress
 from tumble.documents import text_of_document, toml_of, whole_number
 from tumble.errors import InputError, SessionError
 from tumble.files import plain_name, whole_file
-from tumble.recording.live.lines import MOTIONCAL_COLUMNS
 from tumble.recording.live.samples import SI_LOG
 from tumble.recording.live.sources import is_recorded, source_of
 from tumble.recording.session import Exclusion, Session
@@ -26,17 +25,8 @@ from tumble.recording.session_file import SESSION_FILE, read_session, write_sess
 from tumble.recording.text.dialect import DIALECT_KEYS
 from tumble.units import ACCEL_UNITS, GYRO_UNITS, Unit
 
-MOTIONCAL_LOG: Mapping[str, Any] = {
-    "file": "log.csv",
-    "time": MOTIONCAL_COLUMNS[0],
-    "regular": True,
-    "accel": {"columns": list(MOTIONCAL_COLUMNS[1:4]), "unit": "count", "scale": 8192.0, "scale_per": "g"},
-    "gyro": {"columns": list(MOTIONCAL_COLUMNS[4:7]), "unit": "count", "scale": 16.0, "scale_per": "deg/s"},
-    "magnetometer": {"columns": list(MOTIONCAL_COLUMNS[7:]), "unit": "uT"},
-}
-"""The table [log] of what MotionCal's sketches send: 8192 a g, 16 a °/s, 10 a µT."""
-
-
+MOTIONCAL = Path(__file__).with_name("motioncal.toml")
+"""The table [log] of what MotionCal's sketches send."""
 _FILE = re.compile(r"^file *= *(\[[^\]]*\]|.*)$", re.MULTILINE)
 
 
@@ -73,7 +63,8 @@ def begin_for(folder: Path, listen: str, serial: str | None, site: Mapping[str, 
             f"{folder}: expected --serial (of the unit) and --latitude (of the place) for a new session, found no "
             f"{' and no '.join(missing)}"
         )
-    begin(folder, log=MOTIONCAL_LOG if motioncal else SI_LOG, serial=serial, site=site, programme=programme)
+    described = toml_of(text_of_document(MOTIONCAL), MOTIONCAL.name) if motioncal else SI_LOG
+    begin(folder, log=described, serial=serial, site=site, programme=programme)
 
 
 def session_to_record(folder: Path) -> Session:

@@ -41,21 +41,10 @@ _LONG = {
 
 
 class Station:
-    """A bench that records one unit and shows its page.
-
-    Parameters
-    ----------
-    folder
-        Session folder that is recorded.
-    listen
-        Opens the source that is recorded. None where another program writes the log.
-    wanted
-        Uncertainties that are wanted, such as "gyro.scale=2ppm".
-    grade
-        Grade of the unit where its session gives none.
-    registry
-        Where calibrations are registered. None for the user's registry.
-    """
+    """A bench that records one unit into a session folder and shows its page. `listen` opens the source that is
+    recorded, None where another program writes the log; `wanted` are uncertainties that are wanted, such as
+    "gyro.scale=2ppm"; `grade` is that of the unit where its session gives none; calibrations are registered in the
+    `registry`, None for the user's."""
 
     def __init__(
         self,

@@ -27,19 +27,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Target:
-    """A format that a calibration can be written in.
-
-    Attributes
-    ----------
-    write
-        Makes an `Exported` of an accepted calibration and of the options, by keyword, that are given.
-    takes
-        The names of its options.
-    needs
-        Those of them that must be given.
-    ending
-        How names of its files end.
-    """
+    """A format that a calibration can be written in: `write` makes an `Exported` of an accepted calibration and of the
+    options, by keyword, that are given; it `takes` options of these names and `needs` some of them; names of its files
+    have an `ending`."""
 
     write: Callable[..., Exported]
     takes: tuple[str, ...] = ()

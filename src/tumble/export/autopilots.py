@@ -57,23 +57,12 @@ _HELD = frozenset(f"{kind}.bias.{t}" for kind in ("accel", "gyro") for t in OVER
 class Autopilot(BaseModel):
     """What an autopilot can hold, as its layout says.
 
-    Attributes
-    ----------
-    about, formula, source
-        What it is, what it computes, and where that is written.
-    at_reference, of_gyros
-        What of the file holds at the reference temperature, and what there is to say of gyros.
-    imus, compensated
-        How many IMUs it calibrates, and how many over temperature.
-    thermometers
-        The kinds of sensors that have a thermometer together.
-    centre, worth
-        The temperature, °C, about which its polynomials are, None for the reference, and the unit of their
-        coefficients, SI.
-    unit, sign, longest, factors, most_across
-        Of a magnetometer: unit and sign of the offsets, how long they may be in that unit, and between what diagonal
-        and elements beside it may be.
-    """
+    `about`, `formula` and `source` say what it is, what it computes, and where that is written; `at_reference` and
+    `of_gyros` what of the file holds at the reference temperature, and what there is to say of gyros. It calibrates so
+    many `imus`, over temperature so many `compensated`; kinds of sensors have `thermometers` together; its polynomials
+    are about the temperature `centre`, °C, None for the reference, with coefficients in the unit `worth`, SI. Of a
+    magnetometer: unit and sign of the offsets, how long they may be in that unit, and between what diagonal and
+    elements beside it may be."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -100,20 +89,13 @@ PX4, ARDUPILOT = "px4.params.j2", "ardupilot.parm.j2"
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Triad:
-    """What an autopilot applies to the readings of the three sensors of one kind.
+    """What an autopilot applies to the readings of the three sensors of one kind, of the IMU of this number in the
+    autopilot, from 1, and of the device with this id, None where it is not known: `offset` (3,), the biases, SI, and
+    `factor` (3,), 1/Mᵢᵢ, so that what comes out is (1 + E) true; factors of gyros are 1. `known` says whether these
+    were calibrated; where only changes over temperature were, the file leaves them as they are.
 
-    Attributes
-    ----------
-    number, id
-        Of the IMU in the autopilot, from 1, and of the device, None where it is not known.
-    offset, factor
-        (3,): the biases, SI, and 1/Mᵢᵢ, so that what comes out is (1 + E) true; factors of gyros are 1.
-    known
-        Whether these were calibrated; where only changes over temperature were, the file leaves them as they are.
-    measured, reference, slopes, coefficients
-        Over temperature: between which temperatures it was measured, °C; the reference, °C; (3, 3), how the biases
-        change per K, K² and K³ about it; and (3, 3), those of the autopilot's cubic by axis.
-    """
+    Over temperature: between which temperatures it was `measured`, °C; the `reference`, °C; `slopes` (3, 3), how the
+    biases change per K, K² and K³ about it; and `coefficients` (3, 3), those of the autopilot's cubic by axis."""
 
     kind: SensorKind
     model: SensorModel

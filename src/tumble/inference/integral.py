@@ -537,7 +537,9 @@ def _densities_of_sizes(fitted: Maximum, sizes: list[int]) -> dict[int, Density]
         curvature = 2.0 * float(learned[i]) + h.within**-2 if at_bound else fitted.curvature[i, i]
         size = max(curvature, h.within**-2) ** -0.5
         p = max(phi[i], 0.0) + KNOTS * size if at_bound else np.linspace(0.0, phi[i] + KNOTS[-1] * size, 2 * len(KNOTS))
-        inverse = np.asarray(np.linalg.inv(covariance[np.ix_(own, own)]), dtype=float)  # beside the priors of all others
+        inverse = np.asarray(
+            np.linalg.inv(covariance[np.ix_(own, own)]), dtype=float
+        )  # beside the priors of all others
         sized = usual[own] * np.exp(p)[:, None]
         folded = Folded.of(inverse - np.diag(S[own] ** -2), inverse @ value[own], sized)
         if at_bound:

@@ -17,6 +17,7 @@ Source: ISO 16269-6:2014, annex of exact factors; Odeh & Owen, Tables for Normal
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -38,46 +39,16 @@ from tumble.views.numbers import quantity_table
 
 CONTENT = CONFIDENCE = 0.95
 
-TERMS: Mapping[str, str] = {
-    "accel.bias": "zero-g offset",
-    "accel.scale": "sensitivity",
-    "accel.axis": "cross-axis sensitivity",
-    "accel.quadratic": "nonlinearity",
-    "accel.cubic": "nonlinearity",
-    "accel.asymmetry": "nonlinearity",
-    "accel.bias.t1": "zero-g offset temperature coefficient",
-    "accel.scale.t1": "sensitivity temperature coefficient",
-    "accel.in_run": "exponentially correlated noise",
-    "gyro.bias": "zero-rate offset",
-    "gyro.scale": "sensitivity",
-    "gyro.axis": "cross-axis sensitivity",
-    "gyro.cubic": "nonlinearity",
-    "gyro.asymmetry": "nonlinearity",
-    "gyro.g_sensitivity": "linear acceleration sensitivity",
-    "gyro.bias.t1": "zero-rate offset temperature coefficient",
-    "gyro.scale.t1": "sensitivity temperature coefficient",
-    "gyro.in_run": "exponentially correlated noise",
-}
+TERMS: Mapping[str, str] = tomllib.loads((Path(__file__).parent / "terms.toml").read_text(encoding="utf-8"))
 """What IEEE Std 2700 calls groups of parameters, and IEEE Std 952 in-run biases."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DatasheetRow:
-    """A parameter of a type, SI.
-
-    Parameters
-    ----------
-    term
-        What the standards call it (`TERMS`).
-    least, typical, most, between
-        Least, mean and largest value of the units, and their standard deviation.
-    run_to_run
-        Standard deviation from launch to launch; None if no unit has several launches.
-    u
-        Root mean square of the standard uncertainties that the recordings leave.
-    low, high
-        The tolerance interval.
-    """
+    """A parameter of a type, SI, with the `term` of the standards (`TERMS`): least, mean and largest value of the units
+    and their standard deviation `between` them; the standard deviation from launch to launch, None if no unit has
+    several; `u`, the root mean square of the standard uncertainties that the recordings leave; and the tolerance
+    interval from `low` to `high`."""
 
     name: str
     term: str

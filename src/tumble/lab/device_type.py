@@ -57,23 +57,11 @@ _NO_PROPERTY: tuple[Variable, ...] = ("time", "launch", "lag")
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Unit:
-    """What the calibration of a unit says of its parameters by itself.
-
-    Parameters
-    ----------
-    serial
-        The unit.
-    names, information, shift
-        Names (m,), Λ (m, m) and h (m,) by Eq. (1), SI.
-    usual
-        Precisions (m,) that the parameters have without a recording: of the priors, or of the limits of the values.
-    reference
-        Temperature in °C to which the parameters refer; None if it is not known.
-    in_run
-        Standard deviations of the in-run biases of "accel" and "gyro", SI.
-    launches
-        Variances from launch to launch, if the calibration is the mean of several.
-    """
+    """What the calibration of a unit says of its parameters by itself: their names (m,), and Λ (m, m) and h (m,) by Eq.
+    (1), SI (`information`, `shift`); the `usual` precisions (m,) that they have without a recording, of the priors, or
+    of the limits of the values; the temperature in °C to which they refer (`reference`), None if it is not known; the
+    standard deviations of the in-run biases of "accel" and "gyro", SI; and the variances from launch to launch, if the
+    calibration is the mean of several."""
 
     serial: str
     names: tuple[str, ...]

@@ -19,7 +19,6 @@ from tumble.errors import InputError
 from tumble.files import FilePath
 from tumble.inference.estimate import Outcome
 from tumble.inference.joint import joint
-from tumble.inference.sources import clocked
 from tumble.recording.log import Log
 from tumble.recording.session import Session, Site
 from tumble.recording.session_file import session_from
@@ -82,9 +81,8 @@ def calibrate_together(
     described = [session_from(session).of_known_scales() for session in sessions]
     _check_alike(described)
     first, systematic = described[0], systematic_of(described[0])
-    members: list[Member] = []
-    observations: list[Observations] = []
-    names, numbers, circumstances, faults = [], [], [], []
+    members, observations, numbers = list[Member](), list[Observations](), []
+    circumstances, faults = [], []
     for session in described:
         observed = inspect_session(session, progress=progress)
         parts, name = observations_in_parts(observed), Path(session.name).name or session.name
@@ -94,9 +92,8 @@ def calibrate_together(
             continue
         rests, turns = parts[0].rests, parts[0].turns
         celsius = np.full(1, np.nan) if rests.temperature is None else rests.temperature - ZERO_CELSIUS
-        names.append(session.name)
-        numbers.append(parts[1])
         observations.append(parts[0])
+        numbers.append(parts[1])
         members.append(
             Member(
                 session=name,
@@ -111,16 +108,17 @@ def calibrate_together(
     if faults:
         return without_result(first, "joint", Outcome(reasons=tuple(faults)), provenance)
     check_recordings(described, [member.log_sha256 for member in members])
-    for name, each in zip(names, observations, strict=True):
+    for session, each in zip(described, observations, strict=True):
         if each.rests.temperature is None:
-            raise InputError(f"{name}: expected temperatures in the log, found none that are numbers")
+            raise InputError(f"{session.name}: expected temperatures in the log, found none that are numbers")
     joint_observations = joined(observations, [member.session for member in members], numbers)
-    first, clocks = _with_clocks(described, members)
+    # errors of the clocks are taken for one, of the largest u of the sessions in which anything is turned
+    turned = [session.log for session, member in zip(described, members, strict=True) if member.turns]
+    clock = max(turned or [session.log for session in described], key=lambda log: log.time_base_u)
+    first = replace(first, log=replace(first.log, clock_u=clock.clock_u))
     if any(session.log.magnetometer is not None for session in described):
-        clocks += (
-            "magnetometer: several sessions in one estimate leave it out; calibrate one alone for hard and soft iron",
-        )
-    joint_observations = replace(joint_observations, notes=(*joint_observations.notes, *clocks))
+        note = "magnetometer: several sessions in one estimate leave it out; calibrate one alone for hard and soft iron"
+        joint_observations = replace(joint_observations, notes=(*joint_observations.notes, note))
     estimate = estimated(first, joint_observations, joint, systematic, "full")
     if isinstance(estimate, Outcome):
         return without_result(first, "joint", estimate, provenance)
@@ -158,24 +156,6 @@ def calibrate_together(
             ),
         ),
     )
-
-
-def _with_clocks(sessions: Sequence[Session], members: Sequence[Member]) -> tuple[Session, tuple[str, ...]]:
-    """The first session with the uncertainty of the time base of all in which anything is turned, and what the second
-    clocks of the logs say: every log is read by its own. Errors of the clocks are taken for one, of the largest u; the
-    estimate is a mean over the sessions, which any of them moves by less."""
-    turned = [i for i, member in enumerate(members) if member.turns] or range(len(members))
-    worst = max(turned, key=lambda i: sessions[i].log.time_base_u)
-    least = min(sessions[i].log.time_base_u for i in turned)
-    most = sessions[worst].log
-    notes: tuple[str, ...] = ()
-    if most.time_base_u > 1.01 * least and clocked(most.time_base_u, most.increments):
-        notes = (
-            f"the clocks of the sessions are known to {1e6 * least:.2g} to {1e6 * most.time_base_u:.2g} ppm: u has "
-            f"that of {members[worst].session}, the largest",
-        )
-    first = sessions[0]
-    return replace(first, log=replace(first.log, clock_u=most.clock_u)), notes
 
 
 def _check_alike(sessions: Sequence[Session]) -> None:

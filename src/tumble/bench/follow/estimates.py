@@ -83,14 +83,6 @@ class Estimates:
         self._future = self._worker.submit(_shown, self._task, progress.reduction, until, excluded)
 
 
-def settled_rests(
-    session: Session, reduction: Reduction, until: tuple[float, float], excluded: tuple[Exclusion, ...]
-) -> Segmentation:
-    """Find the rests that a calibration would use, of those that begin before a file and a time in it, s."""
-    found = without_times(reduction, find_rests(reduction, session.accel_block, session.gyro_block), excluded)
-    return replace(found, rests=tuple(rest for rest in found.rests if (rest.file, rest.start) < until))
-
-
 def estimate_so_far(
     session: Session, grade: str, reduction: Reduction, found: Segmentation, excluded: tuple[Exclusion, ...]
 ) -> Estimate | None:
@@ -117,7 +109,8 @@ def _shown(
     began = time.thread_time()
     session, wanted = task.session, task.wanted
     reduction = without_blemishes(reduction)
-    found = settled_rests(session, reduction, until, excluded)
+    found = without_times(reduction, find_rests(reduction, session.accel_block, session.gyro_block), excluded)
+    found = replace(found, rests=tuple(rest for rest in found.rests if (rest.file, rest.start) < until))
     estimate = estimate_so_far(session, task.grade, reduction, found, excluded)
     if estimate is None:
         return {**_NO_ESTIMATE, "rests": len(found.rests)}

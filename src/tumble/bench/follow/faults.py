@@ -28,7 +28,6 @@ KNOCK_SECONDS = 5.0
 LEFT_BY_THE_NEXT = ("wrong position", "wrong way", "wrong turn")
 """Faults of a rest that is left out once the right position follows it."""
 
-
 UNIT_FACTOR = 2.0
 """Accelerometers that read gravity wrong by more are in another unit than the session says."""
 UNIT_SHARE = 0.25
@@ -37,23 +36,10 @@ UNIT_SHARE = 0.25
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Fault:
-    """A fault of the recording.
-
-    Attributes
-    ----------
-    kind
-        Kind of the fault, such as "knock".
-    said
-        The sentence that the page shows.
-    start, stop
-        Times between which it is, s.
-    place
-        Which position in the course it concerns, from 0. None: the present one.
-    choices
-        Commands that answer it.
-    unit
-        The unit in which the accelerometers would read gravity, where another is stated.
-    """
+    """A fault of the recording: its `kind`, such as "knock", the sentence `said` that the page shows, and the times
+    between which it is, s. `place` is the position in the course that it concerns, from 0, None the present one;
+    `choices` are the commands that answer it; `unit` is the unit in which the accelerometers would read gravity, where
+    another is stated."""
 
     kind: str
     said: str

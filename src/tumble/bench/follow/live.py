@@ -34,21 +34,10 @@ _MOST_FAULTS = 64
 class Live:
     """Follows the log of a task through the chain of a calibration.
 
-    Attributes
-    ----------
-    now : Progress or None
-        What the log says; None while there are no blocks.
-    faults : deque of Fault
-        Faults of the samples, the latest.
-    samples, lost : int
-        Samples that were read, and that are missing between them.
-    at : int
-        Bytes of the present file of the log that were read.
-    files : list of Path
-        Files of the log. Another may be added once the last has ended.
-    trouble : str
-        Why the log cannot be followed; empty while it can.
-    """
+    `now` is what the log says, None while there are no blocks; `faults` are the latest of the samples, of which
+    `samples` were read and `lost` are missing between them. Of the `files` of the log, to which another may be added
+    once the last has ended, `at` bytes of the present one were read. `trouble` says why the log cannot be followed; it
+    is empty while it can."""
 
     def __init__(self, task: Task) -> None:
         self._task = task

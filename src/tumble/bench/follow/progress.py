@@ -61,12 +61,8 @@ class Blocks:
     @staticmethod
     def of(reduction: Reduction, session: Session) -> Blocks:
         """The blocks of a reduction."""
-        parts, gyro, files, edges = (
-            [f for f in reduction.files if len(f)],
-            session.gyro_block,
-            list[File](),
-            np.empty(0),
-        )
+        parts, gyro = [file for file in reduction.files if len(file)], session.gyro_block
+        files, edges = list[File](), np.empty(0)
         for part in parts:
             shift = float(edges[-1] - part.edges[0]) if len(edges) else 0.0
             files.append(File(number=part.file, first=max(len(edges) - 1, 0), shift=shift))
@@ -138,19 +134,10 @@ class Rest:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Judged:
-    """How good a rest is so far.
-
-    Attributes
-    ----------
-    accel, gyro
-        Standard uncertainty of the mean, m/s² and rad/s. None without such sensors and while the rest is too short.
-    left
-        Time to the wanted uncertainty if the noise is white, s.
-    enough
-        Whether the wanted uncertainty is reached, or a longer rest would not reach it.
-    nothing_more
-        Whether a longer rest hardly lowers the uncertainty.
-    """
+    """How good a rest is so far: the standard uncertainty of its mean, m/s² and rad/s, None without such sensors and
+    while the rest is too short; the time `left` to the wanted uncertainty if the noise is white, s; whether that is
+    reached, or a longer rest would not reach it (`enough`), and whether a longer rest hardly lowers it
+    (`nothing_more`)."""
 
     accel: float | None
     gyro: float | None
@@ -178,19 +165,9 @@ class Judged:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Progress:
-    """A session that is being recorded.
-
-    Attributes
-    ----------
-    reduction, blocks
-        The reduction of the log so far, and its blocks in the body.
-    so_far
-        Its rests. None while the log is too short to find any.
-    groups
-        The rests by position, in the order of time.
-    judged
-        How good the last two rests of the last position are.
-    """
+    """A session that is being recorded: the reduction of its log so far and its blocks in the body; its rests `so_far`,
+    None while the log is too short to find any, in `groups` by position in the order of time; and how good the last two
+    rests of the last position are (`judged`)."""
 
     reduction: Reduction
     blocks: Blocks

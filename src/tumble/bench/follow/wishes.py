@@ -42,19 +42,9 @@ def wishes(texts: Sequence[str], grade_name: str) -> dict[str, float]:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Wanted:
-    """What is wanted of a session.
-
-    Attributes
-    ----------
-    group
-        Standard uncertainties, SI, by group of parameters.
-    accel, gyro
-        Standard uncertainty of the mean of a rest, m/s² and rad/s.
-    rest
-        Duration of such a rest in white noise of the grade, s.
-    warming
-        By how much the temperature may change, K.
-    """
+    """What is wanted of a session: standard uncertainties, SI, by `group` of parameters, and of the mean of a rest,
+    m/s² and rad/s; the duration of such a `rest` in white noise of the grade, s; and by how much the temperature may
+    change, K (`warming`)."""
 
     group: Mapping[str, float]
     accel: float

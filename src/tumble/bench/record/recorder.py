@@ -188,17 +188,8 @@ def _rows_of(files: Sequence[Path]) -> Iterator[bytes]:
 
 
 class Intake:
-    """Records a source into the log of a session until it is stopped.
-
-    Attributes
-    ----------
-    files : list of Path
-        The files of the log; those behind the session's own were begun where the clock started anew.
-    rows : int
-        Rows that were recorded.
-    ended : bool
-        Whether the source has ended.
-    """
+    """Records a source into the log of a session until it is stopped. Of the `files` of the log those behind the
+    session's own were begun where the clock started anew; `rows` were recorded; `ended` says whether the source has."""
 
     def __init__(self, source: LineSource, session: Session, *, now: Callable[[], float] = time.monotonic) -> None:
         spec = session.log

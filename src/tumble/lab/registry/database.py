@@ -269,6 +269,9 @@ def _engine(url: URL, name: str) -> Engine:
     except (ValueError, TypeError) as error:
         raise InputError(f"{name}: expected a URL of a registry, found {error}") from error
 
+    if on_file:
+        event.listen(engine, "connect", lambda connection, _: connection.execute("PRAGMA synchronous = FULL"))
+
     @event.listens_for(engine, "begin")
     def begin(connection: Connection) -> None:
         writes = connection.get_execution_options().get("tumble_writes", False)

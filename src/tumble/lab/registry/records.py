@@ -16,21 +16,10 @@ FAILED = ("fail", "conditional fail")
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Record:
-    """A calibration in the registry.
-
-    Parameters
-    ----------
-    number
-        Of the record; never used again.
-    sha256
-        Of the content of the calibration file, however that is laid out.
-    performed, added
-        When the device was calibrated, and when the record was added.
-    occasion, state
-        At which check, and before or after an adjustment.
-    limits, verdict
-        Number of the acceptance limits that were in force, and the verdict by them; None without limits.
-    """
+    """A calibration in the registry, with a `number` that is never used again and the SHA-256 of the content of its
+    file, however that is laid out: when the device was calibrated (`performed`), at which check (`occasion`), before or
+    after an adjustment (`state`), the number of the acceptance limits that were in force and the verdict by them, None
+    without limits, and when it was added."""
 
     number: int
     sha256: str

@@ -57,19 +57,10 @@ COVERED = float(scipy.special.ndtr(2.0))
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Point:
-    """A parameter in one calibration, SI.
-
-    Parameters
-    ----------
-    number, performed, state
-        Of the record.
-    value, u, dof
-        Value, standard uncertainty, and its degrees of freedom; None where the uncertainty is known.
-    launches
-        Value and standard uncertainty in each launch, if the calibration is the mean of several.
-    shared
-        Change of the value with one standard uncertainty of each source whose error another calibration may share.
-    """
+    """A parameter in the calibration of a record, SI: its value, its standard uncertainty and the degrees of freedom of
+    that, None where it is known; value and standard uncertainty in each launch, if the calibration is the mean of
+    several; and the change of the value with one standard uncertainty of each source whose error another calibration
+    may have `shared`."""
 
     json_fields: ClassVar = ("number", "performed", "state", "value", "u", "dof")
 
@@ -107,15 +98,9 @@ class Change(Difference):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ParameterTrend:
-    """A parameter over the calibrations that have it.
-
-    Parameters
-    ----------
-    run_to_run, run_to_run_degrees
-        Standard deviation of launches about the means of their calibrations, SI, and its degrees of freedom.
-    instability
-        τ; None where no two launches or calibrations show it.
-    """
+    """A parameter over the calibrations that have it. `run_to_run` is the standard deviation of launches about the
+    means of their calibrations, SI, with its degrees of freedom; `instability` is τ, None where no two launches or
+    calibrations show it."""
 
     name: str
     unit: str
@@ -134,19 +119,9 @@ class ParameterTrend:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Trend:
-    """A device over its calibrations against the limits of the periodic check that are in force now.
-
-    Parameters
-    ----------
-    latest
-        Its latest record.
-    frame
-        In which all values are.
-    limits
-        Lowest and highest value by parameter, SI.
-    comparison
-        The latest calibration that is no adjustment with the one before it; None without two.
-    """
+    """A device by its `latest` record, over its calibrations in one `frame`, against the `limits` of the periodic check
+    that are in force now: the lowest and the highest value by parameter, SI. `comparison` is that of the latest
+    calibration that is no adjustment with the one before it; None without two."""
 
     json_fields: ClassVar = ("serial", "frame", "limits", "parameters", "changed")
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Container, Iterator, Mapping
+from pathlib import Path
+from typing import Any
 
 from tumble.result.calibration import Calibration
 from tumble.result.correction import Example, examples, linear_example
@@ -19,39 +22,11 @@ _MOST_UNHALVED = 12
 """Rows of a narrow table from which on it stands in halves."""
 MODEL_DIGITS, TRUE_DIGITS = 10, 8
 """Digits behind the point of matrices and biases (SI), and of the true values of test vectors that they give."""
-_HEADINGS = {"accel": "Accelerometers", "gyro": "Gyros", "mag": "Magnetometer, in the frame of the accelerometers"}
-_FRAMES = {
-    "accelerometer": "X is along the axis of the X accelerometer, Z is normal to the plane of the axes of the X and Y "
-    "accelerometers, Y completes. The accelerometer angles xy, xz and yz are zero by definition.",
-    "paper": "Z is along the axis of the Z accelerometer, Y in the plane of the axes of the Y and Z accelerometers, X "
-    "completes. The matrix of the accelerometers is diag(1 + k) times a unit upper-triangular matrix of the angles.",
-    "symmetric": "The frame in which the matrix of the accelerometers is symmetric: the one nearest to the axes of all "
-    "three.",
-    "case": "X, Y and Z are normal to the mounting faces of the case.",
-}
-_NUMBERED_FRAME = (
-    "Accelerometer 0 is along its nominal axis, and accelerometer 1 in the nominal plane of both. An angle p.1 turns "
-    "the axis of sensor p about the perpendicular to the nominal axes of sensors 0 and p, p.2 about the perpendicular "
-    "to that and to its own."
-)
-_TERMS = {
-    "accel.quadratic": "K₂ (a·f)² (accel.quadratic)",
-    "accel.cubic": "K₃ (a·f)³ (accel.cubic)",
-    "accel.asymmetry": "κ |a·f| (accel.asymmetry)",
-    "gyro.asymmetry": "κ |a·ω| (gyro.asymmetry)",
-    "gyro.cubic": "K₃ (a·ω)³ (gyro.cubic)",
-    "gyro.g_sensitivity": "G·f (gyro.g_sensitivity, by the components X, Y, Z of f)",
-}
-"""What the groups beyond the linear model add to a reading, at rest and at constant rate."""
+_WORDS: Mapping[str, Any] = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 _OVER_TEMPERATURE = {
     f"{kind}.{what}.t1": f"(T − T₀) θ₁ + (T − T₀)² θ₂ ({kind}.{what}.t1, .t2)"
     for kind in ("accel", "gyro")
     for what in ("bias", "scale")
-}
-_IN_MOTION = {
-    "accel.lever": "a·(ω̇ × l + ω × (ω × l)) with the lever arm l (accel.lever)",
-    "accel.delay": "the reading of a time later by accel.delay",
-    "accel.single_delay": "single delays (accel.delay.x and so on) likewise",
 }
 
 
@@ -60,9 +35,9 @@ def application(calibration: Calibration) -> Section:
     them."""
     models = {"accel": calibration.accel, "gyro": calibration.gyro, "mag": calibration.mag}
     present = {kind: model for kind, model in models.items() if model is not None}
-    frame = _FRAMES.get(calibration.frame, "It is described in the documentation of the software.")
+    frame = _WORDS["frames"].get(calibration.frame, "It is described in the documentation of the software.")
     if calibration.frame == "accelerometer" and "accel.bias.0" in calibration:
-        frame = _NUMBERED_FRAME
+        frame = _WORDS["numbered_frame"]
     blocks: list[Block] = [
         f"Body frame “{calibration.frame}”, right-handed. {frame}",
         "The sensors follow the model",
@@ -102,7 +77,7 @@ def application(calibration: Calibration) -> Section:
         symbol = "pseudo-inverse matrix⁺" if len(model.matrix) > 3 else "matrix⁻¹"
         bias = Matrix(symbol="bias", rows=_numbers(model.bias[:, None]), unit=unit)
         blocks += [
-            Text(text=_HEADINGS[kind], tone="label"),
+            Text(text=_WORDS["headings"][kind], tone="label"),
             Matrices(matrices=(Matrix(symbol="matrix", rows=_numbers(model.matrix)), bias)),
             Matrices(matrices=(Matrix(symbol=symbol, rows=_numbers(model.inverse())),)),
             "Test vector: with these numbers, this reading gives this true value.",
@@ -151,7 +126,7 @@ def _test_vector(worked: Example, unit: str) -> Matrices:
 
 def added_terms(calibration: Calibration) -> str:
     """What the whole correction takes from a reading beside matrix and bias, in formulas."""
-    return "; ".join(_present(calibration, {**_TERMS, **_IN_MOTION, **_OVER_TEMPERATURE}))
+    return "; ".join(_present(calibration, {**_WORDS["terms"], **_WORDS["in_motion"], **_OVER_TEMPERATURE}))
 
 
 def _present(calibration: Calibration, terms: Mapping[str, str]) -> list[str]:
@@ -164,7 +139,7 @@ def _whole_correction(calibration: Calibration) -> Iterator[Block]:
     """What the groups beyond the linear model add to a reading, their values in full, and a test vector."""
     compensator = calibration.compensator
     further = [p for p in further_parameters(calibration.parameters) if variable_of(p.name) != "time"]
-    static, moving = ("; ".join(_present(calibration, terms)) for terms in (_TERMS, _IN_MOTION))
+    static, moving = ("; ".join(_present(calibration, terms)) for terms in (_WORDS["terms"], _WORDS["in_motion"]))
     sentences = []
     if static:
         sentences.append(
