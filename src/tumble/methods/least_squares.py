@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from tumble.inference.estimate import DETERMINED, SEEN, chance_of
-from tumble.units import Array, BoolArray
+from tumble.inference.estimate import DETERMINED, chance_of
+from tumble.units import Array
 
 RELATIVE_RANK = 1e-11
 """Relative to the largest singular value: smaller ones are rounding."""
@@ -33,11 +33,6 @@ class Solution:
     gain: Array
     null: Array
     covariance: Array
-
-    @property
-    def observable(self) -> BoolArray:
-        """Which parameters the data determine."""
-        return np.asarray(np.sqrt((self.null**2).sum(axis=0)) < SEEN)
 
     def negligible(self, rounding: Array | float) -> bool:
         """Whether the step is negligible against the uncertainty, or no more than `rounding`."""

@@ -31,7 +31,7 @@ from tumble.inference.estimate import DETERMINED, SEEN
 from tumble.inference.hyperparameters import size_factors
 from tumble.inference.linearisation import Linearisation, linearise
 from tumble.inference.noise import VarianceComponents
-from tumble.inference.normal_equations import joint_rows, solve, whiten
+from tumble.inference.normal_equations import solve
 from tumble.inference.problem import Point, Problem
 from tumble.inference.sources import by_time_base, clocked
 from tumble.inference.turns_about import TurnsAbout
@@ -217,18 +217,6 @@ def bound_by(seen: Linearisation, rate: float, clock_u: float = 0.0) -> Bound:
         condition=np.inf if len(null) else float(lengths[-1] / lengths[0]),
         sources={NOISE: np.maximum(np.diag(covariance) - sum(sources.values()), 0.0), **sources},
     )
-
-
-def whitened(seen: Linearisation) -> tuple[Array, Array]:
-    """Whitened rows as `tumble.inference.elimination` takes them: those of the rests (N, r + n, d + p + 1), with
-    d = 3 + n unknowns each, and those that join each rest to the next (N − 1, t + n, 2d + p + 1). The last n rows of
-    the first rest say that a chain begins with its n in-run biases as a stationary process has them; of others they
-    are zero."""
-    rest, turn, link = whiten(seen, *seen.noise.whitening())
-    n = seen.noise.biases
-    rest = np.pad(rest, ((0, 0), (0, n), (0, 0)))
-    rest[0, rest.shape[1] - n :, 3 : 3 + n] = np.eye(n)
-    return rest, joint_rows(seen, turn, link)[:-1]
 
 
 SHORTEST_TIME = 1e-3

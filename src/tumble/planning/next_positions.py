@@ -17,8 +17,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from tumble.errors import InputError
-from tumble.inference.elimination import eliminate
-from tumble.planning.bounds import instrument_of, view, whitened
+from tumble.inference.elimination import fold
+from tumble.inference.normal_equations import eliminate_rests, joint_rows, whiten
+from tumble.planning.bounds import instrument_of, view
 from tumble.planning.itinerary import Itinerary, itinerary_of
 from tumble.planning.setup import Setup
 from tumble.programme.positions import ANY_MOVE, TRIPLES, Move, Position, Programme, from_attitudes
@@ -28,6 +29,8 @@ from tumble.units import DEGREE, Array, BoolArray, IntArray
 
 ALIKE = 1e-6
 """Positions whose criteria differ by this part are as good as each other: symmetry makes them so."""
+UNSEEN = 1e-6
+"""Inverse of the width, in rad or in-run biases, of the prior of a heading that nothing shows."""
 SMALLEST_STEP = 5.0
 """Degrees; with finer ones there are too many places to try."""
 _AXES = "NUE"
@@ -136,12 +139,10 @@ def next_positions(
         u = np.linalg.inv(triangles[:, 1:-1, 1:-1]) / weight[:, None]
         return np.asarray(np.sqrt((u**2).sum(axis=(1, 2)) / np.isfinite(weight).sum()))
 
-    rest, joint = whitened(view(itinerary_of(setup), setup, gyros=gyros))
-    last, shown = _eliminated(rest, joint, known)
-    d = joint.shape[2] - rest.shape[2]
-    ended = np.asarray(np.linalg.qr(last, mode="r"))[d:, d:]
-    closed = np.asarray(np.linalg.qr(np.concatenate([shown, ended]), mode="r"))
-    before = float(criterion(closed[None])[0])
+    equations = eliminate_rests(view(itinerary_of(setup), setup, gyros=gyros))
+    d, last, shown = equations.unknowns, equations.rest_factors[-1], known.copy()
+    fold(equations.session_factors[0], shown)
+    before = float(criterion(shown[None])[0])
 
     end, table = setup.programme.positions[-1], table or TurnTable.of(None, 45.0, setup.programme)
     positions = table.positions(end)
@@ -152,9 +153,18 @@ def next_positions(
     pairs = np.stack([np.broadcast_to(end.matrix, (len(places), 3, 3)),
                       np.array([positions[i].matrix for i in places])], axis=1)  # fmt: skip
     apart = np.stack([moves, np.zeros_like(moves)], axis=1).reshape(-1, 3)[:-1]
-    rest, joint = whitened(view(Itinerary.through(pairs.reshape(-1, 3, 3), apart, setup), setup, gyros=gyros))
-    chains = zip(rest[1::2], joint[::2, None], strict=True)
-    values = criterion(np.array([_eliminated(np.stack([last, own]), by, shown)[1] for own, by in chains]))
+    seen = view(Itinerary.through(pairs.reshape(-1, 3, 3), apart, setup), setup, gyros=gyros)
+    rest, turn, link = whiten(seen, *seen.noise.whitening())
+    rest, turn = rest[1::2], joint_rows(seen, turn, link)[::2]
+    t = d + turn.shape[1]
+    rows = np.zeros((len(places), t + rest.shape[1] + 2 * d, turn.shape[2]))
+    rows[:, :d, :d], rows[:, :d, 2 * d :] = last[:, :d], last[:, 2 * d :]
+    rows[:, d:t] = turn
+    rows[:, t : -2 * d, d : 2 * d], rows[:, t : -2 * d, 2 * d :] = rest[..., :d], rest[..., d:]
+    rows[:, -2 * d :, : 2 * d] = UNSEEN * np.eye(2 * d)
+    left = np.asarray(np.linalg.qr(rows, mode="r"))[:, 2 * d :, 2 * d :]
+    both = np.concatenate([np.broadcast_to(shown, (len(places), *shown.shape)), left], axis=1)
+    values = criterion(np.asarray(np.linalg.qr(both, mode="r")))
     order = np.argsort(values, kind="stable")
     alike = np.split(order, np.flatnonzero(np.diff(np.log(values[order])) > ALIKE) + 1)
     return tuple(
@@ -172,14 +182,3 @@ def _move(vector: Array) -> Move:
     """A turn of the table by a rotation vector, about the positive axis."""
     component = int(np.argmax(np.abs(vector)))
     return Move(axis=np.eye(3)[component], angle=float(vector[component]))
-
-
-def _eliminated(rest: Array, joint: Array, triangle: Array) -> tuple[Array, Array]:
-    """What is left of rests (N, r, ·) and the rows (N − 1, t, ·) that join them when the unknowns of each are
-    eliminated: rows (r, ·) on the last, in the form of a rest, and the triangle on the parameters, added to one."""
-    N, d, triangle = len(rest), joint.shape[2] - rest.shape[2], triangle.copy()
-    factor = np.empty((N, d, rest.shape[2] + d))
-    eliminate(rest, joint, np.append(np.arange(N - 1), -1), factor, triangle)
-    last = np.zeros(rest.shape[1:])
-    last[:d, :d], last[:d, d:] = factor[-1, :, :d], factor[-1, :, 2 * d :]
-    return last, triangle

@@ -219,7 +219,8 @@ def plan(
     _check_wanted(wanted, groups)
     counts = _positions_needed(wanted, setup, state, following, progress)
     needs = tuple(_joint_requirement(g, w, setup, state, counts.get(g)) for g, w in wanted.items())
-    missing = [f"not determined: {', '.join(in_words(found.null, found.names))}"] if len(found.null) else []
+    unseen = sorted(in_words(found.null, found.names), key=lambda said: [name not in said for name in found.names])
+    missing = [f"not determined: {', '.join(unseen)}"] if unseen else []
     return Plan(
         setup=setup,
         method="joint",
