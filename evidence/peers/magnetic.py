@@ -29,9 +29,12 @@ rate, and errors of inertial sensors but for biases.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
@@ -366,7 +369,9 @@ def huang(made: Averaged, begin: Start, bias: Array, noise: tuple[float, float, 
     raise GaveUpError(f"the iteration has not settled after {MOST_STEPS} steps")
 
 
-def assembled(blocks: list[tuple[int, Array, Array, Array]], count: int, columns: int) -> sparse.csc_array:
+def assembled(
+    blocks: Sequence[tuple[int, NDArray[Any], NDArray[Any], Array]], count: int, columns: int
+) -> sparse.csc_array:
     """The matrix of blocks (n, 3, w): the kind of rows, their numbers, first columns, values."""
     rows, places, values = [], [], []
     for kind, number, first, block in blocks:

@@ -57,7 +57,7 @@ def estimate(case: Case, fit: Fit) -> Estimate:
     """Changes of the readings from the middle of the range to its ends."""
     assert case.temperature is not None
     assert case.ends is not None
-    changes = {}
+    changes = dict[str, float]()
     for kind, readings in (("accel", case.accel), ("gyro", case.gyro)):
         for axis, read in zip("xyz", [] if readings is None else readings.T, strict=False):
             coefficients, about = fit(case.temperature, read, case.rate)

@@ -123,7 +123,7 @@ def scores_of(rates: Array, field: Array, seen: Seen) -> dict[str, float | None]
 
 def results() -> dict[str, Any]:
     """All programs on all recordings."""
-    rows = []
+    rows = list[dict[str, Any]]()
     for seen in recordings():
         for name in (RAW, *PROGRAMS):
             start = time.process_time()

@@ -184,10 +184,10 @@ def test_every_other_kind_is_in_one_table() -> None:
     assert pages.further_kinds().count("\n") == len(FURTHER) + 1
 
 
-def test_published_results_of_other_kinds_are_of_ten_sessions_each() -> None:
+def test_published_results_of_other_kinds_are_of_four_sessions_and_more() -> None:
     results = all_results()
     if "further" in results:
         made = results["further"].made
-        assert made["sessions_of_a_kind"] >= 10
+        assert made["sessions_of_a_kind"] >= 4
         assert made["kinds"] == len(FURTHER)
         assert not made["commit"].endswith("changed")

@@ -85,7 +85,8 @@ def test_noise_of_a_link_is_that_of_its_samples() -> None:
     pieces = np.array_split(np.arange(SAMPLES), PARTS)
     each = [integrated(w[piece], f[piece]) for piece in pieces]
     C, V, P = (np.array([part[i] for part in each])[None] for i in range(3))
-    of_gyros, of_accels = noise_of_links(C, V, P, np.full((1, PARTS), SAMPLES / PARTS / RATE), (g**2, a**2))
+    roots = noise_of_links(C, V, P, np.full((1, PARTS), SAMPLES / PARTS / RATE), (g**2, a**2))
+    of_gyros, of_accels = (Z @ np.swapaxes(Z, 1, 2) for Z in roots)
     # by sums over samples, to first order, independent of the recursion
     h, R, forces = 1.0 / RATE, [], []
     at = np.eye(3)

@@ -464,18 +464,17 @@ cdef for_each_processor _fold_sizes(
 
 
 def mean_covariance(
-    const double[:, :, ::1] factor, const double[:, :] size, const double[:] weight, double least,
-    double[:, ::1] work, double[:, ::1] covariance,
+    const double[:, :, ::1] factor, const double[:, :] size, const double[:] weight, double[:, ::1] work,
+    double[:, ::1] covariance,
 ):
-    """Σ w S B⁻¹ S (g, g) over the priors of `fold_sizes` whose `weight` (L,) is above the `least`; `work` (g, g) is
-    memory."""
+    """Σ w S B⁻¹ S (g, g) over the priors of `fold_sizes`, by their `weight` (L,); `work` (g, g) is memory."""
     with nogil:
-        _mean_covariance(factor, size, weight, least, work, covariance)
+        _mean_covariance(factor, size, weight, work, covariance)
 
 
 cdef for_each_processor _mean_covariance(
-    const double[:, :, ::1] factor, const double[:, :] size, const double[:] weight, double least,
-    double[:, ::1] work, double[:, ::1] covariance,
+    const double[:, :, ::1] factor, const double[:, :] size, const double[:] weight, double[:, ::1] work,
+    double[:, ::1] covariance,
 ) noexcept nogil:
     cdef double part
     cdef double* row
@@ -483,8 +482,6 @@ cdef for_each_processor _mean_covariance(
     g = covariance.shape[0]
     covariance[:, :] = 0.0
     for n in range(factor.shape[0]):
-        if not weight[n] > least:
-            continue
         for a in range(g - 1, -1, -1):  # R⁻¹
             row, part = &work[a, 0], 1.0 / factor[n, a, a]
             for c in range(a + 1, g):

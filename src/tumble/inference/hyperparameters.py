@@ -234,19 +234,13 @@ def quadratic_forms(hyperparameters: Hyperparameters, solution: Solution) -> Arr
     LinAlgError
         Where residuals are beyond all measure.
     """
-    problem, equations, noise, point = (
-        solution.problem,
-        solution.equations,
-        solution.equations.noise,
-        solution.linearisation.point,
-    )
+    problem, equations, point = solution.problem, solution.equations, solution.linearisation.point
+    noise = equations.noise
     n, s, q = problem.sensors, noise.states, solution.local.shape[-1]
 
     # scatter, and that of each sensor at rest
     of_scatter, of_directions = np.zeros((2, len(SCATTER))), list[Array]()
-    whitening = equations.rest_whitening, equations.turn_whitening, equations.link_whitening
-    residuals = solution.rest_residuals, solution.turn_residuals, solution.link_residuals
-    for W, (r, C), (Z, place) in zip(whitening, residuals, noise.weighted_directions, strict=True):
+    for W, (r, C), (Z, place) in solution.by_kind:
         of_directions.append(np.zeros((2, len(place))))
         scatter_forms(W, Z, r, C, np.empty(Z.shape[1]), of_directions[-1])
         of_directions[-1] *= noise.variances[place]
@@ -430,9 +424,7 @@ def average_information(hyperparameters: Hyperparameters, solution: Solution) ->
     of_scatter = hyperparameters.members(Scatter, len(SCATTER))
     of_sensors = hyperparameters.members(SensorFactor, problem.sensors)
     variates = list[Array]()
-    whitening = equations.rest_whitening, equations.turn_whitening, equations.link_whitening
-    residuals = solution.rest_residuals, solution.turn_residuals, solution.link_residuals
-    for number, (W, (r, _), (Z, place)) in enumerate(zip(whitening, residuals, noise.weighted_directions, strict=True)):
+    for number, (W, (r, _), (Z, place)) in enumerate(solution.by_kind):
         WZ, some = W @ Z, of_scatter[:, place]
         some[:, : problem.sensors] += of_sensors if number == 0 else 0.0
         variates.append((2.0 * noise.variances[place] * (r[:, None] @ WZ) * WZ) @ some.T)

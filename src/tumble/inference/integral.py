@@ -107,8 +107,6 @@ FEW = 4.0
 SHOWN = 0.2
 """Twice the members of a group of which the session learns something where it is as large as its prior allows for: of
 less, its size is not shown at all, and stays that of the sheet."""
-NO_WEIGHT = 1e-12
-"""Of the sizes at a point: one that counts for nothing."""
 MIXED = 128
 """Draws of the mixture of Gaussians of which coverage factors are taken."""
 SHIFT = 0.6180339887498949
@@ -126,7 +124,7 @@ class Posterior:
     step, covariance : (1 + m,) and (1 + m, 1 + m)
         The mean step from the last linearisation, and the covariance, biases being the means over the session.
     sources
-        The covariance by its sources (`tumble.inference.uncertainty_budget`).
+        The covariance by its sources (`tumble.inference.uncertainty_budget`); empty where they were not asked for.
     degrees : (m,)
         Degrees of freedom of Student's t with the same coverage factor.
     process_step, process_covariance : (n,) and (n, n)
@@ -152,11 +150,12 @@ class Posterior:
     hyperparameters: Array
 
 
-def posterior(fitted: Maximum, *, integrate: bool = True) -> Posterior:
-    """The posterior about a maximum, integrated over the hyperparameters or at the maximum itself."""
+def posterior(fitted: Maximum, *, integrate: bool = True, by_source: bool = True) -> Posterior:
+    """The posterior about a maximum, integrated over the hyperparameters or at the maximum itself, there with its
+    sources or without."""
     proposal = Proposal.about(fitted) if integrate and len(fitted.solution.parameters) <= MOST_PARAMETERS else None
     if proposal is None or not (len(proposal.outer) or len(proposal.inner)):
-        return _at_maximum(fitted)
+        return _at_maximum(fitted, contributions(fitted.solution) if by_source else {})
     np.empty(KEPT_MEMORY, dtype=np.uint8)
     count = max(POINTS if len(proposal.inner) else 2 * POINTS, 2 * (len(proposal.outer) + SPARE)) // 2
     drawn, sets = [_drawn(fitted, proposal, count, sequence) for sequence in (0, 1)], 1
@@ -190,13 +189,13 @@ def posterior(fitted: Maximum, *, integrate: bool = True) -> Posterior:
     )
 
 
-def _at_maximum(fitted: Maximum) -> Posterior:
-    """The posterior at the hyperparameters of the maximum."""
+def _at_maximum(fitted: Maximum, sources: Mapping[str, Array]) -> Posterior:
+    """The posterior at the hyperparameters of the maximum, of which the covariance has these sources."""
     here = conditional(fitted.solution)
     return Posterior(
         step=here.step,
         covariance=here.covariance,
-        sources=contributions(fitted.solution),
+        sources=sources,
         degrees=np.full(len(here.step) - 1, MOST_DEGREES),
         process_step=here.process_step,
         process_covariance=here.process_covariance,
@@ -438,9 +437,9 @@ class Folded:
         return Folded(sizes=sizes, values=values, log_likelihood=log_likelihood, factors=factors)
 
     def covariance(self, weight: Array) -> Array:
-        """The mean (g, g) of the covariances of c, by weights (L,) of the sizes; those that have none are left out."""
+        """The mean (g, g) of the covariances of c, by weights (L,) of the sizes."""
         out = np.empty(self.factors.shape[1:])
-        mean_covariance(self.factors, self.sizes, weight, NO_WEIGHT, np.empty(out.shape), out)
+        mean_covariance(self.factors, self.sizes, weight, np.empty(out.shape), out)
         return out
 
 

@@ -64,7 +64,7 @@ def joint(
     where None, the groups whose usual size the observations know. Rests and turns that do not fit are left out; their
     sigmas say which they are. With `components` of variance the solution is that beside these, known from elsewhere.
     Without `intervals` the covariance is that at the maximum, not integrated over what the model does not know of
-    itself. A `quick` one is the maximum alone, settled or not: it is for a page that follows a
+    itself. A `quick` one is the maximum alone, settled or not, without a budget: it is for a page that follows a
     session and cannot wait for one that contradicts itself."""
     usual, local = instruments_of(observations)
     problem = Problem.of(observations, prior, instrument=instrument or usual, local=local, usual=observations.usual)
@@ -75,7 +75,7 @@ def joint(
         fitted = without_outliers(fitted)
     if components is not None:
         fitted = replace(fitted, hyperparameters=Hyperparameters(()), solution=solve(fitted.linearisation, components))
-    shown = posterior(fitted, integrate=intervals and not quick and components is None)
+    shown = posterior(fitted, integrate=intervals and not quick and components is None, by_source=not quick)
     magnetometer = magnetometer_estimate(fitted, shown.step)
     if magnetometer is not None and magnetometer.refused:  # which all others must not suffer from
         alone = observations.without_magnetometer()
@@ -98,7 +98,7 @@ def _estimate(fitted: Maximum, shown: Posterior, increments: tuple[Array, ...], 
     observations, linear = problem.observations, instrument.linear_count
     values = fitted.linearisation.point.values + shown.step[1:]
     common = {**common_covariances(observations, instrument), "lag": by_lag}
-    budget = _budget(fitted, shown, common)
+    budget = _budget(fitted, shown, common) if shown.sources else None
     in_common = np.sum(list(common.values()), axis=0)
     covariance = shown.covariance[1:, 1:] + in_common
     # what the time base or rounding leave open no further rest or turn would show

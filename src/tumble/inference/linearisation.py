@@ -37,9 +37,6 @@ from tumble.sensors.model import Block, beyond_body
 from tumble.sensors.parameters import CONSTANT, FORCE, OWN_CUBE, OWN_SIZE, PAIRS, PRODUCTS, RATE
 from tumble.units import Array
 
-ROUNDED = 1e-9
-"""Added to correlations of noise, so that they have a Cholesky factor."""
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Linearisation:
@@ -462,8 +459,8 @@ def _link_rows(
         rows, bias = (
             np.concatenate([a, b], axis=1) for a, b in ((rows, magnetic), (bias, np.zeros((J, 3, bias.shape[2]))))
         )
-    covariances = noise_of_links(C_p, V_p, P_p, T_p, (links.gyro_density, links.accel_density))
-    return rows, bias, _with_link_noise(problem, covariances)
+    roots = noise_of_links(C_p, V_p, P_p, T_p, (links.gyro_density, links.accel_density))
+    return rows, bias, _with_link_noise(problem, np.concatenate(roots, axis=2))
 
 
 def _magnetic_link_rows(problem: Problem, magnetometer: Magnetometer, point: Point, basis: Array) -> Array:
@@ -482,23 +479,15 @@ def _magnetic_link_rows(problem: Problem, magnetometer: Magnetometer, point: Poi
     return rows
 
 
-def _with_link_noise(problem: Problem, covariances: tuple[Array, Array]) -> NoiseModel:
-    """The noise of a problem with that of its links, by gyros and by accelerometers (J, 9, 9): as noise, and again as
-    two components of scatter."""
+def _with_link_noise(problem: Problem, Z: Array) -> NoiseModel:
+    """The noise of a problem with that of its links, by a root Z (J, 9, ·) of its covariance, gyros before
+    accelerometers: as noise, and again as two components of scatter."""
     links = problem.observations.links
     assert links is not None
-    held = ~links.free
-    for covariance in covariances:
-        covariance[held, 6:], covariance[held, :, 6:] = 0.0, 0.0
-    N, directions = covariances[0] + covariances[1], list[Array]()
-    N[held, 6:, 6:] = np.eye(3)
+    Z[~links.free, 6:] = 0.0
+    N, places = Z @ np.swapaxes(Z, 1, 2), np.repeat([SCATTER.index(name) for name in LINK_SCATTER], Z.shape[2] // 2)
+    N[~links.free, 6:, 6:] = np.eye(3)
     N[:, :3, :3] += (links.duration**2 * unseen_rate(problem))[:, None, None] * np.eye(3)
-    for covariance in covariances:
-        size = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
-        scale = np.where(size > 0.0, size, 1.0)
-        scaled = covariance / scale[:, :, None] / scale[:, None, :] + ROUNDED * np.eye(9)
-        directions.append(size[:, :, None] * np.linalg.cholesky(scaled))
-    places, Z = np.repeat([SCATTER.index(name) for name in LINK_SCATTER], 9), np.concatenate(directions, axis=2)
     if problem.magnetometer is not None:
         variance = links.magnetometer_variance + (LEAST_FIELD * problem.magnetometer.field) ** 2
         seen, wide = links.magnetic[:, None, None] * np.eye(3), np.zeros((len(N), 12, 12))

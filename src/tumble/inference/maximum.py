@@ -68,7 +68,7 @@ WIDE = 3.0
 """Standard deviations of p: the sizes of groups that are looked for from above."""
 ANEW = 3.0
 """s: a correlation time of biases that are anew at every rest."""
-STEPS = 6
+STEPS = 8
 """Steps over φ at one linearisation at most."""
 CONVERGED = 1e-3
 """Of the standard uncertainty: a step of x that is negligible."""
@@ -347,12 +347,8 @@ def _updated(B: Array, step: Array, change: Array) -> Array:
 
 def _seen(solution: Solution) -> BoolArray:
     """Whether a fit leaves something of each component (c,) of scatter."""
-    degrees, equations, noise = np.zeros(len(SCATTER)), solution.equations, solution.linearisation.noise
-    for W, (_, C), (Z, place) in (
-        (equations.rest_whitening, solution.rest_residuals, noise.rest_directions),
-        (equations.turn_whitening, solution.turn_residuals, noise.turn_directions),
-        (equations.link_whitening, solution.link_residuals, noise.link_directions),
-    ):
+    degrees = np.zeros(len(SCATTER))
+    for W, (_, C), (Z, place) in solution.by_kind:
         WZ = W @ Z
         whole, left = (WZ**2).sum(axis=1), (WZ * (C @ WZ)).sum(axis=1)
         degrees += np.bincount(place, (left / np.where(whole > 0.0, whole, 1.0)).sum(axis=0), len(degrees))

@@ -18,6 +18,7 @@ that depends on them has further axes before those that are stated.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
@@ -193,6 +194,15 @@ class Solution:
         out[0] += root @ np.swapaxes(root, 1, 2)
         out[1, :-1] += root[:-1] @ np.swapaxes(root[1:], 1, 2)
         return out
+
+    @property
+    def by_kind(self) -> Iterator[tuple[Array, tuple[Array, Array], tuple[Array, IntArray]]]:
+        """Of rests, turns and links Σ^{−½}, residuals with covariances, and directions of scatter with their places in
+        SCATTER."""
+        equations = self.equations
+        whitening = equations.rest_whitening, equations.turn_whitening, equations.link_whitening
+        residuals = self.rest_residuals, self.turn_residuals, self.link_residuals
+        return zip(whitening, residuals, equations.noise.weighted_directions, strict=True)
 
     @cached_property
     def rest_residuals(self) -> tuple[Array, Array]:

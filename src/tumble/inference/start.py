@@ -121,11 +121,12 @@ def carried_attitudes(problem: Problem, vertical: Array, before: IntArray, C: Ar
     C, seconds : (K, 3, 3), (K,)
         Rotations from these to the next, body at the end → body at the start, and how long they last, s.
     """
-    north, around = -tangent_basis(vertical)[:, 1], rotation_matrix(-seconds[:, None] * problem.earth[1] * UP)
-    for k, i in enumerate(before.tolist()):
-        axes = np.array([north[i], vertical[i], skew(north[i]) @ vertical[i]])
-        after = (around[k] @ axes @ C[k])[0]
-        level = after - (after @ vertical[i + 1]) * vertical[i + 1]
+    north, around = -tangent_basis(vertical)[:, 1], rotation_matrix(-seconds[:, None] * problem.earth[1] * UP)[:, 0]
+    up = vertical[before + 1]
+    turned = around[:, 0, None, None] * np.eye(3) + around[:, 2, None, None] * skew(vertical[before])
+    onward = turned @ C @ (np.eye(3) - up[:, :, None] * up[:, None])  # a north, carried and made level again
+    for i, carried in zip(before.tolist(), onward, strict=True):
+        level = north[i] @ carried
         if level @ level > VERTICAL:
             north[i + 1] = level / np.sqrt(level @ level)
     return np.stack([north, vertical, np.cross(north, vertical)], axis=1)

@@ -80,13 +80,8 @@ def expected(seen: Linearisation) -> Linearisation:
 
 def _products(solution: Solution) -> Array:
     """tr (PD)² (c,) of the components of scatter, by the parts within a rest and within a turn."""
-    out, equations, noise = np.zeros(len(SCATTER)), solution.equations, solution.equations.noise
-    for W, (_, C), (Z, place) in zip(
-        (equations.rest_whitening, equations.turn_whitening, equations.link_whitening),
-        (solution.rest_residuals, solution.turn_residuals, solution.link_residuals),
-        noise.weighted_directions,
-        strict=True,
-    ):
+    out = np.zeros(len(SCATTER))
+    for W, (_, C), (Z, place) in solution.by_kind:
         WZ = W @ Z
         squares = ((np.swapaxes(WZ, 1, 2) @ C @ WZ) ** 2).sum(axis=0)
         for number in np.unique(place):

@@ -265,7 +265,8 @@ def joined_parts(rows: Array, C: Array, V: Array, P: Array, T: Array) -> Increme
 
 
 def noise_of_links(C: Array, V: Array, P: Array, T: Array, densities: tuple[float, float]) -> tuple[Array, Array]:
-    """Covariances (K, 9, 9) of the increments of links by white noise of gyros, and by that of accelerometers.
+    """Roots Z (K, 9, 3 PARTS) of the covariances Z Zᵀ of the increments of links by white noise of gyros, and of those
+    by white noise of accelerometers.
 
     Parameters
     ----------
@@ -280,9 +281,6 @@ def noise_of_links(C: Array, V: Array, P: Array, T: Array, densities: tuple[floa
     for p in range(parts):  # a rotation that arises evenly over the part has half of its effect on the velocity
         of_gyros, of_accels = np.split(rows[:, p, :, 6 * p : 6 * p + 6], 2, axis=2)
         of_gyros[:, :3], of_gyros[:, 3:], of_accels[:, 3:] = np.eye(3), -0.5 * skew(V[:, p]), np.eye(3)
-    every = joined_parts(rows, C, V, P, T).columns.reshape(K, 9, parts, 2, 3) * np.sqrt(T)[:, None, :, None, None]
-    by_gyros, by_accels = (
-        density * np.einsum("kapx,kbpx->kab", each, each)
-        for density, each in zip(densities, np.moveaxis(every, 3, 0), strict=True)
-    )
-    return by_gyros, by_accels
+    every = joined_parts(rows, C, V, P, T).columns.reshape(K, 9, parts, 2, 3)
+    every *= np.sqrt(T[:, :, None] * densities)[:, None, :, :, None]
+    return every[:, :, :, 0].reshape(K, 9, -1), every[:, :, :, 1].reshape(K, 9, -1)
