@@ -2,10 +2,9 @@
 section 11.
 
 φ is in two parts. ψ, what concerns rows (scatter, in-run biases, sensors unlike others, what single sessions have
-beside), costs an
-elimination of all rests at every point. Sizes of groups, p, never touch the rows: each ψ_k is eliminated once to its
-triangle over gravity and the parameters, which leaves information Λ and h about the groups c alone, and any number of
-sizes S = λ s is folded into it by small matrices,
+beside), costs an elimination of all rests at every point. Sizes of groups, p, never touch the rows: each ψ_k is
+eliminated once to its triangle over gravity and the parameters, which leaves information Λ and h about the groups c
+alone, and any number of sizes S = λ s is folded into it by small matrices,
 
     B = 1 + S Λ S,   c = S B⁻¹ S h,   Cov c = S B⁻¹ S,   ln L = const + ½ hᵀ S B⁻¹ S h − ½ ln |B|
 
@@ -188,7 +187,7 @@ def posterior(fitted: Maximum, *, integrate: bool = True, by_source: bool = True
         sets *= 2
     both = Draws.joined(drawn)
     effective, shape = both.effective, both.smoothed[1]
-    if not settled or (sets > 1 and effective < MANY):
+    if len(proposal.outer) and (not settled or (sets > 1 and effective < MANY)):
         drawn, effective = _walked(fitted, proposal)
         both = Draws.joined(drawn)
     mean, within, between = both.moments()
@@ -770,12 +769,13 @@ def _moved(fitted: Maximum, proposal: Proposal, walkers: Draws, rng: np.random.G
         phi = walkers.phi[moving.ravel(), 0]
         step = length[:, :, None] * difference + 1e-3 * rng.standard_normal(difference.shape)
         phi[:, outer] += step.reshape(len(phi), -1)
-        tried = _drawn(fitted, proposal, phi, np.zeros(len(phi)), WALKED_SIZES, 2 * sequence + half)
-        gain = tried.likelihood - walkers.likelihood[moving.ravel()]
-        points = np.arange(2 * number)
-        points[moving.ravel()] = np.where(
-            np.log(rng.uniform(size=len(phi))) < gain, 2 * number + np.arange(len(phi)), moving.ravel()
-        )
+        try:
+            tried = _drawn(fitted, proposal, phi, np.zeros(len(phi)), WALKED_SIZES, 2 * sequence + half)
+        except np.linalg.LinAlgError:  # a step to where nothing can be computed is not taken
+            continue
+        points, moved = np.arange(2 * number), moving.ravel()
+        gains = np.log(rng.uniform(size=len(phi))) < tried.likelihood - walkers.likelihood[moved]
+        points[moved[gains]] = 2 * number + np.flatnonzero(gains)
         walkers = Draws.joined([walkers, tried]).chosen(points)
     return walkers
 
