@@ -37,9 +37,9 @@ u is half where a few points far out would make it more. The two sequences are i
 each finds, for u or for a value in parts of u, is the error by the points.
 
 Where that exceeds SETTLED, or few points count, the proposal misses a part of the posterior: another mode, or tails
-that reach farther than its own. Each set then goes on by adaptive multiple importance sampling (Cornuet et al. 2012). Let n be z without its correlations, N(0, 1) by the copula. A round draws n ~ N(μ, Σ), of the mean and
-covariance that the weights of all points so far give, and all points are weighted anew by the mixture of what they were
-drawn from,
+that reach farther than its own. Each set then goes on by adaptive multiple importance sampling (Cornuet et al. 2012).
+Let n be z without its correlations, N(0, 1) by the copula. A round draws n ~ N(μ, Σ), of the mean and covariance that
+the weights of all points so far give, and all points are weighted anew by the mixture of what they were drawn from,
 
     w ∝ (e^ℓ/q) N(n; 0, 1)/Σ_k (K_k/K) N(n; μ_k, Σ_k)
 
