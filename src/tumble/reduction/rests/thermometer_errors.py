@@ -1,13 +1,16 @@
 """Thermometers whose readings have steps or noise: their temperatures as they went, and how well these are known.
 
-A thermometer of whole degrees says when a level between two readings was passed, at n + ½. Through the levels and times
-(t_i, T_i) goes a smooth monotone curve, and on at both ends, as long as the next level is not reached. From a straight
-line through its neighbours a level differs by r_i; the error σ of a level is by what these change along the record,
+A thermometer of whole degrees says when a level between two readings was passed, at n + ½: as closely as its readings
+stand, so that where they have steps all of them are taken, else the record of one a second. Through the levels and
+times (t_i, T_i) goes a smooth monotone curve, and on at both ends, as long as the next level is not reached. From a
+straight line through its neighbours a level differs by r_i; the error σ of a level is by what these change along the
+record,
 
     d_i = r_i − (r_{i−1} + r_{i+1})/2,   σ = median |d_i| / (0.6745 √4.375)                                          (1)
 
-4.375 being the sum of the squared coefficients of d_i in T. A mean over a part of the record in which m levels are
-passed is known to u = σ/√m, and the error moves the readings of all sensors together by their slopes s over
+4.375 being the sum of the squared coefficients of d_i in T. How far the curve bends away from the straight line between
+two levels, or from the last one, B, nothing between them says: it is anything from nothing to twice that. A mean over a
+part of the record in which m levels are passed is known to u² = σ²/m + B²/3, and the error moves the readings of all sensors together by their slopes s over
 temperature, which the changes from part to part show. So the covariance of the means of a part is greater by u² s sᵀ.
 """
 
@@ -39,14 +42,15 @@ def with_thermometer_errors(observations: Observations, readings: Mapping[int, t
     middle, files = 0.5 * (rests.start + rests.stop), dict[int, tuple[float, Array]]()
     variance, kelvin = np.zeros((len(rests), thermometers.count)), np.zeros((len(rests), thermometers.count))
     for file, (start, record) in thermometers.files.items():
-        smooth, in_file, every = record.copy(), rests.file == file, start + STEP * np.arange(len(record))
+        smooth, in_file, every = record.copy(), rests.file == file, np.asarray(start + STEP * np.arange(len(record)))
         for t, column in enumerate(record.T):
             close = readings[file][1][:, t]
-            times, read = (readings[file][0], close) if has_steps(close) else (every, column)
-            time, level = passed(times, read)
+            time, level = passed(readings[file][0], close) if has_steps(close) else passed(every, column)
             smooth[:, t] = curve_through(time, level, every, column)
             count = np.searchsorted(time, rests.stop[in_file]) - np.searchsorted(time, rests.start[in_file])
             variance[in_file, t] = error_of(time, level) ** 2 / np.maximum(count, 1)
+            bend = smooth[:, t] - np.interp(every, time, level) if len(time) else np.zeros(len(every))
+            variance[in_file, t] += np.interp(middle[in_file], every, bend) ** 2 / 3.0
             kelvin[in_file, t] = np.interp(middle[in_file], every, smooth[:, t])
         files[file] = start, smooth
     same = np.diff(rests.file) == 0
@@ -83,14 +87,16 @@ def passed(time: Array, readings: Array) -> tuple[Array, Array]:
     level, middle = (0.5 * (each[at] + each[at + 1]) for each in (readings, time))
     starts = np.append(0, np.flatnonzero(np.diff(level)) + 1)
     count = np.diff(np.append(starts, len(at)))
-    back = [i + 1 + int(np.argmax(np.diff(middle[i : i + n]))) for i, n in zip(starts, count, strict=True) if n % 2 == 0]
+    back = [
+        i + 1 + int(np.argmax(np.diff(middle[i : i + n]))) for i, n in zip(starts, count, strict=True) if n % 2 == 0
+    ]
     starts = np.sort(np.append(starts, back).astype(np.int64))
     return np.add.reduceat(middle, starts) / np.diff(np.append(starts, len(at))), level[starts]
 
 
 def curve_through(time: Array, level: Array, every: Array, record: Array) -> Array:
-    """Temperatures (K,) at the times `every` (K,) of a record that passed levels (k,) at times (k,); the record where it
-    passed fewer than two."""
+    """Temperatures (K,) at the times `every` (K,) of a record that passed levels (k,) at times (k,); the record where
+    it passed fewer than two."""
     from scipy.interpolate import PchipInterpolator  # slow to import
 
     if len(time) < 2:
@@ -105,8 +111,9 @@ def curve_through(time: Array, level: Array, every: Array, record: Array) -> Arr
 
 
 def _began(time: Array, level: Array, earlier: Array) -> Array:
-    """By how much what passed levels (k,) at times was off the first of them at `earlier` times: by the parabola through
-    the most of them, up to BENT, that it fits to their error, or through three; straight where there are two."""
+    """How far from the first of the levels (k,) that it passed at times (k,) a temperature was at `earlier` times: by
+    the parabola through the most of them, up to BENT, that it fits to their error, or through three; straight where
+    there are two."""
     limit = ALIKE * error_of(time, level)
     for many in range(min(len(time), BENT), 2, -1):
         fit = np.polyfit(time[:many] - time[0], level[:many] - level[0], 2)
