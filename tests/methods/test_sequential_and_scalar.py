@@ -301,9 +301,12 @@ def test_true_values_are_within_their_uncertainty(pipeline: Pipeline) -> None:
 def test_uncertainties_of_the_sequential_method_are_those_of_section_8() -> None:
     """√CRLB times the ratios of "authors it 3", found there from 300 launches: b 4.15e-6 · 1.13, k 4.57e-7 · 1.02,
     γ 0.338″ · 1.35; gyros 4.39e-3 °/h · 1.90, 9.37e-7 · 1.03, 0.406″ · 1.14. Here: RMS over six launches, to 5 %."""
-    rng = np.random.default_rng(8)
-    steady = {"accel": 1e-9, "gyro": 1e-12}  # biases that do not wander
-    u = [sequential(replace(observations(x, rng), in_run=steady), iterations=3).u for x in drawn_values(6, rng)]
+    rng, u = np.random.default_rng(8), list[Array]()
+    for values in drawn_values(6, rng):
+        budget = sequential(observations(values, rng), iterations=3).budget
+        assert budget is not None
+        by_noise = [source.name.endswith("noise") for source in budget.sources]
+        u.append(np.sqrt(np.diag(budget.covariances[by_noise].sum(axis=0))))
     found = np.sqrt(np.square(u).mean(axis=0))
     rms = [np.sqrt((part**2).mean()) for part in np.split(found, [3, 6, 9, 12, 15])]
     expected = [

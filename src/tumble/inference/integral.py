@@ -2,10 +2,9 @@
 section 11.
 
 φ is in two parts. ψ, what concerns rows (scatter, in-run biases, sensors unlike others, what single sessions have
-beside), costs an
-elimination of all rests at every point. Sizes of groups, p, never touch the rows: each ψ_k is eliminated once to its
-triangle over gravity and the parameters, which leaves information Λ and h about the groups c alone, and any number of
-sizes S = λ s is folded into it by small matrices,
+beside), costs an elimination of all rests at every point. Sizes of groups, p, never touch the rows: each ψ_k is
+eliminated once to its triangle over gravity and the parameters, which leaves information Λ and h about the groups c
+alone, and any number of sizes S = λ s is folded into it by small matrices,
 
     B = 1 + S Λ S,   c = S B⁻¹ S h,   Cov c = S B⁻¹ S,   ln L = const + ½ hᵀ S B⁻¹ S h − ½ ln |B|
 
@@ -35,14 +34,24 @@ importance sampling). With the step m and covariance V at each draw
 
 and the coverage factor k of a parameter is the half width at 95.45 % of its mixture of Gaussians over its u, of which
 u is half where a few points far out would make it more. The two sequences are independent: half the difference of what
-each finds for u is the error of u by the points. As long as it exceeds SETTLED of u, or few points count, there are
-twice as many, by further sequences, until there are MOST_POINTS.
+each finds, for u or for a value in parts of u, is the error by the points. As long as it exceeds SETTLED, or few points
+count, there are twice as many, by further sequences, until there are MOST_POINTS.
+
+If then it still does, or fewer than MANY count, the proposal misses a part of the posterior: two modes, or tails that
+reach farther than its own. The points become walkers, two sets of them, each moved by a Metropolis step along the
+difference of two others of its set (differential evolution Markov chain, ter Braak 2006),
+
+    ψ_i' = ψ_i + γ (ψ_j − ψ_k) + ε,   γ ≤ 2.38/√(2 D), and at times 1
+
+which takes the shape of the posterior from the walkers and needs no proposal any more. The sizes at each are drawn
+anew at every move, so that the mean of their weights is an unbiased likelihood of ψ' and the chain is exact
+(pseudo-marginal, Andrieu and Roberts 2009). The second half of MOVES counts, each walker alike.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property, partial
 
 import numpy as np
@@ -77,8 +86,14 @@ from tumble.units import Array, IntArray
 
 POINTS, MOST_POINTS = 32, 256
 """Points of ψ, at first, twice as many where there are no sizes of groups to be folded in, and at most."""
-SIZES = 16
-"""Sizes of groups that are folded into the triangle of each."""
+SIZES, WALKED_SIZES = 16, 4
+"""Sizes of groups that are folded into the triangle of each point, and of each walker at a move."""
+WALKERS = 32
+"""Of a set, at least; and twice as many as ψ has elements, whose differences span its space."""
+MOVES, THINNED = 96, 4
+"""Moves of the walkers, and of how many one is kept: the next is much like it."""
+JUMPS = 0.1
+"""The part of the moves by a whole difference, from one mode to another."""
 SPARE = 3
 """Points of each sequence more than ψ has elements, at least: fewer have no covariance that could be made right."""
 MOST_PARAMETERS = 200
@@ -99,11 +114,12 @@ DEFENCE = 0.15
 """The part of the prior in the density along a correlation time."""
 REACH = 8.0
 """Standard deviations that densities along standard deviations reach."""
-SETTLED, ROUGH = 0.07, 0.1
-"""Of u, for the parameter of which it is largest: an error by the points above which there are twice as many, and above
-which it is said."""
-FEW = 4.0
-"""Effective points of a sequence: two of fewer may agree by chance, and there are twice as many."""
+SETTLED = 0.1
+"""Of u, for the parameter of which it is largest: an error by the points above which there are more, and above which it
+is said."""
+FEW, MANY = 4.0, 16.0
+"""Effective points of a sequence: two of fewer may agree by chance; and of all where there had to be more: fewer are of
+a proposal that misses a part of the posterior."""
 SHOWN = 0.2
 """Twice the members of a group of which the session learns something where it is as large as its prior allows for: of
 less, its size is not shown at all, and stays that of the sheet."""
@@ -132,7 +148,7 @@ class Posterior:
     points, effective, pareto
         How many points there were, their effective number, and the Pareto shape of the weights.
     u_error
-        The largest error of a u by the points, relative; 0 of the maximum alone.
+        The largest error by the points, of a u, relative, or of a value, in u; 0 of the maximum alone.
     hyperparameters : (D, 3)
         Median, lower and upper limit of the middle 68 % of every hyperparameter, SI.
     """
@@ -158,15 +174,22 @@ def posterior(fitted: Maximum, *, integrate: bool = True, by_source: bool = True
         return _at_maximum(fitted, contributions(fitted.solution) if by_source else {})
     np.empty(KEPT_MEMORY, dtype=np.uint8)
     count = max(POINTS if len(proposal.inner) else 2 * POINTS, 2 * (len(proposal.outer) + SPARE)) // 2
-    drawn, sets = [_drawn(fitted, proposal, count, sequence) for sequence in (0, 1)], 1
-    while 2 * count * sets < MOST_POINTS:
-        if _u_error(drawn) < SETTLED and min(each.effective for each in drawn) > FEW:
+
+    def of_sequence(number: int) -> Draws:
+        return _drawn(fitted, proposal, *proposal.points(fitted.phi, count, number), SIZES, number)
+
+    drawn, sets = [of_sequence(number) for number in (0, 1)], 1
+    while not (settled := _error(drawn) < SETTLED and min(each.effective for each in drawn) > FEW):
+        if 2 * count * sets >= MOST_POINTS:
             break
-        for sequence in range(2 * sets, 4 * sets):
-            more = _drawn(fitted, proposal, count, sequence)
-            drawn[sequence % 2] = Draws.joined([drawn[sequence % 2], more])
+        for number in range(2 * sets, 4 * sets):
+            drawn[number % 2] = Draws.joined([drawn[number % 2], of_sequence(number)])
         sets *= 2
-    error, both = _u_error(drawn), Draws.joined(drawn)
+    both = Draws.joined(drawn)
+    effective, shape = both.effective, both.smoothed[1]
+    if len(proposal.outer) and (not settled or (sets > 1 and effective < MANY)):
+        drawn, effective = _walked(fitted, proposal)
+        both = Draws.joined(drawn)
     mean, within, between = both.moments()
     sources = scaled_to(contributions(_typical(fitted, both)), within) | {"hyperparameters": between}
     covariance = np.sum(list(sources.values()), axis=0)
@@ -182,9 +205,9 @@ def posterior(fitted: Maximum, *, integrate: bool = True, by_source: bool = True
         process_step=process_mean,
         process_covariance=process_within + process_between,
         points=len(both.triangles.right),
-        effective=both.effective,
-        pareto=both.smoothed[1],
-        u_error=error,
+        effective=effective,
+        pareto=shape,
+        u_error=_error(drawn),
         hyperparameters=_summary(fitted, both.phi.reshape(both.weight.size, -1), both.weight.ravel()),
     )
 
@@ -297,25 +320,28 @@ class Proposal:
         )
 
     def points(self, best: Array, count: int, sequence: int) -> tuple[Array, Array]:
-        """φ (points, sizes, D) and ln q (points, sizes), less a constant."""
-        sizes = SIZES if len(self.inner) else 1
-        phi, log_q = np.tile(best, (count, sizes, 1)), np.zeros((count, sizes))
-        normal = normal_points(count, len(self.outer), sequence)
-        log_q -= 0.5 * (normal**2).sum(axis=1)[:, None]
+        """ψ in points φ (count, D) of a sequence, all else as at `best`, and ln q (count,), less a constant."""
+        phi, normal = np.tile(best, (count, 1)), normal_points(count, len(self.outer), sequence)
+        log_q = -0.5 * (normal**2).sum(axis=1)
         along = dict(zip(self.outer.tolist(), (normal @ self.root.T).T, strict=True))
         for i in sorted(along, key=self.in_run.__contains__):
+            density = self.densities.get(i)
             if i in self.in_run:
-                time, density = self.in_run[i]
-                seen = self.spread(phi[:, 0, time]) - self.spread(best[time])
-                values, log_density = density(seen).drawn(along[i])
-            else:
-                values, log_density = self.densities[i].drawn(along[i])
-            phi[:, :, i] = values[:, None]
-            log_q += log_density[:, None]
-        for i, z in zip(self.inner.tolist(), normal_points(count * sizes, len(self.inner), sequence).T, strict=True):
+                time, of_shift = self.in_run[i]
+                density = of_shift(self.spread(phi[:, time]) - self.spread(best[time]))
+            assert density is not None
+            phi[:, i], log_density = density.drawn(along[i])
+            log_q += log_density
+        return phi, log_q
+
+    def with_sizes(self, phi: Array, count: int, sequence: int) -> tuple[Array, Array]:
+        """So many sizes of groups at each φ (K, D): φ (K, count, D), and ln q (K, count) of these sizes."""
+        count = count if len(self.inner) else 1
+        phi, log_q = np.repeat(phi[:, None], count, axis=1), np.zeros((len(phi), count))
+        for i, z in zip(self.inner.tolist(), normal_points(log_q.size, len(self.inner), sequence).T, strict=True):
             values, log_density = self.densities[i].drawn(z)
-            phi[:, :, i] = values.reshape(count, sizes)
-            log_q += (log_density - 0.5 * z**2).reshape(count, sizes)
+            phi[:, :, i] = values.reshape(log_q.shape)
+            log_q += (log_density - 0.5 * z**2).reshape(log_q.shape)
         return phi, log_q
 
 
@@ -414,6 +440,10 @@ class Triangles:
         return Triangles(
             **{f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Triangles)}
         )
+
+    def chosen(self, points: IntArray) -> Triangles:
+        """Some of the points."""
+        return Triangles(**{f.name: getattr(self, f.name)[points] for f in fields(Triangles)})
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -590,10 +620,21 @@ class Draws:
         arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
         return Draws(triangles=Triangles.joined([part.triangles for part in parts]), **arrays)
 
+    def chosen(self, points: IntArray) -> Draws:
+        """Some of the points, one as often as it is named."""
+        names = [each.name for each in fields(Draws) if each.name != "triangles"]
+        arrays = {name: getattr(self, name)[points] for name in names}
+        return Draws(triangles=self.triangles.chosen(points), **arrays)
+
+    @cached_property
+    def likelihood(self) -> Array:
+        """The logarithms of the weights (K,) of the points, each the mean over its sizes."""
+        return np.asarray(scipy.special.logsumexp(self.log_weight, axis=1) - np.log(self.log_weight.shape[1]))
+
     @cached_property
     def smoothed(self) -> tuple[Array, float]:
         """The weights (K,) of the points, and their shape."""
-        return smoothed(scipy.special.logsumexp(self.log_weight, axis=1))
+        return smoothed(self.likelihood)
 
     @property
     def effective(self) -> float:
@@ -642,12 +683,13 @@ class Draws:
         return means, np.sqrt(variance), count / MIXED
 
 
-def _drawn(fitted: Maximum, proposal: Proposal, count: int, sequence: int) -> Draws:
-    """So many points of ψ of a sequence, with sizes at each."""
+def _drawn(fitted: Maximum, proposal: Proposal, phi: Array, log_q: Array, count: int, sequence: int) -> Draws:
+    """Draws at points of ψ in φ (K, D), whose ln q is (K,), with `count` sizes of groups at each."""
     hyperparameters, (members, element) = fitted.hyperparameters, members_of(fitted, proposal.inner)
-    phi, log_q = proposal.points(fitted.phi, count, sequence)
+    phi, log_q_sizes = proposal.with_sizes(phi, count, sequence)
     sizes = fitted.usual_problem.usual_u[1 + members] * np.exp(np.maximum(phi[:, :, element], 0.0))
     every = triangles(fitted.linearisation, hyperparameters, phi[:, 0], members)
+    log_q = log_q[:, None] + log_q_sizes
     log_weight = hyperparameters.log_prior(phi)[0].sum(axis=-1) - log_q - 0.5 * every.deviance[:, None]
     value, (within, between) = np.zeros_like(every.right), np.zeros((2, *every.information.shape))
     for k, of_point in enumerate(sizes if len(members) else ()):
@@ -671,10 +713,71 @@ def _drawn(fitted: Maximum, proposal: Proposal, count: int, sequence: int) -> Dr
     )
 
 
-def _u_error(drawn: Sequence[Draws]) -> float:
-    """Half the difference of u by two sets of draws, relative, of the parameter of which it is largest."""
-    first, second = (each.u for each in drawn)
-    return float(np.max(np.abs(first - second) / np.maximum(first + second, 1e-300)))
+def _error(drawn: Sequence[Draws]) -> float:
+    """Half the difference of two sets of draws, of the parameter of which it is largest: that of u, relative, or that
+    of the value, in u."""
+    (first, second), (mean, other) = (each.u for each in drawn), (each.smoothed[0] @ each.step for each in drawn)
+    difference = np.maximum(np.abs(first - second), np.abs(mean - other))
+    return float(np.max(difference / np.maximum(first + second, 1e-300)))
+
+
+def _walked(fitted: Maximum, proposal: Proposal) -> tuple[list[Draws], float]:
+    """Two sets of draws by walkers that begin at points of the proposal.
+
+    Returned with their effective number, that of independent draws whose means scatter as those of the walkers."""
+    rng, number = np.random.default_rng(0), max(WALKERS, 2 * len(proposal.outer))
+    starts, counted = list[Array](), list[Draws]()
+    for k in (2, 3):
+        points = _drawn(fitted, proposal, *proposal.points(fitted.phi, 2 * number, k), WALKED_SIZES, k)
+        starts.append(points.phi[_flattened(points.likelihood, number, rng), 0])
+    phi = np.concatenate(starts)
+    walkers = _drawn(fitted, proposal, phi, np.zeros(len(phi)), WALKED_SIZES, 4)
+    for move in range(MOVES):
+        walkers = _moved(fitted, proposal, walkers, rng, move + 3)
+        if move >= MOVES // 2 and move % THINNED == 0:
+            counted.append(replace(walkers, log_weight=walkers.log_weight - walkers.likelihood[:, None]))
+    sets = np.arange(2 * number).reshape(2, number)
+    drawn = [Draws.joined([each.chosen(one) for each in counted]) for one in sets]
+    steps = np.array([each.step for each in counted])
+    scatter, of_means = steps.var(axis=(0, 1)), steps.mean(axis=0).var(axis=0)
+    varies = scatter > 0.0
+    return drawn, 2 * number * float((scatter[varies] / of_means[varies]).min()) if varies.any() else np.inf
+
+
+def _flattened(log_weight: Array, number: int, rng: np.random.Generator) -> IntArray:
+    """Points by weights levelled until half of `number` count: where walkers begin, wider than the posterior."""
+    level = log_weight - log_weight.max()
+    while np.exp(level).sum() ** 2 < 0.5 * number * np.exp(2.0 * level).sum():
+        level = 0.8 * level
+    share = np.cumsum(scipy.special.softmax(level))
+    return np.minimum(np.searchsorted(share, (np.arange(number) + rng.uniform()) / number), len(level) - 1)
+
+
+def _moved(fitted: Maximum, proposal: Proposal, walkers: Draws, rng: np.random.Generator, sequence: int) -> Draws:
+    """The walkers of two sets after a move of each: half of a set by differences of the other half, and that by those
+    of the first."""
+    outer, number = proposal.outer, len(walkers.phi) // 2
+    order = np.array([number * k + rng.permutation(number) for k in (0, 1)])
+    gamma, shape = 2.38 / np.sqrt(2.0 * len(outer)), (2, number // 2)
+    for half in (0, 1):
+        moving, others = order[:, half::2][:, : shape[1]], order[:, 1 - half :: 2]
+        first = rng.integers(others.shape[1], size=shape)
+        second = (first + rng.integers(1, others.shape[1], size=shape)) % others.shape[1]
+        psi = walkers.phi[:, 0, outer]
+        difference = psi[np.take_along_axis(others, first, 1)] - psi[np.take_along_axis(others, second, 1)]
+        length = np.where(rng.uniform(size=shape) < JUMPS, 1.0, gamma * rng.uniform(0.3, 1.0, shape))
+        phi = walkers.phi[moving.ravel(), 0]
+        step = length[:, :, None] * difference + 1e-3 * rng.standard_normal(difference.shape)
+        phi[:, outer] += step.reshape(len(phi), -1)
+        try:
+            tried = _drawn(fitted, proposal, phi, np.zeros(len(phi)), WALKED_SIZES, 2 * sequence + half)
+        except np.linalg.LinAlgError:  # a step to where nothing can be computed is not taken
+            continue
+        points, moved = np.arange(2 * number), moving.ravel()
+        gains = np.log(rng.uniform(size=len(phi))) < tried.likelihood - walkers.likelihood[moved]
+        points[moved[gains]] = 2 * number + np.flatnonzero(gains)
+        walkers = Draws.joined([walkers, tried]).chosen(points)
+    return walkers
 
 
 def _typical(fitted: Maximum, draws: Draws) -> Solution:
@@ -746,7 +849,7 @@ def conditional(solution: Solution) -> Conditional:
 
 def rough(integral: Integral) -> bool:
     """Whether an integral rests on a few points: by the error of u, or by their effective number."""
-    return integral.u_error > ROUGH or (integral.points > 1 and integral.effective < 2.0 * FEW)
+    return integral.u_error > SETTLED or (integral.points > 1 and integral.effective < 2.0 * FEW)
 
 
 def normal_points(points: int, dimensions: int, sequence: int = 0) -> Array:

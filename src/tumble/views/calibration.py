@@ -290,7 +290,7 @@ def unknown_blocks(calibration: Calibration) -> list[Block]:
     if (integral := calibration.evidence.integral) is not None:
         sentence = f"integrated over them at {integral.points} points, effectively {integral.effective:.0f}; "
         weights = f"shape of the Pareto distribution of their weights {fixed(integral.pareto, 2)}"
-        error = f"by two sets of points u errs by up to {100.0 * integral.u_error:.1f} %"
+        error = f"by two sets of points values and u err by up to {100.0 * integral.u_error:.1f} % of u"
         blocks.append(f"{sentence}{weights}; {error}")
     units, rows = shown_units(calibration.parameters), []
     for bias in (each for each in calibration.evidence.process_bias if each.name in units):  # means of their processes
