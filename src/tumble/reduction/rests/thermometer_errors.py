@@ -10,8 +10,9 @@ record,
 
 4.375 being the sum of the squared coefficients of d_i in T. How far the curve bends away from the straight line between
 two levels, or from the last one, B, nothing between them says: it is anything from nothing to twice that. A mean over a
-part of the record in which m levels are passed is known to u² = σ²/m + B²/3, and the error moves the readings of all sensors together by their slopes s over
-temperature, which the changes from part to part show. So the covariance of the means of a part is greater by u² s sᵀ.
+part of the record in which m levels are passed is known to u² = σ²/m + B²/3, and the error moves the readings of all
+sensors together by their slopes s over temperature, which the changes from part to part show. So the covariance of the
+means of a part is greater by u² s sᵀ.
 """
 
 from __future__ import annotations
