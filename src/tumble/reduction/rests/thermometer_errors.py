@@ -10,9 +10,9 @@ record,
 
 4.375 being the sum of the squared coefficients of d_i in T. How far the curve bends away from the straight line between
 two levels, or from the last one, B, nothing between them says: it is anything from nothing to twice that. A mean over a
-part of the record in which m levels are passed is known to u² = σ²/m + B²/3, and the error moves the readings of all
-sensors together by their slopes s over temperature, which the changes from part to part show. So the covariance of the
-means of a part is greater by u² s sᵀ.
+part of the record in which m levels are passed, less than one where the next is farther than the part is long, is known
+to u² = (σ² + B²/3)/m, and the error moves the readings of all sensors together by their slopes s over temperature,
+which the changes from part to part show. So the covariance of the means of a part is greater by u² s sᵀ.
 """
 
 from __future__ import annotations
@@ -49,9 +49,11 @@ def with_thermometer_errors(observations: Observations, readings: Mapping[int, t
             time, level = passed(readings[file][0], close) if has_steps(close) else passed(every, column)
             smooth[:, t] = curve_through(time, level, every, column)
             count = np.searchsorted(time, rests.stop[in_file]) - np.searchsorted(time, rests.start[in_file])
-            variance[in_file, t] = error_of(time, level) ** 2 / np.maximum(count, 1)
-            bend = smooth[:, t] - np.interp(every, time, level) if len(time) else np.zeros(len(every))
-            variance[in_file, t] += np.interp(middle[in_file], every, bend) ** 2 / 3.0
+            ends, after = np.concatenate([every[:1], time, every[-1:]]), np.searchsorted(time, middle[in_file])
+            many = np.maximum(count, (rests.stop - rests.start)[in_file] / (ends[after + 1] - ends[after]))
+            straight = np.interp(every, time, level) if len(time) else column
+            bend = np.interp(middle[in_file], every, smooth[:, t] - straight)
+            variance[in_file, t] = (error_of(time, level) ** 2 + bend**2 / 3.0) / many
             kelvin[in_file, t] = np.interp(middle[in_file], every, smooth[:, t])
         files[file] = start, smooth
     same = np.diff(rests.file) == 0
