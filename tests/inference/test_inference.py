@@ -481,7 +481,7 @@ def test_sizes_folded_into_a_triangle_are_those_of_the_whole_elimination(name: s
         np.testing.assert_allclose((whole - expected.covariance) / np.outer(u, u), 0.0, atol=1e-6)
 
 
-def test_a_posterior_that_the_proposal_misses_is_walked(data: Path) -> None:
+def test_a_posterior_that_the_proposal_misses_is_found_in_rounds(data: Path) -> None:
     """A chip that is turned by hand while its biases drift: 304 points of the proposal give half the u of the axes. The
     reference is of 16 Metropolis chains of 1,200 steps, whose means differ by 0.26 u for accel.axis.zx."""
     log = pl.read_parquet(data / "mimu4444" / "exp_3.parquet")

@@ -34,23 +34,21 @@ importance sampling). With the step m and covariance V at each draw
 
 and the coverage factor k of a parameter is the half width at 95.45 % of its mixture of Gaussians over its u, of which
 u is half where a few points far out would make it more. The two sequences are independent: half the difference of what
-each finds, for u or for a value in parts of u, is the error by the points. As long as it exceeds SETTLED, or few points
-count, there are twice as many, by further sequences, until there are MOST_POINTS.
+each finds, for u or for a value in parts of u, is the error by the points.
 
-If then it still does, or fewer than MANY count, the proposal misses a part of the posterior: two modes, or tails that
-reach farther than its own. The points become walkers, two sets of them, each moved by a Metropolis step along the
-difference of two others of its set (differential evolution Markov chain, ter Braak 2006),
+Where that exceeds SETTLED, or few points count, the proposal misses a part of the posterior: another mode, or tails
+that reach farther than its own. Each set then goes on by adaptive multiple importance sampling (Cornuet et al. 2012).
+Let n be z without its correlations, N(0, 1) by the copula. A round draws n ~ N(μ, Σ), of the mean and covariance that
+the weights of all points so far give, and all points are weighted anew by the mixture of what they were drawn from,
 
-    ψ_i' = ψ_i + γ (ψ_j − ψ_k) + ε,   γ ≤ 2.38/√(2 D), and at times 1
+    w ∝ (e^ℓ/q) N(n; 0, 1)/Σ_k (K_k/K) N(n; μ_k, Σ_k)
 
-which takes the shape of the posterior from the walkers and needs no proposal any more. The sizes at each are drawn
-anew at every move, so that the mean of their weights is an unbiased likelihood of ψ' and the chain is exact
-(pseudo-marginal, Andrieu and Roberts 2009). The second half of MOVES counts, each walker alike.
+As long as few points count, μ and Σ are by weights levelled, w^β, β < 1, until enough do.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, partial
 
@@ -84,16 +82,12 @@ from tumble.inference.normal_equations import (
 from tumble.inference.uncertainty_budget import contributions, scaled_to
 from tumble.units import Array, IntArray
 
-POINTS, MOST_POINTS = 32, 256
-"""Points of ψ, at first, twice as many where there are no sizes of groups to be folded in, and at most."""
-SIZES, WALKED_SIZES = 16, 4
-"""Sizes of groups that are folded into the triangle of each point, and of each walker at a move."""
-WALKERS = 32
-"""Of a set, at least; and twice as many as ψ has elements, whose differences span its space."""
-MOVES, THINNED = 96, 4
-"""Moves of the walkers, and of how many one is kept: the next is much like it."""
-JUMPS = 0.1
-"""The part of the moves by a whole difference, from one mode to another."""
+POINTS = 32
+"""Points of ψ, at first; twice as many where there are no sizes of groups to be folded in."""
+ROUNDS, OF_ROUND = 13, 64
+"""Rounds at most, and points of each set in those after the first."""
+SIZES = 16
+"""Sizes of groups that are folded into the triangle of each point."""
 SPARE = 3
 """Points of each sequence more than ψ has elements, at least: fewer have no covariance that could be made right."""
 MOST_PARAMETERS = 200
@@ -117,9 +111,14 @@ REACH = 8.0
 SETTLED = 0.1
 """Of u, for the parameter of which it is largest: an error by the points above which there are more, and above which it
 is said."""
-FEW, MANY = 4.0, 16.0
-"""Effective points of a sequence: two of fewer may agree by chance; and of all where there had to be more: fewer are of
-a proposal that misses a part of the posterior."""
+FEW, MANY = 4.0, 32.0
+"""Effective points of a set: two of fewer may agree by chance, those of the first round and those after it, whose
+proposal is by the points themselves."""
+LEVELLED = 0.35
+"""The part of the points that count, at most, where their weights are levelled for the next round."""
+TRUSTED, LEAST, WIDER = 0.5, 0.05, 1.2
+"""Of the covariance of the next round: the part of the correlations that few points give; the variance beside, of that
+of the copula; and the factor of all, a proposal too wide costing less than one too narrow."""
 SHOWN = 0.2
 """Twice the members of a group of which the session learns something where it is as large as its prior allows for: of
 less, its size is not shown at all, and stays that of the sheet."""
@@ -174,22 +173,11 @@ def posterior(fitted: Maximum, *, integrate: bool = True, by_source: bool = True
         return _at_maximum(fitted, contributions(fitted.solution) if by_source else {})
     np.empty(KEPT_MEMORY, dtype=np.uint8)
     count = max(POINTS if len(proposal.inner) else 2 * POINTS, 2 * (len(proposal.outer) + SPARE)) // 2
-
-    def of_sequence(number: int) -> Draws:
-        return _drawn(fitted, proposal, *proposal.points(fitted.phi, count, number), SIZES, number)
-
-    drawn, sets = [of_sequence(number) for number in (0, 1)], 1
-    while not (settled := _error(drawn) < SETTLED and min(each.effective for each in drawn) > FEW):
-        if 2 * count * sets >= MOST_POINTS:
+    for drawn in zip(*(_rounds(fitted, proposal, count, number) for number in (0, 1)), strict=True):
+        error, least = _error(drawn), FEW if len(drawn[0].phi) == count else MANY
+        if error < SETTLED and min(each.effective for each in drawn) > least:
             break
-        for number in range(2 * sets, 4 * sets):
-            drawn[number % 2] = Draws.joined([drawn[number % 2], of_sequence(number)])
-        sets *= 2
     both = Draws.joined(drawn)
-    effective, shape = both.effective, both.smoothed[1]
-    if len(proposal.outer) and (not settled or (sets > 1 and effective < MANY)):
-        drawn, effective = _walked(fitted, proposal)
-        both = Draws.joined(drawn)
     mean, within, between = both.moments()
     sources = scaled_to(contributions(_typical(fitted, both)), within) | {"hyperparameters": between}
     covariance = np.sum(list(sources.values()), axis=0)
@@ -205,9 +193,9 @@ def posterior(fitted: Maximum, *, integrate: bool = True, by_source: bool = True
         process_step=process_mean,
         process_covariance=process_within + process_between,
         points=len(both.triangles.right),
-        effective=effective,
-        pareto=shape,
-        u_error=_error(drawn),
+        effective=both.effective,
+        pareto=both.smoothed[1],
+        u_error=error,
         hyperparameters=_summary(fitted, both.phi.reshape(both.weight.size, -1), both.weight.ravel()),
     )
 
@@ -319,10 +307,9 @@ class Proposal:
             root=np.asarray(np.linalg.cholesky(whole[np.ix_(outer, outer)])),
         )
 
-    def points(self, best: Array, count: int, sequence: int) -> tuple[Array, Array]:
-        """ψ in points φ (count, D) of a sequence, all else as at `best`, and ln q (count,), less a constant."""
-        phi, normal = np.tile(best, (count, 1)), normal_points(count, len(self.outer), sequence)
-        log_q = -0.5 * (normal**2).sum(axis=1)
+    def points(self, best: Array, normal: Array) -> tuple[Array, Array]:
+        """ψ in φ (K, D) by n (K, ·), all else as at `best`, and ln q (K,) at N(0, 1), less a constant."""
+        phi, log_q = np.tile(best, (len(normal), 1)), -0.5 * (normal**2).sum(axis=1)
         along = dict(zip(self.outer.tolist(), (normal @ self.root.T).T, strict=True))
         for i in sorted(along, key=self.in_run.__contains__):
             density = self.densities.get(i)
@@ -334,9 +321,9 @@ class Proposal:
             log_q += log_density
         return phi, log_q
 
-    def with_sizes(self, phi: Array, count: int, sequence: int) -> tuple[Array, Array]:
-        """So many sizes of groups at each φ (K, D): φ (K, count, D), and ln q (K, count) of these sizes."""
-        count = count if len(self.inner) else 1
+    def with_sizes(self, phi: Array, sequence: int) -> tuple[Array, Array]:
+        """Sizes of groups at each φ (K, D): φ (K, L, D), and ln q (K, L) of these sizes."""
+        count = SIZES if len(self.inner) else 1
         phi, log_q = np.repeat(phi[:, None], count, axis=1), np.zeros((len(phi), count))
         for i, z in zip(self.inner.tolist(), normal_points(log_q.size, len(self.inner), sequence).T, strict=True):
             values, log_density = self.densities[i].drawn(z)
@@ -440,10 +427,6 @@ class Triangles:
         return Triangles(
             **{f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Triangles)}
         )
-
-    def chosen(self, points: IntArray) -> Triangles:
-        """Some of the points."""
-        return Triangles(**{f.name: getattr(self, f.name)[points] for f in fields(Triangles)})
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -620,21 +603,10 @@ class Draws:
         arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
         return Draws(triangles=Triangles.joined([part.triangles for part in parts]), **arrays)
 
-    def chosen(self, points: IntArray) -> Draws:
-        """Some of the points, one as often as it is named."""
-        names = [each.name for each in fields(Draws) if each.name != "triangles"]
-        arrays = {name: getattr(self, name)[points] for name in names}
-        return Draws(triangles=self.triangles.chosen(points), **arrays)
-
-    @cached_property
-    def likelihood(self) -> Array:
-        """The logarithms of the weights (K,) of the points, each the mean over its sizes."""
-        return np.asarray(scipy.special.logsumexp(self.log_weight, axis=1) - np.log(self.log_weight.shape[1]))
-
     @cached_property
     def smoothed(self) -> tuple[Array, float]:
         """The weights (K,) of the points, and their shape."""
-        return smoothed(self.likelihood)
+        return smoothed(scipy.special.logsumexp(self.log_weight, axis=1))
 
     @property
     def effective(self) -> float:
@@ -683,10 +655,11 @@ class Draws:
         return means, np.sqrt(variance), count / MIXED
 
 
-def _drawn(fitted: Maximum, proposal: Proposal, phi: Array, log_q: Array, count: int, sequence: int) -> Draws:
-    """Draws at points of ψ in φ (K, D), whose ln q is (K,), with `count` sizes of groups at each."""
+def _drawn(fitted: Maximum, proposal: Proposal, normal: Array, sequence: int) -> Draws:
+    """Draws at points n (K, ·) of the copula, with sizes of a sequence at each, weighted as if drawn from N(0, 1)."""
     hyperparameters, (members, element) = fitted.hyperparameters, members_of(fitted, proposal.inner)
-    phi, log_q_sizes = proposal.with_sizes(phi, count, sequence)
+    phi, log_q = proposal.points(fitted.phi, normal)
+    phi, log_q_sizes = proposal.with_sizes(phi, sequence)
     sizes = fitted.usual_problem.usual_u[1 + members] * np.exp(np.maximum(phi[:, :, element], 0.0))
     every = triangles(fitted.linearisation, hyperparameters, phi[:, 0], members)
     log_q = log_q[:, None] + log_q_sizes
@@ -721,63 +694,42 @@ def _error(drawn: Sequence[Draws]) -> float:
     return float(np.max(difference / np.maximum(first + second, 1e-300)))
 
 
-def _walked(fitted: Maximum, proposal: Proposal) -> tuple[list[Draws], float]:
-    """Two sets of draws by walkers that begin at points of the proposal.
+def _rounds(fitted: Maximum, proposal: Proposal, count: int, sequence: int) -> Iterator[Draws]:
+    """The draws of a set after each round: `count` by the copula, then OF_ROUND more by the weights of all so far."""
+    D = len(proposal.outer)
+    drawn_from: list[tuple[Array, Array]] = [(np.zeros(D), np.eye(D))]
+    numbers, normal, parts = [count], np.zeros((0, D)), list[Draws]()
+    for number in range(ROUNDS):
+        middle, root = drawn_from[-1]
+        new = middle + normal_points(numbers[-1], D, sequence + 2 * number) @ root.T
+        normal = np.concatenate([normal, new])
+        parts.append(_drawn(fitted, proposal, new, sequence + 2 * number))
+        every = Draws.joined(parts)
+        share = np.log(numbers) - np.log(len(normal))
+        mixture = np.array([_log_normal(normal, *each) for each in drawn_from]) + share[:, None]
+        change = -0.5 * (normal**2).sum(axis=1) - scipy.special.logsumexp(mixture, axis=0)
+        every = replace(every, log_weight=every.log_weight + change[:, None])
+        yield every
+        weight = _levelled(scipy.special.logsumexp(every.log_weight, axis=1), min(2.0 * D, LEVELLED * len(normal)))
+        middle = weight @ normal
+        covariance = ((normal - middle).T * weight) @ (normal - middle)
+        wider = WIDER * (TRUSTED * covariance + np.diag((1.0 - TRUSTED) * covariance.diagonal() + LEAST))
+        drawn_from.append((middle, np.asarray(np.linalg.cholesky(wider), dtype=float)))
+        numbers.append(OF_ROUND)
 
-    Returned with their effective number, that of independent draws whose means scatter as those of the walkers."""
-    rng, number = np.random.default_rng(0), max(WALKERS, 2 * len(proposal.outer))
-    starts, counted = list[Array](), list[Draws]()
-    for k in (2, 3):
-        points = _drawn(fitted, proposal, *proposal.points(fitted.phi, 2 * number, k), WALKED_SIZES, k)
-        starts.append(points.phi[_flattened(points.likelihood, number, rng), 0])
-    phi = np.concatenate(starts)
-    walkers = _drawn(fitted, proposal, phi, np.zeros(len(phi)), WALKED_SIZES, 4)
-    for move in range(MOVES):
-        walkers = _moved(fitted, proposal, walkers, rng, move + 3)
-        if move >= MOVES // 2 and move % THINNED == 0:
-            counted.append(replace(walkers, log_weight=walkers.log_weight - walkers.likelihood[:, None]))
-    sets = np.arange(2 * number).reshape(2, number)
-    drawn = [Draws.joined([each.chosen(one) for each in counted]) for one in sets]
-    steps = np.array([each.step for each in counted])
-    scatter, of_means = steps.var(axis=(0, 1)), steps.mean(axis=0).var(axis=0)
-    varies = scatter > 0.0
-    return drawn, 2 * number * float((scatter[varies] / of_means[varies]).min()) if varies.any() else np.inf
+
+def _log_normal(points: Array, middle: Array, root: Array) -> Array:
+    """ln of the normal density (K,) by mean and a root of the covariance at points (K, D), less a constant of D."""
+    off = scipy.linalg.solve_triangular(root, (points - middle).T, lower=True)
+    return np.asarray(-0.5 * (off**2).sum(axis=0) - np.log(root.diagonal()).sum())
 
 
-def _flattened(log_weight: Array, number: int, rng: np.random.Generator) -> IntArray:
-    """Points by weights levelled until half of `number` count: where walkers begin, wider than the posterior."""
+def _levelled(log_weight: Array, enough: float) -> Array:
+    """Weights w^β (K,), β ≤ 1, of which `enough` points count."""
     level = log_weight - log_weight.max()
-    while np.exp(level).sum() ** 2 < 0.5 * number * np.exp(2.0 * level).sum():
-        level = 0.8 * level
-    share = np.cumsum(scipy.special.softmax(level))
-    return np.minimum(np.searchsorted(share, (np.arange(number) + rng.uniform()) / number), len(level) - 1)
-
-
-def _moved(fitted: Maximum, proposal: Proposal, walkers: Draws, rng: np.random.Generator, sequence: int) -> Draws:
-    """The walkers of two sets after a move of each: half of a set by differences of the other half, and that by those
-    of the first."""
-    outer, number = proposal.outer, len(walkers.phi) // 2
-    order = np.array([number * k + rng.permutation(number) for k in (0, 1)])
-    gamma, shape = 2.38 / np.sqrt(2.0 * len(outer)), (2, number // 2)
-    for half in (0, 1):
-        moving, others = order[:, half::2][:, : shape[1]], order[:, 1 - half :: 2]
-        first = rng.integers(others.shape[1], size=shape)
-        second = (first + rng.integers(1, others.shape[1], size=shape)) % others.shape[1]
-        psi = walkers.phi[:, 0, outer]
-        difference = psi[np.take_along_axis(others, first, 1)] - psi[np.take_along_axis(others, second, 1)]
-        length = np.where(rng.uniform(size=shape) < JUMPS, 1.0, gamma * rng.uniform(0.3, 1.0, shape))
-        phi = walkers.phi[moving.ravel(), 0]
-        step = length[:, :, None] * difference + 1e-3 * rng.standard_normal(difference.shape)
-        phi[:, outer] += step.reshape(len(phi), -1)
-        try:
-            tried = _drawn(fitted, proposal, phi, np.zeros(len(phi)), WALKED_SIZES, 2 * sequence + half)
-        except np.linalg.LinAlgError:  # a step to where nothing can be computed is not taken
-            continue
-        points, moved = np.arange(2 * number), moving.ravel()
-        gains = np.log(rng.uniform(size=len(phi))) < tried.likelihood - walkers.likelihood[moved]
-        points[moved[gains]] = 2 * number + np.flatnonzero(gains)
-        walkers = Draws.joined([walkers, tried]).chosen(points)
-    return walkers
+    while np.exp(level).sum() ** 2 < enough * np.exp(2.0 * level).sum():
+        level = 0.85 * level
+    return np.asarray(scipy.special.softmax(level))
 
 
 def _typical(fitted: Maximum, draws: Draws) -> Solution:
