@@ -37,12 +37,11 @@ from dataclasses import replace
 import numpy as np
 import scipy
 
-from tumble.earth import EARTH_RATE
 from tumble.errors import InputError
 from tumble.inference.estimate import Estimate, Outcome
 from tumble.inference.joint import joint
 from tumble.inference.problem import Prior
-from tumble.inference.sources import earth_at_rest, source
+from tumble.inference.sources import source
 from tumble.inference.variables import both_ways
 from tumble.recording.session import Session
 from tumble.reduction.observations import SAME_ATTITUDE, Observations
@@ -204,12 +203,10 @@ def _estimated(session: Session, observations: Observations, base: Calibration |
         turns=turns,
         usual=sizes,
         start={name: known[name].value for name in linear if name in known},
-        # at a pole no heading matters: the Earth's rate, constant in an attitude, is put right afterwards
-        site=replace(given.site, latitude=0.5 * np.pi),
     )
     with np.errstate(invalid="ignore"):  # the mean rate of turns about nothing
         estimate = joint(observations, prior=Prior(parameters=prior, undisturbed=not several))
-    return estimate, replace(observations, usual=usual, site=given.site)
+    return estimate, replace(observations, usual=usual)
 
 
 # -------------------- what it gives --------------------
@@ -222,14 +219,9 @@ def _nominal(session: Session, estimate: Estimate, observations: Observations) -
     names, values, covariance = list[str](), np.zeros(0), np.zeros((0, 0))
     assert budget is not None
     if gyro is not None:
-        names, axes = list(gyro.names[: gyro.size]), gyro.axes[gyro.channels]
+        names = list(gyro.names[: gyro.size])
         at = [estimate.names.index(name) for name in names]
-        up = observations.accel_block.nominal().apply(observations.rests.accel).mean(axis=0)
-        up /= np.linalg.norm(up)
-        mean, of_earth = earth_at_rest(up, observations.site.latitude)
-        values = estimate.values[at] + axes @ (EARTH_RATE * up - mean)
-        budget = budget.carried(np.eye(len(estimate.names))[at])
-        budget = budget.beside(source("earth", EARTH_RATE / np.sqrt(3.0), "rad/s"), axes @ of_earth @ axes.T)
+        values, budget = estimate.values[at], budget.carried(np.eye(len(estimate.names))[at])
         covariance = budget.covariances.sum(axis=0)
         read = np.zeros(gyro.size)
         read[gyro.channels] = values
