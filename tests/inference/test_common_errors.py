@@ -10,15 +10,20 @@ import pytest
 
 import tumble
 from tests.support.shared import copy_of, session
+from tumble.diagnosis.verdict import verdict
+from tumble.earth import earth_rate
 from tumble.inference.joint import joint
 from tumble.inference.problem import Problem
-from tumble.inference.sources import by_time_base, clocked, common_rounding
+from tumble.inference.sources import by_time_base, clocked, common_covariances, common_rounding
 from tumble.inference.start import start_of
 from tumble.planning.setup import Setup
 from tumble.recording.arrays import session_of_arrays
+from tumble.recording.session import Site
 from tumble.recording.session_file import description_of
 from tumble.reduction.noise.rounding import Rounding
 from tumble.reduction.observations import Observations
+from tumble.reduction.rests.rests import Rests
+from tumble.rotation import UP, rotation_matrix
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import usual_sizes
@@ -162,3 +167,65 @@ def test_the_noise_of_a_turn_is_a_covariance_however_unlike_its_gyros_are(noise:
     found = at.noise.turn
     size = np.sqrt(np.diagonal(found, axis1=1, axis2=2))
     assert np.linalg.eigvalsh(found / size[:, :, None] / size[:, None, :]).min() > 0.0
+
+
+def lying_still(latitude: float | None, seed: int, noise: float, bias: Array) -> Observations:
+    """Three rests of a minute in one attitude of any heading, by gyros of this `noise`, rad/s/√Hz, and `bias`; the
+    latitude is 48° where it is not known."""
+    rng, B = np.random.default_rng(seed), np.radians(48.0) if latitude is None else latitude
+    tilt = rotation_matrix(rng.normal(0.0, 0.5, 3))
+    attitudes = np.tile(rotation_matrix(rng.uniform(-np.pi, np.pi) * UP) @ tilt, (3, 1, 1))
+    start = np.array([0.0, 60.0, 120.0])
+    rests = Rests.of_white_noise(
+        start,
+        start + 60.0,
+        accel=9.81 * attitudes[:, 1] + 1e-4 * rng.standard_normal((3, 3)),
+        gyro=bias + np.array(earth_rate(B)) @ attitudes + noise / np.sqrt(60.0) * rng.standard_normal((3, 3)),
+        densities=(1e-3, noise),
+    )
+    site = Site(latitude=latitude, height=0.0, gravity=9.81, gravity_u=1e-4)
+    return Observations(accel_block=ACCEL, gyro_block=GYRO, site=site, rests=rests)
+
+
+@pytest.mark.parametrize("latitude", [0.0, 0.53, -0.84, 1.4, 0.5 * np.pi, None])
+def test_one_attitude_shows_the_gyro_biases_at_any_latitude(latitude: float | None) -> None:
+    bias = np.array([0.68, 0.87, 2.48])
+    estimate = joint(lying_still(latitude, 1, 2e-4, bias).of_rest(0))
+    at = [estimate.names.index(name) for name in GYRO.names[:3]]
+    assert estimate.converged
+    assert estimate.observable[at].all()
+    u = np.sqrt(estimate.covariance[at, at])
+    assert np.all(u < 1e-4)
+    assert np.all(np.abs(estimate.values[at] - bias) < 4.0 * u)
+
+
+@pytest.mark.parametrize("latitude", [0.2, -0.84, None])
+@pytest.mark.parametrize("noise", [1e-6, 3e-4])
+def test_gyro_biases_in_one_attitude_err_by_their_u(latitude: float | None, noise: float) -> None:
+    """Be it by their noise or by the level rate of the Earth, of which three rests show no more than one, and whose
+    square is always its mean: without noise the sum over two level axes is 2."""
+    squares = list[float]()
+    for seed in range(24):
+        bias = np.random.default_rng(100 + seed).normal(0.0, 0.02, 3)
+        estimate = joint(lying_still(latitude, seed, noise, bias), intervals=False)
+        at = [estimate.names.index(name) for name in GYRO.names[:3]]
+        error = estimate.values[at] - bias
+        squares.append(float(error @ np.linalg.solve(estimate.covariance[np.ix_(at, at)], error)))
+    assert 1.7 < np.mean(squares) < 4.0
+    assert np.max(squares) < 20.0
+
+
+def test_only_what_lies_in_one_attitude_has_the_level_rate_of_the_earth_in_common() -> None:
+    still, several = lying_still(0.8, 1, 1e-6, np.zeros(3)), observed()
+    assert still.one_attitude
+    assert not several.one_attitude
+    assert "earth" in common_covariances(still, Instrument(accel=ACCEL, gyro=GYRO))
+    assert "earth" not in common_covariances(several, Instrument(accel=ACCEL, gyro=GYRO))
+
+
+def test_a_bias_that_no_gyro_has_is_a_remark() -> None:
+    for size, remarks in ((0.1, 0), (2.48, 1)):
+        still = lying_still(0.8, 1, 2e-4, np.array([0.0, 0.05, -size]))
+        outcome = verdict(joint(still), still)
+        assert len([each for each in outcome.remarks if each.startswith("gyro.bias.z of -142.1 °/s")]) == remarks
+        assert sum("did the device turn?" in each for each in outcome.remarks) == remarks

@@ -12,10 +12,10 @@ from tests.support.calibrated import calibration
 from tests.support.warming import G, Warming, cubic_fit, known_u, warming
 from tumble import Calibration, InputError, calibrate, read_calibration
 from tumble.export import export_calibration
+from tumble.inference.sources import earth_at_rest
 from tumble.reduction.rests.thermometer_errors import curve_through, passed
 from tumble.result.parts import CalibratedTemperature
 from tumble.result.temperature_curves import curve
-from tumble.run.warming import earth_at_rest
 from tumble.sensors.model import SensorModel
 from tumble.units import Array
 

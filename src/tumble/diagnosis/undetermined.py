@@ -17,14 +17,11 @@ from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
 from tumble.rotation import onto_body, rotation_vector, skew, tangent_basis, unit_vector
 from tumble.sensors.parameters import LINEAR, group_name, group_of, limits_of, sensor_kind, within_kind
-from tumble.units import DEGREE, Array
+from tumble.units import Array
 
 POORLY_KNOWN = 0.05
 """Of the spreads: that a combination of parameters of a triad is known no better is said, and of one of more sensors
 where all err alike by as much; where it is known less than DETERMINED times better than its spread it is refused."""
-
-_ONE_ATTITUDE = math.cos(10.0 * DEGREE)
-"""Cosine between verticals in the body: closer ones are those of one attitude."""
 
 MIXED = 0.1
 """Part of accelerometers in a combination of parameters of unit length: less comes with gyros that are not known."""
@@ -83,13 +80,10 @@ def as_six_faces_give(estimate: Estimate, observations: Observations, missing: S
 
 def one_attitude(observations: Observations) -> str:
     """That the device lay in one attitude only, or nothing."""
-    rests = observations.rests
-    if rests.accel.shape[1] != len("xyz"):
+    if not observations.one_vertical:
         return ""
-    up = rests.accel / np.linalg.norm(rests.accel, axis=1, keepdims=True)
-    if not len(up) or (up @ up.T).min() < _ONE_ATTITUDE:
-        return ""
-    counted = "1 rest" if len(up) == 1 else f"all {len(up)} rests"
+    N = len(observations.rests)
+    counted = "1 rest" if N == 1 else f"all {N} rests"
     return (
         f"the device lay in one attitude ({counted}), which calibrates nothing: put it down in others too, 5 s in "
         "each (`tumble programme` lists them); the noise of a recording at rest is told by `tumble noise`"

@@ -24,13 +24,15 @@ from tumble.inference.integral import rough
 from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.segmentation import Segmentation
-from tumble.sensors.parameters import group_name, sensor_kind
+from tumble.sensors.parameters import group_name, limits_of, sensor_kind
 from tumble.units import DEGREE, G_STANDARD, two_digits
 
 SCATTER_LIMIT, TURN_SCATTER_LIMIT = 1e-3 * G_STANDARD, 1.0 * DEGREE
 """Of readings at rest by the methods that have one scatter and leave nothing out, and of turns by all."""
 MOST_LEFT_OUT = 1.0 / 3.0
 """Of the rests or turns: where more do not fit, it is not they that are wrong."""
+NO_BIAS = 5.0
+"""Times the limit: no gyro has such a bias."""
 OF_USUAL = 2.0
 """Degrees of freedom for which the usual spread of scale factors counts: it is right within a factor of about two."""
 MILLIGAL = 1e-5  # m/s²
@@ -77,6 +79,7 @@ def verdict(
         *([as_six_faces_give(estimate, observations, missing)] if faces else []),
         *(each for each in weak if not each.refuses),
         *_not_fitting(estimate, observations),
+        *_beyond_any_bias(estimate),
         *map(remark, estimate.remarks),
         *_judged(estimate, missing, search),
         *_few_points(estimate),
@@ -113,6 +116,20 @@ def _impossible_gravity(site: Site) -> Iterator[Finding]:
             "gravity_confirmed = true",
             "accel.scale",
         )
+
+
+def _beyond_any_bias(estimate: Estimate) -> Iterator[Finding]:
+    """A bias of the gyros far beyond its limit, which a device that turned steadily would show too."""
+    at = np.array([group_name(name) == "gyro.bias" for name in estimate.names]) & estimate.observable
+    if at.any():
+        name, value = max(zip(np.array(estimate.names)[at], estimate.values[at], strict=True), key=lambda x: abs(x[1]))
+        limit = float(limits_of([name])[0])
+        if abs(value) > NO_BIAS * limit:
+            yield remark(
+                f"{name} of {value / DEGREE:.4g} °/s is far beyond any usual one, up to {limit / DEGREE:.2g} °/s: is "
+                "the unit right, or did the device turn?",
+                "gyro.bias",
+            )
 
 
 def _beyond_scatter(estimate: Estimate, observations: Observations) -> Iterator[Finding]:

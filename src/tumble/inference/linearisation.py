@@ -258,7 +258,8 @@ def _rest_rows(problem: Problem, point: Point, model: tuple[Array, Array]) -> Ar
     f, w = point.gravity * L[:, 1], problem.earth @ L
     basis, m = bases(L), len(point.values)
     turned = skew(f) @ basis, skew(w) @ basis  # by which the three angles change f and ω
-    turned[0][:, :, 2] = 0.0  # exactly
+    # exactly, for a heading is free, and one that errs by rounding would take a direction of the biases with it
+    turned[0][:, :, 2], turned[1][:, :, 2] = 0.0, -problem.earth[0] * basis[:, :, 1]
     attitude = slice(n, n + 3 * (problem.prior.attitude is not None))
     rows = np.zeros((len(L), attitude.stop + 3 * (problem.magnetometer is not None), 5 + problem.width))
     first = 0

@@ -29,7 +29,8 @@ the gyros do not see vanish exactly: it stays free and takes no information from
 
 Noise (16), (17). Beside that within rests a session has components of variance, and the bias of every sensor is a
 process in time (`tumble.inference.noise`), with its states among the unknowns of the rests. Without a latitude the
-Earth's rate is noise, Ω/√3 an axis.
+Earth's rate is noise, Ω/√3 an axis. In one attitude what is not known of it errs alike at all rests
+(`tumble.inference.sources`): a heading that is free in (14) would take a level direction from the biases.
 """
 
 from __future__ import annotations
@@ -172,7 +173,7 @@ class Problem:
     station : (N,)
         The station of each rest.
     earth : (3,)
-        The Earth's rate, rad/s; zero where the latitude is not known.
+        The Earth's rate, rad/s; zero where the latitude is not known, in one attitude its part along the vertical.
     prior_mean, prior_u : (1 + m,)
         Gravity and the parameters as they were known before, and their standard deviations; of gravity zero where it is
         taken as exact.
@@ -285,6 +286,9 @@ class Problem:
             for rest, rest_end, turn, turn_end in zip(edges, edges[1:], turn_edges, turn_edges[1:], strict=False)
         )
         prior_u = np.append(site.gravity_u, u)
+        earth = np.zeros(3) if site.latitude is None else np.array(earth_rate(site.latitude))
+        if observations.one_attitude:
+            earth *= UP
         return Problem(
             observations=observations,
             instrument=instrument,
@@ -292,7 +296,7 @@ class Problem:
             link=link,
             chain=np.append(0, np.cumsum(~joined[:-1])),
             station=station,
-            earth=np.zeros(3) if site.latitude is None else np.array(earth_rate(site.latitude)),
+            earth=earth,
             prior_mean=np.append(site.gravity, start),
             prior_u=prior_u,
             usual_u=prior_u,
@@ -531,8 +535,9 @@ def noise_model(problem: Problem, noise: NoiseModel, gained: Array) -> NoiseMode
 
 
 def unseen_rate(problem: Problem) -> float:
-    """The variance, rad²/s², of the Earth's rate along an axis where the latitude is not known."""
-    return EARTH_RATE**2 / 3.0 if problem.observations.site.latitude is None else 0.0
+    """The variance, rad²/s², of the Earth's rate along an axis, of an unknown latitude and in several attitudes."""
+    observations = problem.observations
+    return EARTH_RATE**2 / 3.0 if observations.site.latitude is None and not observations.one_attitude else 0.0
 
 
 def _noise_of_session(problem: Problem) -> NoiseModel:

@@ -11,6 +11,10 @@ Time base. A clock that is fast by ε makes every turn longer by ε, and with it
 unless their increments are angles already. Accelerometers are compared with gravity, whatever the time; but what is an
 increment of velocity divided by its interval is less by ε. Biases, delays and levers change by ε of themselves, which
 is nothing.
+
+Earth's rate. In one attitude it is constant in the body, and so a part of what the biases of the gyros read. Its part
+along the vertical is known where the latitude is; its level part, Ω cos φ, has an unknown heading, over which its mean
+is zero and its covariance ½ Ω² cos² φ (1 − u uᵀ). Rests say nothing of it, be they ever so many.
 """
 
 from __future__ import annotations
@@ -21,6 +25,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from tumble.earth import EARTH_RATE
+from tumble.rotation import onto_body, unit_vector
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import group_name
 from tumble.units import Array
@@ -137,13 +143,29 @@ _HARMONICS = np.arange(1, 40)
 
 
 def common_covariances(observations: Observations, instrument: Instrument) -> dict[str, Array]:
-    """Covariances (m, m) of the parameters by rounding and by the time base (`clock`), on top of that by noise."""
+    """Covariances (m, m) of the parameters by rounding, by the time base (`clock`) and in one attitude by the `earth`,
+    on top of that by noise."""
     by_clock, u = by_time_base(instrument.names, observations.by_clock), np.zeros(len(instrument.names))
     for block, readings in ((instrument.accel, observations.rests.accel), (instrument.gyro, observations.rests.gyro)):
         if block is not None and block.kind in observations.rounding:
             size = common_rounding(observations.rounding[block.kind], readings)
             u[instrument.group_columns[f"{block.kind}.bias"]] = size[block.channels]
-    return {"rounding": np.diag(u**2), "clock": np.outer(by_clock, by_clock)}
+    common = {"rounding": np.diag(u**2), "clock": np.outer(by_clock, by_clock)}
+    if instrument.gyro is not None and observations.one_attitude:
+        up = unit_vector(onto_body(observations.accel_block.axes) @ observations.rests.accel.mean(axis=0))
+        axes = np.zeros((len(u), 3))
+        axes[instrument.group_columns["gyro.bias"]] = instrument.gyro.axes[instrument.gyro.channels]
+        common["earth"] = axes @ earth_at_rest(up, observations.site.latitude)[1] @ axes.T
+    return common
+
+
+def earth_at_rest(up: Array | None, latitude: float | None) -> tuple[Array, Array]:
+    """The Earth's rate in the body at rest, rad/s: its mean (3,) and covariance (3, 3) over the headings that it may
+    have, or where the vertical (3,) or the latitude, rad, is not known over all directions."""
+    if up is None or latitude is None:
+        return np.zeros(3), EARTH_RATE**2 / 3.0 * np.eye(3)
+    level = 0.5 * (EARTH_RATE * np.cos(latitude)) ** 2 * (np.eye(3) - np.outer(up, up))
+    return EARTH_RATE * np.sin(latitude) * up, level
 
 
 def common_rounding(rounding: Rounding, readings: Array) -> Array:

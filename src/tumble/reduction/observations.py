@@ -55,9 +55,12 @@ from tumble.reduction.turns.turns import (
     turn_readings,
     unread_velocities,
 )
-from tumble.rotation import onto_body
+from tumble.rotation import onto_body, unit_vector
 from tumble.sensors.model import Block, SensorModel
-from tumble.units import Array, IntArray
+from tumble.units import DEGREE, Array, IntArray
+
+SAME_ATTITUDE = np.cos(10.0 * DEGREE)
+"""Cosine between verticals in the body, and of the angle of a turn: closer ones are those of one attitude."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -120,6 +123,25 @@ class Observations(Brief):
     def session(self) -> IntArray | None:
         """The index (N,) of the session of each rest, where there are several."""
         return None if self.together is None else self.together.session
+
+    @property
+    def one_vertical(self) -> bool:
+        """Whether the vertical in the body is the same at all rests."""
+        up = unit_vector(self.rests.accel @ onto_body(self.accel_block.axes).T)
+        return bool(len(up)) and bool((up @ up[0]).min() >= SAME_ATTITUDE)
+
+    @property
+    def one_attitude(self) -> bool:
+        """Whether the device always lay in one attitude, neither tilted nor turned about the vertical: nothing tells
+        the Earth's rate, constant in the body, from the biases of the gyros."""
+        if self.links is not None or not self.one_vertical:
+            return False
+        if self.turns is None or not len(self.turns) or self.gyro_block is None:
+            return True
+        at_rest = replace(self.gyro_block.nominal(), bias=np.median(self.rests.gyro, axis=0))
+        turns = self.turns if self.turn_samples is None else self.turns_about(at_rest)
+        cosine = 0.5 * (np.trace(turns.C, axis1=1, axis2=2) - 1.0)
+        return bool(cosine.min() >= SAME_ATTITUDE)
 
     def rest_named(self, i: int) -> str:
         """The name of rest i: its number, and of several sessions that of its session."""

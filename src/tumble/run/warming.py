@@ -37,7 +37,6 @@ from dataclasses import replace
 import numpy as np
 import scipy
 
-from tumble.earth import EARTH_RATE
 from tumble.errors import InputError
 from tumble.inference.estimate import Estimate, Outcome
 from tumble.inference.joint import joint
@@ -45,7 +44,7 @@ from tumble.inference.problem import Prior
 from tumble.inference.sources import source
 from tumble.inference.variables import both_ways
 from tumble.recording.session import Session
-from tumble.reduction.observations import Observations
+from tumble.reduction.observations import SAME_ATTITUDE, Observations
 from tumble.reduction.rests.segmentation import find_rests
 from tumble.reduction.rests.thermometer_errors import with_thermometer_errors
 from tumble.reduction.rests.warming import OVER_TEMPERATURE as WIDE
@@ -83,14 +82,12 @@ from tumble.sensors.parameters import (
     units_of,
     variable_of,
 )
-from tumble.units import DEGREE, ZERO_CELSIUS, Array
+from tumble.units import ZERO_CELSIUS, Array
 
 PARTS = 40
 """Of a rest: what its in-run process and a lag do is seen at a fortieth of its length as well as it ever is."""
 LEAST_CHANGE = 1.0
 """K: a recording whose temperature changes by less shows nothing over it."""
-APART = np.cos(10.0 * DEGREE)
-"""Cosine between verticals in the body that are those of two attitudes."""
 HELD = 1e-7
 """Standard deviation of scale factors and axis angles where no calibration says anything of them: slopes are known to
 fewer digits than they change them by."""
@@ -154,15 +151,6 @@ def calibrate_warming(observed: Observed, base: Calibration | None, provenance: 
     )
 
 
-def earth_at_rest(up: Array | None, latitude: float | None) -> tuple[Array, Array]:
-    """The Earth's rate in the body at rest, rad/s: its mean (3,) and covariance (3, 3) over the headings that it may
-    have, or where the vertical (3,) or the latitude, rad, is not known over all directions."""
-    if up is None or latitude is None:
-        return np.zeros(3), EARTH_RATE**2 / 3.0 * np.eye(3)
-    level = 0.5 * (EARTH_RATE * np.cos(latitude)) ** 2 * (np.eye(3) - np.outer(up, up))
-    return EARTH_RATE * np.sin(latitude) * up, level
-
-
 def _at_rest(observed: Observed) -> Observed:
     """The same with the rests that the accelerometers show, where the gyros read alike from one second to the next in
     each: of a device that warms fast they leave the level that they have at rest."""
@@ -180,7 +168,7 @@ def _at_rest(observed: Observed) -> Observed:
 def _several_attitudes(means: Array) -> bool:
     """Whether a device whose accelerometers read these means (N, n) lay in attitudes that are far apart."""
     up = means / np.linalg.norm(means, axis=1, keepdims=True)
-    return bool((up @ up[0]).min() < APART)
+    return bool((up @ up[0]).min() < SAME_ATTITUDE)
 
 
 def _blocks(observations: Observations) -> list[Block]:
@@ -218,12 +206,10 @@ def _estimated(
         turns=turns,
         usual=sizes,
         start={name: known[name].value for name in linear if name in known},
-        # at a pole no heading matters: the Earth's rate, constant in an attitude, is put right afterwards
-        site=replace(given.site, latitude=0.5 * np.pi),
     )
     with np.errstate(invalid="ignore"):  # the mean rate of turns about nothing
         estimate = joint(observations, prior=Prior(parameters=prior, undisturbed=not several))
-    return estimate, replace(observations, usual=usual, site=given.site)
+    return estimate, replace(observations, usual=usual)
 
 
 # -------------------- what it gives --------------------
@@ -236,14 +222,9 @@ def _nominal(session: Session, estimate: Estimate, observations: Observations) -
     names, values, covariance = list[str](), np.zeros(0), np.zeros((0, 0))
     assert budget is not None
     if gyro is not None:
-        names, axes = list(gyro.names[: gyro.size]), gyro.axes[gyro.channels]
+        names = list(gyro.names[: gyro.size])
         at = [estimate.names.index(name) for name in names]
-        up = observations.accel_block.nominal().apply(observations.rests.accel).mean(axis=0)
-        up /= np.linalg.norm(up)
-        mean, of_earth = earth_at_rest(up, observations.site.latitude)
-        values = estimate.values[at] + axes @ (EARTH_RATE * up - mean)
-        budget = budget.carried(np.eye(len(estimate.names))[at])
-        budget = budget.beside(source("earth", EARTH_RATE / np.sqrt(3.0), "rad/s"), axes @ of_earth @ axes.T)
+        values, budget = estimate.values[at], budget.carried(np.eye(len(estimate.names))[at])
         covariance = budget.covariances.sum(axis=0)
         read = np.zeros(gyro.size)
         read[gyro.channels] = values
