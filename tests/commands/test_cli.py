@@ -174,6 +174,7 @@ def test_no_argument_at_all_shows_the_commands() -> None:
         (["calibrate", ""], "expected a path, found an empty one"),
         (["calibrate", "none"], "none: expected a session folder or its session.toml, found no such file or folder"),
         (["calibrate", "."], "session.toml: expected a session folder with a session.toml, found none; of a log"),
+        (["calibrate", "one/log.parquet", "two/log.parquet"], "log among 2 arguments; positions of one recording: `tumble"),
         (["calibrate", "one", "two"], "--out: expected a file for the result of several sessions, found none"),
         (["calibrate", "one", "one", "--out", "x.json"], "holds the same recording as one"),
         (["calibrate", "one", "other", "--out", "x.json"], "expected a launch of device 'mems-7'"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -78,11 +79,25 @@ def session_folders(
         yield [folder]
 
 
+def check_one_log(recordings: Sequence[Path]) -> None:
+    """Raises InputError for a log among several recordings, which have to be sessions."""
+    logs = [path for path in recordings if _is_log(path)]
+    if logs and len(recordings) > 1:
+        names = shlex.join(map(str, logs[:2])) + (" …" if len(logs) > 2 else "")
+        raise InputError(
+            f"{logs[0]}: expected one log, or sessions, found a log among {len(recordings)} arguments; positions of one "
+            f"recording: `tumble calibrate 'PATTERN'`, in quotes, or `tumble new SESSION {names}`; recordings of their "
+            "own: make a session of each with `tumble new`"
+        )
+
+
 def _is_log(path: Path) -> bool:
-    """Whether a path is that of a log, or of a folder of files without a session.toml, such as a file a sensor."""
+    """Whether a path is that of a log, of a folder of files without a session.toml, such as a file a sensor, or a
+    pattern of files."""
     if path.is_dir():
         return not (path / "session.toml").exists() and any(each.is_file() for each in path.iterdir())
-    return path.is_file() and path.suffix != ".toml"
+    files = [path] if path.exists() else path.parent.glob(path.name) if set(path.name) & set("*?[") else []
+    return path.suffix != ".toml" and any(file.is_file() for file in files)
 
 
 def gyros_of(log: Path, given: Given) -> GyroRests:
