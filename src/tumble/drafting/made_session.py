@@ -1,8 +1,8 @@
 """The session that `calibrate LOG` makes beside a log, and finds again by the content of the log.
 
 `made.json` in its folder has the hash of the log, what was stated, the version, and the files that were made. The same
-log with the same statements has the same session, corrected by hand or not, and under another name the same serial
-number where none is stated; with others it is made anew, unless it was corrected by hand."""
+log with the same statements has the same session, corrected by hand or not, and under another name the serial number
+of its first name where none is stated; with others it is made anew, unless it was corrected by hand."""
 
 from __future__ import annotations
 
@@ -48,8 +48,9 @@ def session_of_log(
     folder = next((f for f in sorted(log.parent.glob("*-session")) if _made(f).get("log_sha256") == digest), None)
     made = {} if folder is None else _made(folder)
     before = made.get("given", {}).get("serial", stem)
-    whose = "" if given.serial or before == stem else f" (serial number {before!r})"
-    given = replace(given, serial=given.serial or before)
+    default = before if folder is not None and folder.name.startswith(f"{before}-") else stem  # of the first name
+    whose = "" if given.serial or default == stem else f" (serial number {default!r})"
+    given = replace(given, serial=given.serial or default)
     stated, state = {key: value for key, value in asdict(given).items() if value}, ""
     content = {"log_sha256": digest, "given": json.loads(json.dumps(stated)), "version": __version__}
     if folder is not None:
