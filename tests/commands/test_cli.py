@@ -175,6 +175,8 @@ def test_no_argument_at_all_shows_the_commands() -> None:
         (["calibrate", "none"], "none: expected a session folder or its session.toml, found no such file or folder"),
         (["calibrate", "."], "session.toml: expected a session folder with a session.toml, found none; of a log"),
         (["calibrate", "one/log.parquet", "two/log.parquet"], "log among 2 arguments; positions of one recording: `tumble"),
+        (["calibrate", "one/log.parquet", "--latitude", "48,1"], "as a decimal number, south negative, such as 48.1, found"),
+        (["export", "one/session.toml", "--to", "ros", "-o", "x"], "found text that is no JSON; is it the log?"),
         (["calibrate", "one", "two"], "--out: expected a file for the result of several sessions, found none"),
         (["calibrate", "one", "one", "--out", "x.json"], "holds the same recording as one"),
         (["calibrate", "one", "other", "--out", "x.json"], "expected a launch of device 'mems-7'"),

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tumble.commands import ask, tell
-from tumble.commands.recordings import check_one_log, gyros_of, session_folders
+from tumble.commands.recordings import check_recordings, gyros_of, session_folders
 from tumble.errors import GyrosAloneError, InputError
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ def calibrate(
     from tumble.run.calibrate import calibrate as calibrate_session
     from tumble.views.calibration import MOST_REMARKS, WIDTH, calibration_blocks
 
-    check_one_log(sessions)
+    check_recordings(sessions)
     methods, estimation = tuple(dict.fromkeys(method)), _taken(options, "iterations", "frame", "terms")
     shown, frame, linear = _taken(options, "every", "budget"), estimation["frame"], estimation["terms"] == "linear"
     if len(sessions) > 1 and out is None:

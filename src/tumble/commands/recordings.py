@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 import sys
 from collections.abc import Iterator, Sequence
@@ -79,8 +80,15 @@ def session_folders(
         yield [folder]
 
 
-def check_one_log(recordings: Sequence[Path]) -> None:
-    """Raises InputError for a log among several recordings, which have to be sessions."""
+def check_recordings(recordings: Sequence[Path]) -> None:
+    """Raises InputError for a calibration file, and for a log among several recordings, which have to be sessions."""
+    for path in recordings:
+        if path.suffix == ".json" and path.is_file():
+            with path.open("rb") as file:
+                if re.match(rb'\s*\{\s*"format"', file.read(100)):
+                    raise InputError(
+                        f"{path}: expected a session or a log, found a calibration file; `tumble report` shows it"
+                    )
     logs = [path for path in recordings if _is_log(path)]
     if logs and len(recordings) > 1:
         names = shlex.join(map(str, logs[:2])) + (" …" if len(logs) > 2 else "")
