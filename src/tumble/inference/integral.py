@@ -37,10 +37,9 @@ u is half where a few points far out would make it more. The two sequences are i
 each finds, for u or for a value in parts of u, is the error by the points.
 
 Where that exceeds SETTLED, or few points count, the proposal misses a part of the posterior: another mode, or tails
-that reach farther than its own. Each set then goes on by adaptive multiple importance sampling (Cornuet, Marin, Mira and
-Robert 2012). Let n be z without its correlations, N(0, 1) by the copula. A round draws n ~ N(μ, Σ), of the mean and
-covariance that the weights of all points so far give, and all points are weighted anew by the mixture of what they were
-drawn from,
+that reach farther than its own. Each set then goes on by adaptive multiple importance sampling (Cornuet et al. 2012).
+Let n be z without its correlations, N(0, 1) by the copula. A round draws n ~ N(μ, Σ), of the mean and covariance that
+the weights of all points so far give, and all points are weighted anew by the mixture of what they were drawn from,
 
     w ∝ (e^ℓ/q) N(n; 0, 1)/Σ_k (K_k/K) N(n; μ_k, Σ_k)
 
@@ -117,6 +116,9 @@ FEW, MANY = 4.0, 32.0
 proposal is by the points themselves."""
 LEVELLED = 0.35
 """The part of the points that count, at most, where their weights are levelled for the next round."""
+TRUSTED, LEAST, WIDER = 0.5, 0.05, 1.2
+"""Of the covariance of the next round: the part of the correlations that few points give; the variance beside, of that
+of the copula; and the factor of all, a proposal too wide costing less than one too narrow."""
 SHOWN = 0.2
 """Twice the members of a group of which the session learns something where it is as large as its prior allows for: of
 less, its size is not shown at all, and stays that of the sheet."""
@@ -711,8 +713,8 @@ def _rounds(fitted: Maximum, proposal: Proposal, count: int, sequence: int) -> I
         weight = _levelled(scipy.special.logsumexp(every.log_weight, axis=1), min(2.0 * D, LEVELLED * len(normal)))
         middle = weight @ normal
         covariance = ((normal - middle).T * weight) @ (normal - middle)
-        own = np.diag(0.5 * covariance.diagonal() + 0.05)  # half of the correlations: there are few points
-        drawn_from.append((middle, np.linalg.cholesky(1.2 * (0.5 * covariance + own))))
+        wider = WIDER * (TRUSTED * covariance + np.diag((1.0 - TRUSTED) * covariance.diagonal() + LEAST))
+        drawn_from.append((middle, np.asarray(np.linalg.cholesky(wider), dtype=float)))
         numbers.append(OF_ROUND)
 
 
