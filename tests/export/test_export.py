@@ -64,6 +64,11 @@ def test_gyros_that_are_not_known_are_said_to_be_left_as_they_are(to: str) -> No
     assert not any("not known" in loss for loss in export_calibration(calibration(), to, **beside(to)).losses)
 
 
+def test_the_first_letters_of_a_target_are_enough_for_a_hint() -> None:
+    with pytest.raises(InputError, match="found 'ros'; did you mean 'ros-imu-calib'"):
+        target("ros")
+
+
 @pytest.mark.parametrize("to", FORMATS)
 def test_device_and_log_are_named(to: str) -> None:
     text = content_of(to)

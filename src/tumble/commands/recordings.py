@@ -93,9 +93,9 @@ def check_recordings(recordings: Sequence[Path]) -> None:
     if logs and len(recordings) > 1:
         names = shlex.join(map(str, logs[:2])) + (" …" if len(logs) > 2 else "")
         raise InputError(
-            f"{logs[0]}: expected one log, or sessions, found a log among {len(recordings)} arguments; positions of one "
-            f"recording: `tumble calibrate 'PATTERN'`, in quotes, or `tumble new SESSION {names}`; recordings of their "
-            "own: make a session of each with `tumble new`"
+            f"{logs[0]}: expected one log, or sessions, found a log among {len(recordings)} arguments; positions of "
+            f"one recording: `tumble calibrate 'PATTERN'`, in quotes, or `tumble new SESSION {names}`; recordings of "
+            "their own: make a session of each with `tumble new`"
         )
 
 

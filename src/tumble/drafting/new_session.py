@@ -30,7 +30,15 @@ from tumble.drafting.sensors_apart import log_of_recording
 from tumble.errors import InputError, LogError, did_you_mean
 from tumble.files import FilePath, OutputFolder, nothing_left, whole_file
 from tumble.programme.positions import programmes
-from tumble.recording.columns.names import ACCEL, GYRO, MAGNETOMETER, TIME_KIND, Sensors, temperature_unit, unit_of_session
+from tumble.recording.columns.names import (
+    ACCEL,
+    GYRO,
+    MAGNETOMETER,
+    TIME_KIND,
+    Sensors,
+    temperature_unit,
+    unit_of_session,
+)
 from tumble.recording.columns.scales import step_in_deg_s
 from tumble.recording.formats import is_recording
 from tumble.recording.log import Log
@@ -71,8 +79,8 @@ class Given:
 
     @property
     def units(self) -> dict[str, str]:
-        """Stated units by kind of sensor, in any spelling that names of columns have, as session.toml names them. Raises
-        InputError for units that it does not have."""
+        """Stated units by kind of sensor, in any spelling that names of columns have, as session.toml names them.
+        Raises InputError for units that it does not have."""
         stated = {ACCEL: (self.accel_unit, ACCEL_UNITS), GYRO: (self.gyro_unit, GYRO_UNITS)}
         units: dict[str, str] = {}
         for kind, (unit, known) in stated.items():
