@@ -32,9 +32,6 @@ LARGEST_DOCUMENT = 1 << 26
 LONGEST_LINE = 1000
 """Characters of a message."""
 
-NO_JSON = "text that is no JSON"
-"""What is found in place of JSON in a file of another kind, such as a table."""
-
 _LONGEST_WORD = 160
 _LONGEST_KEY = 16
 """Parts of a key of TOML, a.b.c: the memory and the time that a parser takes grow with their square."""
@@ -101,7 +98,7 @@ def json_of(text: str) -> Any:
         raise ValueError(_BEYOND_MEASURE) from None
     except ValueError as fault:
         if not text.lstrip().startswith(("{", "[")):
-            raise ValueError(NO_JSON) from None
+            raise ValueError("text that is no JSON; is it the log?") from None
         raise ValueError(_BEYOND_MEASURE if "digits" in str(fault) else str(fault)) from None
 
 

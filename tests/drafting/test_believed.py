@@ -82,7 +82,7 @@ def test_stated_units_have_every_spelling_that_names_of_columns_have() -> None:
     for accel, gyro, named in (("m/s2", "dps", ("m/s^2", "deg/s")), ("G", "°/s", ("g", "deg/s"))):
         units = Given(accel_unit=accel, gyro_unit=gyro).units
         assert (units["accel"], units["gyro"]) == named
-    with pytest.raises(InputError, match="expected one of rad/s, .* found 'radd/s'; did you mean 'rad/s'"):
+    with pytest.raises(InputError, match=r"expected one of rad/s, .* found 'radd/s'; did you mean 'rad/s'"):
         _ = Given(gyro_unit="radd/s").units
 
 

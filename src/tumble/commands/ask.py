@@ -60,19 +60,14 @@ class Numbers(click.ParamType[tuple[Any, ...]]):
         return values
 
 
-class _Latitude(click.ParamType[float]):
+def _latitude(text: str | float) -> float:
     """Decimal degrees, north positive."""
-
-    name = "degrees"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        del param, ctx
-        try:
-            return float(value)
-        except ValueError:
-            raise InputError(
-                f"--latitude: expected degrees as a decimal number, south negative, such as 48.1, found {value!r}"
-            ) from None
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(
+            f"--latitude: expected decimal degrees, south negative, such as 48.1, found {text!r}"
+        ) from None
 
 
 PATH = _NamedPath(path_type=Path)
@@ -178,7 +173,7 @@ def registry_place(**settings: Any) -> _Option:
 REGISTRY = registry_place()
 GRAVITY = option("--gravity", "Measured gravity, m/s²; default: normal gravity.", type=float)
 HEIGHT = option("--height", "Of the place, m over the sea; unstated, 1300 m are in u.", type=float, metavar="M")
-LATITUDE = option("--latitude", "Of the place, ° north.", type=_Latitude(), metavar="DEGREES")
+LATITUDE = option("--latitude", "Of the place, ° north.", type=_latitude, metavar="DEGREES")
 SERIAL = option("--serial", "Serial number of the device; default: the name of FOLDER or LOG.", metavar="NUMBER")
 SAMPLE_RATE = "--sample-rate", "Samples per second"
 COLUMNS = together(
@@ -215,7 +210,7 @@ TABLE_ERROR = option("--table-error", "Largest error of a position, °.", usual_
 MOUNTING_ERROR = option(
     "--mounting-error", "Largest error of the mounting, °.", usual_setup.MOUNTING_ERROR_DEG, type=float
 )
-SITE_LATITUDE = option("--latitude", "Of the site, ° north.", usual_setup.LATITUDE_DEG, type=_Latitude())
+SITE_LATITUDE = option("--latitude", "Of the site, ° north.", usual_setup.LATITUDE_DEG, type=_latitude)
 NOISELESS = click.option(
     "--noiseless",
     is_flag=True,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shlex
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -86,22 +85,16 @@ def check_recordings(recordings: Sequence[Path]) -> None:
         if path.suffix == ".json" and path.is_file():
             with path.open("rb") as file:
                 if re.match(rb'\s*\{\s*"format"', file.read(100)):
-                    raise InputError(
-                        f"{path}: expected a session or a log, found a calibration file; `tumble report` shows it"
-                    )
-    logs = [path for path in recordings if _is_log(path)]
-    if logs and len(recordings) > 1:
-        names = shlex.join(map(str, logs[:2])) + (" …" if len(logs) > 2 else "")
+                    raise InputError(f"{path}: expected a session or a log, found a calibration file")
+    if len(recordings) > 1 and (log := next(filter(_is_log, recordings), None)) is not None:
         raise InputError(
-            f"{logs[0]}: expected one log, or sessions, found a log among {len(recordings)} arguments; positions of "
-            f"one recording: `tumble calibrate 'PATTERN'`, in quotes, or `tumble new SESSION {names}`; recordings of "
-            "their own: make a session of each with `tumble new`"
+            f"{log}: expected one log, or sessions, found a log among {len(recordings)} arguments; positions of one "
+            "recording: `tumble calibrate 'PATTERN'`, in quotes, or `tumble new SESSION FILE …`; else a session of each"
         )
 
 
 def _is_log(path: Path) -> bool:
-    """Whether a path is that of a log, of a folder of files without a session.toml, such as a file a sensor, or a
-    pattern of files."""
+    """Whether a path is that of a log, a pattern of files, or a folder of files without a session.toml."""
     if path.is_dir():
         return not (path / "session.toml").exists() and any(each.is_file() for each in path.iterdir())
     files = [path] if path.exists() else path.parent.glob(path.name) if set(path.name) & set("*?[") else []

@@ -15,7 +15,6 @@ from tumble.inference.noise import typical_noise
 from tumble.inference.sources import common_covariances
 from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
-from tumble.reduction.turns.turns import LEFT_OUT
 from tumble.rotation import onto_body, rotation_vector, skew, tangent_basis, unit_vector
 from tumble.sensors.parameters import LINEAR, group_name, group_of, limits_of, sensor_kind, within_kind
 from tumble.units import DEGREE, Array
@@ -104,7 +103,7 @@ def _too_few(observations: Observations, missing: Sequence[str]) -> str:
     needed = len(linear_names(block.names)) if block.size == len("xyz") else 0
     kinds = {sensor_kind(name) for name in missing}
     few = f"{rests} rests of the {needed} needed" if "accel" in kinds and rests < needed else ""
-    left_out = [note for note in observations.notes if LEFT_OUT in note] if "gyro" in kinds else []
+    left_out = [note for note in observations.notes if " is left out: " in note] if "gyro" in kinds else []
     more = f" (and {len(left_out) - 1} more)" if len(left_out) > 1 else ""
     return _and(few, f"{left_out[0]}{more}" if left_out else "")
 

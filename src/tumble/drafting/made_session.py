@@ -64,10 +64,7 @@ def session_of_log(
                 f"{folder}: expected the options with which the session of this log was made, found others, and the "
                 f"session corrected by hand; calibrate it as it is (tumble calibrate {folder}), or remove it"
             )
-        state = (
-            f"{folder}: in place of the session made of this log before and its result (serial number {before!r}), "
-            "with other options or by another version: anew; "
-        )
+        state = f"{folder}: replaces that of serial number {before!r}, with other options or by another version: anew; "
     else:
         folder = log.with_name(f"{stem}-session")
         folder = folder if not folder.exists() else log.with_name(f"{stem}-{digest[:8]}-session")

@@ -30,15 +30,7 @@ from tumble.drafting.sensors_apart import log_of_recording
 from tumble.errors import InputError, LogError, did_you_mean
 from tumble.files import FilePath, OutputFolder, nothing_left, whole_file
 from tumble.programme.positions import programmes
-from tumble.recording.columns.names import (
-    ACCEL,
-    GYRO,
-    MAGNETOMETER,
-    TIME_KIND,
-    Sensors,
-    temperature_unit,
-    unit_of_session,
-)
+from tumble.recording.columns.names import ACCEL, GYRO, MAGNETOMETER, TIME_KIND, Sensors, temperature_unit, unit_of_name
 from tumble.recording.columns.scales import step_in_deg_s
 from tumble.recording.formats import is_recording
 from tumble.recording.log import Log
@@ -79,19 +71,16 @@ class Given:
 
     @property
     def units(self) -> dict[str, str]:
-        """Stated units by kind of sensor, in any spelling that names of columns have, as session.toml names them.
-        Raises InputError for units that it does not have."""
-        stated = {ACCEL: (self.accel_unit, ACCEL_UNITS), GYRO: (self.gyro_unit, GYRO_UNITS)}
-        units: dict[str, str] = {}
-        for kind, (unit, known) in stated.items():
-            if unit is None:
-                continue
-            named = unit if unit in known else unit_of_session(kind, unit)
-            if named is None:
-                hint = did_you_mean(unit, known)
-                raise InputError(f"--{kind}-unit: expected one of {', '.join(known)}, found {unit!r}{hint}")
-            units[kind] = named
-        return units
+        """Stated units by kind of sensor, in any spelling. Raises InputError for units that session.toml lacks."""
+        known = {ACCEL: (self.accel_unit, ACCEL_UNITS), GYRO: (self.gyro_unit, GYRO_UNITS)}
+        out = {}
+        for kind, (unit, units) in known.items():
+            if unit is not None:
+                out[kind] = unit if unit in units else unit_of_name(kind, f"x [{unit}]") or ""
+                if not out[kind]:
+                    hint = did_you_mean(unit, units)
+                    raise InputError(f"--{kind}-unit: expected one of {', '.join(units)}, found {unit!r}{hint}")
+        return out
 
     @property
     def columns(self) -> dict[str, Sequence[str]]:

@@ -19,7 +19,7 @@ from typing import Any, Literal, get_type_hints
 import numpy as np
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from tumble.documents import NO_JSON, as_json, dotted, faults_of, is_plain, json_of, shown, text_of_document
+from tumble.documents import as_json, dotted, faults_of, is_plain, json_of, shown, text_of_document
 from tumble.errors import CalibrationError, InputError
 from tumble.files import FilePath, whole_file
 from tumble.recording.session import Circumstances, sensors_content
@@ -190,8 +190,7 @@ def parsed(record: type, text: str, name: str, build: Callable[[Any], AnyCalibra
     try:
         content = json_of(text)
     except ValueError as error:
-        advice = "; is it the log? `tumble calibrate` makes the calibration of it" if str(error) == NO_JSON else ""
-        raise _no_calibration(name, f"{error}{advice}") from error
+        raise _no_calibration(name, error) from error
     if not isinstance(content, dict) or "format" not in content:
         raise _no_calibration(name, "no key 'format'")
     if content["format"] != FORMAT:

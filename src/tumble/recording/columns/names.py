@@ -153,15 +153,6 @@ def unit_of_name(kind: str, name: str) -> str | None:
     return UNITS[kind].get(_split(name)[1])
 
 
-def unit_of_session(kind: str, text: str) -> str | None:
-    """A unit of sensors of a kind as session.toml names it; None for one that they do not have.
-
-    >>> unit_of_session("gyro", "dps"), unit_of_session("accel", "m/s2"), unit_of_session("accel", "dps")
-    ('deg/s', 'm/s^2', None)
-    """
-    return UNITS[kind].get(unit_spelling(in_words_of_the_table(text.strip())))
-
-
 def temperature_unit(name: str) -> str | None:
     """The unit that the name of a column of temperatures says; None where it says none.
 

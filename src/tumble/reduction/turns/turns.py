@@ -367,15 +367,12 @@ def turn_readings(
 
 # Turns that are left out
 
-LEFT_OUT = " is left out: "
-"""Between a turn and the reason in a note."""
-
 
 def torn_turns(spans: tuple[Stretch, ...], gaps: tuple[Gap, ...]) -> tuple[str, ...]:
     """Notes on the turns that were not recorded as a whole, with the reason."""
     torn = [(i, _tear(before, after, gaps)) for i, (before, after) in enumerate(pairwise(spans), 1)]
     return tuple(
-        f"turn from rest {i} to rest {i + 1}{LEFT_OUT}{gap.why}" for i, gap in torn if gap is not None and gap.why
+        f"turn from rest {i} to rest {i + 1} is left out: {gap.why}" for i, gap in torn if gap is not None and gap.why
     )
 
 
