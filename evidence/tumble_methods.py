@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -26,7 +24,7 @@ def estimate(case: Case, method: Method, terms: Terms = "full") -> Estimate:
         if case.table:
             found = of_table(case, terms)
         elif not case.accel.shape[1]:
-            found = of_gyros(case)
+            found = tumble.calibrate(gyro=case.gyro, time=case.time)
         elif case.mag is not None:
             found = of_session(case, method, terms)
         else:
@@ -93,20 +91,6 @@ def of_session(case: Case, method: Method, terms: Terms) -> tumble.Calibration:
         pl.DataFrame({"t": case.time, **columns}).write_parquet(Path(folder) / "log.parquet")
         tumble.write_session(folder, content)
         return tumble.calibrate(folder, method=method, terms=terms)
-
-
-def of_gyros(case: Case) -> tumble.Calibration:
-    """A log of gyros alone, which only the command takes."""
-    assert case.gyro is not None
-    with TemporaryDirectory() as folder:
-        log, out = Path(folder) / "gyro.csv", Path(folder) / "out.json"
-        columns = {f"gyro_{axis}_rad_s": case.gyro[:, i] for i, axis in enumerate("xyz")}
-        pl.DataFrame({"t": case.time, **columns}).write_csv(log)
-        words = ["calibrate", str(log), "--gyro-unit", "rad/s", "--out", str(out)]
-        done = subprocess.run([sys.executable, "-m", "tumble", *words], capture_output=True, text=True, check=False)
-        if not out.exists():
-            raise GaveUpError(done.stderr.strip())
-        return tumble.read_calibration(out)
 
 
 def changes_of(

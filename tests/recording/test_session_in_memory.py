@@ -214,12 +214,24 @@ def test_readings_that_are_not_as_expected_are_refused_in_one_line(given: dict[s
 
 
 def test_calibrate_says_what_it_takes() -> None:
-    with pytest.raises(InputError, match="calibrate: expected a session or readings accel=…, found nothing"):
+    with pytest.raises(InputError, match="calibrate: expected a session or readings accel=…, gyro=…, found nothing"):
         calibrate()
     with pytest.raises(InputError, match="session: expected Session or a path or None, found 42; see help"):
         calibrate(42)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="found accel beside a session"):
         calibrate("session", accel=STILL)
+
+
+def test_gyros_alone_give_their_biases_as_by_the_command() -> None:
+    """Three of them at rest; another number has no command either."""
+    bias, rng = np.array([0.01, -0.02, 0.005]), np.random.default_rng(5)
+    rates = bias + 1e-3 * rng.standard_normal((6000, 3))
+    made = calibrate(gyro=rates, rate=100.0, serial="G-1")
+    assert (made.serial, made.accel, made.outcome.accepted) == ("G-1", None, True)
+    assert all(abs(made[f"gyro.bias.{x}"].value - b) < 1e-4 for x, b in zip("xyz", bias, strict=True))
+    assert {"gyro.scale.x", "gyro.axis.zy"} <= set(made.outcome.unobservable)
+    with pytest.raises(InputError, match="gyro: expected three without accelerometers, found 4"):
+        calibrate(gyro=np.hstack([rates, rates[:, :1]]), gyro_axes=np.eye(3)[[0, 1, 2, 0]], rate=100.0)
 
 
 # -------------------- temperature --------------------

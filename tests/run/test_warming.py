@@ -175,15 +175,58 @@ def test_whole_degrees_are_no_steps_of_the_sensors() -> None:
     seconds = np.arange(1000.0)
     for true in (290.0 + 0.01 * seconds, 300.0 - 10.0 * np.exp(-seconds / 250.0), 295.0 - 0.02 * abs(seconds - 480.0)):
         read = np.round(true)
-        off_by = np.abs(curve_through(*passed(read), read) - true)
+        off_by = np.abs(curve_through(*passed(seconds, read), seconds, read) - true)
         assert np.median(off_by) < 0.05
         assert off_by.max() < 0.51  # where it turns back between two levels
     noisy = np.round(true + 0.05 * np.random.default_rng(1).standard_normal(1000))
-    assert np.abs(curve_through(*passed(noisy), noisy) - true).std() < 0.1
+    assert np.abs(curve_through(*passed(seconds, noisy), seconds, noisy) - true).std() < 0.1
     recorded = warming(13, span=25.0, lag=60.0, seconds=1200.0, whole_degrees=True)
     made = calibrate(**recorded.arrays)
     for kind in KINDS:
         assert np.linalg.norm(off(made, recorded, kind)) < 0.8 * np.linalg.norm(off_by_fit(made, recorded, kind))
+
+
+def test_readings_interpolated_between_whole_degrees_are_no_levels() -> None:
+    """A thermometer read every 5 s, whose readings a log has interpolated; and before the first of its levels and
+    after the last the temperature goes on as it bends."""
+    seconds = np.arange(0.0, 1200.0, 0.5)
+    true = 300.0 - 20.0 * np.exp(-seconds / 300.0)
+    read = np.interp(seconds, seconds[::10], np.round(true[::10]))
+    time, level = passed(seconds, read)
+    assert (level % 1.0 == 0.5).all()
+    assert len(level) == 20
+    assert np.abs(curve_through(time, level, seconds, read) - true).max() < 0.2
+
+
+@pytest.mark.parametrize("seed", [21, 22])
+def test_u_holds_where_the_thermometer_reads_whole_degrees(seed: int) -> None:
+    """Between two of its readings a record at whole seconds has values that are none: levels were seen that were not
+    passed then, the curve was 0.2 K off, and so were the lags."""
+    recorded = warming(seed, span=25.0, lag=60.0, seconds=1200.0, whole_degrees=True)
+    made, z = calibrate(**recorded.arrays), list[float]()
+    for kind in KINDS:
+        lag = made[f"{kind}.lag"]
+        z.append((lag.value - recorded.lag[kind]) / (lag.u or np.inf))
+    low, high = made.temperature_range or (0.0, 0.0)
+    at = made.reference_temperature or 0.0
+    error = off(made, recorded, "gyro")
+    for i, x in enumerate("xyz"):
+        d = np.array([low, high]) - at
+        powers = np.array([d**k for k in POWERS])
+        change = powers[:, 1] - powers[:, 0]
+        u = np.sqrt(change @ made.covariance_of([f"gyro.bias.{x}.t{k}" for k in POWERS]) @ change)
+        z.append(float((error[-1, i] - error[0, i]) / u))
+    assert np.abs(z).max() < 3.0, np.round(z, 1)
+
+
+def test_accelerometers_that_tilt_the_vertical_by_their_temperature_lie_still(recorded: Warming) -> None:
+    """A metre per second squared over 40 K moves it by 3°, more than it may move in a rest: a board that lay still
+    was taken for one that moves, of which the estimate broke down."""
+    across = np.cross(recorded.accel.mean(axis=0), [0.0, 0.0, 1.0])
+    tilted = np.outer((recorded.celsius - recorded.celsius.mean()) / 40.0, across / np.linalg.norm(across))
+    made = calibrate(**recorded.arrays | {"accel": recorded.accel + tilted})
+    assert made.outcome.accepted, made.outcome
+    assert "accel.bias.x.t1" in made
 
 
 def test_u_is_hardly_less_than_with_sizes_that_are_known() -> None:

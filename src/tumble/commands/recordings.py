@@ -105,6 +105,7 @@ def gyros_of(log: Path, given: Given) -> GyroRests:
     """The rests of a log of gyros alone."""
     from tempfile import TemporaryDirectory
 
+    from tumble.recording.session_file import session_of_gyros
     from tumble.run.gyros_alone import gyro_rests
 
     with TemporaryDirectory() as folder:
@@ -112,7 +113,7 @@ def gyros_of(log: Path, given: Given) -> GyroRests:
         content: dict[str, Any] = dict(draft.content)
         content["device"] = {"serial": given.serial or log.stem}
         content["log"] = dict(content["log"]) | ({"doubt": "; ".join(draft.doubts)} if draft.doubts else {})
-        return gyro_rests(content, tell.with_progress)
+        return gyro_rests(session_of_gyros(content), tell.with_progress)
 
 
 @click.command(epilog=ask.examples("tumble inspect imu-7", "tumble inspect LOG0007.TXT --latitude 56.84"))

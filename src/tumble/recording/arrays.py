@@ -29,7 +29,7 @@ class SensorArrays(TypedDict, total=False):
     Attributes
     ----------
     accel : array_like, shape (N, n)
-        Specific force, m/s²; required.
+        Specific force, m/s²; required but for the biases of gyros alone.
     gyro : array_like, shape (N, n)
         Angular rate, rad/s.
     time : array_like, shape (N,)

@@ -91,10 +91,13 @@ def session_of(description: Mapping[str, Any], data: Data | None = None) -> Sess
 
 
 def session_of_gyros(description: Mapping[str, Any]) -> Session:
-    """The session of a description without [log.accel]: it has accelerometers all the same, for which the gyros stand,
-    so that their readings are those of the session."""
+    """The session of a description without [log.accel], with the gyros in place of the accelerometers."""
     some = {"columns": [f"no accelerometer {axis}" for axis in "xyz"], "unit": "m/s^2"}
-    session = session_of({**description, "log": {**description["log"], "accel": some}})
+    return gyros_in_place(session_of({**description, "log": {**description["log"], "accel": some}}))
+
+
+def gyros_in_place(session: Session) -> Session:
+    """A session in which the gyros stand for the accelerometers, so that their readings are those of the session."""
     return replace(session, log=replace(session.log, accel=session.log.gyro or session.log.accel, gyro=None))
 
 

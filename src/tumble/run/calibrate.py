@@ -29,14 +29,15 @@ from tumble.inference.hyperparameters import size_factors
 from tumble.inference.joint import joint
 from tumble.inference.prior import DevicePrior, with_prior
 from tumble.inference.sources import by_time_base, clocked, source
-from tumble.recording.arrays import SensorArrays, session_of_arrays
+from tumble.recording.arrays import SensorArrays, readings_of, session_of_arrays
 from tumble.recording.log import Log
 from tumble.recording.session import Session
-from tumble.recording.session_file import session_from
+from tumble.recording.session_file import gyros_in_place, session_from
 from tumble.reduction.observations import Observations
 from tumble.result.accepted import accepted_kinds
 from tumble.result.calibration import Calibration, calibration_from, read_calibration
 from tumble.result.parts import Provenance
+from tumble.rotation import UP
 from tumble.run.from_estimate import bridged_in, reference_of, result_of, without_result
 from tumble.run.observed import Progress, inspected, observations_for_calibration
 from tumble.run.warming import calibrate_warming, lies_still
@@ -44,6 +45,7 @@ from tumble.sensors.frames import Convention, Frame
 from tumble.sensors.grades import GRADES, guessed_grade
 from tumble.sensors.grades import grade as grade_named
 from tumble.sensors.parameters import Terms, prior_sizes
+from tumble.units import G_STANDARD
 
 _LOG = logging.getLogger(__name__)
 Method = Literal["joint", "sequential", "scalar", "scalar-nominal", "ellipsoid"]
@@ -111,7 +113,8 @@ def calibrate(
     progress
         Function that gives the chunks of a log as they are read, such as one that draws a bar.
     **arrays
-        Readings in memory and what is stated of them, see `tumble.types.SensorArrays`.
+        Readings in memory and what is stated of them, see `tumble.types.SensorArrays`. Of gyros alone the biases are
+        calibrated.
 
     Returns
     -------
@@ -132,12 +135,18 @@ def calibrate(
     """
     if terms not in get_args(Terms):
         raise InputError(f"terms: expected {' or '.join(get_args(Terms))}, found {terms!r}")
+    rates = arrays.get("gyro")
+    if session is None and arrays.get("accel") is None and rates is not None:
+        from tumble.run.gyros_alone import calibrate_gyros, gyro_rests
+
+        upright = np.tile(G_STANDARD * UP, (len(readings_of("gyro", rates)), 1))
+        return calibrate_gyros(gyro_rests(gyros_in_place(session_of_arrays(**arrays | {"accel": upright})), progress))
     if session is None and "accel" in arrays:
         recording = session_of_arrays(**arrays)
     elif session is None or arrays:
         found = ", ".join(arrays) or "nothing"
         beside = "" if session is None else " beside a session"
-        raise InputError(f"calibrate: expected a session or readings accel=…, found {found}{beside}")
+        raise InputError(f"calibrate: expected a session or readings accel=…, gyro=…, found {found}{beside}")
     else:
         recording = session_from(session)
     recording, stated = recording.without(without).of_known_scales(), recording

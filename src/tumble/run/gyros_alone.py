@@ -12,10 +12,8 @@ where G is the usual g-sensitivity of the grade whose noise is nearest. No rest 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
@@ -25,7 +23,6 @@ from tumble.inference.estimate import Outcome
 from tumble.inference.sources import UncertaintyBudget, source
 from tumble.recording.log import Log, open_log
 from tumble.recording.session import Session
-from tumble.recording.session_file import session_of_gyros
 from tumble.reduction.blocks.reducer import Reduction, reduce_log
 from tumble.reduction.noise.coloured_noise import fit_coloured_noise
 from tumble.reduction.rests.segmentation import Segmentation, find_rests
@@ -74,10 +71,13 @@ class GyroRests:
         return angles
 
 
-def gyro_rests(content: Mapping[str, Any], progress: Progress = Log.chunks) -> GyroRests:
-    """The rests of a log, by the content of a session.toml without [log.accel]. Raises InputError where nothing
-    rests."""
-    session = session_of_gyros(content)
+def gyro_rests(session: Session, progress: Progress = Log.chunks) -> GyroRests:
+    """The rests of a session in which three gyros stand for the accelerometers (`gyros_in_place`). Raises InputError
+    for another number of them, and where nothing rests."""
+    if session.accel_block.size != 3:
+        raise InputError(
+            f"gyro: expected three without accelerometers, found {session.accel_block.size}; give accel=… beside them"
+        )
     log, gyro = open_log(session), replace(session.accel_block, kind="gyro")
     up = G_STANDARD * UP
     chunks = (replace(each, gyro=each.accel, accel=np.tile(up, (len(each.time), 1))) for each in progress(log))

@@ -31,7 +31,7 @@ known it may be any of those that were recorded, and the change of (3) over them
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -132,7 +132,8 @@ def calibrate_warming(observed: Observed, base: Calibration | None, provenance: 
         check_sensors(base, session)
         if base.covariance is None:
             raise InputError(f"calibration of {base.serial!r}: expected one with uncertainties, found none")
-    estimate, observations = _estimated(session, observations, base)
+    readings = {f.file: (f.edges[1:], f.temperature) for f in observed.reduction.files if f.temperature is not None}
+    estimate, observations = _estimated(session, observations, base, readings)
     made = _with_coefficients(base or _nominal(session, estimate, observations), estimate, observations, session)
     own, digest = made.provenance, provenance.log_sha256
     if base is not None:
@@ -190,7 +191,9 @@ def _blocks(observations: Observations) -> list[Block]:
 # -------------------- the estimate --------------------
 
 
-def _estimated(session: Session, observations: Observations, base: Calibration | None) -> tuple[Estimate, Observations]:
+def _estimated(
+    session: Session, observations: Observations, base: Calibration | None, readings: Mapping[int, tuple[Array, Array]]
+) -> tuple[Estimate, Observations]:
     """The coefficients over temperature by the joint estimate, and the observations with the usual sizes of groups."""
     from tumble.run.calibrate import with_grade
 
@@ -211,7 +214,7 @@ def _estimated(session: Session, observations: Observations, base: Calibration |
     linear = [name for block in _blocks(given) for name in block.names]
     prior = {name: (known[name].u or HELD) if name in known else HELD for name in linear if ".bias" not in name}
     observations = replace(
-        with_thermometer_errors(given),
+        with_thermometer_errors(given, readings),
         turns=turns,
         usual=sizes,
         start={name: known[name].value for name in linear if name in known},

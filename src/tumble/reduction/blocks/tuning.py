@@ -13,7 +13,7 @@ from typing import Any
 from tumble.units import DEGREE, G_STANDARD
 
 BY_HAND = "chosen by hand; swept by studies/tuning.py"
-_UNITS = {"°": DEGREE, "°/s": DEGREE, "°/s/g": DEGREE / G_STANDARD}
+_UNITS = {"°": DEGREE, "°/s": DEGREE, "°/K": DEGREE, "°/s/g": DEGREE / G_STANDARD}
 """SI values of the units that are shown."""
 
 
@@ -45,6 +45,8 @@ class Tuning:
     margin_least: float = _of(0.2, "s", "the least margin")
     margin_most: float = _of(1.0, "s", "the largest margin")
     tilt: float = _of(2.0, "°", "how far the vertical may move in a rest")
+    tilt_per_kelvin: float = _of(
+        0.1, "°/K", "how much farther for each K by which it warms or cools", "1.7 mg/K: biases of the poorest sensors")
     short_rest: float = _of(0.6, "s", "the shortest rest in a recording of short rests")
     short_samples: int = _of(40, "", "samples of such a rest at least", "1/√(2·40): their noise is known to 11 %")
     short_window: float = _of(0.5, "s", "the window in such a recording")

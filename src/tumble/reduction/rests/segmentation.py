@@ -21,8 +21,8 @@
 5. A recording whose stretches are nearly all too short was made so: it is searched again with windows of half a second
    and margins of a tenth, and a rest then has at least `short_rest` between these. One in which nothing rests is
    searched for moments of rest with windows of two tenths, only to say that they are too short.
-6. A stretch in which the vertical moves by more than `tilt` is no rest: where nothing rests, the floors are those of
-   the movement.
+6. A stretch in which the vertical moves by more than `tilt`, and by what the biases of accelerometers change with its
+   temperature, is no rest: where nothing rests, the floors are those of the movement.
 
 Without gyros the accelerometers decide alone: by their scatter, and by the step between the means of two neighbouring
 seconds, which shows a turn about a nearly vertical axis by the little it tilts.
@@ -422,11 +422,12 @@ class _RestSearch:
                 mean = force[first:last].mean(axis=0)
                 off = np.linalg.norm(_moving_mean(force[first:last], self.window) - mean, axis=1).max()
                 tilt = float(off / np.linalg.norm(mean))
+                warmed = 0.0 if f.temperature is None else float(np.ptp(f.temperature[first:last], axis=0).max())
                 if too_short or span.last - span.first < tuning.fewest_blocks:
                     if duration > 0.5:
                         rejected.append(Stretch.too_short(f, (first, last), self.usual))
-                elif tilt > tuning.tilt:
-                    at_most = f"in a rest at most {tuning.tilt / DEGREE:g}°"
+                elif tilt > (limit := tuning.tilt + tuning.tilt_per_kelvin * warmed):
+                    at_most = f"in a rest at most {limit / DEGREE:.2g}°"
                     reason = f"the vertical moves by {tilt / DEGREE:.0f}°, {at_most}"
                     rejected.append(Stretch.rejected(f, (first, last), "vertical", reason))
                 else:

@@ -1,18 +1,23 @@
 """Thermometers whose readings have steps or noise: their temperatures as they went, and how well these are known.
 
-A thermometer of whole degrees says when a level between two readings was passed, at n + ½. Through the levels and times
-(t_i, T_i) goes a smooth monotone curve, and on at both ends, as long as the next level is not reached. From a straight
-line through its neighbours a level differs by r_i; the error σ of a level is by what these change along the record,
+A thermometer of whole degrees says when a level between two readings was passed, at n + ½: as closely as its readings
+stand, so that where they have steps all of them are taken, else the record of one a second. Through the levels and
+times (t_i, T_i) goes a smooth monotone curve, and on at both ends, as long as the next level is not reached. From a
+straight line through its neighbours a level differs by r_i; the error σ of a level is by what these change along the
+record,
 
     d_i = r_i − (r_{i−1} + r_{i+1})/2,   σ = median |d_i| / (0.6745 √4.375)                                          (1)
 
-4.375 being the sum of the squared coefficients of d_i in T. A mean over a part of the record in which m levels are
-passed is known to u = σ/√m, and the error moves the readings of all sensors together by their slopes s over
-temperature, which the changes from part to part show. So the covariance of the means of a part is greater by u² s sᵀ.
+4.375 being the sum of the squared coefficients of d_i in T. How far the curve bends away from the straight line between
+two levels, or from the last one, B, nothing between them says: it is anything from nothing to twice that. A mean over a
+part of the record in which m levels are passed, less than one where the next is farther than the part is long, is known
+to u² = (σ² + B²/3)/m, and the error moves the readings of all sensors together by their slopes s over temperature,
+which the changes from part to part show. So the covariance of the means of a part is greater by u² s sᵀ.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -25,23 +30,31 @@ CHANGED_BY = 4.375
 """Variance of d_i of Eq. (1) in parts of that of a level."""
 MEDIAN = 0.6745
 """Of the size of a standard normal number."""
+BENT, ALIKE = 10, 1.5
+"""Levels at most of a parabola, and errors of a level by which they may be off it."""
 
 
-def with_thermometer_errors(observations: Observations) -> Observations:
-    """Observations with temperatures as they went, and with the errors of these in the covariances of their rests."""
+def with_thermometer_errors(observations: Observations, readings: Mapping[int, tuple[Array, Array]]) -> Observations:
+    """Observations with temperatures as they went, and with the errors of these in the covariances of their rests.
+    `readings`, by file the times (K,), s, and temperatures (K, T), K, are closer to each other than the record of the
+    observations, which is taken where they have no steps."""
     thermometers, rests = observations.thermometers, observations.rests
     assert thermometers is not None
     middle, files = 0.5 * (rests.start + rests.stop), dict[int, tuple[float, Array]]()
     variance, kelvin = np.zeros((len(rests), thermometers.count)), np.zeros((len(rests), thermometers.count))
     for file, (start, record) in thermometers.files.items():
-        smooth, in_file = record.copy(), rests.file == file
+        smooth, in_file, every = record.copy(), rests.file == file, np.asarray(start + STEP * np.arange(len(record)))
         for t, column in enumerate(record.T):
-            time, level = passed(column)
-            smooth[:, t] = curve_through(time, level, column)
-            seconds = start + STEP * time
-            count = np.searchsorted(seconds, rests.stop[in_file]) - np.searchsorted(seconds, rests.start[in_file])
-            variance[in_file, t] = error_of(time, level) ** 2 / np.maximum(count, 1)
-            kelvin[in_file, t] = np.interp(middle[in_file], start + STEP * np.arange(len(column)), smooth[:, t])
+            close = readings[file][1][:, t]
+            time, level = passed(readings[file][0], close) if has_steps(close) else passed(every, column)
+            smooth[:, t] = curve_through(time, level, every, column)
+            count = np.searchsorted(time, rests.stop[in_file]) - np.searchsorted(time, rests.start[in_file])
+            ends, after = np.concatenate([every[:1], time, every[-1:]]), np.searchsorted(time, middle[in_file])
+            many = np.maximum(count, (rests.stop - rests.start)[in_file] / (ends[after + 1] - ends[after]))
+            straight = np.interp(every, time, level) if len(time) else column
+            bend = np.interp(middle[in_file], every, smooth[:, t] - straight)
+            variance[in_file, t] = (error_of(time, level) ** 2 + bend**2 / 3.0) / many
+            kelvin[in_file, t] = np.interp(middle[in_file], every, smooth[:, t])
         files[file] = start, smooth
     same = np.diff(rests.file) == 0
     both = (observations.accel_block, rests.accel, "accel"), (observations.gyro_block, rests.gyro, "gyro")
@@ -59,33 +72,58 @@ def with_thermometer_errors(observations: Observations) -> Observations:
     return replace(observations, rests=replace(rests, **covariances), thermometers=Thermometers(files=files))
 
 
-def passed(record: Array) -> tuple[Array, Array]:
-    """When, in steps of a record (K,), and at which level (k,) it went from one reading to the next. A reading that
-    goes to and fro passes a level once, at the mean of these times; one that comes back for good passes it twice."""
-    at = np.flatnonzero(np.diff(record))
-    level = 0.5 * (record[at] + record[at + 1])
-    ends = np.flatnonzero(np.diff(level)) + 1
-    time, out = list[float](), list[float]()
-    for group, levels in zip(np.split(at + 0.5, ends), np.split(level, ends), strict=True) if len(at) else ():
-        parts = [group] if len(group) % 2 else np.split(group, [int(np.argmax(np.diff(group))) + 1])
-        time += [float(part.mean()) for part in parts]
-        out += [float(levels[0])] * len(parts)
-    return np.array(time), np.array(out)
+def has_steps(readings: Array) -> bool:
+    """Whether most of readings (K,) are those before again."""
+    return 2 * int((np.diff(readings) == 0.0).sum()) > len(readings)
 
 
-def curve_through(time: Array, level: Array, record: Array) -> Array:
-    """Temperatures (K,) at every step of a record that passed levels (k,) at times (k,); the record where it passed
-    fewer than two."""
+def passed(time: Array, readings: Array) -> tuple[Array, Array]:
+    """When, and at which level (k,), readings (K,) at times (K,) went from one to the next. One that goes to and fro
+    passes a level once, at the mean of these times; one that comes back for good passes it twice. Where readings have
+    steps, what stands between two of them is of no level: it was interpolated."""
+    if has_steps(readings):
+        shown = np.isin(readings, readings[1:][np.diff(readings) == 0.0])
+        time, readings = time[shown], readings[shown]
+    at = np.flatnonzero(np.diff(readings))
+    if not len(at):
+        return np.zeros(0), np.zeros(0)
+    level, middle = (0.5 * (each[at] + each[at + 1]) for each in (readings, time))
+    starts = np.append(0, np.flatnonzero(np.diff(level)) + 1)
+    count = np.diff(np.append(starts, len(at)))
+    back = [
+        i + 1 + int(np.argmax(np.diff(middle[i : i + n]))) for i, n in zip(starts, count, strict=True) if n % 2 == 0
+    ]
+    starts = np.sort(np.append(starts, back).astype(np.int64))
+    return np.add.reduceat(middle, starts) / np.diff(np.append(starts, len(at))), level[starts]
+
+
+def curve_through(time: Array, level: Array, every: Array, record: Array) -> Array:
+    """Temperatures (K,) at the times `every` (K,) of a record that passed levels (k,) at times (k,); the record where
+    it passed fewer than two."""
     from scipy.interpolate import PchipInterpolator  # slow to import
 
     if len(time) < 2:
         return record
-    every, step = np.arange(len(record), dtype=float), float(np.abs(np.diff(level)).max())
-    late, early = every > time[-1], every < time[0]
+    late, early, step = every > time[-1], every < time[0], float(np.abs(np.diff(level)).max())
     out = np.asarray(PchipInterpolator(time, level)(np.clip(every, time[0], time[-1])))
-    out[late] += np.clip(_settling(time[-3:], level[-3:], every[late]), -step, step)
-    out[early] += np.clip(_settling(-time[2::-1], level[2::-1], -every[early]), -step, step)
+    out[late] += _settling(time[-3:], level[-3:], every[late])
+    out[early] += _began(time, level, every[early])
+    for beyond, shown in ((late, record[-1]), (early, record[0])):
+        out[beyond] = np.clip(out[beyond], shown - 0.5 * step, shown + 0.5 * step)
     return out
+
+
+def _began(time: Array, level: Array, earlier: Array) -> Array:
+    """How far from the first of the levels (k,) that it passed at times (k,) a temperature was at `earlier` times: by
+    the parabola through the most of them, up to BENT, that it fits to their error, or through three; straight where
+    there are two."""
+    limit = ALIKE * error_of(time, level)
+    for many in range(min(len(time), BENT), 2, -1):
+        fit = np.polyfit(time[:many] - time[0], level[:many] - level[0], 2)
+        off = np.polyval(fit, time[:many] - time[0]) - level[:many] + level[0]
+        if many == 3 or off @ off <= limit**2 * (many - 3):
+            return np.asarray(np.polyval(fit, earlier - time[0]))
+    return np.asarray((level[1] - level[0]) / (time[1] - time[0]) * (earlier - time[0]))
 
 
 def _settling(t: Array, level: Array, later: Array) -> Array:
