@@ -97,6 +97,8 @@ def json_of(text: str) -> Any:
     except RecursionError:
         raise ValueError(_BEYOND_MEASURE) from None
     except ValueError as fault:
+        if not text.lstrip().startswith(("{", "[")):
+            raise ValueError("text that is no JSON; is it the log?") from None
         raise ValueError(_BEYOND_MEASURE if "digits" in str(fault) else str(fault)) from None
 
 

@@ -25,6 +25,8 @@ def whole_file(path: Path) -> Iterator[Path]:
     full, also where a library says so in words of its own."""
     if path.exists() and not path.is_file():
         raise OSError(errno.EINVAL, "is no file that could be replaced", str(path))
+    if not path.parent.exists():
+        raise OSError(errno.ENOENT, f"the folder {path.parent} does not exist", str(path))
     temporary = path.with_name(f".{path.stem[:40]}.{secrets.token_hex(8)}{path.suffix}")
     try:
         with _errors_of(path, temporary):

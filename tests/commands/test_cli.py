@@ -27,6 +27,7 @@ from click.shell_completion import ShellComplete
 from click.testing import CliRunner, Result
 
 import tumble.commands
+from tests.support.calibrated import calibration
 from tests.support.shared import copy_of, session
 from tumble import __version__
 from tumble.cli import first_sentence, main
@@ -167,13 +168,16 @@ def test_no_argument_at_all_shows_the_commands() -> None:
         (["calibrate", "few", "--out"], "requires an argument"),
         (["calibrate", "few", "--out", ""], "expected a path, found an empty one"),
         (["calibrate", "few", "--out", "."], "is a directory"),
-        (["calibrate", "few", "--out", "no/such/file.json"], "cannot be written: No such file or directory"),
+        (["calibrate", "few", "--out", "no/such/file.json"], "cannot be written: the folder no/such does not exist"),
         (["calibrate", "few", "--method", "jiont"], "'jiont' is not"),
         (["calibrate", "few", "--iterations", "0", "--method", "scalar"], "0 is not in the range x>=1"),
         (["calibrate", "few", "--iterations", "3"], "expected none with the method 'joint'"),
         (["calibrate", ""], "expected a path, found an empty one"),
         (["calibrate", "none"], "none: expected a session folder or its session.toml, found no such file or folder"),
         (["calibrate", "."], "session.toml: expected a session folder with a session.toml, found none; of a log"),
+        (["calibrate", "one/log.parquet", "two/log.parquet"], "a log among 2 arguments; positions of one"),
+        (["calibrate", "one/log.parquet", "--latitude", "48,1"], "south negative, such as 48.1, found '48,1'"),
+        (["export", "one/session.toml", "--to", "ros", "-o", "x"], "found text that is no JSON; is it the log?"),
         (["calibrate", "one", "two"], "--out: expected a file for the result of several sessions, found none"),
         (["calibrate", "one", "one", "--out", "x.json"], "holds the same recording as one"),
         (["calibrate", "one", "other", "--out", "x.json"], "expected a launch of device 'mems-7'"),
@@ -239,6 +243,13 @@ def test_bad_arguments_are_refused_in_one_line(
 ) -> None:
     monkeypatch.chdir(made)
     assert said in refused(*words, below=made)
+
+
+def test_a_calibration_file_is_no_log(tmp_path: Path) -> None:
+    calibration().write(tmp_path / "imu.json")
+    assert "expected a session or a log, found a calibration file" in refused(
+        "calibrate", tmp_path / "imu.json", below=tmp_path
+    )
 
 
 def test_a_folder_is_simulated_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

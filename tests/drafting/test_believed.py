@@ -78,6 +78,14 @@ def test_units_in_names_stay_and_what_contradicts_them_is_said(
     assert any(fault in each for each in faults) if fault else not faults
 
 
+def test_stated_units_have_every_spelling_that_names_of_columns_have() -> None:
+    for accel, gyro, named in (("m/s2", "dps", ("m/s^2", "deg/s")), ("G", "°/s", ("g", "deg/s"))):
+        units = Given(accel_unit=accel, gyro_unit=gyro).units
+        assert (units["accel"], units["gyro"]) == named
+    with pytest.raises(InputError, match=r"expected one of rad/s, .* found 'radd/s'; did you mean 'rad/s'"):
+        _ = Given(gyro_unit="radd/s").units
+
+
 def test_six_columns_without_names_of_a_body_that_is_never_at_rest(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     walk = np.add(np.cumsum(rng.normal(scale=0.02, size=(2000, 3)), axis=0), [0.0, 0.0, 2.0])

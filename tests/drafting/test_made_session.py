@@ -45,6 +45,22 @@ def test_each_log_has_a_session_of_its_own_and_finds_it_again(logs: Path) -> Non
     assert (first / "session.toml").read_bytes() == before
 
 
+def test_a_copy_of_a_log_has_the_session_and_the_serial_number_of_the_first(logs: Path) -> None:
+    """Where another number is stated, the message says whose session is replaced."""
+    first, _ = made(logs / "flight-1.2.csv")
+    copy = logs / "copy.csv"
+    copy.write_bytes((logs / "flight-1.2.csv").read_bytes())
+    assert made(copy) == (
+        first,
+        f"{first / 'session.toml'}: the session made of this log before (serial number 'flight-1.2')",
+    )
+    assert read_session(first).device.serial == "flight-1.2"
+    folder, said = made(copy, replace(GIVEN, serial="B"))
+    assert folder == first
+    assert "replaces that of serial number 'flight-1.2'" in said
+    assert read_session(first).device.serial == "B"
+
+
 @pytest.mark.parametrize("half", [(), ("log.parquet",), ("session.toml", "made.json")])
 def test_what_a_killed_process_had_put_aside_comes_back(logs: Path, half: tuple[str, ...]) -> None:
     folder, _ = made(logs / "flight-1.2.csv")

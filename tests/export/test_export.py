@@ -57,6 +57,18 @@ def test_what_is_lost_is_said_in_few_notes_and_in_the_file_too(to: str) -> None:
         assert "uncertaint" in text or to in ("csv", "csv-thermal")
 
 
+@pytest.mark.parametrize("to", ["px4", "ardupilot", "c", "csv", "json", "mat", "ros-imu-calib"])
+def test_gyros_that_are_not_known_are_said_to_be_left_as_they_are(to: str) -> None:
+    losses = export_calibration(calibration(with_gyro=False), to, **beside(to)).losses
+    assert sum("gyros: not known, left as they are" in loss for loss in losses) == 1
+    assert not any("not known" in loss for loss in export_calibration(calibration(), to, **beside(to)).losses)
+
+
+def test_the_first_letters_of_a_target_are_enough_for_a_hint() -> None:
+    with pytest.raises(InputError, match="found 'ros'; did you mean 'ros-imu-calib'"):
+        target("ros")
+
+
 @pytest.mark.parametrize("to", FORMATS)
 def test_device_and_log_are_named(to: str) -> None:
     text = content_of(to)

@@ -559,7 +559,10 @@ def test_a_folder_that_is_not_there_is_said_in_one_line(session: Path, tmp_path:
     out = tmp_path / "no" / "out.json"
     result = command(session, "--out", out)
     assert result.exit_code == 2
-    assert result.stderr == f"tumble: {out}: cannot be written: No such file or directory; choose another --out\n"
+    assert (
+        result.stderr
+        == f"tumble: {out}: cannot be written: the folder {out.parent} does not exist; choose another --out\n"
+    )
     assert result.stdout == ""
     assert list(tmp_path.iterdir()) == []
 

@@ -20,6 +20,8 @@ from tumble.reduction.observations import Observations
 from tumble.result.calibration import Calibration
 from tumble.run.observed import inspect_session, observations_for_calibration
 from tumble.units import Array
+from tumble.views.calibration import calibration_blocks
+from tumble.views.render.terminal import text_of
 
 PIVOT = Motion()
 HAND = Motion(sway=0.1, frequency=0.6, lever=(0.0, 0.0, 0.0))
@@ -95,8 +97,11 @@ def test_the_lever_is_found() -> None:
 
 
 def test_little_motion_is_refused_with_what_would_help() -> None:
-    outcome = calibrated(record(replace(HAND, seconds=30.0, rate=np.radians(10.0)), 1)).outcome
+    calibration = calibrated(record(replace(HAND, seconds=30.0, rate=np.radians(10.0)), 1))
+    outcome, shown = calibration.outcome, text_of(calibration_blocks(calibration), 100)
     assert not outcome.accepted
+    assert "calibrated in motion" not in shown
+    assert "rests and turns that were found" not in shown
     assert "30 s of motion say too little of accel.bias" in outcome.reasons[0]
     assert "turn it for two minutes" in outcome.reasons[0]
 

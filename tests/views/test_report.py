@@ -577,7 +577,7 @@ def test_a_report_of_what_is_not_accepted_is_written_and_says_so(tmp_path: Path)
         (["{file}", "-o", "report.pdf"], "found '.pdf'; print the page for a PDF"),
         (["{file}", "-o", "report"], "found 'no ending'"),
         (["none.json", "-o", "report.html"], "none.json: cannot be read: No such file or directory"),
-        (["{file}", "-o", "no/report.html"], "report.html: cannot be written: No such file or directory"),
+        (["{file}", "-o", "no/report.html"], "report.html: cannot be written: the folder no does not exist"),
         (["{file}", "-o", "r.html", "--limits", "a.toml", "--certificate", "b.toml"], "--limits: expected none with"),
         (["{file}"], "Missing option '-o'"),
     ],

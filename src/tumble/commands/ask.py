@@ -60,6 +60,16 @@ class Numbers(click.ParamType[tuple[Any, ...]]):
         return values
 
 
+def _latitude(text: str | float) -> float:
+    """Decimal degrees, north positive."""
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(
+            f"--latitude: expected decimal degrees, south negative, such as 48.1, found {text!r}"
+        ) from None
+
+
 PATH = _NamedPath(path_type=Path)
 FILE = _NamedPath(path_type=Path, dir_okay=False)
 FOLDER = _NamedPath(path_type=Path, file_okay=False)
@@ -163,7 +173,7 @@ def registry_place(**settings: Any) -> _Option:
 REGISTRY = registry_place()
 GRAVITY = option("--gravity", "Measured gravity, m/s²; default: normal gravity.", type=float)
 HEIGHT = option("--height", "Of the place, m over the sea; unstated, 1300 m are in u.", type=float, metavar="M")
-LATITUDE = option("--latitude", "Of the place, ° north.", type=float, metavar="DEGREES")
+LATITUDE = option("--latitude", "Of the place, ° north.", type=_latitude, metavar="DEGREES")
 SERIAL = option("--serial", "Serial number of the device; default: the name of FOLDER or LOG.", metavar="NUMBER")
 SAMPLE_RATE = "--sample-rate", "Samples per second"
 COLUMNS = together(
@@ -200,7 +210,7 @@ TABLE_ERROR = option("--table-error", "Largest error of a position, °.", usual_
 MOUNTING_ERROR = option(
     "--mounting-error", "Largest error of the mounting, °.", usual_setup.MOUNTING_ERROR_DEG, type=float
 )
-SITE_LATITUDE = option("--latitude", "Of the site, ° north.", usual_setup.LATITUDE_DEG, type=float)
+SITE_LATITUDE = option("--latitude", "Of the site, ° north.", usual_setup.LATITUDE_DEG, type=_latitude)
 NOISELESS = click.option(
     "--noiseless",
     is_flag=True,

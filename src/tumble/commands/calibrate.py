@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tumble.commands import ask, tell
-from tumble.commands.recordings import gyros_of, session_folders
+from tumble.commands.recordings import check_recordings, gyros_of, session_folders
 from tumble.errors import GyrosAloneError, InputError
 
 if TYPE_CHECKING:
@@ -77,12 +77,14 @@ def calibrate(
 
     A file that is no session.toml, or anything with --latitude, --height, --serial, --sample-rate, --accel, --gyro,
     --time or units, is a LOG in any dialect: a session is made of it first, as `tumble new` does, in the folder
-    LOG-session beside it. It is found there by the content of the log; other options make it anew.
+    LOG-session beside it. It is found there by the content of the log; other options make it anew. Files that are
+    positions of one recording are one LOG as a folder or as a 'PATTERN' in quotes; of other logs make a session each.
     """
     from tumble.recording.session_file import read_session
     from tumble.run.calibrate import calibrate as calibrate_session
     from tumble.views.calibration import MOST_REMARKS, WIDTH, calibration_blocks
 
+    check_recordings(sessions)
     methods, estimation = tuple(dict.fromkeys(method)), _taken(options, "iterations", "frame", "terms")
     shown, frame, linear = _taken(options, "every", "budget"), estimation["frame"], estimation["terms"] == "linear"
     if len(sessions) > 1 and out is None:

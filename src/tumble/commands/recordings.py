@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -78,11 +79,26 @@ def session_folders(
         yield [folder]
 
 
+def check_recordings(recordings: Sequence[Path]) -> None:
+    """Raises InputError for a calibration file, and for a log among several recordings, which have to be sessions."""
+    for path in recordings:
+        if path.suffix == ".json" and path.is_file():
+            with path.open("rb") as file:
+                if re.match(rb'\s*\{\s*"format"', file.read(100)):
+                    raise InputError(f"{path}: expected a session or a log, found a calibration file")
+    if len(recordings) > 1 and (log := next(filter(_is_log, recordings), None)) is not None:
+        raise InputError(
+            f"{log}: expected one log, or sessions, found a log among {len(recordings)} arguments; positions of one "
+            "recording: `tumble calibrate 'PATTERN'`, in quotes, or `tumble new SESSION FILE …`; else a session of each"
+        )
+
+
 def _is_log(path: Path) -> bool:
-    """Whether a path is that of a log, or of a folder of files without a session.toml, such as a file a sensor."""
+    """Whether a path is that of a log, a pattern of files, or a folder of files without a session.toml."""
     if path.is_dir():
         return not (path / "session.toml").exists() and any(each.is_file() for each in path.iterdir())
-    return path.is_file() and path.suffix != ".toml"
+    files = [path] if path.exists() else path.parent.glob(path.name) if set(path.name) & set("*?[") else []
+    return path.suffix != ".toml" and any(file.is_file() for file in files)
 
 
 def gyros_of(log: Path, given: Given) -> GyroRests:

@@ -31,8 +31,8 @@ def in_motion(estimate: Estimate, observations: Observations, missing: tuple[str
     """Findings about an estimate from motion; `missing` are the linear parameters that it does not determine."""
     links, linearised = observations.links, estimate.linearised
     assert links is not None
-    seconds = float(links.duration.sum())
-    sentence = f"{len(observations.rests)} rests and {seconds:.0f} s of motion"
+    n = len(observations.rests)
+    sentence = f"{n} rest{'s' * (n != 1)} and {float(links.duration.sum()):.0f} s of motion"
     advice = (
         "turn it for two minutes about a point that stays in place, a tripod head or a ball joint, through all "
         "attitudes, or put it down in nine or more positions (`tumble programme` shows them)"
@@ -63,9 +63,9 @@ def motion_note(estimate: Estimate, observations: Observations) -> tuple[str, ..
     links, linearised = observations.links, estimate.linearised
     if links is None or linearised is None:
         return ()
-    lever = linearised.point.local[0, -LEVER_COLUMNS - SUPPORT_COLUMNS : -SUPPORT_COLUMNS]
+    n, lever = len(observations.rests), linearised.point.local[0, -LEVER_COLUMNS - SUPPORT_COLUMNS : -SUPPORT_COLUMNS]
     place, size = ", ".join(f"{1e3 * x:.0f}" for x in lever), 1e3 * float(linearised.components.displacement)
     return (
-        f"{IN_MOTION}, from {len(observations.rests)} rests and {float(links.duration.sum()):.0f} s of it: "
+        f"{IN_MOTION}, from {n} rest{'s' * (n != 1)} and {float(links.duration.sum()):.0f} s of it: "
         f"the device turned, to within {size:.2g} mm, about a point from which its accelerometers are at ({place}) mm",
     )

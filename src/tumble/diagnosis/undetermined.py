@@ -28,7 +28,7 @@ MIXED = 0.1
 SHORTEST = 1e-9
 """rad: a shorter turn is about no axis."""
 
-MOST_LISTED = 21
+MOST_LISTED = 4
 """Parameters that are named one by one."""
 
 
@@ -47,7 +47,8 @@ def undetermined(estimate: Estimate, observations: Observations, missing: tuple[
         alone = one_attitude(observations)
         helpful = "" if alone else _most_helpful(estimate, observations, estimate.null)
         unseen = f"not observable in this session: {listed(missing)}"
-        findings.append(refusal(_and(alone, unseen, helpful), *groups_of(missing)))
+        few = "" if alone else _too_few(observations, missing)
+        findings.append(refusal(_and(alone, few, unseen, helpful), *groups_of(missing)))
     combinations, known, refused = _weak(estimate, observations, {sensor_kind(name) for name in missing})
     if len(known):
         largest, weak = [_largest_of(combination) for combination in combinations], list[str]()
@@ -88,6 +89,17 @@ def one_attitude(observations: Observations) -> str:
         f"the device lay in one attitude ({counted}), which calibrates nothing: put it down in others too, 5 s in "
         "each (`tumble programme` lists them); the noise of a recording at rest is told by `tumble noise`"
     )
+
+
+def _too_few(observations: Observations, missing: Sequence[str]) -> str:
+    """That there are fewer rests than the accelerometers of a triad have parameters, and which turns were left out."""
+    block, rests = observations.accel_block, len(observations.rests)
+    needed = len(linear_names(block.names)) if block.size == len("xyz") else 0
+    kinds = {sensor_kind(name) for name in missing}
+    few = f"{rests} rests of the {needed} needed" if "accel" in kinds and rests < needed else ""
+    left_out = [note for note in observations.notes if " is left out: " in note] if "gyro" in kinds else []
+    more = f" (and {len(left_out) - 1} more)" if len(left_out) > 1 else ""
+    return _and(few, f"{left_out[0]}{more}" if left_out else "")
 
 
 def _and(*parts: str) -> str:

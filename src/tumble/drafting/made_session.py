@@ -1,8 +1,8 @@
 """The session that `calibrate LOG` makes beside a log, and finds again by the content of the log.
 
 `made.json` in its folder has the hash of the log, what was stated, the version, and the files that were made. The same
-log with the same statements has the same session, corrected by hand or not; with others it is made anew, unless it was
-corrected by hand."""
+log with the same statements has the same session, corrected by hand or not, and under another name the serial number
+of its first name where none is stated; with others it is made anew, unless it was corrected by hand."""
 
 from __future__ import annotations
 
@@ -44,24 +44,27 @@ def session_of_log(
         stem = stem.removesuffix(ending)
     stem = Path(stem).stem or "log"
     _bring_back(log.parent, f"{stem}*-session")
-    given = replace(given, serial=given.serial or stem)
-    digest, stated = _digest(log), {key: value for key, value in asdict(given).items() if value}
-    content = {"log_sha256": digest, "given": json.loads(json.dumps(stated)), "version": __version__}
+    digest = _digest(log)
     folder = next((f for f in sorted(log.parent.glob("*-session")) if _made(f).get("log_sha256") == digest), None)
-    state = ""
+    made = {} if folder is None else _made(folder)
+    before = made.get("given", {}).get("serial", stem)
+    default = before if folder is not None and folder.name.startswith(f"{before}-") else stem  # of the first name
+    whose = "" if given.serial or default == stem else f" (serial number {default!r})"
+    given = replace(given, serial=given.serial or default)
+    stated, state = {key: value for key, value in asdict(given).items() if value}, ""
+    content = {"log_sha256": digest, "given": json.loads(json.dumps(stated)), "version": __version__}
     if folder is not None:
-        made = _made(folder)
         edited = made.get("session_sha256") != _sha256(folder / SESSION_FILE)
         if made.get("given") == content["given"] and (edited or made.get("version") == __version__):
             by_hand = ", corrected by hand" if edited else ""
-            yield folder, f"{folder / SESSION_FILE}: the session made of this log before{by_hand}", [], []
+            yield folder, f"{folder / SESSION_FILE}: the session made of this log before{whose}{by_hand}", [], []
             return
         if edited:
             raise InputError(
                 f"{folder}: expected the options with which the session of this log was made, found others, and the "
                 f"session corrected by hand; calibrate it as it is (tumble calibrate {folder}), or remove it"
             )
-        state = f"{folder}: the session made of this log before, with other options or by another version: anew; "
+        state = f"{folder}: replaces that of serial number {before!r}, with other options or by another version: anew; "
     else:
         folder = log.with_name(f"{stem}-session")
         folder = folder if not folder.exists() else log.with_name(f"{stem}-{digest[:8]}-session")

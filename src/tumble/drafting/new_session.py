@@ -27,10 +27,10 @@ from tumble.drafting.draft import Draft, session_text
 from tumble.drafting.foreign_log import HEAD_ROWS, SAMPLE_ROWS, ForeignLog
 from tumble.drafting.repairs import repaired
 from tumble.drafting.sensors_apart import log_of_recording
-from tumble.errors import InputError, LogError
+from tumble.errors import InputError, LogError, did_you_mean
 from tumble.files import FilePath, OutputFolder, nothing_left, whole_file
 from tumble.programme.positions import programmes
-from tumble.recording.columns.names import ACCEL, GYRO, MAGNETOMETER, TIME_KIND, Sensors, temperature_unit
+from tumble.recording.columns.names import ACCEL, GYRO, MAGNETOMETER, TIME_KIND, Sensors, temperature_unit, unit_of_name
 from tumble.recording.columns.scales import step_in_deg_s
 from tumble.recording.formats import is_recording
 from tumble.recording.log import Log
@@ -71,12 +71,16 @@ class Given:
 
     @property
     def units(self) -> dict[str, str]:
-        """Stated units by kind of sensor. Raises InputError for units that session.toml does not have."""
+        """Stated units by kind of sensor, in any spelling. Raises InputError for units that session.toml lacks."""
         known = {ACCEL: (self.accel_unit, ACCEL_UNITS), GYRO: (self.gyro_unit, GYRO_UNITS)}
+        out = {}
         for kind, (unit, units) in known.items():
-            if unit is not None and unit not in units:
-                raise InputError(f"--{kind}-unit: expected one of {', '.join(units)}, found {unit!r}")
-        return {kind: unit for kind, (unit, _) in known.items() if unit is not None}
+            if unit is not None:
+                out[kind] = unit if unit in units else unit_of_name(kind, f"x [{unit}]") or ""
+                if not out[kind]:
+                    hint = did_you_mean(unit, units)
+                    raise InputError(f"--{kind}-unit: expected one of {', '.join(units)}, found {unit!r}{hint}")
+        return out
 
     @property
     def columns(self) -> dict[str, Sequence[str]]:

@@ -85,7 +85,8 @@ def target(name: str) -> Target:
         return _of_template(file, name)
     brought = cast("Target | Path | None", load("exports", name, (Target, Path)))
     if brought is None:
-        advice = did_you_mean(name, targets())
+        longer = next((each for each in targets() if name and each.startswith(name)), "")
+        advice = did_you_mean(longer or name, targets())
         raise InputError(f"export: expected one of {', '.join(targets())}, found {name!r}{advice}")
     return brought if isinstance(brought, Target) else _of_template(brought, name)
 

@@ -165,18 +165,24 @@ def notes_of(
     for; `see_to` is what the user has to see to."""
     off = (left_by(calibration, kind, correct, held) for kind, correct in corrections.items())
     errors = ", ".join(filter(None, off))
-    first = [*left, *([f"off by what is not in this file: {errors}"] if errors else [])]
+    first = [*left, *not_known(calibration), *([f"off by what is not in this file: {errors}"] if errors else [])]
     lost = [*lacks, *groups_not_held(calibration, held)]
     no_place = f"no place in this file for {'; '.join(lost)}" if lost else ""
     return tuple(note for note in ("; ".join(first), no_place, "; ".join(see_to)) if note)
 
 
+def not_known(calibration: Calibration) -> list[str]:
+    """The kinds of sensors that a calibration does not have, in a sentence each."""
+    known = models(calibration)
+    return [f"{words}: not known, left as they are" for kind, words in WORDS.items() if kind in UNITS.keys() - known]
+
+
 def not_held(calibration: Calibration) -> tuple[str, ...]:
-    """The note on what is beside the matrices and biases of a table of all parameters; none where that is nothing."""
+    """The notes on a table of all parameters: sensors that are not known, and what is beside matrices and biases."""
     by_kind = models(calibration).items()
     off = filter(None, (left_by(calibration, kind, model.apply, ()) for kind, model in by_kind))
     lost = [*off, *groups_not_held(calibration)]
-    return (f"not in matrices and biases: {'; '.join(lost)}",) if lost else ()
+    return (*not_known(calibration), *([f"not in matrices and biases: {'; '.join(lost)}"] if lost else []))
 
 
 def left_by(calibration: Calibration, kind: SensorKind, correct: Correct, held: Container[str]) -> str:

@@ -166,7 +166,6 @@ class Template:
         for kind in numbers:
             model, sensors, words = by_kind.get(kind), front.sensors(kind), WORDS[kind]
             if model is None:
-                remarks += [f"{words}: not known, left as they are"] * (sensors is not None)
                 continue
             if sensors is None or sensors.zeroed:
                 remarks.append(f"{words}: not in this file" if sensors is None else sensors.zeroed)

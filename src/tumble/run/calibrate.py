@@ -34,6 +34,7 @@ from tumble.recording.log import Log
 from tumble.recording.session import Session
 from tumble.recording.session_file import gyros_in_place, session_from
 from tumble.reduction.observations import Observations
+from tumble.result.accepted import accepted_kinds
 from tumble.result.calibration import Calibration, calibration_from, read_calibration
 from tumble.result.parts import Provenance
 from tumble.rotation import UP
@@ -241,7 +242,8 @@ def _calibrated(
         if estimate[0].gyro is not None and not session.log.increments["gyro"]:
             grade, _ = grade_of(session, estimate[1])
             remarks |= dict.fromkeys(time_base_doubted(estimate[0], grade_named(grade).gyro.scale), ("gyro.scale",))
-        calibration = _with(calibration, notes=motion_note(estimate[0], estimate[1]), remarks=remarks)
+        notes = motion_note(estimate[0], estimate[1]) if accepted_kinds(calibration) else ()
+        calibration = _with(calibration, notes=notes, remarks=remarks)
         if session.log.magnetometer is not None:
             from tumble.run.magnetometer import with_magnetometer
 

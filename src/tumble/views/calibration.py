@@ -163,7 +163,8 @@ def calibration_blocks(
     if accepted_kinds(calibration):
         following = f"next: tumble export {shlex.quote(str(file))} --to json -o imu.json (others: --help)"
     else:
-        following = f"next: tumble inspect {shlex.quote(str(session))} (the rests and turns that were found)"
+        there = "the rests and turns that were found" if evidence.rests else "what was found in the recording"
+        following = f"next: tumble inspect {shlex.quote(str(session))} ({there})"
     height = len(text_of([*blocks, Items(items=(*lines, "")), following], WIDTH).splitlines())
     return [*blocks, Items(items=(*lines, *_fitting(calibration, MOST_LINES - height))), following]
 
