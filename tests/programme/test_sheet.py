@@ -385,7 +385,7 @@ def test_another_ending_is_one_line_and_writes_nothing(tmp_path: Path, file: str
 
 
 def test_a_folder_that_is_not_there_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"no/sheet\.svg: expected a file that can be written: No such file"):
+    with pytest.raises(InputError, match=r"no/sheet\.svg: expected a file that can be written: the folder"):
         write_sheet(tmp_path / "no" / "sheet.svg", programme("nine"))
 
 

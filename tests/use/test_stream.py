@@ -96,7 +96,8 @@ def test_all_rests_together_say_what_a_field_check_of_one_session_says() -> None
     for name, test in at_once.tests.items():
         assert by_rest.tests[name].change == pytest.approx(test.change, abs=0.35 * test.u), name
         assert by_rest.tests[name].u == pytest.approx(test.u, rel=0.15), name
-    assert by_rest.misfit.degrees == at_once.misfit.degrees
+    # a rest alone has no heading to find: the level part of the Earth's rate is an uncertainty of its gyros
+    assert by_rest.misfit.degrees == at_once.misfit.degrees + len(observations.rests)
 
 
 @pytest.mark.parametrize(

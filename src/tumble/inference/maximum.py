@@ -10,10 +10,9 @@ the logarithm of the posterior of φ with x integrated out, r being the residual
 
     x   Gauss–Newton: x ← x + argmin over the rows linearised at x. Turns are integrated again about the current
         parameters wherever the second-order effect of the change since counts.
-    φ   at fixed rows a trust region: s = B⁻¹γ, |s|∞ ≤ Δ, with the analytic score γ, and B, at first of each element
-        alone 2 v tr PD, no less than its information (the average information far from the maximum may lead to a
-        lower one), then by the updates of Broyden, Fletcher, Goldfarb and Shanno, and where these have settled the
-        average information, with which it goes on where φ has not. Sizes λ = exp(max(p, 0)) have p ≥ 0:
+    φ   at fixed rows a trust region: s = B⁻¹γ, |s|∞ ≤ Δ, with the analytic score γ, and B, at first the average
+        information, then by the updates of Broyden, Fletcher, Goldfarb and Shanno, and where these have settled the
+        average information there, with which it goes on where φ has not. Sizes λ = exp(max(p, 0)) have p ≥ 0:
         below, p has nothing to do with the data.
 
 It ends where a step of x is negligible beside u (CONVERGED) and ½ γᵀB⁻¹γ, what ℓ would still gain, below GAIN
@@ -49,7 +48,6 @@ from tumble.inference.hyperparameters import (
     Scatter,
     average_information,
     hyperparameters_of,
-    quadratic_forms,
     score,
     solution_at,
 )
@@ -233,7 +231,7 @@ def likeliest_phi(
     hyperparameters, solution
         The elements of φ, and a solution to begin from.
     B : (D, D)
-        The curvature of −ℓ by φ, as far as it is known; by the traces where None.
+        The curvature of −ℓ by φ, as far as it is known; that of the average information where None.
     radius
         Δ, the largest step.
 
@@ -245,10 +243,9 @@ def likeliest_phi(
         Whether ℓ would gain by B no more than GAIN by each element.
     """
     exact, linearisation, bounded = False, solution.linearisation, hyperparameters.bounded
-    square, trace = quadratic_forms(hyperparameters, solution)
-    gradient, enough = square - trace + solution.of_prior[1], GAIN * max(1, len(hyperparameters))
+    gradient, enough = score(hyperparameters, solution), GAIN * max(1, len(hyperparameters))
     if B is None:
-        B = np.diag(2.0 * np.maximum(trace, 0.0) + solution.of_prior[2])
+        B = average_information(hyperparameters, solution)
     for _ in range(STEPS):
         free = np.flatnonzero(~(bounded & (solution.phi <= 0.0) & (gradient <= 0.0)))
         step = np.zeros(len(gradient))
