@@ -280,11 +280,9 @@ def likeliest(start: Linearisation, iterations: int = MAX_ITERATIONS) -> Maximum
     * turns of large scatter: where turns are spoilt, parameters and accelerometers may have taken the blame;
     * groups far larger than usual: scatter may have taken what is theirs;
     * where rests scatter, biases that are anew at every rest, a turn having that of the rest before it or of the rest
-      after it.
-
-    In motion without turns there is nothing of this."""
-    best, turns = maximum(start, iterations=iterations), start.problem.observations.turns
-    if turns is None or (start.problem.moves and not len(turns)):
+      after it."""
+    best = maximum(start, iterations=iterations)
+    if start.problem.observations.turns is None:
         return best
     hyperparameters, starts = best.hyperparameters, list[tuple[float, Array]]()
     centre = np.array([h.centre for h in hyperparameters])
