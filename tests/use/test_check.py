@@ -53,9 +53,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @cache
-def device() -> tuple[Scenario, Calibration]:
+def device(grade: str = "mems") -> tuple[Scenario, Calibration]:
     rng = np.random.default_rng(5)
-    scenario = scenario_of(Setup.of(grade="mems", positions=18), rng)
+    scenario = scenario_of(Setup.of(grade=grade, positions=18), rng)
     estimate = joint(simulate_observations(scenario, rng))
     template = Calibration(
         device=CalibratedDevice(serial=scenario.serial),
@@ -76,9 +76,11 @@ def device() -> tuple[Scenario, Calibration]:
     return scenario, replace(template, parameters=parameters)
 
 
-def seen(rests: int, changed: Mapping[str, float] = NOTHING, *, turns: bool = True) -> Observations:
+def seen(
+    rests: int, changed: Mapping[str, float] = NOTHING, *, turns: bool = True, grade: str = "mems"
+) -> Observations:
     """A session of the device in which parameters have changed."""
-    scenario, _ = device()
+    scenario, _ = device(grade)
     truth = dict(scenario.truth)
     for name, change in changed.items():
         truth[name] += change

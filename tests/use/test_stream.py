@@ -51,13 +51,15 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def chained(observations: Observations, calibration: Calibration) -> tuple[RestChain, list[JudgedRest]]:
+def chained(
+    observations: Observations, calibration: Calibration, grade: str = "mems"
+) -> tuple[RestChain, list[JudgedRest]]:
     """Rests judged one after the other."""
     chain, judged = None, list[JudgedRest]()
     for k in range(len(observations.rests)):
         alone = observations.of_rest(k)
-        known = prior_at_check(calibration, alone, "mems", {})
-        chain = chain or RestChain(known, usual_sizes("mems"))
+        known = prior_at_check(calibration, alone, grade, {})
+        chain = chain or RestChain(known, usual_sizes(grade))
         judged.append(chain.add(alone, known))
     assert chain is not None
     return chain, judged
@@ -96,8 +98,18 @@ def test_all_rests_together_say_what_a_field_check_of_one_session_says() -> None
     for name, test in at_once.tests.items():
         assert by_rest.tests[name].change == pytest.approx(test.change, abs=0.35 * test.u), name
         assert by_rest.tests[name].u == pytest.approx(test.u, rel=0.15), name
-    # a rest alone has no heading to find: the level part of the Earth's rate is an uncertainty of its gyros
-    assert by_rest.misfit.degrees == at_once.misfit.degrees + len(observations.rests)
+    assert by_rest.misfit.degrees == at_once.misfit.degrees
+
+
+@pytest.mark.parametrize("grade", ["tactical", "navigation"])
+def test_the_level_rate_of_the_earth_is_no_change_of_gyros_that_see_it(grade: str) -> None:
+    """Rests whose headings nobody knows, of gyros known far better than the Earth turns, 15°/h."""
+    observations = only_rests(seen(12, turns=False, grade=grade))
+    assert observations.site.latitude
+    chain, judged = chained(observations, device(grade)[1], grade)
+    assert chain.result().explained
+    assert not any(rest.moved for rest in judged)
+    assert all(rest.learned for rest in judged)
 
 
 @pytest.mark.parametrize(

@@ -173,7 +173,11 @@ class Problem:
     station : (N,)
         The station of each rest.
     earth : (3,)
-        The Earth's rate, rad/s; zero where the latitude is not known, in one attitude its part along the vertical.
+        The Earth's rate, rad/s; zero where the latitude is not known, its part along the vertical where
+        `earth_in_biases`.
+    earth_in_biases
+        Whether the Earth's rate is taken as a part of the biases of the gyros: in one attitude nothing tells them
+        apart, unless the biases were known beforehand.
     prior_mean, prior_u : (1 + m,)
         Gravity and the parameters as they were known before, and their standard deviations; of gravity zero where it is
         taken as exact.
@@ -206,6 +210,7 @@ class Problem:
     chain: IntArray
     station: IntArray
     earth: Array
+    earth_in_biases: bool
     prior_mean: Array
     prior_u: Array
     usual_u: Array
@@ -287,7 +292,8 @@ class Problem:
         )
         prior_u = np.append(site.gravity_u, u)
         earth = np.zeros(3) if site.latitude is None else np.array(earth_rate(site.latitude))
-        if observations.one_attitude:
+        earth_in_biases = prior.covariance is None and observations.one_attitude
+        if earth_in_biases:
             earth *= UP
         return Problem(
             observations=observations,
@@ -297,6 +303,7 @@ class Problem:
             chain=np.append(0, np.cumsum(~joined[:-1])),
             station=station,
             earth=earth,
+            earth_in_biases=earth_in_biases,
             prior_mean=np.append(site.gravity, start),
             prior_u=prior_u,
             usual_u=prior_u,
@@ -535,9 +542,9 @@ def noise_model(problem: Problem, noise: NoiseModel, gained: Array) -> NoiseMode
 
 
 def unseen_rate(problem: Problem) -> float:
-    """The variance, rad²/s², of the Earth's rate along an axis, of an unknown latitude and in several attitudes."""
-    observations = problem.observations
-    return EARTH_RATE**2 / 3.0 if observations.site.latitude is None and not observations.one_attitude else 0.0
+    """The variance, rad²/s², of the Earth's rate along an axis where the latitude is not known, beside the biases."""
+    unknown = problem.observations.site.latitude is None and not problem.earth_in_biases
+    return EARTH_RATE**2 / 3.0 if unknown else 0.0
 
 
 def _noise_of_session(problem: Problem) -> NoiseModel:

@@ -59,8 +59,14 @@ from tumble.rotation import onto_body, unit_vector
 from tumble.sensors.model import Block, SensorModel
 from tumble.units import DEGREE, Array, IntArray
 
-SAME_ATTITUDE = np.cos(10.0 * DEGREE)
-"""Cosine between verticals in the body, and of the angle of a turn: closer ones are those of one attitude."""
+COSINE_ALIKE = np.cos(10.0 * DEGREE)
+"""Cosine between two verticals in the body, and of the angle of a turn, from which on the attitudes are one."""
+
+
+def one_direction(vectors: Array) -> bool:
+    """Whether there are vectors (N, n), and all of them have the direction of the first."""
+    directions = unit_vector(vectors)
+    return bool(len(directions)) and bool((directions @ directions[0]).min() >= COSINE_ALIKE)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -127,8 +133,7 @@ class Observations(Brief):
     @property
     def one_vertical(self) -> bool:
         """Whether the vertical in the body is the same at all rests."""
-        up = unit_vector(self.rests.accel @ onto_body(self.accel_block.axes).T)
-        return bool(len(up)) and bool((up @ up[0]).min() >= SAME_ATTITUDE)
+        return one_direction(self.rests.accel @ onto_body(self.accel_block.axes).T)
 
     @property
     def one_attitude(self) -> bool:
@@ -141,7 +146,7 @@ class Observations(Brief):
         at_rest = replace(self.gyro_block.nominal(), bias=np.median(self.rests.gyro, axis=0))
         turns = self.turns if self.turn_samples is None else self.turns_about(at_rest)
         cosine = 0.5 * (np.trace(turns.C, axis1=1, axis2=2) - 1.0)
-        return bool(cosine.min() >= SAME_ATTITUDE)
+        return bool(cosine.min() >= COSINE_ALIKE)
 
     def rest_named(self, i: int) -> str:
         """The name of rest i: its number, and of several sessions that of its session."""

@@ -44,7 +44,7 @@ from tumble.inference.problem import Prior
 from tumble.inference.sources import source
 from tumble.inference.variables import both_ways
 from tumble.recording.session import Session
-from tumble.reduction.observations import SAME_ATTITUDE, Observations
+from tumble.reduction.observations import Observations, one_direction
 from tumble.reduction.rests.segmentation import find_rests
 from tumble.reduction.rests.thermometer_errors import with_thermometer_errors
 from tumble.reduction.rests.warming import OVER_TEMPERATURE as WIDE
@@ -104,7 +104,7 @@ def lies_still(observed: Observed) -> bool:
         return False
     rests, files = _at_rest(observed).segmentation.rests, observed.reduction.by_file
     means = np.array([files[rest.file].accel.mean(rest.first, rest.last) for rest in rests])
-    return len(rests) > 0 and not _several_attitudes(means)
+    return one_direction(means)
 
 
 def calibrate_warming(observed: Observed, base: Calibration | None, provenance: Provenance) -> Calibration:
@@ -165,12 +165,6 @@ def _at_rest(observed: Observed) -> Observed:
     return replace(observed, segmentation=replace(observed.segmentation, rests=rests))
 
 
-def _several_attitudes(means: Array) -> bool:
-    """Whether a device whose accelerometers read these means (N, n) lay in attitudes that are far apart."""
-    up = means / np.linalg.norm(means, axis=1, keepdims=True)
-    return bool((up @ up[0]).min() < SAME_ATTITUDE)
-
-
 def _blocks(observations: Observations) -> list[Block]:
     """Accelerometers, and gyros where there are some."""
     return [block for block in (observations.accel_block, observations.gyro_block) if block is not None]
@@ -185,7 +179,7 @@ def _estimated(
     """The coefficients over temperature by the joint estimate, and the observations with the usual sizes of groups."""
     from tumble.run.calibrate import with_grade
 
-    given, several = with_grade(session, observations), _several_attitudes(observations.rests.accel)
+    given, several = with_grade(session, observations), not one_direction(observations.rests.accel)
     turns = given.turns
     turned = turns is not None and bool((turns.duration > 0.0).any())
     if turns is not None:
@@ -281,7 +275,7 @@ def _with_coefficients(
     # Eq. (2)
     by_scale, block = np.eye(len(values)), observations.accel_block
     force = dict(zip(block.sensors, observations.rests.accel.mean(axis=0)[block.channels], strict=True))
-    for power in () if _several_attitudes(observations.rests.accel) else OVER_TEMPERATURE:
+    for power in OVER_TEMPERATURE if one_direction(observations.rests.accel) else ():
         of_scale, size = np.zeros(len(new)), observations.usual.get(f"accel.scale.{power}", 0.0)
         for sensor, f in force.items():
             name, scale = f"accel.bias.{sensor}.{power}", f"accel.scale.{sensor}.{power}"
@@ -400,7 +394,7 @@ def _notes(estimate: Estimate, observations: Observations) -> Iterator[str]:
             "the temperature went one way: a hysteresis is not seen, and in no u; let the device warm and cool in one "
             "recording"
         )
-    if not _several_attitudes(observations.rests.accel):
+    if one_direction(observations.rests.accel):
         yield (
             "one attitude does not tell a change of the scale factor of an accelerometer from one of its bias: what is "
             "given is right in this attitude, and u holds what is usual for others; record another attitude too"
