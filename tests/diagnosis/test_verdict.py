@@ -452,7 +452,6 @@ def test_many_tests_are_judged_by_one_rule() -> None:
 def test_parameters_are_listed_by_name_or_where_they_are_many_counted() -> None:
     few = ("accel.axis.yx", "accel.axis.zx")
     assert listed(few) == "accel.axis.yx, accel.axis.zx"
-    assert listed([*(f"gyro.scale.{a}" for a in "xyz"), *few]) == "gyro.scale (3), accel.axis (2)"
     many = (*(f"accel.bias.{i}" for i in range(12)), *(f"accel.scale.{i}" for i in range(16)))
     assert listed(many) == "accel.bias (12), accel.scale (16)"
 

@@ -28,7 +28,7 @@ MIXED = 0.1
 SHORTEST = 1e-9
 """rad: a shorter turn is about no axis."""
 
-MOST_LISTED = 4
+MOST_LISTED = 21
 """Parameters that are named one by one."""
 
 
