@@ -13,7 +13,7 @@ from tests.support.warming import G, Warming, cubic_fit, known_u, warming
 from tumble import Calibration, InputError, calibrate, read_calibration
 from tumble.export import export_calibration
 from tumble.inference.sources import earth_at_rest
-from tumble.reduction.rests.thermometer_errors import curve_through, passed
+from tumble.reduction.rests.thermometer_errors import curve_through, level_crossings
 from tumble.result.parts import CalibratedTemperature
 from tumble.result.temperature_curves import curve
 from tumble.sensors.model import SensorModel
@@ -175,11 +175,11 @@ def test_whole_degrees_are_no_steps_of_the_sensors() -> None:
     seconds = np.arange(1000.0)
     for true in (290.0 + 0.01 * seconds, 300.0 - 10.0 * np.exp(-seconds / 250.0), 295.0 - 0.02 * abs(seconds - 480.0)):
         read = np.round(true)
-        off_by = np.abs(curve_through(*passed(seconds, read), seconds, read) - true)
+        off_by = np.abs(curve_through(*level_crossings(seconds, read), seconds, read) - true)
         assert np.median(off_by) < 0.05
         assert off_by.max() < 0.51  # where it turns back between two levels
     noisy = np.round(true + 0.05 * np.random.default_rng(1).standard_normal(1000))
-    assert np.abs(curve_through(*passed(seconds, noisy), seconds, noisy) - true).std() < 0.1
+    assert np.abs(curve_through(*level_crossings(seconds, noisy), seconds, noisy) - true).std() < 0.1
     recorded = warming(13, span=25.0, lag=60.0, seconds=1200.0, whole_degrees=True)
     made = calibrate(**recorded.arrays)
     for kind in KINDS:
@@ -192,7 +192,7 @@ def test_readings_interpolated_between_whole_degrees_are_no_levels() -> None:
     seconds = np.arange(0.0, 1200.0, 0.5)
     true = 300.0 - 20.0 * np.exp(-seconds / 300.0)
     read = np.interp(seconds, seconds[::10], np.round(true[::10]))
-    time, level = passed(seconds, read)
+    time, level = level_crossings(seconds, read)
     assert (level % 1.0 == 0.5).all()
     assert len(level) == 20
     assert np.abs(curve_through(time, level, seconds, read) - true).max() < 0.2
