@@ -242,7 +242,7 @@ def likeliest_phi(
     settled
         Whether ℓ would gain by B no more than GAIN by each element.
     """
-    exact, linearisation, bounded = False, solution.linearisation, hyperparameters.bounded
+    exact, linearisation, bounded = B is None, solution.linearisation, hyperparameters.bounded
     gradient, enough = score(hyperparameters, solution), GAIN * max(1, len(hyperparameters))
     if B is None:
         B = average_information(hyperparameters, solution)
@@ -264,11 +264,11 @@ def likeliest_phi(
         tried_gradient = score(hyperparameters, tried)
         expected = float(gradient @ step - 0.5 * step @ B @ step)
         gained = float(tried.log_posterior - solution.log_posterior)
-        B = _updated(B, step, gradient - tried_gradient)
+        B, exact = _updated(B, step, gradient - tried_gradient), False
         small = gained < 0.1 * expected or expected <= 0.0
         radius = 0.3 * float(np.abs(step).max()) if small else min(2.0 * radius, FURTHEST)
         if gained > 0.0:
-            solution, gradient, exact = tried, tried_gradient, False
+            solution, gradient = tried, tried_gradient
     return solution, B, radius, gain < enough
 
 
