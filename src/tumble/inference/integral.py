@@ -43,7 +43,7 @@ the weights of all points so far give, and all points are weighted anew by the m
 
     w ∝ (e^ℓ/q) N(n; 0, 1)/Σ_k (K_k/K) N(n; μ_k, Σ_k)
 
-As long as few points count, μ and Σ are by weights levelled, w^β, β < 1, until enough do.
+As long as few points are effective, μ and Σ are by tempered weights w^β, β < 1.
 """
 
 from __future__ import annotations
@@ -114,8 +114,8 @@ is said."""
 FEW, MANY = 4.0, 32.0
 """Effective points of a set: two of fewer may agree by chance, those of the first round and those after it, whose
 proposal is by the points themselves."""
-LEVELLED = 0.35
-"""The part of the points that count, at most, where their weights are levelled for the next round."""
+TEMPERED = 0.35
+"""Effective part of the points, at most, to which weights are tempered for the proposal of the next round."""
 TRUSTED, LEAST, WIDER = 0.5, 0.05, 1.2
 """Of the covariance of the next round: the part of the correlations that few points give; the variance beside, of that
 of the copula; and the factor of all, a proposal too wide costing less than one too narrow."""
@@ -695,26 +695,27 @@ def _error(drawn: Sequence[Draws]) -> float:
 
 
 def _rounds(fitted: Maximum, proposal: Proposal, count: int, sequence: int) -> Iterator[Draws]:
-    """The draws of a set after each round: `count` by the copula, then OF_ROUND more by the weights of all so far."""
+    """Draws of one set after each round of adaptive importance sampling: `count` points of the copula, then OF_ROUND
+    more of a normal distribution of n by the weights of all before."""
     D = len(proposal.outer)
-    drawn_from: list[tuple[Array, Array]] = [(np.zeros(D), np.eye(D))]
+    components: list[tuple[Array, Array]] = [(np.zeros(D), np.eye(D))]  # mean and root of the covariance of n
     numbers, normal, parts = [count], np.zeros((0, D)), list[Draws]()
     for number in range(ROUNDS):
-        middle, root = drawn_from[-1]
-        new = middle + normal_points(numbers[-1], D, sequence + 2 * number) @ root.T
+        mean, root = components[-1]
+        new = mean + normal_points(numbers[-1], D, sequence + 2 * number) @ root.T
         normal = np.concatenate([normal, new])
         parts.append(_drawn(fitted, proposal, new, sequence + 2 * number))
         every = Draws.joined(parts)
         share = np.log(numbers) - np.log(len(normal))
-        mixture = np.array([_log_normal(normal, *each) for each in drawn_from]) + share[:, None]
-        change = -0.5 * (normal**2).sum(axis=1) - scipy.special.logsumexp(mixture, axis=0)
-        every = replace(every, log_weight=every.log_weight + change[:, None])
+        mixture = np.array([_log_normal(normal, *each) for each in components]) + share[:, None]
+        from_copula = -0.5 * (normal**2).sum(axis=1) - scipy.special.logsumexp(mixture, axis=0)
+        every = replace(every, log_weight=every.log_weight + from_copula[:, None])
         yield every
-        weight = _levelled(scipy.special.logsumexp(every.log_weight, axis=1), min(2.0 * D, LEVELLED * len(normal)))
-        middle = weight @ normal
-        covariance = ((normal - middle).T * weight) @ (normal - middle)
+        weight = _tempered(scipy.special.logsumexp(every.log_weight, axis=1), min(2.0 * D, TEMPERED * len(normal)))
+        mean = weight @ normal
+        covariance = ((normal - mean).T * weight) @ (normal - mean)
         wider = WIDER * (TRUSTED * covariance + np.diag((1.0 - TRUSTED) * covariance.diagonal() + LEAST))
-        drawn_from.append((middle, np.asarray(np.linalg.cholesky(wider), dtype=float)))
+        components.append((mean, np.asarray(np.linalg.cholesky(wider), dtype=float)))
         numbers.append(OF_ROUND)
 
 
@@ -724,12 +725,12 @@ def _log_normal(points: Array, middle: Array, root: Array) -> Array:
     return np.asarray(-0.5 * (off**2).sum(axis=0) - np.log(root.diagonal()).sum())
 
 
-def _levelled(log_weight: Array, enough: float) -> Array:
-    """Weights w^β (K,), β ≤ 1, of which `enough` points count."""
-    level = log_weight - log_weight.max()
-    while np.exp(level).sum() ** 2 < enough * np.exp(2.0 * level).sum():
-        level = 0.85 * level
-    return np.asarray(scipy.special.softmax(level))
+def _tempered(log_weight: Array, enough: float) -> Array:
+    """Weights w^β (K,) with the largest β ≤ 1 of a geometric sequence at which `enough` points are effective."""
+    tempered = log_weight - log_weight.max()
+    while np.exp(tempered).sum() ** 2 < enough * np.exp(2.0 * tempered).sum():
+        tempered = 0.85 * tempered
+    return np.asarray(scipy.special.softmax(tempered))
 
 
 def _typical(fitted: Maximum, draws: Draws) -> Solution:
