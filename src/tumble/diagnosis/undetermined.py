@@ -97,7 +97,7 @@ def _too_few(observations: Observations, missing: Sequence[str]) -> str:
     needed = len(linear_names(block.names)) if block.size == len("xyz") else 0
     kinds = {sensor_kind(name) for name in missing}
     few = f"{rests} rests of the {needed} needed" if "accel" in kinds and rests < needed else ""
-    left_out = [note for note in observations.notes if " is left out: " in note] if "gyro" in kinds else []
+    left_out = observations.turns_left_out if "gyro" in kinds else ()
     more = f" (and {len(left_out) - 1} more)" if len(left_out) > 1 else ""
     return _and(few, f"{left_out[0]}{more}" if left_out else "")
 
