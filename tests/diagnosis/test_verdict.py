@@ -34,7 +34,7 @@ from tumble.diagnosis.projection import (
     projections,
 )
 from tumble.diagnosis.undetermined import listed
-from tumble.diagnosis.verdict import gravity_doubted, gravity_said, verdict
+from tumble.diagnosis.verdict import doubtful_gravity, gravity_text, verdict
 from tumble.documents import as_json
 from tumble.earth import NORMAL_GRAVITY_U
 from tumble.inference.estimate import Estimate, Outcome
@@ -301,13 +301,13 @@ def test_gravity_that_no_place_has_is_refused_unless_confirmed() -> None:
     assert "+1110 mGal" in refused.reasons[0]
     assert verdict(estimate, wrong, gravity_confirmed=True).accepted
     doubtful = replace(observations.site, gravity=observations.site.gravity + 0.0031)
-    assert "+310 mGal from normal gravity, more than 300" in gravity_doubted(doubtful)[0]
-    assert not gravity_doubted(observations.site)
-    assert gravity_said(observations.site).endswith("+0 mGal from normal gravity")  # measured, to 0.01 mGal
+    assert "+310 mGal from normal gravity, more than 300" in doubtful_gravity(doubtful)[0]
+    assert not doubtful_gravity(observations.site)
+    assert gravity_text(observations.site).endswith("+0 mGal from normal gravity")  # measured, to 0.01 mGal
     unstated = replace(observations.site, gravity_u=NORMAL_GRAVITY_U)
-    assert gravity_said(unstated).endswith("m/s^2, normal gravity assumed, u 31 ppm")
+    assert gravity_text(unstated).endswith("m/s^2, normal gravity assumed, u 31 ppm")
     assert 1e6 * unstated.gravity_u / unstated.gravity == pytest.approx(30.6, abs=0.1)
-    assert gravity_said(replace(observations.site, latitude=None)).endswith("m/s^2")
+    assert gravity_text(replace(observations.site, latitude=None)).endswith("m/s^2")
 
 
 def test_a_latitude_that_the_gyros_contradict_is_named() -> None:

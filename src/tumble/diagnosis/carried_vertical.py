@@ -18,8 +18,8 @@ from tumble.diagnosis.observability import rough_directions
 from tumble.diagnosis.turn_likelihood import (
     WIDTHS,
     TurnLikelihood,
-    columns_said,
-    cost_of_any,
+    columns_text,
+    cost_of_free_scale,
     ends_tilted,
     turn_likelihoods,
 )
@@ -143,13 +143,13 @@ def _others(
             yield wrong + nominal.at(-math.log(longer)), f'; log.time_unit = "{name}" would fit'
     for exchanged in likelihoods[1:]:
         cost = exchanged.of_nominal(WIDTHS.scale).at(0.0)
-        yield cost, f"; {columns_said(exchanged.exchange)}"
+        yield cost, f"; {columns_text(exchanged.exchange)}"
     ratio = likelihoods[0].found()
     said = f"; the gyros read about {ratio:.3g} times what they should"
     suspects = ["the nominal scale of [log.gyro]"] if channels.raw else []
     suspects += ["log.rate_hz"] if log.rate is not None else []
     said += f": {' or '.join(suspects)} is {times_wrong(ratio)}" if suspects else ""
-    yield wrong + cost_of_any(WIDTHS.scale) + likelihoods[0].at(math.log(ratio)), said
+    yield wrong + cost_of_free_scale(WIDTHS.scale) + likelihoods[0].at(math.log(ratio)), said
 
 
 def _turned(observations: Observations, gyro: SensorModel) -> Array:

@@ -65,7 +65,7 @@ class Widths:
 WIDTHS = Widths()
 
 
-def cost_of_any(deviation: float, range_of_logarithm: float = _SCALES) -> float:
+def cost_of_free_scale(deviation: float, range_of_logarithm: float = _SCALES) -> float:
     """What it costs that a number may be any in a range of its logarithm, against one of a table: the density of a
     Gaussian of this standard deviation over an even one."""
     return 2.0 * math.log(range_of_logarithm / (deviation * math.sqrt(2.0 * math.pi)))
@@ -203,7 +203,7 @@ def signed_permutations() -> list[Array]:
     return sorted(every, key=lambda exchange: min(_readings(exchange))[0])
 
 
-def columns_said(exchange: Array) -> str:
+def columns_text(exchange: Array) -> str:
     """The simplest readings of a signed permutation of the gyros, in words."""
     readings = _readings(exchange)
     simplest = [words for changes, words in readings if changes == min(readings)[0]]

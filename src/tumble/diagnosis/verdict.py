@@ -111,7 +111,7 @@ def _impossible_gravity(site: Site) -> Iterator[Finding]:
     difference = gravity_difference(site)
     if difference is not None and abs(difference) > GRAVITY_REFUSED:
         yield refusal(
-            f"{gravity_said(site)}, more than {GRAVITY_REFUSED / MILLIGAL:.0f}: every scale factor of the "
+            f"{gravity_text(site)}, more than {GRAVITY_REFUSED / MILLIGAL:.0f}: every scale factor of the "
             "accelerometers would be wrong with it; correct gravity, latitude_deg or height_m in [site], or write "
             "gravity_confirmed = true",
             "accel.scale",
@@ -217,7 +217,7 @@ def no_rests(segmentation: Segmentation) -> Outcome:
     return Outcome(reasons=(f"{reason}; {advice}",))
 
 
-def little_used(segmentation: Segmentation, *, in_motion: bool = False) -> tuple[str, ...]:
+def unused_quiet_time(segmentation: Segmentation, *, in_motion: bool = False) -> tuple[str, ...]:
     """That much of the quiet time of a log is no rest that the estimate has, as a remark. One `in_motion` has what
     moves, but not what is shaken."""
     used = sum(rest.stop - rest.start for rest in segmentation.rests)
@@ -239,7 +239,7 @@ def gravity_difference(site: Site) -> float | None:
     return None if site.latitude is None else site.gravity - normal_gravity(site.latitude, site.height)
 
 
-def against_normal(site: Site) -> str | None:
+def anomaly_text(site: Site) -> str | None:
     """How far gravity is from normal gravity; where it is that to the last digit and no better known than a milligal,
     which any measurement is, none was measured: then the uncertainty it has. None where the latitude is not known."""
     difference = gravity_difference(site)
@@ -250,19 +250,19 @@ def against_normal(site: Site) -> str | None:
     return f"{difference / MILLIGAL:+z.0f} mGal from normal gravity"
 
 
-def gravity_said(site: Site) -> str:
+def gravity_text(site: Site) -> str:
     """Gravity, and where the latitude is known what it is against normal gravity."""
-    against = against_normal(site)
+    against = anomaly_text(site)
     return f"gravity {site.gravity:.6f} m/s^2" + ("" if against is None else f", {against}")
 
 
-def gravity_doubted(site: Site) -> tuple[str, ...]:
+def doubtful_gravity(site: Site) -> tuple[str, ...]:
     """Gravity that few places have, as a note."""
     difference = gravity_difference(site)
     if difference is None or abs(difference) <= GRAVITY_DOUBTED:
         return ()
     return (
-        f"{gravity_said(site)}, more than {GRAVITY_DOUBTED / MILLIGAL:.0f}: look at gravity, latitude_deg and height_m "
+        f"{gravity_text(site)}, more than {GRAVITY_DOUBTED / MILLIGAL:.0f}: look at gravity, latitude_deg and height_m "
         f"in [site]; if that is wrong, the scale factors of the accelerometers are off by "
         f"{difference / site.gravity * 1e6:+.0f} ppm",
     )
@@ -271,7 +271,7 @@ def gravity_doubted(site: Site) -> tuple[str, ...]:
 # -------------------- time base of the log against the scale factors of the gyros --------------------
 
 
-def time_base_doubted(estimate: Estimate, usual: float) -> tuple[str, ...]:
+def doubtful_time_base(estimate: Estimate, usual: float) -> tuple[str, ...]:
     """Scale factors of the gyros that err alike by more than they differ, as all do by a wrong time base.
 
     The mean of n scale-factor errors of an instrument is N(0, σ²/n) beside its own uncertainty, that of the time base
