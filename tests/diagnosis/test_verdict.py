@@ -33,7 +33,7 @@ from tumble.diagnosis.projection import (
     north_rate_columns,
     projections,
 )
-from tumble.diagnosis.undetermined import listed
+from tumble.diagnosis.undetermined import parameter_list
 from tumble.diagnosis.verdict import doubtful_gravity, gravity_text, verdict
 from tumble.documents import as_json
 from tumble.earth import NORMAL_GRAVITY_U
@@ -451,9 +451,9 @@ def test_many_tests_are_judged_by_one_rule() -> None:
 
 def test_parameters_are_listed_by_name_or_where_they_are_many_counted() -> None:
     few = ("accel.axis.yx", "accel.axis.zx")
-    assert listed(few) == "accel.axis.yx, accel.axis.zx"
+    assert parameter_list(few) == "accel.axis.yx, accel.axis.zx"
     many = (*(f"accel.bias.{i}" for i in range(12)), *(f"accel.scale.{i}" for i in range(16)))
-    assert listed(many) == "accel.bias (12), accel.scale (16)"
+    assert parameter_list(many) == "accel.bias (12), accel.scale (16)"
 
 
 def test_memories_are_the_same_in_one_go_and_step_by_step() -> None:

@@ -36,14 +36,10 @@ CARRIED = 0.25
 wrong."""
 EVIDENT = 0.5
 """rad: no half turn of nominal gyros misses the vertical by as much: bias, scale and axis errors of 5 % leave less."""
-SMALL_SCALE_ERROR = 0.1
-"""Scale-factor errors that a calibration is for."""
-FASTEST_TURN = 10.0
-"""rad/s: by hand or on a table."""
-_RATES, _SHORTEST_LOG = (0.5, 20_000.0), 2.0
-"""Hz, and s, of a log that is one."""
-BIAS_LIMIT = 100.0
-"""rad/s: what no gyro measures, let alone as its bias."""
+SMALL_SCALE_ERROR = 0.1  # scale-factor errors that a calibration is for
+FASTEST_TURN = 10.0  # rad/s: by hand or on a table
+_RATES, _SHORTEST_LOG = (0.5, 20_000.0), 2.0  # hz, and s, of a log that is one
+BIAS_LIMIT = 100.0  # rad/s: what no gyro measures, let alone as its bias
 UPRIGHT = 20.0 * DEGREE
 """How far a rest may be from its position of the programme to count as that position, or as it upside down."""
 _SIGN = "an accelerometer at rest with its axis up must read +g"

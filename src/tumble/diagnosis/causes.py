@@ -29,8 +29,7 @@ from tumble.sensors.model import Block, SensorKind
 from tumble.sensors.parameters import PAIRS, PRODUCTS, RATE, group_name, positions_by_group
 from tumble.units import DEGREE, G_STANDARD, Array, IntArray, two_digits
 
-MEMORY_TIMES = (10.0, 60.0, 300.0)
-"""s: time constants of a memory that are tried."""
+MEMORY_TIMES = (10.0, 60.0, 300.0)  # s: time constants of a memory that are tried
 PLAY = 0.05 * G_STANDARD
 """Half the width of the play of a hysteresis: a change of the force by twice as much crosses it."""
 EARTH_RATE_U = 0.03
@@ -40,8 +39,7 @@ RESTS_BESIDE_JUMP = 2
 """Fewest rests before and after a jump: a single rest with another bias is a rest that does not fit."""
 SHIFT_PLACES = 7
 """Places in a session at which a shift of the gyros is tried; one between two of them is found at either."""
-COARSE_ROUNDING = 0.5
-"""Error of the mean of a rest by rounding, in units of its noise, from which rounding is a cause."""
+COARSE_ROUNDING = 0.5  # error of the mean of a rest by rounding, in units of its noise, from which rounding is a cause
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -15,14 +15,11 @@ from tumble.reduction.rests.segmentation import Stretch
 from tumble.rotation import onto_body, unit_vector
 from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, UNIT_TOLERANCE, Array, fitting_units, is_near_one
 
-REST_SHARE = 0.2
-"""At least this part of a recording is rest: there a sample of coarse resolution equals the one before."""
+REST_SHARE = 0.2  # at least this part of a recording is rest: there a sample of coarse resolution equals the one before
 
-IMPOSSIBLE = 1e10
-"""SI: no sensor reads as much, in whatever unit its log is taken to be."""
+IMPOSSIBLE = 1e10  # SI: no sensor reads as much, in whatever unit its log is taken to be
 
-CHANCE = 1e-9
-"""Probability below which a row of equal samples is no accident."""
+CHANCE = 1e-9  # probability below which a row of equal samples is no accident
 
 LEAPING = 0.3 * G_STANDARD
 """From one sample to the others of its 0.1 s, most of the time: no vibration that a device rests in is as large."""
@@ -46,8 +43,7 @@ RADIAL, CONSTANT, LENGTHENS = 0.25, 1e-3, 1e-5
 """Accelerometers whose magnitude is constant to RADIAL of their noise across gravity and to CONSTANT of itself, in all
 attitudes and on the way, have it from a driver: sensors have the same noise along gravity as across, and their errors
 beside. A vibration v across gravity of raw ones lengthens them by v²/2g, which is told from LENGTHENS of g on."""
-LEAST_FORCE = 1e-9
-"""m/s²: of a shorter vector no direction is known."""
+LEAST_FORCE = 1e-9  # m/s²: of a shorter vector no direction is known
 
 
 def normalised(reduction: Reduction, rests: Sequence[Stretch], to_body: Array) -> list[str]:
@@ -126,8 +122,7 @@ def _most_alike(values: Array) -> int:
 FADES, RETURNS, TILTED = 0.5, 0.3, 0.5
 """Part of the squares of what gyros read at rest that goes with the turns before; part of the angle that gyros read in
 a turn that is left in the end, where its vertical was turned by more than TILTED, rad."""
-FEWEST_TURNED = 5
-"""Turns, in which chance shows neither."""
+FEWEST_TURNED = 5  # turns, in which chance shows neither
 
 
 def high_passed(reduction: Reduction, rests: Sequence[Stretch]) -> list[str]:

@@ -14,10 +14,8 @@ from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.sensors.model import Block, SensorKind
 from tumble.units import Array
 
-PATH_STEPS = 24
-"""Steps into which the path of a turn is divided."""
-SHORTEST_TURN = 1e-6
-"""s: shorter turns only join the parts of one rest."""
+PATH_STEPS = 24  # steps into which the path of a turn is divided
+SHORTEST_TURN = 1e-6  # s: shorter turns only join the parts of one rest
 
 
 class LinearisedSession:

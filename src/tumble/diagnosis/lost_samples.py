@@ -32,18 +32,12 @@ from tumble.rotation import tangent_basis
 from tumble.sensors.parameters import RATE
 from tumble.units import DEGREE, Array
 
-TURN_GROUPS = ("gyro.scale", "gyro.axis")
-"""Groups of parameters that are determined by turns."""
-FEWEST_HELD = 3
-"""Samples."""
-LEAST_MEAN_SQUARE = 1e-12
-"""Of residuals in units of their noise; less counts as this."""
-SCATTER_ROUNDS = 4
-"""Iterations of the scatter of turns."""
-JITTER_SIGMAS = 3.0
-"""Standard deviations of a covariance between intervals that show jitter."""
-SMALLEST_JITTER = 3e-3
-"""In intervals: jitter of time stamps that has no visible effect on turns."""
+TURN_GROUPS = ("gyro.scale", "gyro.axis")  # groups of parameters that are determined by turns
+FEWEST_HELD = 3  # samples
+LEAST_MEAN_SQUARE = 1e-12  # of residuals in units of their noise; less counts as this
+SCATTER_ROUNDS = 4  # iterations of the scatter of turns
+JITTER_SIGMAS = 3.0  # standard deviations of a covariance between intervals that show jitter
+SMALLEST_JITTER = 3e-3  # in intervals: jitter of time stamps that has no visible effect on turns
 
 
 def jitter_hint(observations: Observations) -> str:

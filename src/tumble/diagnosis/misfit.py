@@ -38,14 +38,10 @@ from tumble.sensors.model import SensorKind
 from tumble.sensors.parameters import group_of, shown_in
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, two_digits
 
-CAUSE_P_VALUE = 0.02
-"""Causes of a significant scatter are named if their p-value is smaller."""
-LOST_SAMPLES_P_VALUE = 0.05
-"""Lost samples are named first for turns that scatter if their p-value is smaller."""
-MOST_CAUSES = 3
-"""Causes that are named."""
-MOST_SESSIONS = 5
-"""Sessions, of several, that are described one by one."""
+CAUSE_P_VALUE = 0.02  # causes of a significant scatter are named if their p-value is smaller
+LOST_SAMPLES_P_VALUE = 0.05  # lost samples are named first for turns that scatter if their p-value is smaller
+MOST_CAUSES = 3  # causes that are named
+MOST_SESSIONS = 5  # sessions, of several, that are described one by one
 MODEL_FAILURE_RATIO = 30.0
 """Scatter over noise above which the model fails: then the errors of turns are not random, and gyro parameters from
 turns are refused."""

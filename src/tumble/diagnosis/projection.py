@@ -46,8 +46,7 @@ DETERMINED_HEADING = 0.05
 """rad: headings with a smaller uncertainty from the gyros at rest are close to where the rows were linearised."""
 RELATIVE_RANK = 1e-4
 """Combinations of columns that lose all but this part of their length to the other unknowns are not determined."""
-FALSE_ALARMS = 5e-3
-"""Probability that all tests together find something in a session in which nothing is wrong."""
+FALSE_ALARMS = 5e-3  # probability that all tests together find something in a session in which nothing is wrong
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -23,19 +23,15 @@ import numpy as np
 
 from tumble.units import DEGREE, Array
 
-_STEPS = 192
-"""Rotations that a turn is made of at most: of a whole revolution 2° each."""
-_TOGETHER = 4
-"""So many of them are taken as one, and so many steps of the grid, where exchanges are first looked at."""
-MOST_TURNS = 24
-"""The shortest turns, which tell."""
+_STEPS = 192  # rotations that a turn is made of at most: of a whole revolution 2° each
+_TOGETHER = 4  # so many of them are taken as one, and so many steps of the grid, where exchanges are first looked at
+MOST_TURNS = 24  # the shortest turns, which tell
 _MOST_MISFIT = 9.0  # of a turn
 _GRID = 0.015  # of ln Q
 _PATHS = 40.0, 0.03  # rad, of the median turn, at both ends of the grid
 _TILTED = math.cos(8.0 * DEGREE)
 _MOST_EXCHANGES = 4
-_SCALES = math.log(1e6)
-"""The range of the logarithm of a scale of which nothing is known."""
+_SCALES = math.log(1e6)  # the range of the logarithm of a scale of which nothing is known
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -46,16 +42,11 @@ class Widths:
     """Standard deviation of ln of a scale factor over its nominal value: ±3 % in data sheets of MEMS."""
     offset: float = 0.03
     """The same of the length of gravity where rests do not show the zero: offsets of 50 mg on three axes."""
-    vertical: float = 0.06
-    """Standard deviation of a vertical, rad: offsets of 50 mg before and behind a turn."""
-    axes: float = 0.03
-    """The same, part of the angle of a turn: axes and scale factors of small sensors."""
-    damaged: float = 0.05
-    """Share of turns of which the gyros do not say where they led: clipped, cut, torn."""
-    exchanged: float = 0.03
-    """Share of logs whose gyros have other axes or signs, chosen by hand."""
-    named_wrongly: float = 0.003
-    """Share of gyros in another unit than their name says, chosen by hand."""
+    vertical: float = 0.06  # Standard deviation of a vertical, rad: offsets of 50 mg before and behind a turn
+    axes: float = 0.03  # The same, part of the angle of a turn: axes and scale factors of small sensors
+    damaged: float = 0.05  # Share of turns of which the gyros do not say where they led: clipped, cut, torn
+    exchanged: float = 0.03  # Share of logs whose gyros have other axes or signs, chosen by hand
+    named_wrongly: float = 0.003  # Share of gyros in another unit than their name says, chosen by hand
     turning: float = 1.2
     """Standard deviation of ln of the rate of turning by hand or on a table over 1 rad/s, from 10 to 500 °/s."""
     near: float = 6.0

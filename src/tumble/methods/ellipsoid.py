@@ -17,7 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tumble.diagnosis.linear_model import by_joint, left_out_by_rests, left_out_sizes, with_left_out
+from tumble.diagnosis.linear_model import converged_joint, omitted_by_rests, omitted_sizes, with_omitted_groups
 from tumble.diagnosis.observability import Refusal
 from tumble.errors import InputError
 from tumble.inference.estimate import Estimate, Fit
@@ -50,8 +50,8 @@ def ellipsoid(observations: Observations, *, intervals: bool = True) -> Estimate
     if not isinstance(found, Refusal):
         beside, sizes = None, None
         if observations.usual and found.converged:
-            beside = by_joint(observations.of_accelerometers(), intervals)
-            sizes = beside if observations.turns is None else by_joint(observations, intervals)
+            beside = converged_joint(observations.of_accelerometers(), intervals)
+            sizes = beside if observations.turns is None else converged_joint(observations, intervals)
         return estimate_of(found, observations, beside, sizes or beside)
     if not len(found.null):
         raise np.linalg.LinAlgError(found.reason)
@@ -112,8 +112,8 @@ def estimate_of(
     if not observations.usual:
         return estimate
     estimate = replace(estimate, linearised=None if beside is None else beside.linearised)
-    problem, moves, _ = left_out_by_rests(observations, found.values, deviations(found, observations))
-    return with_left_out(estimate, problem, moves, left_out_sizes(problem, sizes))
+    problem, moves, _ = omitted_by_rests(observations, found.values, deviations(found, observations))
+    return with_omitted_groups(estimate, problem, moves, omitted_sizes(problem, sizes))
 
 
 def deviations(found: EllipsoidFit, observations: Observations) -> Array:

@@ -30,7 +30,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tumble.diagnosis.linear_model import left_out_by_rests, left_out_sizes, with_left_out
+from tumble.diagnosis.linear_model import omitted_by_rests, omitted_sizes, with_omitted_groups
 from tumble.inference.estimate import Estimate
 from tumble.inference.hyperparameters import STATED
 from tumble.inference.integral import coverage_factors, degrees_of, normal_points
@@ -75,8 +75,8 @@ def with_groups(
     names = dict.fromkeys(name for sizes in grades for name in sizes)
     usual = {name: float(np.sqrt(np.mean([sizes.get(name, 0.0) ** 2 for sizes in grades]))) for name in names}
     rests, sigma = replace(observations, usual=usual), deviations(fit, observations)
-    problem, moves, L = left_out_by_rests(rests, fit.values, sigma)
-    made = with_left_out(estimate, problem, moves, left_out_sizes(problem, None))
+    problem, moves, L = omitted_by_rests(rests, fit.values, sigma)
+    made = with_omitted_groups(estimate, problem, moves, omitted_sizes(problem, None))
     instrument, first, k = problem.instrument, len(fit.values), L.shape[1]
     groups = {group.name: instrument.members[group.name] for group in instrument.further}
     number = np.repeat(np.arange(len(groups)), [members.stop - members.start for members in groups.values()])

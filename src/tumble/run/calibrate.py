@@ -365,7 +365,7 @@ def estimated(
             budget = None if budget is None else budget.beside(source("clock", relative, "1"), of_clock)
             estimate = replace(estimate, covariance=estimate.covariance + of_clock, budget=budget)
         if linear_joint or estimate.method != "joint":
-            notes += linear_model.taken_as_nothing(estimate)
+            notes += linear_model.omitted_groups_note(estimate)
             estimate = linear_model.linear_part(estimate) if terms == "linear" else estimate
         elif prior is not None:
             estimate, of_type = with_prior(estimate, observations, prior, reference_of(observations))

@@ -28,7 +28,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from tumble.diagnosis.linear_model import by_joint, groups_in_data, left_out_sizes, with_left_out
+from tumble.diagnosis.linear_model import converged_joint, group_columns, omitted_sizes, with_omitted_groups
 from tumble.earth import earth_rate
 from tumble.errors import InputError, ProgrammeError, SessionError
 from tumble.inference.estimate import Estimate
@@ -273,7 +273,7 @@ def moved_by_groups(observations: Observations, method: PaperMethod, iterations:
     """The likelihood with the groups that a method takes as nothing, and by how much one of each parameter of these
     moves its result (m, k). Raises as `iterated`."""
     _, derivative, _ = _SessionData.of(observations, method).passes(iterations)
-    problem, shown = groups_in_data(observations)
+    problem, shown = group_columns(observations)
     return problem, derivative @ shown
 
 
@@ -471,7 +471,7 @@ def _estimate(
 ) -> Estimate:
     """The estimate of values (m,) with their derivative (m, d) with respect to the data."""
     observations, turned = launch.observations, launch.turned(values)
-    beside = by_joint(observations, intervals and bool(observations.usual))
+    beside = converged_joint(observations, intervals and bool(observations.usual))
     if beside is None:  # with groups that leave a linear parameter open, or without
         beside = joint(replace(observations, usual={}), intervals=False)
     assert beside.budget is not None
@@ -512,8 +512,8 @@ def _estimate(
     )
     if not observations.usual:
         return estimate
-    problem, shown = groups_in_data(observations)
-    return with_left_out(estimate, problem, derivative @ shown, left_out_sizes(problem, beside))
+    problem, shown = group_columns(observations)
+    return with_omitted_groups(estimate, problem, derivative @ shown, omitted_sizes(problem, beside))
 
 
 sequential = partial(iterated, method=SEQUENTIAL)
