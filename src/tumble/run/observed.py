@@ -17,7 +17,7 @@ import numpy as np
 
 from tumble.arguments import checked
 from tumble.brief import Judged
-from tumble.diagnosis.carried_vertical import sense_faults
+from tumble.diagnosis.carried_vertical import vertical_faults
 from tumble.diagnosis.channels import (
     accelerometer_faults,
     channel_faults,
@@ -176,11 +176,11 @@ def inspected(session: Session, progress: Progress, beside: Executor, tuning: Tu
             trial = _observed(session, reduction, find_rests(reduction, session.accel_block, None).rests)
     of_gyros = list[str]()
     if trial is not None and not faults:
-        faults = sense_faults(trial, session, reduction.rate)
+        faults = vertical_faults(trial, session, reduction.rate)
         if faults or lost:
             of_gyros = high_passed(reduction, segmentation.rests) or ([lost] if lost and not faults else [])
         if of_gyros:
-            faults = sense_faults(trial.of_accelerometers(), session, reduction.rate)
+            faults = vertical_faults(trial.of_accelerometers(), session, reduction.rate)
     if session.log.gyro is not None and not faults and not of_gyros:
         of_gyros = dead_zones(reduction, segmentation.rests, session.log.gyro)
     return Observed(
