@@ -158,7 +158,7 @@ def _hypotheses(
 
 
 def _turned_angles(observations: Observations, gyro: SensorModel) -> Array:
-    """Return the approximate angle (K,) of each turn, rad, whole revolutions included; 0 if the rates are implausible."""
+    """Return the approximate angle (K,), rad, of each turn with its whole revolutions; 0 for implausible rates."""
     with np.errstate(invalid="ignore", over="ignore"):
         turns = observations.turns_about(gyro)
         rate = float(np.median(np.nan_to_num(np.sqrt((turns.M**2).sum(axis=(1, 2, 3)))) / turns.duration))

@@ -23,7 +23,7 @@ LEAP = 0.3 * G_STANDARD  # within 0.1 s, at the median: larger than the vibratio
 
 
 def mixed_rows(reduction: Reduction, log: LogSpec) -> list[str]:
-    """Return a fault if accelerometers of the right unit leap all the time, as when rows of several sensors are mixed."""
+    """Return a fault if accelerometers leap all the time, as when rows of several sensors are mixed."""
     leaps = np.concatenate([each.accel.ends - each.accel.means for each in reduction.files])
     leap = float(np.median(np.linalg.norm(leaps, axis=1))) * np.sqrt(3 / leaps.shape[1])
     if leap < LEAP:

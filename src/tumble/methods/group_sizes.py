@@ -36,7 +36,7 @@ from tumble.inference.hyperparameters import STATED
 from tumble.inference.integral import coverage_factors, degrees_of, normal_points
 from tumble.inference.prediction import prediction
 from tumble.inference.sources import UncertaintyBudget, source
-from tumble.methods.ellipsoid import deviations
+from tumble.methods.ellipsoid import reading_sigmas
 from tumble.methods.ellipsoid_fit import EllipsoidFit
 from tumble.reduction.observations import Observations
 
@@ -74,7 +74,7 @@ def with_groups(
     """
     names = dict.fromkeys(name for sizes in grades for name in sizes)
     usual = {name: float(np.sqrt(np.mean([sizes.get(name, 0.0) ** 2 for sizes in grades]))) for name in names}
-    rests, sigma = replace(observations, usual=usual), deviations(fit, observations)
+    rests, sigma = replace(observations, usual=usual), reading_sigmas(fit, observations)
     problem, moves, L = omitted_by_rests(rests, fit.values, sigma)
     made = with_omitted_groups(estimate, problem, moves, omitted_sizes(problem, None))
     instrument, first, k = problem.instrument, len(fit.values), L.shape[1]

@@ -55,7 +55,7 @@ from tumble.methods.field_check import (
     measurement_update,
     session_information,
 )
-from tumble.methods.least_squares import as_normal
+from tumble.methods.least_squares import normal_score
 from tumble.reduction.observations import Observations
 from tumble.sensors.parameters import group_name, limits_of, sensor_kind
 from tumble.units import Array
@@ -246,7 +246,7 @@ class RestChain:
         t = along.T @ z
         q = G.T @ along
         inverse = np.einsum("ik,ij,jk->k", q, self._D, q) ** 2
-        return size, t, as_normal(t, 1.0 / np.maximum(inverse, 1e-12))
+        return size, t, normal_score(t, 1.0 / np.maximum(inverse, 1e-12))
 
     def _moved(self) -> tuple[MovedBias, ...]:
         """What has moved where a sum decides: the bias that explains most of what came since its own sum began, with

@@ -43,7 +43,7 @@ from tumble.errors import InputError
 from tumble.lab.conformity import Result, judge_value
 from tumble.lab.limits import Limits
 from tumble.lab.registry.records import Record, State
-from tumble.methods.least_squares import scatter_of
+from tumble.methods.least_squares import fit_scatter
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import apart, by_gravity
 from tumble.result.shared_errors import by_priors, of_time_base
@@ -287,7 +287,7 @@ def _instability_and_drift(points: Sequence[Point]) -> tuple[float | None, Drift
     degrees, tau = len(points) - X.shape[1] + int((count - 1).sum()), None
     if degrees > 0:
         start = float(np.median(np.sqrt(variance)))
-        tau = scatter_of(lambda s: line(s)[2] + float(np.sum(squares / (within + s**2))) - degrees, start)
+        tau = fit_scatter(lambda s: line(s)[2] + float(np.sum(squares / (within + s**2))) - degrees, start)
     if not drifts:
         return tau, None
     z, R, _ = line(tau or 0.0)

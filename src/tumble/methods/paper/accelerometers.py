@@ -2,7 +2,7 @@
 
 Sequential vector method. Stage 1 takes the bias and the scale-factor error of one accelerometer from rests in which its
 axis is up and down, Eqs. (3), (4); stage 2 the angle between two from a rest in which one is 45° above and the other
-45° below the horizon, Eqs. (8), (10), and the axis angles γ from it by (2). Nothing is solved for jointly, so the
+45° below the horizon, Eqs. (8), (10), and the axis angles γ from it by (2). Nothing is solve_least_squares for jointly, so the
 functions serve redundant blocks with axes of any directions as well.
 
 Scalar method. |ŵ| at rest is g in whatever attitude. The coefficients of Eq. (13) need the attitude: either that of the
@@ -20,7 +20,7 @@ from itertools import combinations
 import numpy as np
 
 from tumble.errors import ProgrammeError
-from tumble.methods.least_squares import solved
+from tumble.methods.least_squares import solve_least_squares
 from tumble.methods.paper.blocks import TRIAD, in_body, sensing_axes, turned_axes, turning
 from tumble.programme.positions import code_of_vertical
 from tumble.rotation import unit_vector
@@ -218,7 +218,7 @@ def scalar_fit(readings: Array, verticals: Array, gravity: Array) -> SensorModel
     """Model of a triad from readings (..., N, 3) at N ≥ 9 rests by least squares of (ŵ² − g²)/2g², Eqs. (12), (13),
     with the verticals (..., N, 3) of the programme or of `unit_vector(readings)`. The model is exact, Eq. (1)."""
     g = np.asarray(gravity)[..., None]
-    X = solved(scalar_rows(verticals), ((readings**2).sum(axis=-1) - g**2) / (2.0 * g**2))
+    X = solve_least_squares(scalar_rows(verticals), ((readings**2).sum(axis=-1) - g**2) / (2.0 * g**2))
     return triad_model(np.asarray(gravity)[..., None] * X[..., :3], X[..., 3:6], X[..., 6:])
 
 

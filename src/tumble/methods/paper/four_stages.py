@@ -36,7 +36,7 @@ from tumble.inference.joint import joint
 from tumble.inference.noise import VarianceComponents, typical_noise
 from tumble.inference.problem import Problem
 from tumble.inference.sources import Source, UncertaintyBudget, source
-from tumble.methods.least_squares import solved
+from tumble.methods.least_squares import solve_least_squares
 from tumble.methods.paper.accelerometers import (
     by_modulus,
     by_modulus_nominal,
@@ -154,7 +154,7 @@ def one_pass(
     assert matrix is not None
     attitude = triad(force, gyro.apply(rates))
     y = horizontal_differences(course.series, attitude, force, turn(gyro), course.duration, course.earth_rate)
-    x = solved(matrix, y)
+    x = solve_least_squares(matrix, y)
     sensitivity = axes @ triad_model(np.zeros_like(x[..., :3]), x[..., :3], x[..., 3:]).matrix
     if integral is not None:
         unbiased = integral - course.duration[:, None] * gyro.bias[..., None, :]
