@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from tests.support.formula_setup import bound
 from tumble.diagnosis.linear_model import linear_joint
 from tumble.inference.joint import joint
-from tumble.planning.bounds import stated
+from tumble.planning.bounds import expected_bound
 from tumble.planning.expected_sizes import _expected_scatter, _expected_size
 from tumble.planning.setup import Setup
 from tumble.recording.session import USUAL_CLOCK_U
@@ -49,15 +49,15 @@ def test_a_group_is_expected_no_smaller_than_usual_and_no_larger_than_its_prior(
 @pytest.mark.parametrize("terms", ["linear", "full"])
 def test_what_is_stated_is_never_below_the_bound(grade: str, terms: str) -> None:
     setup = Setup.of(grade=grade, terms=terms)  # type: ignore[arg-type]
-    least, said = bound(setup), stated(setup)
+    least, said = bound(setup), expected_bound(setup)
     assert np.all(said.u >= least.u)
-    assert stated(setup, gyros=False).rms("accel.scale") > bound(setup, gyros=False).rms("accel.scale")
+    assert expected_bound(setup, gyros=False).rms("accel.scale") > bound(setup, gyros=False).rms("accel.scale")
 
 
 def test_the_time_base_is_in_the_scale_factors_of_the_gyros_together() -> None:
     """30 ppm where no clock is stated."""
     setup = Setup.of()
-    usual, exact = stated(setup), stated(replace(setup, clock_u=0.0))
+    usual, exact = expected_bound(setup), expected_bound(replace(setup, clock_u=0.0))
     of_scale = np.array([name.startswith("gyro.scale") for name in usual.names])
     more = np.outer(of_scale, of_scale) * USUAL_CLOCK_U**2
     u = np.sqrt(np.diag(usual.covariance))
@@ -78,7 +78,7 @@ def test_plan_states_what_calibrate_will(setup: Setup) -> None:
         rng = np.random.default_rng(100 + seed)
         estimate = joint(simulate_observations(scenario_of(setup, rng), rng))
         variances.append(np.diag(estimate.covariance))
-    said, mean = stated(setup), np.mean(variances, axis=0)
+    said, mean = expected_bound(setup), np.mean(variances, axis=0)
     assert estimate.names[: said.linear] == said.names[: said.linear]
     for group, members in positions_by_group(said.names[: said.linear]).items():
         assert said.rms(group) == pytest.approx(float(np.sqrt(mean[members].mean())), rel=0.1), group
@@ -105,7 +105,7 @@ def test_plan_states_what_calibrate_will_with_linear_terms(setup: Setup) -> None
         variances.append(np.diag(estimate.covariance)[:21])
         truth = np.array([scenario.truth[name] for name in estimate.names[:21]])
         errors.append((estimate.values[:21] - truth) / estimate.u[:21])
-    said = stated(setup, terms="linear")
+    said = expected_bound(setup, terms="linear")
     for group, members in positions_by_group(said.names).items():
         median = np.median([np.sqrt(each[members].mean()) for each in variances])
         assert said.rms(group) == pytest.approx(float(median), rel=0.25), group

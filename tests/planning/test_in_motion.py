@@ -13,7 +13,7 @@ from tests.support.moving import G, record
 from tests.support.moving import Motion as Moved
 from tumble.cli import main
 from tumble.errors import InputError
-from tumble.planning.bounds import stated
+from tumble.planning.bounds import expected_bound
 from tumble.planning.in_motion import Held, Motion, motion_of
 from tumble.planning.setup import GROUPS, Setup, with_all_groups
 from tumble.sensors.parameters import positions_by_group
@@ -49,7 +49,7 @@ def test_the_plan_is_what_calibrate_states(held: Held) -> None:
 
 def test_longer_motion_and_a_pivot_are_better() -> None:
     def u(held: Held, seconds: float) -> Array:
-        bound = stated(setup(), motion=Motion(held=held, seconds=seconds))
+        bound = expected_bound(setup(), motion=Motion(held=held, seconds=seconds))
         return np.array([bound.rms(group) for group in GROUPS])
 
     assert np.all(u("pivot", 240.0) < u("pivot", 60.0))
@@ -58,8 +58,8 @@ def test_longer_motion_and_a_pivot_are_better() -> None:
 
 def test_the_linear_model_has_the_groups_in_its_u() -> None:
     motion = Motion(held="pivot", seconds=60.0)
-    linear, whole = (stated(setup(), terms=terms, motion=motion) for terms in ("linear", "full"))
-    bare = stated(replace(setup(), further={}), motion=motion)
+    linear, whole = (expected_bound(setup(), terms=terms, motion=motion) for terms in ("linear", "full"))
+    bare = expected_bound(replace(setup(), further={}), motion=motion)
     assert linear.names == whole.names[: len(linear.names)]
     assert np.all(linear.u >= bare.u * (1.0 - 1e-9))
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tumble.planning import bounds
-from tumble.planning.bounds import stated
+from tumble.planning.bounds import expected_bound
 from tumble.planning.itinerary import Itinerary, itinerary_of
 from tumble.planning.setup import Setup
 
@@ -23,8 +23,8 @@ def test_turns_the_long_way_round_show_gyro_scale_factors(programme: str, monkey
     """At the same rate by 240° in place of 120°, in any order: u of gyro scale by 16 to 22 % smaller, and no other
     group by 5 % larger."""
     setup = Setup.of(grade="mems", programme=programme, rest=3.0, rate_deg_s=80.0)
-    short = stated(setup)
+    short = expected_bound(setup)
     monkeypatch.setattr(bounds, "itinerary_of", the_long_way)
-    long = stated(setup)
+    long = expected_bound(setup)
     assert 0.75 < long.rms("gyro.scale") / short.rms("gyro.scale") < 0.88
     assert all(long.rms(f"{k}.{g}") < 1.05 * short.rms(f"{k}.{g}") for k in ("accel", "gyro") for g in ("bias", "axis"))

@@ -15,7 +15,7 @@ from click.testing import CliRunner, Result
 from tests.support.formula_setup import bound, bound_of, device_setup
 from tumble.cli import main
 from tumble.errors import InputError, ProgrammeError
-from tumble.planning.bounds import Bound, stated
+from tumble.planning.bounds import Bound, expected_bound
 from tumble.planning.itinerary import Itinerary, itinerary_of
 from tumble.planning.next_positions import NextPosition, TurnTable, next_positions
 from tumble.planning.plan import Plan, largest_errors, plan
@@ -42,7 +42,7 @@ def test_a_plan_is_what_will_be_stated_by_source(grade: str) -> None:
     """The parts of gravity and of the time base are what u² loses without them, where the rest does not depend on it:
     these are in accelerometer and gyro scale factors in common."""
     setup = replace(Setup.of(grade=grade), gravity_u=3e-4)
-    found, whole = plan(setup), stated(with_all_groups(setup))
+    found, whole = plan(setup), expected_bound(with_all_groups(setup))
     for row in found.groups:
         assert row.u == whole.rms(row.group)
         assert math.hypot(*row.sources.values()) == pytest.approx(row.u, rel=1e-9)
@@ -105,7 +105,7 @@ def test_in_run_biases_and_all_groups_are_in_the_search() -> None:
     setup = with_all_groups(replace(NINE, noise=GRADES["mems"].noise, instrument="mems", clock_u=0.0))
     found = next_positions(setup, wanted={"accel.scale": 1e-6})
     setups = setup, found[0].added(setup), found[-1].added(setup)
-    before, best, worst = (stated(each).rms("accel.scale") for each in setups)
+    before, best, worst = (expected_bound(each).rms("accel.scale") for each in setups)
     assert best < worst
     assert best / before == pytest.approx(found[0].ratio, rel=0.2)
 
@@ -168,16 +168,18 @@ def test_rests_and_positions_that_are_required_give_what_is_wanted(groups: bool)
     assert u == pytest.approx(6.13e-6 if groups else 0.790e-6, rel=0.01)
     served = plan(setup, wanted={"accel.scale": 0.8 * u})
     (row,) = served.requirements
-    assert stated(replace(setup, rest=row.rest)).rms("accel.scale") <= 0.8 * u if math.isfinite(row.rest) else True
+    assert (
+        expected_bound(replace(setup, rest=row.rest)).rms("accel.scale") <= 0.8 * u if math.isfinite(row.rest) else True
+    )
     assert row.positions is not None
     longer, counts = setup, []
     while len(longer.programme.positions) < row.positions:
-        counts.append(stated(longer).rms("accel.scale"))
+        counts.append(expected_bound(longer).rms("accel.scale"))
         longer = next_positions(longer, wanted={"accel.scale": 1.0})[0].added(longer)
-    assert min(counts) > 0.8 * u >= stated(longer).rms("accel.scale")
+    assert min(counts) > 0.8 * u >= expected_bound(longer).rms("accel.scale")
     (met,) = plan(setup, wanted={"accel.scale": 1.02 * u}).requirements
     assert met.positions == 15
-    assert stated(replace(setup, rest=met.rest)).rms("accel.scale") == pytest.approx(1.02 * u, rel=0.01)
+    assert expected_bound(replace(setup, rest=met.rest)).rms("accel.scale") == pytest.approx(1.02 * u, rel=0.01)
 
 
 def test_what_no_set_up_gives_is_named_with_its_source() -> None:

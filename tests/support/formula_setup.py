@@ -14,7 +14,7 @@ import numpy as np
 
 from tests.support import study
 from tumble.earth import normal_gravity
-from tumble.planning.bounds import Bound, bound_by, view
+from tumble.planning.bounds import Bound, bound_by, linearised_course
 from tumble.planning.itinerary import Itinerary, itinerary_of
 from tumble.planning.pass_errors import PassErrors
 from tumble.planning.setup import MEMBERS, NAMES, Setup
@@ -43,7 +43,7 @@ SEED = 20190211
 
 def bound_of(course: Itinerary, setup: Setup, *, gyros: bool = True) -> Bound:
     """The Cramér–Rao bound of a course: the covariance of the joint likelihood with known noise and time base."""
-    return bound_by(view(course, setup, gyros=gyros), setup.turn_rate)
+    return bound_by(linearised_course(course, setup, gyros=gyros), setup.turn_rate)
 
 
 def bound(setup: Setup, *, gyros: bool = True) -> Bound:

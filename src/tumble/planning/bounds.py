@@ -1,23 +1,23 @@
-"""What `calibrate` will state of a recording that has not been made: the one answer for every question of planning.
+"""Uncertainties that `calibrate` will state for a recording that has not been made.
 
-The rows are those of `tumble.inference.problem`, linearised at perfect sensors and at the attitudes of the
-programme, which are unknowns and are eliminated. With the white noise of the instrument, with its in-run biases as
-Gauss–Markov processes (`tumble.inference.noise`), of which a bias is the mean over the session, and with the usual
-sizes of the groups beyond the linear model as priors, the covariance is the Cramér–Rao bound of the joint likelihood.
-`stated` adds what `calibrate` does not know of a recording:
+The rows are those of `tumble.inference.problem`, linearised at perfect sensors and at the attitudes of the programme,
+which are unknowns and are eliminated. The noise of the instrument is white, with in-run biases as Gauss–Markov
+processes (`tumble.inference.noise`); a bias is the mean over the session. With the usual sizes of the groups beyond the
+linear model as priors, the covariance is the Cramér–Rao bound of the joint likelihood. `expected_bound` adds the
+effects of what `calibrate` does not know about a recording:
 
-* the noise and the sizes of groups in this instrument (`tumble.planning.expected_sizes`);
+* the noise, and the sizes of groups in this instrument (`tumble.planning.expected_sizes`);
 * the time base, which is common to all gyro scale factors;
-* where the rests end: the segmentation leaves their margins to the turns.
+* the ends of the rests: the segmentation leaves their margins to the turns.
 
-All moves between rests are in the log, about one axis each at a constant rate (`tumble.planning.steady_turns`). Errors
-of table and mounting are not in the answer, as the attitudes are unknowns: a degree changes it by parts of a thousand.
+All moves between rests are in the log, each about one axis at a constant rate (`tumble.planning.steady_turns`). Errors
+of table and mounting have no effect, as the attitudes are unknowns: one degree changes u by parts of a thousand.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -36,7 +36,7 @@ from tumble.inference.problem import Point, Problem
 from tumble.inference.sources import by_time_base, clocked
 from tumble.inference.turns_about import TurnsAbout
 from tumble.inference.uncertainty_budget import contributions
-from tumble.planning.expected_sizes import expected
+from tumble.planning.expected_sizes import with_expected_sizes
 from tumble.planning.in_motion import Motion, observed_in_motion
 from tumble.planning.itinerary import Itinerary, itinerary_of
 from tumble.planning.setup import ACCEL, GYRO, Setup, check_setup
@@ -51,117 +51,97 @@ from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import Terms, positions_by_group, prior_sizes
 from tumble.units import Array, BoolArray
 
-NOISE, GRAVITY, CLOCK = "noise and in-run biases", "gravity of the site", "time base of the log"
-"""Names of sources; those of groups of parameters are the names of the groups."""
+NOISE, GRAVITY, CLOCK = "noise and in-run biases", "gravity of the site", "time base of the log"  # names of sources
+ORDERS = 8  # of the positions of a programme in any order, over which u is averaged
+SHORTEST_TIME = 1e-3  # s: correlation time of biases that are independent from rest to rest
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
 class Bound(Brief):
-    """Expected covariance of a calibration, SI, of parameters `names` (m), the first `linear` of the linear model.
+    """Expected covariance of a calibration, SI."""
 
-    `observable` (m,) says which are determined; those of further groups always are, by their priors. `null` (q, linear)
-    are the combinations of linear parameters that are not, of unit length in natural units: biases as parts of gravity
-    and of the rate of the turns, angles in rad. `condition` is that of the whitened Jacobian of the linear parameters
-    in these units, infinite where a combination is not determined; of accelerometers alone it is the condition of H,
-    Eq. (13) of the turntable paper. `sources` are variances (m,) by source, which add up to those of the parameters.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # of m parameters
     units: tuple[str, ...]
-    linear: int
-    covariance: Array
-    observable: BoolArray
+    linear: int  # number of parameters of the linear model, which come first
+    covariance: Array  # (m, m)
+    observable: BoolArray  # (m,): whether determined; further groups always are, by their priors
     null: Array
+    """Undetermined combinations (q, linear), of unit length in natural units: biases relative to gravity and to the
+    rate of the turns, angles in rad."""
     condition: float
-    sources: Mapping[str, Array]
+    """Condition number of the whitened Jacobian of the linear parameters in natural units, infinite if a combination is
+    undetermined. For accelerometers alone it is that of H, Eq. (13) of the turntable paper."""
+    sources: Mapping[str, Array]  # variances (m,) by source, which add up to those of the parameters
 
     @property
     def u(self) -> Array:
-        """Standard uncertainties (m,), SI; infinite where a parameter is not determined."""
+        """Standard uncertainties (m,), SI; infinite for undetermined parameters."""
         return np.where(self.observable, np.sqrt(np.diag(self.covariance)), np.inf)
 
     @property
     def rank(self) -> int:
-        """How many combinations of the linear parameters are determined."""
+        """Number of combinations of the linear parameters that are determined."""
         return self.linear - len(self.null)
 
     def rms(self, group: str) -> float:
-        """Root mean square of u over a group such as "accel.bias", SI. Raises KeyError for a group that is not
-        there."""
+        """Return the root mean square of u over a group such as "accel.bias", SI; raise KeyError if there is none."""
         return float(np.sqrt(np.mean(self.u[positions_by_group(self.names)[group]] ** 2)))
 
 
-def stated(setup: Setup, *, gyros: bool = True, terms: Terms = "full", motion: Motion | None = None) -> Bound:
-    """What `calibrate` will state of a recording by a set-up's programme, on the average over instruments.
+def expected_bound(setup: Setup, *, gyros: bool = True, terms: Terms = "full", motion: Motion | None = None) -> Bound:
+    """Return the uncertainties that `calibrate` will state on average over instruments.
 
     Parameters
     ----------
     setup
-        The instrument, whose groups beyond the linear model are those of `setup.further`, programme and site.
+        Instrument, programme and site. The groups beyond the linear model are those of `setup.further`.
     gyros
         Whether gyros are calibrated, or accelerometers alone.
     terms
-        With "linear" the estimate has bias, scale factor and axis angles alone, and the groups in their u.
+        With "linear", only bias, scale factor and axis angles are estimated, with the groups in their u.
     motion
-        A recording in motion in place of the programme.
+        A recording in motion instead of the programme.
 
     Raises
     ------
     InputError
-        For values that make no sense, and where there is no noise.
+        For invalid values, and if there is no noise.
     """
     if motion is not None:
-        return _mean([_stated(course, setup, gyros=True, terms=terms) for course in motion.courses])
+        return _mean([_bound_of_course(course, setup, gyros=True, terms=terms) for course in motion.courses])
     if not setup.programme.ordered:
-        return _mean_over_orders(setup, lambda each: stated(each, gyros=gyros, terms=terms))
+        listed, rng = setup.programme, np.random.default_rng(0)
+        orders = [rng.permutation(len(listed.positions)).tolist() for _ in range(ORDERS)]
+        programmes = (replace(listed, positions=tuple(listed.positions[i] for i in o), ordered=True) for o in orders)
+        return _mean([expected_bound(replace(setup, programme=p), gyros=gyros, terms=terms) for p in programmes])
     course = itinerary_of(setup).as_logged(setup.ramp, USUAL.margin_of(setup.rest))
-    return _stated(course, setup, gyros=gyros, terms=terms)
+    return _bound_of_course(course, setup, gyros=gyros, terms=terms)
 
 
-def _stated(course: Itinerary | Motion, setup: Setup, *, gyros: bool, terms: Terms) -> Bound:
-    """What `calibrate` will state of a course."""
-    seen = view(course, setup, gyros=gyros)
-    seen = expected(seen.with_components(_with_drifts(seen, setup.further)))
-    if terms == "linear":
-        return _stated_linear(course, setup, seen)
-    return bound_by(seen, setup.turn_rate, setup.clock_u)
-
-
-def _stated_linear(course: Itinerary | Motion, setup: Setup, whole: Linearisation) -> Bound:
-    """What an estimate of the linear model states, with what it leaves out, of sizes, and beside scatter, as the
-    `whole` likelihood expects them."""
-    gyros, components = whole.problem.observations.gyro_block is not None, whole.components
-    linear = view(course, replace(setup, further={}), gyros=gyros).with_components(components)
-    found = bound_by(linear, setup.turn_rate, setup.clock_u)
-    groups = {g.name: setup.further[g.name] for g in whole.problem.instrument.further if is_omitted(g)}
+def _bound_of_course(course: Itinerary | Motion, setup: Setup, *, gyros: bool, terms: Terms) -> Bound:
+    """Return the uncertainties that `calibrate` will state for a course."""
+    full = linearised_course(course, setup, gyros=gyros)
+    full = with_expected_sizes(full.with_components(_with_drifts(full, setup.further)))
+    if terms == "full":
+        return bound_by(full, setup.turn_rate, setup.clock_u)
+    # with linear terms, omitted groups and scatter have the sizes that are expected with all terms
+    linear = linearised_course(course, replace(setup, further={}), gyros=gyros).with_components(full.components)
+    bound = bound_by(linear, setup.turn_rate, setup.clock_u)
+    groups = {g.name: setup.further[g.name] for g in full.problem.instrument.further if is_omitted(g)}
     if not groups:
-        return found
-    seen = view(course, replace(setup, further=groups), gyros=gyros).with_components(components)
-    instrument, sizes = seen.problem.instrument, whole.problem.prior_u[1:]
-    sources, covariance, moves = dict(found.sources), found.covariance, shift_by_likelihood(seen)
+        return bound
+    rows = linearised_course(course, replace(setup, further=groups), gyros=gyros).with_components(full.components)
+    sources, covariance, shift = dict(bound.sources), bound.covariance, shift_by_likelihood(rows)
     for name in groups:
-        own = instrument.members[name]
-        moved = (
-            moves[:, own.start - found.linear : own.stop - found.linear] * sizes[whole.problem.instrument.members[name]]
-        )
-        covariance, sources[name] = covariance + moved @ moved.T, (moved**2).sum(axis=1)
-    return replace(found, covariance=covariance, sources=sources)
-
-
-ORDERS = 8
-"""Of positions that come in any order, over which is averaged."""
-
-
-def _mean_over_orders(setup: Setup, state: Callable[[Setup], Bound]) -> Bound:
-    """The mean of bounds over several orders of the positions of a programme."""
-    listed, rng = setup.programme, np.random.default_rng(0)
-    orders = [rng.permutation(len(listed.positions)).tolist() for _ in range(ORDERS)]
-    programmes = (replace(listed, positions=tuple(listed.positions[i] for i in o), ordered=True) for o in orders)
-    return _mean([state(replace(setup, programme=each)) for each in programmes])
+        own, sizes = rows.problem.instrument.members[name], full.problem.prior_u[1:]
+        by_group = shift[:, own.start - bound.linear : own.stop - bound.linear]
+        by_group = by_group * sizes[full.problem.instrument.members[name]]
+        covariance, sources[name] = covariance + by_group @ by_group.T, (by_group**2).sum(axis=1)
+    return replace(bound, covariance=covariance, sources=sources)
 
 
 def _mean(bounds: list[Bound]) -> Bound:
-    """The mean of bounds."""
+    """Return the mean of bounds."""
     return replace(
         bounds[0],
         covariance=np.mean([each.covariance for each in bounds], axis=0),
@@ -171,37 +151,37 @@ def _mean(bounds: list[Bound]) -> Bound:
 
 
 def instrument_of(setup: Setup, gyros: bool) -> Instrument:
-    """The instrument of a set-up: triads along the body axes with the groups of parameters it has."""
+    """Return the instrument of a set-up, triads along the body axes, with its groups of parameters."""
     return Instrument.of(ACCEL, GYRO if gyros else None, tuple(prior_sizes(setup.instrument, usual=setup.further)))
 
 
-def bound_by(seen: Linearisation, rate: float, clock_u: float = 0.0) -> Bound:
-    """The covariance of the parameters that a linearised likelihood of one session gives.
+def bound_by(rows: Linearisation, rate: float, clock_u: float = 0.0) -> Bound:
+    """Return the covariance of the parameters by a linearised likelihood of one session.
 
     Parameters
     ----------
-    seen
+    rows
         Rows at the true parameters, with their noise.
     rate
-        Rate of the turns, rad/s: the natural unit of gyro biases.
+        Rate of the turns, rad/s, which is the natural unit of gyro biases.
     clock_u
         Relative standard uncertainty of the time base.
     """
-    problem, instrument = seen.problem, seen.problem.instrument
+    problem, instrument = rows.problem, rows.problem.instrument
     linear, m = instrument.linear_count, len(instrument.names)
-    parts = {name: covariance[1:, 1:] for name, covariance in contributions(solve(seen.with_priors(problem))).items()}
+    parts = {name: covariance[1:, 1:] for name, covariance in contributions(solve(rows.with_priors(problem))).items()}
     covariance = np.sum(list(parts.values()), axis=0)
 
-    # what the data determine no better than to DETERMINED times their spread is left to the limits of parameters
+    # combinations that are not known DETERMINED times better than their spread are undetermined
     spread, of_linear = problem.spread[:linear], covariance[:linear, :linear]
     variance, vectors = np.linalg.eigh(of_linear / np.outer(spread, spread))
-    unseen = vectors[:, variance > DETERMINED**-2].T
+    undetermined = vectors[:, variance > DETERMINED**-2].T
     natural_sizes = {"m/s^2": problem.observations.site.gravity, "rad/s": rate, "1": 1.0, "rad": 1.0}
     natural = np.array([natural_sizes[unit] for unit in instrument.units[:linear]])
-    null = unseen * spread / natural
+    null = undetermined * spread / natural
     lengths = np.sqrt(np.linalg.eigvalsh(of_linear / np.outer(natural, natural)))
 
-    # sensors that read rates and forces have the time base in their scale factors; increments would not
+    # the time base affects the scale factors of sensors that read rates, not of those that read increments
     clock = by_time_base(instrument.names, clocked(clock_u, {"accel": False, "gyro": False}))
     covariance = covariance + np.outer(clock, clock)
     priors = {name: f"prior.{name}" for name in instrument.members}
@@ -212,47 +192,45 @@ def bound_by(seen: Linearisation, rate: float, clock_u: float = 0.0) -> Bound:
         units=instrument.units,
         linear=linear,
         covariance=covariance,
-        observable=np.append(np.sqrt((unseen**2).sum(axis=0)) < SEEN, np.ones(m - linear, dtype=bool)),
+        observable=np.append(np.sqrt((undetermined**2).sum(axis=0)) < SEEN, np.ones(m - linear, dtype=bool)),
         null=null / np.linalg.norm(null, axis=1, keepdims=True),
         condition=np.inf if len(null) else float(lengths[-1] / lengths[0]),
         sources={NOISE: np.maximum(np.diag(covariance) - sum(sources.values()), 0.0), **sources},
     )
 
 
-SHORTEST_TIME = 1e-3
-"""s: of the correlation of biases that are drawn anew at every rest."""
-
-
 def components_of(noise: NoiseModel) -> VarianceComponents:
-    """The in-run instability of an instrument."""
+    """Return the in-run instability of an instrument as variance components."""
     time = max(noise.instability_time, SHORTEST_TIME)
     return VarianceComponents(
         accel_in_run=noise.accel_instability, gyro_in_run=noise.gyro_instability, accel_time=time, gyro_time=time
     )
 
 
-def _with_drifts(seen: Linearisation, further: Mapping[str, float]) -> VarianceComponents:
-    """The in-run biases of sensors that drift too, for which the estimate has no group: its process takes it.
+def _with_drifts(rows: Linearisation, further: Mapping[str, float]) -> VarianceComponents:
+    """Return in-run biases that include the drift of sensors, if the estimate has no group for it.
 
-    A line d t over a session of length T has the variance σ₁² = (d T)²/12, and from rest to rest changes by d Δt, as a
-    process with τ₁ = 2 σ₁²/(d² Δt) does. Variances add up, and so do those of the changes, 2 σ² Δt/τ."""
-    rests, links, components = seen.problem.observations.rests, seen.problem.observations.links, seen.components
+    A drift d over a session of length T has the variance σ₁² = (d T)²/12 and changes by d Δt from rest to rest, as a
+    process with τ₁ = 2 σ₁²/(d² Δt) does. The variances add up, and so do those of the changes, 2 σ² Δt/τ."""
+    observations, components = rows.problem.observations, rows.components
+    rests, links = observations.rests, observations.links
     middle = 0.5 * (rests.start + rests.stop) if links is None else links.time
     length, interval = float(np.ptp(middle)), float(np.median(np.diff(middle))) if len(middle) > 1 else 0.0
     for kind in ("accel", "gyro"):
         drift, size = further.get(f"{kind}.bias.drift", 0.0), getattr(components, f"{kind}_in_run")
-        if drift == 0.0 or f"{kind}.bias.drift" in seen.problem.observations.usual:
+        if drift == 0.0 or f"{kind}.bias.drift" in observations.usual:
             continue
-        changes = size**2 / getattr(components, f"{kind}_time") + 0.5 * drift**2 * interval
-        square = size**2 + (drift * length) ** 2 / 12.0
-        changed: dict[str, Any] = {f"{kind}_in_run": math.sqrt(square), f"{kind}_time": square / changes}
-        components = replace(components, **changed)
+        change2 = size**2 / getattr(components, f"{kind}_time") + 0.5 * drift**2 * interval
+        variance = size**2 + (drift * length) ** 2 / 12.0
+        process: dict[str, Any] = {f"{kind}_in_run": math.sqrt(variance), f"{kind}_time": variance / change2}
+        components = replace(components, **process)
     return components
 
 
-def view(course: Itinerary | Motion, setup: Setup, *, gyros: bool) -> Linearisation:
-    """The likelihood of a course, linearised at perfect sensors and its attitudes, with white noise and in-run biases.
-    Raises InputError for values that make no sense, and where there is no noise."""
+def linearised_course(course: Itinerary | Motion, setup: Setup, *, gyros: bool) -> Linearisation:
+    """Return the likelihood of a course, linearised at perfect sensors and its attitudes.
+
+    Raises InputError for invalid values, and if there is no noise."""
     check_setup(setup)
     noise = setup.noise
     for sensors, level in (
@@ -292,7 +270,7 @@ def view(course: Itinerary | Motion, setup: Setup, *, gyros: bool) -> Linearisat
 
 
 def _observed_on_table(course: Itinerary, setup: Setup, instrument: Instrument) -> Observations:
-    """Observations of a course of rests and turns as perfect sensors make them, in white noise."""
+    """Return the observations of rests and turns by perfect sensors with white noise."""
     turns, samples, noise, gyros = None, None, setup.noise, instrument.gyro is not None
     earth, g, first = np.array(earth_rate(setup.latitude)), setup.gravity, course.first
     if gyros and len(first) > 0:

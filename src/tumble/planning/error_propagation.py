@@ -1,13 +1,13 @@
-"""One pass of a method of the turntable paper on a programme: what it leaves of the parameters, to second order.
+"""Errors of the parameters after one pass of a method of the turntable paper on a programme, to second order.
 
-A pass is the method itself (`tumble.methods.paper`) on what sensors with the parameters X read in attitudes that
-deviate from the programme by τ. It is smooth, and exact to rounding but for products of Earth's rates in a turn, so
-that it can be differentiated by central differences. X are the 21 parameters in the order of the calibration file; τ
-are three rotations of the table for each position, about N, U, E, and three of the mounting, about X, Y, Z.
+A pass is the method itself (`tumble.methods.paper`) on the readings of sensors with the parameters X, in attitudes that
+deviate from the programme by τ. It is smooth, and exact to rounding apart from products of Earth's rates in a turn, so
+it is differentiated by central differences. X are the 21 parameters in the order of the calibration file; τ are three
+rotations of the table for each position, about N, U, E, and three of the mounting, about X, Y, Z.
 
-A turn is about one geographic axis at a constant rate. With v its rotation vector in the body at the start and
-R(s) = exp(s [v_n×]) the part of it at 0 ≤ s ≤ 1 in the geographic frame, readings compensated by a model are S v + b T
-plus those of the Earth's rate, and integrate to
+A turn is about one geographic axis at a constant rate. With its rotation vector v in the body at the start, and its
+part R(s) = exp(s [v_n×]) at 0 ≤ s ≤ 1 in the geographic frame, readings compensated by a model are S v + b T plus those
+of the Earth's rate, and integrate to
 
     C = exp([∫ exp(s [w×]) S L₀ᵀ R(s)ᵀ Ω T ds ×]) exp([w×]),   w = S v + b T
 
@@ -42,36 +42,29 @@ from tumble.units import Array, IntArray
 
 MethodOfPaper = Literal["sequential", "scalar"]
 METHODS_OF_PAPER: tuple[MethodOfPaper, ...] = ("sequential", "scalar")
-"""The methods whose errors are predicted, of instruments with the linear model."""
-
 METHODS: Mapping[MethodOfPaper, PaperMethod] = {"sequential": SEQUENTIAL, "scalar": SCALAR}
-"""The methods themselves."""
 
-STEP = 1e-4
-"""Of the central differences: of angles and scale factors, and of forces and rates in parts of gravity and of the
-Earth's rate."""
-_ROUNDING = 1e-6
-"""What a pass leaves of a parameter relative to another, in units of the steps, is nothing below this."""
-_NODES = [(0.5 * (1.0 + node), 0.5 * weight) for node, weight in zip(*np.polynomial.legendre.leggauss(5), strict=True)]
-"""Nodes and weights of sums over a turn."""
+STEP = 1e-4  # of the central differences: of angles and scale factors, and relative to gravity and Earth's rate
+ROUNDING = 1e-6  # smaller errors, relative to the steps, are taken as zero
+_NODES = [
+    (0.5 * (1.0 + node), 0.5 * weight) for node, weight in zip(*np.polynomial.legendre.leggauss(5), strict=True)
+]  # nodes and weights over a turn
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PaperProgramme:
-    """A programme as a method of the paper uses it: the course of its rests and turns, `nominal` attitudes (N, 3, 3),
-    body → geographic, and the known turns after the rests `first` (K,), with their rotation vectors `moves` (K, 3),
-    geographic, rad."""
+    """A programme as used by a method of the paper."""
 
     method: MethodOfPaper
     course: ProgrammeCourse
-    nominal: Array
-    first: IntArray
-    moves: Array
+    nominal: Array  # (N, 3, 3): attitudes, body → geographic
+    first: IntArray  # (K,): rests before the known turns
+    moves: Array  # (K, 3): their rotation vectors, geographic, rad
     gravity: float
 
     @staticmethod
     def of(setup: Setup, method: MethodOfPaper) -> PaperProgramme:
-        """The programme of a set-up. Raises ProgrammeError where it has not the positions that the method needs."""
+        """Return the programme of a set-up; raise ProgrammeError unless it has the positions that the method needs."""
         nominal = np.array([position.matrix for position in setup.programme.positions])
         METHODS[method].check(nominal[:, 1], TRIAD)
         course = course_of_programme(setup.programme, turn_rate=setup.turn_rate, latitude=setup.latitude)
@@ -87,7 +80,7 @@ class PaperProgramme:
 
     @property
     def steps(self) -> Array:
-        """Steps (21,) of the differences by the parameters."""
+        """Steps (21,) of the differences of the parameters."""
         steps = np.full(len(NAMES), STEP)
         steps[:3] *= self.gravity
         steps[9:12] *= EARTH_RATE
@@ -103,11 +96,10 @@ class PaperProgramme:
         drift: Array | float = 0.0,
         turned: Array | float = 0.0,
     ) -> Array:
-        """The parameters (..., 21) after one pass; those of gyros that the programme does not give are zero.
+        """Return the parameters (..., 21) after one pass; zero for those of gyros that the programme does not determine.
 
-        Sensors have the parameters X (..., 21) and are in attitudes (..., N, 3, 3); there are errors of the forces and
-        rates at rest (..., N, 3), of the rates in turns, `drift` (..., K, 3), and of the rotations, `turned`
-        (..., K, 3), rad."""
+        Sensors have the parameters X (..., 21) and attitudes (..., N, 3, 3). Errors are `force` and `rate` at rest
+        (..., N, 3), `drift` of the rates in turns (..., K, 3), and `turned` of the rotations (..., K, 3), rad."""
         accel, gyro = model_of(TRIAD, X[..., :9]), model_of(GYRO_TRIAD, X[..., 9:])
         T, earth = self.course.duration[:, None], self.course.earth_rate
         L0, L1 = (attitudes[..., rests, :, :] for rests in (self.first, self.first + 1))
@@ -132,8 +124,8 @@ class PaperProgramme:
         return np.concatenate([np.broadcast_to(each, (*b.shape[:-1], each.shape[-1])) for each in parts], axis=-1)
 
     def first_order(self) -> tuple[Array, Array]:
-        """What one pass leaves of the parameters: T₀ (21, 21) on an exact programme and its derivatives D
-        (3N + 3, 21, 21) with respect to the deviations, per rad."""
+        """Return the errors after one pass per unit of the parameters: T₀ (21, 21) on an exact programme, and its
+        derivatives D (3N + 3, 21, 21) by the deviations, per rad."""
         N, steps = len(self.nominal), self.steps
         X = np.concatenate([np.diag(steps), -np.diag(steps)])
         τ = STEP * np.concatenate([np.eye(3 * N + 3), -np.eye(3 * N + 3), np.zeros((1, 3 * N + 3))])
@@ -142,12 +134,12 @@ class PaperProgramme:
         up, down = np.split(self.estimated(X, attitudes), 2, axis=1)
         left = np.eye(len(NAMES)) - np.swapaxes(up - down, 1, 2) / (2.0 * steps)
         forward, backward, T0 = np.split(left, [3 * N + 3, 6 * N + 6])
-        D, nothing = (forward - backward) / (2.0 * STEP), _ROUNDING * steps[:, None] / steps
-        return np.where(np.abs(T0[0]) > nothing, T0[0], 0.0), np.where(np.abs(D) > nothing, D, 0.0)
+        D, least = (forward - backward) / (2.0 * STEP), ROUNDING * steps[:, None] / steps
+        return np.where(np.abs(T0[0]) > least, T0[0], 0.0), np.where(np.abs(D) > least, D, 0.0)
 
     def second_order(self) -> Array:
-        """Q (21, 21, 21), symmetric in the first two: the errors q = Σ X_i X_j Q_ij (21,) of second order in the
-        parameters that a pass makes on an exact programme."""
+        """Return Q (21, 21, 21), symmetric in i and j, of the errors q = Σ X_i X_j Q_ij (21,) of second order after a
+        pass on an exact programme."""
         (i, j), steps = np.triu_indices(len(NAMES)), self.steps
         single = np.diag(steps)
         X = np.concatenate([np.zeros((1, len(NAMES))), single, single[i] + single[j]])

@@ -1,4 +1,4 @@
-"""Where a device rests, how it gets there, and when: of a programme, and of a simulated session."""
+"""Attitudes, moves and times of a programme or of a simulated session."""
 
 from __future__ import annotations
 
@@ -13,25 +13,19 @@ from tumble.units import Array, BoolArray, IntArray
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Itinerary:
-    """Rests in order, and the moves between them.
+    """Rests in order, and the moves between them."""
 
-    `attitudes` (N, 3, 3), body → geographic, and start and stop of the `rests` (N, 2), s; `moves` (N − 1, 3) between
-    them, rotation vectors, geographic, rad. `turned` (N − 1,) says which moves are turns of the log, and `still`
-    (N − 1,) is the time at each of their ends in which nothing moves, s. `positions` are the places of the rests in a
-    programme.
-    """
-
-    attitudes: Array
-    rests: Array
-    moves: Array
-    turned: BoolArray
-    still: Array
-    positions: tuple[int, ...] = ()
+    attitudes: Array  # (N, 3, 3), body → geographic
+    rests: Array  # (N, 2): start and stop, s
+    moves: Array  # (N − 1, 3): rotation vectors, geographic, rad
+    turned: BoolArray  # (N − 1,): whether a move is a turn of the log
+    still: Array  # (N − 1,): time without motion at both ends of a turn, s
+    positions: tuple[int, ...] = ()  # of the rests in a programme
 
     @staticmethod
     def through(attitudes: Array, moves: Array, setup: Setup) -> Itinerary:
-        """The itinerary through attitudes by moves, with the rests and the rate of a set-up; where nothing moves there
-        is no turn."""
+        """Return the itinerary through attitudes by moves, with the rests and the rate of a set-up; a move by zero is no
+        turn."""
         seconds = np.linalg.norm(moves, axis=1) / setup.turn_rate
         start = setup.rest * np.arange(len(attitudes)) + np.append(0.0, np.cumsum(seconds))
         return Itinerary(
@@ -44,7 +38,7 @@ class Itinerary:
 
     @property
     def first(self) -> IntArray:
-        """The rests (K,) that a turn of the log follows."""
+        """The rests (K,) before the turns of the log."""
         return np.flatnonzero(self.turned)
 
     @property
@@ -59,8 +53,8 @@ class Itinerary:
         return float(self.rests.mean())
 
     def as_logged(self, ramp: float, margin: float) -> Itinerary:
-        """The same as a log shows it: turns begin and end with a ramp, s, and the segmentation cuts a margin, s, off
-        both ends of every rest, which belongs to the turn."""
+        """Return the itinerary as found in a log, where turns have ramps, s, and the segmentation adds a margin, s, at
+        both ends of every rest to the turns."""
         later = np.append(0.0, ramp * np.cumsum(self.turned))
         return Itinerary(
             attitudes=self.attitudes,
@@ -73,12 +67,11 @@ class Itinerary:
 
 
 def itinerary_of(setup: Setup) -> Itinerary:
-    """The positions of a set-up's programme in the order listed, with the programme's turns, and the shortest move
-    where any will do, all at the rate of the set-up."""
+    """Return the itinerary of a set-up's programme in the order listed, with the shortest move where any is allowed."""
     attitudes = np.array([position.matrix for position in setup.programme.positions])
     shortest = rotation_vector(attitudes[1:] @ np.swapaxes(attitudes[:-1], 1, 2))
     moves = [
-        way if move.axis is None or move.angle is None else move.angle * move.axis
-        for move, way in zip(setup.programme.moves, shortest, strict=True)
+        by_shortest if move.axis is None or move.angle is None else move.angle * move.axis
+        for move, by_shortest in zip(setup.programme.moves, shortest, strict=True)
     ]
     return Itinerary.through(attitudes, np.array(moves).reshape(-1, 3), setup)

@@ -1,12 +1,12 @@
-"""The best next positions of a programme.
+"""Best next positions of a programme.
 
-A position is better the more it reduces the mean square of u over weights, which are wanted accuracies or else the
-spreads of `tumble.inference.estimate`. A prior as wide as the spreads makes u finite while positions are too few;
-afterwards it counts for nothing. Drifts with time are left out, as it is not known when a position comes.
+The criterion is the mean square of u over weights, which are the wanted accuracies or by default the spreads of
+`tumble.inference.estimate`. A prior as wide as the spreads makes u finite while there are too few positions; later it
+has no effect. Drifts are left out, as the time of a position is not known.
 
-Eliminating the attitudes and in-run biases of all rests but the last leaves rows on those of the last and a triangle on
-the parameters (`tumble.inference.elimination`). A candidate is then an elimination of two rests, whatever the length of
-the programme. Of equally good candidates the first is taken, and turns of the table come before other moves.
+The elimination of the attitudes and in-run biases of all rests but the last leaves rows of those of the last and a
+triangle of the parameters (`tumble.inference.elimination`). Each candidate is then an elimination of two rests, whatever
+the length of the programme. Of equally good candidates the first is taken; turns of the table come before other moves.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 from tumble.errors import InputError
 from tumble.inference.elimination import fold
 from tumble.inference.normal_equations import eliminate_rests, joint_rows, whiten
-from tumble.planning.bounds import instrument_of, view
+from tumble.planning.bounds import instrument_of, linearised_course
 from tumble.planning.itinerary import Itinerary, itinerary_of
 from tumble.planning.setup import Setup
 from tumble.programme.positions import ANY_MOVE, TRIPLES, Move, Position, Programme, from_attitudes
@@ -27,29 +27,26 @@ from tumble.rotation import rotation_vector
 from tumble.sensors.parameters import group_name, limits_of
 from tumble.units import DEGREE, Array, BoolArray, IntArray
 
-ALIKE = 1e-6
-"""Positions whose criteria differ by this part are as good as each other: symmetry makes them so."""
-UNSEEN = 1e-6
-"""Inverse of the width, in rad or in-run biases, of the prior of a heading that nothing shows."""
-SMALLEST_STEP = 5.0
-"""Degrees; with finer ones there are too many places to try."""
+EQUAL = 1e-6  # relative difference of the criteria of equally good positions, as by symmetry
+PRIOR_WEIGHT = 1e-6  # inverse width, in rad or in-run biases, of the prior of undetermined headings
+SMALLEST_STEP = 5.0  # degrees; finer steps make too many positions
 _AXES = "NUE"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TurnTable:
-    """A table that turns about `axes`, some of N, U, E, and stops at multiples of `step`, rad, a part of 90°. If not
-    `by_hand`, the device stays as it is mounted, and every move is one turn about one of the axes."""
+    """A turntable."""
 
-    axes: str = _AXES
-    step: float = 45.0 * DEGREE
-    by_hand: bool = True
+    axes: str = _AXES  # some of N, U, E
+    step: float = 45.0 * DEGREE  # rad, a part of 90°
+    by_hand: bool = True  # otherwise the device stays mounted, and every move is one turn about one of the axes
 
     @staticmethod
     def of(axes: str | None, step_deg: float, programme: Programme | None = None) -> TurnTable:
-        """The table of axes such as "N,U", on which the device stays as it is mounted, or of None, that of a programme:
-        it turns about the axes that the programme's turns are about, and the device is mounted by hand in any of 24
-        ways; without such turns it is held by hand throughout. Raises InputError."""
+        """Return the table with axes such as "N,U", on which the device stays mounted.
+
+        With None it is that of a programme: it has the axes of the programme's turns, and the device is mounted by hand
+        in any of 24 ways; without such turns it is held by hand. Raises InputError."""
         if not step_deg >= SMALLEST_STEP or abs(90.0 / step_deg - round(90.0 / step_deg)) > 1e-9:
             raise InputError(f"step: expected a part of 90 degrees, at least {SMALLEST_STEP:g}, found {step_deg:g}")
         if axes is None:
@@ -62,8 +59,8 @@ class TurnTable:
         return TurnTable(axes="".join(letters), step=step_deg * DEGREE, by_hand=False)
 
     def positions(self, last: Position) -> tuple[Position, ...]:
-        """Where the device can be set to: in any of the 24 ways along north, up and east, turned from there once about
-        an axis of the table by a multiple of the step, and where such a turn leads from the last position."""
+        """Return the positions that are possible after the last one: the 24 ways along north, up and east, these turned
+        once about an axis of the table by a multiple of the step, and the last one turned so."""
         quarter = round(90.0 * DEGREE / self.step)
         ways = ("", *self._turns(self.axes, range(1, quarter)))
         codes = [f"{letters}{turn}" for turn in ways for letters in TRIPLES]
@@ -74,12 +71,13 @@ class TurnTable:
         return tuple(positions[i] for i in first.tolist())
 
     def _turns(self, axes: str, multiples: range) -> list[str]:
-        """Turns by multiples of the step, as they are added to a code."""
+        """Return turns by multiples of the step, as appended to a code."""
         return [f" {axis}{self.step / DEGREE * n:+.10g}" for axis in axes for n in multiples if n]
 
     def moves(self, start: Array, ends: Array) -> tuple[IntArray, Array, BoolArray]:
-        """Moves from an attitude (3, 3) to others (n, 3, 3), turns of the table first, half turns both ways round:
-        the places (q,) they lead to, their rotation vectors (q, 3), and which of them are turns (q,)."""
+        """Return the moves from an attitude (3, 3) to others (n, 3, 3), turns of the table first, half turns both ways.
+
+        They are the indices (q,) of the ends, the rotation vectors (q, 3), and whether each is a turn (q,)."""
         vectors = rotation_vector(ends @ start.T)
         angle, axes = np.linalg.norm(vectors, axis=1), [_AXES.index(letter) for letter in self.axes]
         turned = (np.abs(vectors[:, axes]).max(axis=1) > angle - 1e-9) & (angle > 1e-9)
@@ -94,17 +92,16 @@ class TurnTable:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class NextPosition:
-    """A position to add to a programme: the move that leads there, how many others are `as_good`, the criterion over
-    that of the programme without it, and, in a plan, the u by group that will then be stated, SI."""
+    """A position to add to a programme."""
 
     position: Position
-    move: Move
-    as_good: int
-    ratio: float
-    u: Mapping[str, float] = field(default_factory=dict, hash=False)
+    move: Move  # that leads there
+    as_good: int  # number of other positions that are as good
+    ratio: float  # of the criterion to that of the programme without it
+    u: Mapping[str, float] = field(default_factory=dict, hash=False)  # in a plan, the expected u by group, SI
 
     def added(self, setup: Setup) -> Setup:
-        """A set-up whose programme has this position at its end."""
+        """Return a set-up whose programme ends with this position."""
         before = setup.programme
         moves = (*before.moves, self.move)
         return replace(setup, programme=replace(before, positions=(*before.positions, self.position), moves=moves))
@@ -113,11 +110,23 @@ class NextPosition:
 def next_positions(
     setup: Setup, *, wanted: Mapping[str, float] | None = None, gyros: bool = True, table: TurnTable | None = None
 ) -> tuple[NextPosition, ...]:
-    """The positions that a set-up's programme gains most by, the best first; of equally good ones the first.
+    """Return the best positions to add to a set-up's programme, the best first; of equally good ones the first.
 
-    `wanted` are accuracies by group, SI, as weights in place of the spreads of the linear parameters; without `gyros`
-    accelerometers alone are calibrated. Without a `table` it is that of the programme. Raises InputError for values
-    that make no sense, where there is no noise, and where nothing that is calibrated is wanted.
+    Parameters
+    ----------
+    setup
+        Instrument, programme and site.
+    wanted
+        Accuracies by group, SI, as weights; by default the spreads of the linear parameters.
+    gyros
+        Whether gyros are calibrated, or accelerometers alone.
+    table
+        The turntable, by default that of the programme.
+
+    Raises
+    ------
+    InputError
+        For invalid values, if there is no noise, and if nothing that is calibrated is wanted.
     """
     timeless = (group for group in instrument_of(setup, gyros=True).further if group.variable is None)
     setup = replace(setup, further={group.name: setup.further[group.name] for group in timeless})
@@ -131,42 +140,41 @@ def next_positions(
     if not np.any(np.isfinite(weight)):
         raise InputError("wanted: expected an accuracy of parameters that are calibrated, found none")
     gravity = 1.0 / setup.gravity_u if setup.gravity_u > 0.0 else 0.0
-    known = np.diag([gravity, *(1.0 / prior), 0.0])
+    prior_rows = np.diag([gravity, *(1.0 / prior), 0.0])
 
     def criterion(triangles: Array) -> Array:
-        """Root mean square (q,) of u over the weights, from triangles (q, 1 + m + 1, 1 + m + 1) on gravity and the
-        parameters."""
+        """Return the rms (q,) of u over the weights, from triangles (q, m + 2, m + 2) of gravity and parameters."""
         u = np.linalg.inv(triangles[:, 1:-1, 1:-1]) / weight[:, None]
         return np.asarray(np.sqrt((u**2).sum(axis=(1, 2)) / np.isfinite(weight).sum()))
 
-    equations = eliminate_rests(view(itinerary_of(setup), setup, gyros=gyros))
-    d, last, shown = equations.unknowns, equations.rest_factors[-1], known.copy()
-    fold(equations.session_factors[0], shown)
-    before = float(criterion(shown[None])[0])
+    equations = eliminate_rests(linearised_course(itinerary_of(setup), setup, gyros=gyros))
+    d, last, triangle = equations.unknowns, equations.rest_factors[-1], prior_rows.copy()
+    fold(equations.session_factors[0], triangle)
+    before = float(criterion(triangle[None])[0])
 
     end, table = setup.programme.positions[-1], table or TurnTable.of(None, 45.0, setup.programme)
     positions = table.positions(end)
     places, moves, turned = table.moves(end.matrix, np.array([position.matrix for position in positions]))
     if not len(places):
         return ()
-    # one move after the other as if in one long session, without a turn from one to the next
+    # all candidates in one long session: pairs of rests without turns from pair to pair
     pairs = np.stack([np.broadcast_to(end.matrix, (len(places), 3, 3)),
                       np.array([positions[i].matrix for i in places])], axis=1)  # fmt: skip
     apart = np.stack([moves, np.zeros_like(moves)], axis=1).reshape(-1, 3)[:-1]
-    seen = view(Itinerary.through(pairs.reshape(-1, 3, 3), apart, setup), setup, gyros=gyros)
-    rest, turn, link = whiten(seen, *seen.noise.whitening())
-    rest, turn = rest[1::2], joint_rows(seen, turn, link)[::2]
+    rows_of_pairs = linearised_course(Itinerary.through(pairs.reshape(-1, 3, 3), apart, setup), setup, gyros=gyros)
+    rest, turn, link = whiten(rows_of_pairs, *rows_of_pairs.noise.whitening())
+    rest, turn = rest[1::2], joint_rows(rows_of_pairs, turn, link)[::2]
     t = d + turn.shape[1]
     rows = np.zeros((len(places), t + rest.shape[1] + 2 * d, turn.shape[2]))
     rows[:, :d, :d], rows[:, :d, 2 * d :] = last[:, :d], last[:, 2 * d :]
     rows[:, d:t] = turn
     rows[:, t : -2 * d, d : 2 * d], rows[:, t : -2 * d, 2 * d :] = rest[..., :d], rest[..., d:]
-    rows[:, -2 * d :, : 2 * d] = UNSEEN * np.eye(2 * d)
+    rows[:, -2 * d :, : 2 * d] = PRIOR_WEIGHT * np.eye(2 * d)
     left = np.asarray(np.linalg.qr(rows, mode="r"))[:, 2 * d :, 2 * d :]
-    both = np.concatenate([np.broadcast_to(shown, (len(places), *shown.shape)), left], axis=1)
+    both = np.concatenate([np.broadcast_to(triangle, (len(places), *triangle.shape)), left], axis=1)
     values = criterion(np.asarray(np.linalg.qr(both, mode="r")))
     order = np.argsort(values, kind="stable")
-    alike = np.split(order, np.flatnonzero(np.diff(np.log(values[order])) > ALIKE) + 1)
+    alike = np.split(order, np.flatnonzero(np.diff(np.log(values[order])) > EQUAL) + 1)
     return tuple(
         NextPosition(
             position=positions[places[i]],
@@ -179,6 +187,6 @@ def next_positions(
 
 
 def _move(vector: Array) -> Move:
-    """A turn of the table by a rotation vector, about the positive axis."""
+    """Return the turn of the table by a rotation vector, about the positive axis."""
     component = int(np.argmax(np.abs(vector)))
     return Move(axis=np.eye(3)[component], angle=float(vector[component]))

@@ -1,20 +1,18 @@
-"""The accuracy formulas of the turntable paper for a whole programme: variances of the parameters after each pass of a
-method, by their source.
+"""Accuracy formulas of the turntable paper for a programme: variances of the parameters after each pass, by source.
 
-Let X be the 21 parameters in the order of the calibration file. To first order in X one pass is a matrix, and leaves
+Let X be the 21 parameters in the order of the calibration file. After one pass their errors are
 
     X − X̂ = T X − G n + q(X)         T = T₀ + Σ τ_k D_k
 
-of the parameters: τ_k are the deviations of the attitudes from the programme, T₀ what an exact programme leaves
-(Earth's rate × gyro errors), n the noise of rests and turns, q the error of second order in the parameters. The next
-pass starts from what is left, and leaves T² X. With parameters and deviations independent of each other and of zero
-mean,
+where τ_k are the deviations of the attitudes from the programme, T₀ the errors on an exact programme (Earth's rate ×
+gyro errors), n the noise of rests and turns, and q the error of second order in the parameters. The next pass starts
+from these errors and leaves T² X. For independent parameters and deviations of zero mean,
 
     pass 1    E (T X)²_p = Σ_j σ_j² [ T₀² + Σ_k v_k D_k² ]_pj
     pass 2    E (T² X)²_p = Σ_j σ_j² [ (c + tr A)² + Σ_k v_k l_k² + 2 Σ_kl v_k v_l S_kl² + Σ_k (μ_k − 3 v_k²) A_kk² ]_pj
 
 where T² = c + Σ τ_k l_k + Σ τ_k τ_l A_kl, S is the symmetric part of A, tr A = Σ v_k A_kk, and v_k, μ_k are the second
-and fourth moments of τ_k. Further passes gain as much as the second did: (κσ)^i, §7 of the paper. T₀, D and q are those
+and fourth moments of τ_k. Further passes reduce them as much as the second: (κσ)^i, §7 of the paper. T₀, D and q are those
 of `tumble.planning.error_propagation`.
 """
 
@@ -31,7 +29,7 @@ from tumble.earth import EARTH_RATE, earth_rate
 from tumble.inference.noise import CORRELATION_TIME
 from tumble.methods.paper.four_stages import shift_by_groups
 from tumble.methods.paper.gyros import known_turns
-from tumble.planning.bounds import view
+from tumble.planning.bounds import linearised_course
 from tumble.planning.error_propagation import METHODS, STEP, MethodOfPaper, PaperProgramme
 from tumble.planning.itinerary import itinerary_of
 from tumble.planning.setup import GROUPS, MEMBERS, NAMES, Setup, check_setup
@@ -45,39 +43,32 @@ _BY_METHOD: Mapping[MethodOfPaper, tuple[str, ...]] = {
     "scalar": (*("scalar, estimated orientation, Eq. (13)",) * 3, "vertical axes, Eq. (18)", *_INDIRECT),
 }  # fmt: skip
 ESTIMATORS = {method: dict(zip(GROUPS, words, strict=True)) for method, words in _BY_METHOD.items()}
-"""How each method finds each group of parameters, with the equations of the paper."""
+"""How each method determines each group of parameters, with equations of the paper."""
 
 LARGEST_AZIMUTH = 0.1
-"""Largest azimuth error of TRIAD, rad, for which formulas of first order in it are taken to hold; the paper, too, wants
-biases an order below the Earth's rate."""
-REST_NOISE = ("accelerometer noise at rest", "gyro noise at rest")
-"""The sources that longer rests reduce."""
+"""Largest azimuth error of TRIAD, rad, for formulas of first order in it; the paper requires biases an order of
+magnitude below the Earth's rate as well."""
+REST_NOISE = ("accelerometer noise at rest", "gyro noise at rest")  # sources that longer rests reduce
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PassErrors:
-    """What passes of a method on the programme of a set-up leave of the parameters.
-
-    `groups` are those that the programme gives: without known turns no gyro scale factors and angles. The matrices
-    (21, 21) take the variances of the parameters, whose standard deviations are `spread` (21,), to what is left:
-    `exact`, `by_table` and `by_mounting` after the first pass, and `twice` after the second, in parts that grow with
-    the 0th, 2nd and 4th power of the deviations. `second_order` (21,) and `noise` (21,), by source, are variances.
-    """
+    """Errors of the parameters after passes of a method; matrices (21, 21) convert variances of parameters to them."""
 
     setup: Setup
-    groups: tuple[str, ...]
-    exact: Array
-    by_table: Array
-    by_mounting: Array
-    twice: tuple[Array, Array, Array]
-    second_order: Array
-    noise: Mapping[str, Array]
-    spread: Array
+    groups: tuple[str, ...]  # that the programme determines; without known turns no gyro scale factors and angles
+    exact: Array  # after the first pass, on an exact programme
+    by_table: Array  # by table errors
+    by_mounting: Array  # by mounting errors
+    twice: tuple[Array, Array, Array]  # after the second pass, with the 0th, 2nd and 4th power of the deviations
+    second_order: Array  # (21,): variances of second order in the parameters
+    noise: Mapping[str, Array]  # variances (21,) by source
+    spread: Array  # (21,): standard deviations of the parameters
 
     @staticmethod
     def of(setup: Setup, method: MethodOfPaper) -> PassErrors:
-        """The errors of a method on the programme of a set-up. Raises ProgrammeError for a programme without the
-        positions that the method needs."""
+        """Return the errors of a method on the programme of a set-up; raise ProgrammeError unless it has the positions
+        that the method needs."""
         check_setup(setup)
         plan = PaperProgramme.of(setup, method)
         T0, D = plan.first_order()
@@ -103,12 +94,12 @@ class PassErrors:
             by_mounting=np.tensordot(v[table:], D[table:] ** 2, axes=1),
             twice=(c**2, 2.0 * c * trace + np.tensordot(v, linear**2, axes=1), square),
             second_order=np.trace(Q) ** 2 + 2.0 * (Q**2).sum(axis=(0, 1)),
-            noise=_noise(setup, plan) | _left_out(setup, method),
+            noise=_noise(setup, plan) | _omitted_groups(setup, method),
             spread=spread,
         )
 
     def methodical(self, iteration: int, scale: float = 1.0) -> dict[str, Array]:
-        """Variances (21,) after so many passes, by source without those of noise, with table and mounting errors
+        """Return the variances (21,) after a number of passes by source, without noise, with table and mounting errors
         multiplied by `scale`."""
         if iteration == 1:
             return {
@@ -128,17 +119,17 @@ class PassErrors:
         return {name: gain ** (iteration - 2) * variance for name, variance in second.items()}
 
     def of_group(self, group: str, variances: Mapping[str, Array]) -> dict[str, float]:
-        """Mean variances of a group, SI, by source."""
+        """Return the mean variances of a group, SI, by source."""
         members = MEMBERS[group]
         return {name: float(np.mean(v[members])) for name, v in variances.items()}
 
     def _by_group(self, name: str, matrix: Array) -> dict[str, Array]:
-        """Variances (21,) that each group of parameters contributes through a matrix."""
+        """Return the variances (21,) by each group of parameters through a matrix."""
         return {name.format(g): matrix[:, own] @ self.spread[own] ** 2 for g, own in MEMBERS.items()}
 
 
 def remarks(setup: Setup) -> Iterator[str]:
-    """Where a set-up is outside the range of the formulas, in sentences."""
+    """Yield sentences on the validity of the formulas for a set-up."""
     rate = math.hypot(setup.gyro.bias, setup.noise.gyro_white / math.sqrt(setup.rest), setup.noise.gyro_instability)
     north = earth_rate(setup.latitude)[0]
     if rate > LARGEST_AZIMUTH * north:
@@ -149,53 +140,55 @@ def remarks(setup: Setup) -> Iterator[str]:
         )
 
 
-def _left_out(setup: Setup, method: MethodOfPaper) -> dict[str, Array]:
-    """Variances (21,) by the groups that a method takes as nothing, as its estimate has them of a session; without
-    known turns those of the accelerometers alone."""
+def _omitted_groups(setup: Setup, method: MethodOfPaper) -> dict[str, Array]:
+    """Return the variances (21,) by the groups that a method omits; without known turns, of the accelerometers alone."""
     if not setup.further:
         return {}
-    noisy = replace(setup, noise=GRADES[usual_setup.GRADE].noise)  # of any size: it is not what the groups change
-    seen = view(itinerary_of(noisy), noisy, gyros=True).problem.observations
-    seen = seen if known_turns(setup.programme) else seen.of_accelerometers()
-    problem, moves = shift_by_groups(seen, METHODS[method])
-    first, variances = problem.instrument.linear_count, np.zeros((len(NAMES), moves.shape[1]))
-    variances[: len(moves)] = (moves * problem.usual_u[1 + first :]) ** 2
+    noisy = replace(setup, noise=GRADES[usual_setup.GRADE].noise)  # of any size, as it does not change them
+    observations = linearised_course(itinerary_of(noisy), noisy, gyros=True).problem.observations
+    observations = observations if known_turns(setup.programme) else observations.of_accelerometers()
+    problem, shift = shift_by_groups(observations, METHODS[method])
+    first, variances = problem.instrument.linear_count, np.zeros((len(NAMES), shift.shape[1]))
+    variances[: len(shift)] = (shift * problem.usual_u[1 + first :]) ** 2
     groups = problem.instrument.members.items()
     return {name: variances[:, own.start - first : own.stop - first].sum(axis=1) for name, own in groups}
 
 
 def _noise(setup: Setup, plan: PaperProgramme) -> dict[str, Array]:
-    """Variances (21,) of the parameters by noise, by source, on an exact programme: each noise as if alone."""
+    """Return the variances (21,) of the parameters by each source of noise, on an exact programme."""
     N, K, noise, g = len(plan.nominal), len(plan.first), setup.noise, setup.gravity
     rest, turn = np.eye(3 * N).reshape(3 * N, N, 3), np.eye(3 * K).reshape(3 * K, K, 3)
 
     def gains(step: float, **errors: Array) -> Array:
-        """What unit errors of readings make of the parameters (m, 21)."""
-        X, out = np.zeros((len(rest) if "turned" not in errors else len(turn), len(NAMES))), []
-        for sign in (1.0, -1.0):
-            signed = {name: sign * step * error for name, error in errors.items()}
-            out.append(plan.estimated(X, plan.nominal, **signed))
-        return np.asarray((out[0] - out[1]) / (2.0 * step))
+        """Return the errors of the parameters (m, 21) by unit errors of readings."""
+        X = np.zeros((len(rest) if "turned" not in errors else len(turn), len(NAMES)))
+        high, low = (
+            plan.estimated(X, plan.nominal, **{name: sign * step * error for name, error in errors.items()})
+            for sign in (1.0, -1.0)
+        )
+        return np.asarray((high - low) / (2.0 * step))
 
-    alike = np.exp(-np.abs(np.subtract.outer(*[itinerary_of(setup).rests[:, 0]] * 2)) / CORRELATION_TIME)
+    correlation = np.exp(-np.abs(np.subtract.outer(*[itinerary_of(setup).rests[:, 0]] * 2)) / CORRELATION_TIME)
 
-    def wandered(gains: Array, bias: str) -> Array:
-        """Variances (21,) by biases that are a process of unit variance, from the gains of each rest and axis (3N, 21);
-        those of a `bias` are about its mean over the session."""
+    def by_in_run(gains: Array, bias: str) -> Array:
+        """Return the variances (21,) by in-run biases of unit variance from the gains (3N, 21); a `bias` is about its
+        mean over the session."""
         of_rests = gains.reshape(N, 3, -1).copy()
         of_rests[:, np.arange(3), MEMBERS[bias]] -= 1.0 / N
-        return np.asarray(np.einsum("icp,ij,jcp->p", of_rests, alike, of_rests))
+        return np.asarray(np.einsum("icp,ij,jcp->p", of_rests, correlation, of_rests))
 
     by_accel, by_gyro = gains(STEP * g, force=rest), gains(STEP * EARTH_RATE, rate=rest)
     by_turn = gains(STEP, turned=turn) if K else np.zeros((0, len(NAMES)))
-    between = 0.5 * (rest[:, plan.first] + rest[:, plan.first + 1])  # biases in a turn are those between its ends
+    between = 0.5 * (
+        rest[:, plan.first] + rest[:, plan.first + 1]
+    )  # the bias in a turn is the mean of those at its ends
     by_change = gains(STEP * EARTH_RATE, rate=rest, drift=between)
     scale = np.isin(np.arange(len(NAMES)), MEMBERS["accel.scale"])
     return {
         REST_NOISE[0]: (by_accel**2).sum(axis=0) * noise.accel_white**2 / setup.rest,
         REST_NOISE[1]: (by_gyro**2).sum(axis=0) * noise.gyro_white**2 / setup.rest,
         "gyro noise in turns": np.repeat(plan.course.duration, 3) @ by_turn**2 * noise.gyro_white**2,
-        "accelerometer instability": wandered(by_accel, "accel.bias") * noise.accel_instability**2,
-        "gyro instability": wandered(by_change, "gyro.bias") * noise.gyro_instability**2,
+        "accelerometer instability": by_in_run(by_accel, "accel.bias") * noise.accel_instability**2,
+        "gyro instability": by_in_run(by_change, "gyro.bias") * noise.gyro_instability**2,
         "uncertainty of gravity": scale * (setup.gravity_u / g) ** 2,
     }

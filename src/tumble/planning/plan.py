@@ -1,10 +1,10 @@
-"""What a calibration will state, the best next positions, and what a wanted accuracy needs.
+"""Expected uncertainties of a calibration, the best next positions, and the requirements of a wanted accuracy.
 
-Of the method `joint`, whose answer is `tumble.planning.bounds.stated`, a wanted accuracy needs longer rests, or more
-positions, each the best next one; errors of table and mounting do not count. Of the methods of the turntable paper,
-whose answer are its accuracy formulas (`tumble.planning.pass_errors`), it needs tolerances of table and mounting and
-rests of some length: with w the wanted u, f² what no table changes, n²/T the noise of rests of T s, and d(s)² the part
-of s times the errors of table and mounting, without what they leave at zero,
+With the method `joint` (`tumble.planning.bounds.expected_bound`), a wanted accuracy requires longer rests, or more
+positions, each the best next one; errors of table and mounting have no effect. With the methods of the turntable paper,
+whose accuracy formulas are in `tumble.planning.pass_errors`, it requires tolerances of table and mounting and a
+duration T of rests. With the wanted u w, the variance f² that no table changes, that of rest noise n²/T, and the part
+d(s)² by s times the errors of table and mounting,
 
     n²/T = ¼ (w² − f²),   d(s)² = ¾ (w² − f²)
 """
@@ -22,7 +22,7 @@ from tumble.arguments import checked
 from tumble.brief import Brief
 from tumble.diagnosis.observability import in_words
 from tumble.errors import InputError
-from tumble.planning.bounds import CLOCK, GRAVITY, Bound, stated
+from tumble.planning.bounds import CLOCK, GRAVITY, Bound, expected_bound
 from tumble.planning.error_propagation import MethodOfPaper
 from tumble.planning.in_motion import Motion
 from tumble.planning.next_positions import NextPosition, TurnTable, next_positions
@@ -37,67 +37,51 @@ from tumble.units import DEGREE, engineering
 
 PlannedMethod = Literal["joint"] | MethodOfPaper
 Progress = Callable[[int, int], None]
-"""Receives how many positions a search has added, and how many at most."""
+"""Receives the number of positions that a search has added, and the largest number."""
 
-NEXT = 5
-"""How many next positions are given."""
-MOST_ADDED = 30
-"""Positions that are added to a programme for a wanted accuracy."""
-LONGEST_REST = 3600.0
-"""s: of a rest that an operator waits for."""
-REST_SHARE = 0.25
-"""Part of the permitted variance that is given to the noise of rests; table and mounting get the others."""
+NEXT = 5  # next positions in a plan
+MOST_ADDED = 30  # positions that are added to a programme for a wanted accuracy
+LONGEST_REST = 3600.0  # s: that an operator waits for
+REST_SHARE = 0.25  # of the permitted variance for the noise of rests; the rest is for table and mounting
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PlannedGroup:
-    """Expected standard uncertainty u of a group of parameters, SI: the root mean square over its parameters, infinite
-    where one is not determined. It is that after `iteration` passes of the paper's methods, of which `estimator` says
-    how the group is found, with the equation. `spread` is the standard deviation over instruments before calibration,
-    `parameters` are u by parameter, `sources` u by source alone, the largest first, whose squares add up to u²."""
+    """Expected standard uncertainty of a group of parameters, SI."""
 
     group: str
     unit: str
-    iteration: int
-    estimator: str
-    u: float
-    spread: float
-    parameters: Mapping[str, float]
-    sources: Mapping[str, float]
+    iteration: int  # number of passes of the paper's methods
+    estimator: str  # how the group is determined, with the equation of the paper
+    u: float  # root mean square over the parameters, infinite if one is undetermined
+    spread: float  # standard deviation over instruments before calibration
+    parameters: Mapping[str, float]  # u by parameter
+    sources: Mapping[str, float]  # u by source, the largest first; their squares add up to u²
 
     @property
     def largest(self) -> str:
-        """The largest source; nothing where the formulas leave nothing."""
+        """The largest source, or "nothing"."""
         return next(iter(self.sources), "nothing")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Requirement:
-    """What a wanted accuracy, u rms by group, SI, needs, where u is that with the set-up as it is.
-
-    `table_error` and `mounting_error` are the largest tolerances, rad, in the ratio of the set-up, None where they do
-    not matter within `largest_errors`. `rest` is the shortest rest, s, with the programme as it is, infinite where no
-    rest of an hour is enough; `positions` the number of positions with the rests as they are, None where MOST_ADDED
-    more are too few. `reason` says why no set-up gives this accuracy; it is empty where one does."""
+    """Requirements of a wanted accuracy of a group of parameters, SI."""
 
     group: str
     unit: str
-    wanted: float
-    u: float
-    table_error: float | None = None
-    mounting_error: float | None = None
-    rest: float = math.inf
-    positions: int | None = None
-    reason: str = ""
+    wanted: float  # rms of u
+    u: float  # rms of u with the set-up as it is
+    table_error: float | None = None  # largest tolerance, rad, in the ratio of the set-up; None if it does not matter
+    mounting_error: float | None = None  # within `largest_errors`
+    rest: float = math.inf  # shortest rest, s, with the programme as it is; infinite if an hour is too short
+    positions: int | None = None  # their number with the rests as they are; None if MOST_ADDED more are too few
+    reason: str = ""  # why no set-up gives this accuracy
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, repr=False)
 class Plan(Brief):
-    """What a set-up gives: u by group, of the paper's methods after each pass; the best next positions, and what each
-    wanted accuracy needs. `reasons` are what the programme does not determine and what no set-up gives, `remarks` where
-    the set-up is outside the range of the formulas, in sentences. Of joint, `rank` is how many combinations of the
-    linear parameters are determined, and `condition` that of the whitened Jacobian. `assumptions` are what `calibrate`
-    has otherwise where a session does not state it. `motion` is what is recorded in place of the programme."""
+    """Expected result of a calibration."""
 
     json_fields: ClassVar[tuple[str, ...]] = (
         *("verdict", "reasons", "remarks", "assumptions", "setup", "method", "motion", "rank", "condition", "groups"),
@@ -105,18 +89,18 @@ class Plan(Brief):
     )
     setup: Setup
     method: PlannedMethod
-    groups: tuple[PlannedGroup, ...]
-    rank: int | None = None
-    condition: float | None = None
-    following: tuple[NextPosition, ...] = ()
-    requirements: tuple[Requirement, ...] = ()
-    motion: Motion | None = None
-    reasons: tuple[str, ...] = ()
-    remarks: tuple[str, ...] = ()
+    groups: tuple[PlannedGroup, ...]  # u by group; of the paper's methods after each pass
+    rank: int | None = None  # of joint, number of determined combinations of the linear parameters
+    condition: float | None = None  # of joint, condition number of the whitened Jacobian
+    following: tuple[NextPosition, ...] = ()  # the best next positions
+    requirements: tuple[Requirement, ...] = ()  # of each wanted accuracy
+    motion: Motion | None = None  # recorded instead of the programme
+    reasons: tuple[str, ...] = ()  # parameters that the programme does not determine, and impossible accuracies
+    remarks: tuple[str, ...] = ()  # on the validity of the formulas
 
     @property
     def assumptions(self) -> tuple[str, ...]:
-        """What the plan takes the session to state, in sentences."""
+        """What the session is assumed to state, in sentences."""
         g, usual = self.setup.gravity, UNKNOWN_HEIGHT_GRAVITY_U
         return (
             *(() if self.motion is None else (self.motion.assumption,)),
@@ -128,11 +112,11 @@ class Plan(Brief):
 
     @property
     def verdict(self) -> str:
-        """Whether the programme determines everything and some set-up gives all that is wanted."""
+        """Whether all parameters are determined and all wanted accuracies are possible."""
         return "not accepted" if self.reasons else "accepted"
 
     def group(self, name: str, iteration: int | None = None) -> PlannedGroup:
-        """A group of parameters after so many passes, by default the last. Raises KeyError where there is none."""
+        """Return a group of parameters after a number of passes, by default the last; raise KeyError if there is none."""
         for row in reversed(self.groups):
             if row.group == name and iteration in (None, row.iteration):
                 return row
@@ -152,37 +136,36 @@ def plan(
     motion: Motion | None = None,
     progress: Progress = lambda _added, _most: None,
 ) -> Plan:
-    """What a calibration by a set-up's programme will state, before it is made.
+    """Predict the uncertainties of a calibration by a set-up's programme.
 
     Parameters
     ----------
     setup
         Instrument, programme and site.
     method
-        With "joint", what `calibrate` will state on the average over instruments; with "sequential" or "scalar", the
-        accuracy formulas of the turntable paper, of instruments with the linear model.
+        "joint" for the uncertainties that `calibrate` will state on average over instruments; "sequential" or "scalar"
+        for the accuracy formulas of the turntable paper.
     terms
-        Of joint: with "full" all groups of parameters are estimated, with "linear" bias, scale factor and axis angles
-        alone, and the others are in their u.
+        For joint: "full" to estimate all groups of parameters, "linear" for bias, scale factor and axis angles alone,
+        with the others in their u.
     iterations
-        Passes of the paper's methods.
+        Number of passes of the paper's methods.
     wanted
-        Standard uncertainties, rms by group, SI: `Plan.requirements` says what they need, and the next positions are
-        those that serve them.
+        Standard uncertainties, rms by group, SI, for which requirements and next positions are found.
     gyros
-        Of joint: with False, accelerometers alone.
+        For joint: False for accelerometers alone.
     table
-        How the device can be turned to a next position; by default as the programme turns it.
+        The turntable that moves the device to a next position, by default that of the programme.
     motion
-        A recording of a device that is turned without rests, in place of the programme; of joint with gyros, without
+        A recording of a device that is turned without rests instead of the programme; for joint with gyros, without
         wanted accuracies.
     progress
-        Receives how far the search for more positions is.
+        Receives the progress of the search for more positions.
 
     Raises
     ------
     InputError
-        For values that make no sense, where joint has no noise, and for groups that are not calibrated.
+        For invalid values, for joint without noise, and for wanted groups that are not calibrated.
     ProgrammeError
         For a programme without the positions that a method of the paper needs.
 
@@ -207,39 +190,41 @@ def plan(
         return _plan_of_paper(setup, method, iterations, wanted)
 
     def state(setup: Setup) -> Bound:
-        return stated(setup, gyros=gyros, terms=terms, motion=motion)
+        return expected_bound(setup, gyros=gyros, terms=terms, motion=motion)
 
     def following(setup: Setup, wanted: Mapping[str, float]) -> tuple[NextPosition, ...]:
         if motion is not None:
             return ()
         return next_positions(setup, wanted=wanted, gyros=gyros, table=table)
 
-    found = state(setup)
-    groups = tuple(_groups_of(found, setup))
+    bound = state(setup)
+    groups = tuple(_groups_of(bound, setup))
     _check_wanted(wanted, groups)
     counts = _positions_needed(wanted, setup, state, following, progress)
-    needs = tuple(_joint_requirement(g, w, setup, state, counts.get(g)) for g, w in wanted.items())
-    unseen = sorted(in_words(found.null, found.names), key=lambda said: [name not in said for name in found.names])
-    missing = [f"not determined: {', '.join(unseen)}"] if unseen else []
+    requirements = tuple(_joint_requirement(g, w, setup, state, counts.get(g)) for g, w in wanted.items())
+    combinations = sorted(
+        in_words(bound.null, bound.names), key=lambda text: [name not in text for name in bound.names]
+    )
+    missing = [f"not determined: {', '.join(combinations)}"] if combinations else []
     return Plan(
         setup=setup,
         method="joint",
         groups=groups,
-        rank=found.rank,
-        condition=found.condition,
+        rank=bound.rank,
+        condition=bound.condition,
         following=tuple(
             replace(one, u={row.group: row.u for row in _groups_of(state(one.added(setup)), setup)})
             for one in following(setup, wanted)[:NEXT]
         ),
-        requirements=needs,
+        requirements=requirements,
         motion=motion,
-        reasons=(*missing, *(() if motion else _tilted(setup)), *(row.reason for row in needs if row.reason)),
+        reasons=(*missing, *(() if motion else _tilted(setup)), *(row.reason for row in requirements if row.reason)),
     )
 
 
 def largest_errors(setup: Setup) -> tuple[float, float]:
-    """The largest errors of table and mounting, rad, in the ratio of a set-up, with which every rest is near enough to
-    its position for `calibrate`: each tilts by up to √2 times its error about an axis."""
+    """Return the largest errors of table and mounting, rad, in the ratio of a set-up, with which `calibrate` matches
+    every rest with its position. Each tilts a rest by up to √2 times its error about an axis."""
     table, mounting = setup.table_error, setup.mounting_error
     if table + mounting == 0.0:
         table = mounting = 1.0
@@ -248,7 +233,7 @@ def largest_errors(setup: Setup) -> tuple[float, float]:
 
 
 def _tilted(setup: Setup) -> tuple[str, ...]:
-    """That errors of table and mounting may take a rest out of its position, where they may."""
+    """Return a reason if errors of table and mounting are too large to match rests with positions."""
     tilt = math.sqrt(2.0) * (setup.table_error + setup.mounting_error)
     if tilt <= 1.001 * POSITION_LIMIT:
         return ()
@@ -261,7 +246,7 @@ def _tilted(setup: Setup) -> tuple[str, ...]:
 
 
 def _check_wanted(wanted: Mapping[str, float], groups: tuple[PlannedGroup, ...]) -> None:
-    """Raise InputError for a group that is not calibrated."""
+    """Raise InputError for a wanted group that is not calibrated."""
     names = dict.fromkeys(row.group for row in groups if row.group in UNITS)
     for group in wanted:
         if group not in names:
@@ -269,7 +254,7 @@ def _check_wanted(wanted: Mapping[str, float], groups: tuple[PlannedGroup, ...])
 
 
 def _by_size(variances: Mapping[str, float]) -> dict[str, float]:
-    """The u of sources that contribute, the largest first."""
+    """Return the u of the sources that contribute, the largest first."""
     by_size = sorted(variances.items(), key=lambda item: -item[1])
     return {name: math.sqrt(variance) for name, variance in by_size if variance > 0.0}
 
@@ -278,7 +263,7 @@ def _by_size(variances: Mapping[str, float]) -> dict[str, float]:
 
 
 def _groups_of(found: Bound, setup: Setup) -> Iterator[PlannedGroup]:
-    """The groups of a bound, with their sources."""
+    """Yield the groups of a bound with their sources."""
     for group, members in positions_by_group(found.names).items():
         seen = bool(np.all(found.observable[members]))
         yield PlannedGroup(
@@ -300,8 +285,9 @@ def _positions_needed(
     following: Callable[[Setup, Mapping[str, float]], tuple[NextPosition, ...]],
     progress: Progress,
 ) -> dict[str, int]:
-    """The number of positions by group with which a wanted accuracy is stated, where MOST_ADDED more are enough; of
-    what gravity and time base alone do not allow, none is."""
+    """Return the number of positions by group that give a wanted accuracy, if MOST_ADDED more are enough.
+
+    The search ignores accuracies that gravity and time base make impossible."""
     counts, left = dict[str, int](), dict(wanted)
     for added in range(MOST_ADDED + 1 if wanted else 0):
         rows = {row.group: row for row in _groups_of(state(setup), setup)}
@@ -322,8 +308,8 @@ def _positions_needed(
 def _joint_requirement(
     group: str, wanted: float, setup: Setup, state: Callable[[Setup], Bound], positions: int | None
 ) -> Requirement:
-    """The shortest rests of at most LONGEST_REST with which a wanted accuracy is stated, to 1 %; u falls with the rests
-    until in-run instability, gravity and other groups are all there is, or drifts grow."""
+    """Return the shortest rests, to 1 %, that give a wanted accuracy. u decreases with the duration of rests until
+    in-run instability, gravity, other groups or drifts dominate."""
 
     def u(rest: float) -> float:
         return state(replace(setup, rest=rest)).rms(group)
@@ -360,7 +346,7 @@ def _joint_requirement(
 
 
 def _plan_of_paper(setup: Setup, method: MethodOfPaper, iterations: int, wanted: Mapping[str, float]) -> Plan:
-    """The accuracy formulas of a method, after each of so many passes."""
+    """Return the plan by the accuracy formulas of a method, for each of a number of passes."""
     errors, groups = PassErrors.of(setup, method), []
     for iteration in range(1, iterations + 1):
         variances = {**errors.methodical(iteration), **errors.noise}
@@ -379,15 +365,15 @@ def _plan_of_paper(setup: Setup, method: MethodOfPaper, iterations: int, wanted:
                     sources=_by_size(of_group),
                 )
             )
-    found = Plan(
+    expected = Plan(
         setup=setup, method=method, groups=tuple(groups), reasons=_tilted(setup), remarks=tuple(remarks(setup))
     )
-    _check_wanted(wanted, found.groups)
-    if wanted and max(setup.table_error, setup.mounting_error) == 0.0:  # equal tolerances are asked for
+    _check_wanted(wanted, expected.groups)
+    if wanted and max(setup.table_error, setup.mounting_error) == 0.0:  # equal tolerances
         errors = PassErrors.of(replace(setup, table_error=DEGREE, mounting_error=DEGREE), method)
-    needs = tuple(_paper_requirement(found.group(g), value, errors) for g, value in wanted.items())
-    impossible = (row.reason for row in needs if row.reason)
-    return replace(found, requirements=needs, reasons=(*found.reasons, *impossible))
+    requirements = tuple(_paper_requirement(expected.group(g), value, errors) for g, value in wanted.items())
+    impossible = (row.reason for row in requirements if row.reason)
+    return replace(expected, requirements=requirements, reasons=(*expected.reasons, *impossible))
 
 
 _REMEDY: Mapping[str, str] = {
@@ -400,7 +386,7 @@ _REMEDY: Mapping[str, str] = {
 
 
 def _paper_requirement(planned: PlannedGroup, wanted: float, errors: PassErrors) -> Requirement:
-    """Tolerances, in the ratio of the set-up of `errors`, and rests for a wanted accuracy, see the module."""
+    """Return tolerances, in the ratio of the set-up, and rests for a wanted accuracy (see the module)."""
     from scipy.optimize import brentq
 
     group, setup = planned.group, errors.setup

@@ -1,12 +1,9 @@
-"""What is known of a calibration before it is made.
+"""Set-up of a calibration: instrument, programme on a table or positions by hand, and site.
 
-A `Setup` describes the instrument, the programme on a table or the positions by hand, and the site. Plans, simulated
-sessions and the cells of campaigns are made of it.
-
-    setup = Setup.of(grade="mems", programme="nine", rest=20.0)      in the words of the command line
+    setup = Setup.of(grade="mems", programme="nine", rest=20.0)      in units of the command line
     setup = replace(setup, table_error=0.1 * DEGREE)                 in SI
 
-All defaults are those of `tumble.usual_setup`.
+Plans, simulated sessions and the cells of campaigns are made from it. Defaults are those of `tumble.usual_setup`.
 """
 
 from __future__ import annotations
@@ -32,31 +29,35 @@ from tumble.sensors.model import Block
 from tumble.sensors.parameters import Terms, group_of, positions_by_group, quantity_of, usual_sizes
 from tumble.units import DEGREE
 
-ACCEL, GYRO = (Block(kind=kind, axes=np.eye(3)) for kind in ("accel", "gyro"))
-"""The triads of a set-up, along the body axes."""
-NAMES = ACCEL.names + GYRO.names
-"""The 21 parameters of the linear model, in the order of the calibration file."""
-MEMBERS = {group: np.array(members) for group, members in positions_by_group(NAMES).items()}
-"""Indices of the parameters of each group of the linear model."""
-GROUPS = tuple(MEMBERS)
-"""The groups of the linear model, in the order of the calibration file."""
-UNITS = {group: group_of(group).unit for group in GROUPS}
-"""Their SI units."""
+ACCEL, GYRO = (Block(kind=kind, axes=np.eye(3)) for kind in ("accel", "gyro"))  # triads along the body axes
+NAMES = ACCEL.names + GYRO.names  # the 21 parameters of the linear model, in the order of the calibration file
+MEMBERS = {group: np.array(members) for group, members in positions_by_group(NAMES).items()}  # their indices
+GROUPS = tuple(MEMBERS)  # groups of the linear model, in the order of the calibration file
+UNITS = {group: group_of(group).unit for group in GROUPS}  # SI
+LARGEST = 1e30  # size of a number of a set-up; the smallest that is not zero is its inverse
 
 _programme = cache(built_in)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
 class Setup(Brief):
-    """An instrument, the programme it goes through on a table, and the site; all in SI and radians.
+    """Instrument, programme and site of a calibration, in SI and radians.
 
-    `by_hand` is a number of positions in any attitude, by hand, in place of the programme. `table_error` and
-    `mounting_error` are the largest errors of every position and of the whole launch, uniform within ± about each axis;
-    they do not apply by hand. The first rest lasts `first_rest` at least; turns reach and leave their rate in `ramp`.
-    `accel` and `gyro` are standard deviations of the linear parameters over instruments, and `further` those of the
-    groups that the instrument has beyond the linear model, which are the priors too. `gravity_u` is the standard
-    uncertainty of gravity (`earth.NORMAL_GRAVITY_U` if it is not measured), `clock_u` the relative one of the time
-    base. `instrument` is a grade, or the name of an instrument of one's own.
+    Attributes
+    ----------
+    by_hand : int or None
+        Number of positions in random attitudes by hand, instead of the programme.
+    table_error, mounting_error : float
+        Largest errors of every position and of the whole launch, uniform within ± about each axis; not by hand.
+    first_rest, ramp : float
+        Least duration of the first rest, and time in which turns reach and leave their rate.
+    instrument : str
+        A grade, or the name of an instrument of one's own.
+    accel, gyro, further
+        Standard deviations of the linear parameters over instruments, and of groups beyond the linear model, which are
+        their priors too.
+    gravity_u, clock_u : float
+        Standard uncertainty of gravity (`earth.NORMAL_GRAVITY_U` if not measured), relative one of the time base.
     """
 
     programme: Programme = field(default_factory=lambda: _programme(usual_setup.PROGRAMME))
@@ -98,16 +99,16 @@ class Setup(Brief):
         instability_time: float = usual_setup.INSTABILITY_TIME,
         terms: Terms = "linear",
     ) -> Setup:
-        """The set-up of a built-in programme, or of so many positions by hand, in the units of the command line.
+        """Return the set-up of a built-in programme, or of a number of positions by hand, in command-line units.
 
-        Parameters are those of `Setup`; those that are None are usual on a table, or with `positions` by hand.
-        `noise_factor` multiplies the noise of the grade, whose in-run biases have the correlation time
+        Parameters are those of `Setup`; those that are None have the usual values on a table, or by hand with
+        `positions`. `noise_factor` multiplies the noise of the grade, whose in-run biases have the correlation time
         `instability_time`, s. With the `terms` "full" the instrument has all groups of parameters, of usual sizes.
 
         Raises
         ------
         InputError
-            For a grade or programme that does not exist, and for a latitude that is none.
+            For an unknown grade or programme, and for an impossible latitude.
 
         Examples
         --------
@@ -141,20 +142,21 @@ class Setup(Brief):
 
 
 def time_of(programme: Programme, setup: Setup) -> float:
-    """Duration of a programme on the table of a set-up, s."""
+    """Return the duration of a programme on the table of a set-up, s."""
     return duration(programme, rest=setup.rest, rate=setup.turn_rate, move=usual_setup.MOVE)
 
 
 def with_all_groups(setup: Setup) -> Setup:
-    """The set-up with all groups of parameters, of the usual sizes of its grade where it states none; an instrument of
-    one's own has those that it states, and so has one without any noise, which shows the errors of a method alone."""
+    """Return the set-up with all groups of parameters, of the usual sizes of its grade unless stated.
+
+    An instrument of one's own, or one without noise, has the stated groups only."""
     if setup.instrument not in GRADES or setup.noise == setup.noise.scaled(0.0):
         return setup
     return replace(setup, further=usual_sizes(setup.instrument) | dict(setup.further))
 
 
 def check_setup(setup: Setup) -> None:
-    """Raise InputError for values that make no sense, and for a set-up that is not on a table."""
+    """Raise InputError for invalid values, and for a set-up that is not on a table."""
     if setup.by_hand is not None:
         raise InputError(f"programme: expected one on a table, found {setup.by_hand} positions by hand")
     if not abs(setup.latitude) < 0.5 * math.pi - DEGREE:
@@ -176,7 +178,7 @@ def check_setup(setup: Setup) -> None:
 
 
 def wanted_accuracies(texts: Sequence[str]) -> dict[str, float]:
-    """Wanted standard uncertainties, SI, by group, of texts such as "accel.scale=3.5ppm". Raises InputError."""
+    """Return wanted standard uncertainties, SI, by group, from texts such as "accel.scale=3.5ppm"; raise InputError."""
     wanted = dict[str, float]()
     for text in texts:
         name, _, value = text.partition("=")
@@ -187,10 +189,6 @@ def wanted_accuracies(texts: Sequence[str]) -> dict[str, float]:
         except ValueError as error:
             raise InputError(f"--want {text}: {error}") from None
     return wanted
-
-
-LARGEST = 1e30
-"""Largest size of a number of a set-up; the smallest that is not zero is its inverse."""
 
 
 def expect(name: str, value: float, *, least: Literal["more than 0", "0 or more"]) -> None:

@@ -1,6 +1,6 @@
-"""Turns at a constant rate about an axis fixed in inertial space, as perfect sensors read them.
+"""Readings of perfect sensors in turns at a constant rate about an axis fixed in inertial space.
 
-With v the rotation vector of a turn of T s in the body at its start, L₀ the attitude there, and Ω the Earth's rate,
+With the rotation vector v of a turn of T s in the body at its start, the attitude L₀ there and the Earth's rate Ω,
 
     ω = v/T,   C(t) = exp([ω×]t),   f(t) = g C(t)ᵀ L₀ᵀ exp([Ω×]t) e_U
 """
@@ -17,25 +17,23 @@ from tumble.reduction.turns.turns import AHEAD, Turns, TurnSamples
 from tumble.rotation import rotation_matrix, rotation_vector_near
 from tumble.units import Array, IntArray
 
-SAMPLES = 256
-"""Samples of a turn, which give its moments to 1e-5."""
-STILL = 8
-"""Samples of the time before, and after, in which nothing moves."""
+SAMPLES = 256  # of a turn, which give its moments to 1e-5
+STILL = 8  # samples of the time without motion before and after a turn, each
 
 
 def inertial_turns(start: Array, end: Array, moves: Array, seconds: Array, latitude: float) -> Array:
-    """Rotation vectors (K, 3), rad, of the body in inertial space, in the body at the start.
+    """Return the rotation vectors (K, 3), rad, of the body in inertial space, in the body at the start.
 
-    Of the two ways round from attitudes `start` to `end` (K, 3, 3), body → geographic, in so many seconds (K,), the one
-    near the moves (K, 3), rotation vectors, geographic, is taken."""
+    Turns are from attitudes `start` to `end` (K, 3, 3), body → geographic, in `seconds` (K,), the way round that is
+    closer to the moves (K, 3), geographic rotation vectors."""
     back = np.swapaxes(start, 1, 2)
     earth = rotation_matrix(seconds[:, None] * np.array(earth_rate(latitude)))
     return rotation_vector_near(back @ earth @ end, np.einsum("kij,kj->ki", back, moves))
 
 
 def white_turns(first: IntArray, T: Array, covariance: Array, velocity_variance: Array) -> Turns:
-    """Turns after the rests `first` (K,) in T (K,) s, not yet integrated, with the covariances (K, 3, 3), rad², and
-    variances (K,), (m/s)², of white noise."""
+    """Return turns, not yet integrated, after the rests `first` (K,) in T (K,) s, with the covariance of the rotations
+    (K, 3, 3), rad², and the variance of the velocities (K,), (m/s)², by white noise."""
     K = len(T)
     return Turns(
         first=first,
@@ -53,7 +51,7 @@ def white_turns(first: IntArray, T: Array, covariance: Array, velocity_variance:
 
 
 def steady_samples(vector: Array, T: Array, start: Array, setup: Setup, still: Array) -> TurnSamples:
-    """Samples of turns at a constant rate, as perfect sensors read them.
+    """Return samples of turns at a constant rate by perfect sensors.
 
     Parameters
     ----------
@@ -64,9 +62,9 @@ def steady_samples(vector: Array, T: Array, start: Array, setup: Setup, still: A
     start : (K, 3, 3)
         Attitudes at the start, body → geographic.
     setup
-        Whose latitude and gravity count.
+        Set-up with latitude and gravity.
     still : (K,)
-        Time before and after each turn in which nothing moves, s.
+        Time without motion before and after each turn, s.
     """
     K, at_ends = len(T), STILL if still.any() else 0
     ends = np.repeat(still[:, None] / max(at_ends, 1), at_ends, axis=1)
@@ -78,7 +76,7 @@ def steady_samples(vector: Array, T: Array, start: Array, setup: Setup, still: A
     C = rotation_matrix(np.clip(part, 0.0, 1.0)[:, :, None] * vector[:, None])
     up = rotation_matrix(when[:, :, None] * np.array(earth_rate(setup.latitude)))[..., 1] @ start
     force = setup.gravity * np.einsum("knij,kni->knj", C, up)
-    samples, before = MotionSamples(), ((0, 0), (AHEAD, 0))  # which the first step of a turn wants
+    samples, before = MotionSamples(), ((0, 0), (AHEAD, 0))  # the first step of a turn needs samples before it
     rate, force = (np.pad(each, (*before, (0, 0)), mode="edge") for each in (rate, force))
     samples.append(rate.reshape(-1, 3), force.reshape(-1, 3), np.pad(dt, before, mode="edge").ravel())
     first = AHEAD + rate.shape[1] * np.arange(K)
