@@ -96,7 +96,7 @@ class PaperProgramme:
         drift: Array | float = 0.0,
         turned: Array | float = 0.0,
     ) -> Array:
-        """Return the parameters (..., 21) after one pass; zero for those of gyros that the programme does not determine.
+        """Return the parameters (..., 21) after one pass; zero for gyro parameters that are not determined.
 
         Sensors have the parameters X (..., 21) and attitudes (..., N, 3, 3). Errors are `force` and `rate` at rest
         (..., N, 3), `drift` of the rates in turns (..., K, 3), and `turned` of the rotations (..., K, 3), rad."""

@@ -24,7 +24,7 @@ class Itinerary:
 
     @staticmethod
     def through(attitudes: Array, moves: Array, setup: Setup) -> Itinerary:
-        """Return the itinerary through attitudes by moves, with the rests and the rate of a set-up; a move by zero is no
+        """Return the itinerary through attitudes by moves, with the rests and the rate of a set-up; a zero move is no
         turn."""
         seconds = np.linalg.norm(moves, axis=1) / setup.turn_rate
         start = setup.rest * np.arange(len(attitudes)) + np.append(0.0, np.cumsum(seconds))

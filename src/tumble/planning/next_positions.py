@@ -5,8 +5,8 @@ The criterion is the mean square of u over weights, which are the wanted accurac
 has no effect. Drifts are left out, as the time of a position is not known.
 
 The elimination of the attitudes and in-run biases of all rests but the last leaves rows of those of the last and a
-triangle of the parameters (`tumble.inference.elimination`). Each candidate is then an elimination of two rests, whatever
-the length of the programme. Of equally good candidates the first is taken; turns of the table come before other moves.
+triangle of the parameters (`tumble.inference.elimination`). Each candidate is then an elimination of two rests for any
+length of the programme. Of equally good candidates the first is taken; turns of the table come before other moves.
 """
 
 from __future__ import annotations

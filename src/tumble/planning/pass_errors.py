@@ -12,8 +12,8 @@ from these errors and leaves T² X. For independent parameters and deviations of
     pass 2    E (T² X)²_p = Σ_j σ_j² [ (c + tr A)² + Σ_k v_k l_k² + 2 Σ_kl v_k v_l S_kl² + Σ_k (μ_k − 3 v_k²) A_kk² ]_pj
 
 where T² = c + Σ τ_k l_k + Σ τ_k τ_l A_kl, S is the symmetric part of A, tr A = Σ v_k A_kk, and v_k, μ_k are the second
-and fourth moments of τ_k. Further passes reduce them as much as the second: (κσ)^i, §7 of the paper. T₀, D and q are those
-of `tumble.planning.error_propagation`.
+and fourth moments of τ_k. Further passes reduce them as much as the second: (κσ)^i, §7 of the paper. T₀, D and q are
+those of `tumble.planning.error_propagation`.
 """
 
 from __future__ import annotations
@@ -141,7 +141,7 @@ def remarks(setup: Setup) -> Iterator[str]:
 
 
 def _omitted_groups(setup: Setup, method: MethodOfPaper) -> dict[str, Array]:
-    """Return the variances (21,) by the groups that a method omits; without known turns, of the accelerometers alone."""
+    """Return the variances (21,) by omitted groups; without known turns, of the accelerometers alone."""
     if not setup.further:
         return {}
     noisy = replace(setup, noise=GRADES[usual_setup.GRADE].noise)  # of any size, as it does not change them

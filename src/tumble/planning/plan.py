@@ -116,7 +116,7 @@ class Plan(Brief):
         return "not accepted" if self.reasons else "accepted"
 
     def group(self, name: str, iteration: int | None = None) -> PlannedGroup:
-        """Return a group of parameters after a number of passes, by default the last; raise KeyError if there is none."""
+        """Return a group of parameters after a number of passes, by default the last; raise KeyError without it."""
         for row in reversed(self.groups):
             if row.group == name and iteration in (None, row.iteration):
                 return row
