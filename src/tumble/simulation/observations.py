@@ -1,20 +1,19 @@
-"""Observations of a simulated session, made directly from the truth: no log is sampled, so a session takes a
-millisecond and thousands are cheap.
+"""Observations of a simulated session, made from the truth without a log, in about a millisecond.
 
     scenario = scenario_of(setup, rng)                   or a `Scenario` of one's own
     observations = simulate_observations(scenario, rng)
     estimate = joint(observations)                       or any other method; compare with scenario.truth
 
-A rest is its true mean reading plus noise of the covariance that is stated. A turn is a rotation at a constant inertial
-rate about an axis fixed in the body, from one true attitude to the next: its readings are constant, and a few samples
-integrate to the rotation about any gyro model without an error of discretisation. These samples (SAMPLES a turn, with
-white noise) are kept, with readings of the accelerometers: the exact mean of gravity over each interval through their
-model, with bias and white noise. The sensitivities M and B are midpoint sums over the samples, right to about 1e-4. In
-a log made by `simulate`, turns have ramps and geographic axes, which changes M and B by some 1e-3, and the noise is
-estimated from it; here the covariances are the true ones.
+A rest is its true mean reading plus noise of the stated covariance. A turn is a rotation at a constant inertial rate
+about an axis fixed in the body, from one true attitude to the next. Its readings are constant, and a few samples
+integrate to the rotation about any gyro model without discretisation error. These samples (SAMPLES per turn, with white
+noise) are kept with readings of the accelerometers: the exact mean of gravity over each interval through their model,
+with bias and white noise. The sensitivities M and B are midpoint sums over the samples, accurate to about 1e-4. In logs
+made by `simulate`, turns have ramps and geographic axes, which changes M and B by some 1e-3, and the noise is
+estimated; here the covariances are the true ones.
 
-There is no vibration, and no coloured noise but that of in-run biases (`tumble.simulation.sensors`), of which the
-covariances know nothing. The stated gravity differs from the true one by a draw with the stated uncertainty.
+There is no vibration, and no coloured noise except in-run biases (`tumble.simulation.sensors`), which are not part of
+the covariances. The stated gravity differs from the true one by a draw with the stated uncertainty.
 """
 
 from __future__ import annotations
@@ -47,8 +46,7 @@ from tumble.simulation.sensors import InRunBias, SimulatedBlock
 from tumble.units import Array
 
 ComplexArray = npt.NDArray[np.complex128]
-SAMPLES = 256
-"""Samples of a turn."""
+SAMPLES = 256  # of a turn
 
 
 def simulate_observations(
@@ -58,11 +56,23 @@ def simulate_observations(
     course: Itinerary | None = None,
     only_programmed: bool = False,
 ) -> Observations:
-    """Simulate the observations of one session of a scenario, whose `truth` is that of the session.
+    """Simulate the observations of one session.
 
-    `course` are attitudes and times of the rests, drawn where None. With `only_programmed` turns are left out that the
-    programme does not prescribe, as if the log had been stopped for them. Raises InputError for a scenario that is
-    impossible or vibrates.
+    Parameters
+    ----------
+    scenario
+        The scenario, with the true parameters.
+    rng
+        Random numbers.
+    course
+        Attitudes and times of the rests, by default random ones.
+    only_programmed
+        Whether to leave out turns that the programme does not prescribe, as if the log had been stopped for them.
+
+    Raises
+    ------
+    InputError
+        For a scenario that is impossible or vibrates.
     """
     if scenario.vibration.amplitude > 0.0:
         raise InputError(
@@ -106,7 +116,7 @@ def _rests(
     biases: tuple[InRunBias, ...],
     rng: np.random.Generator,
 ) -> Rests:
-    """The mean readings at rest, with what the biases of accelerometers and gyros change by."""
+    """Return the rests, with in-run biases of accelerometers and gyros."""
     start, stop = course.rests.T
     seconds, files, climate = stop - start, np.zeros(len(start), dtype=np.int64), scenario.climate
     force = scenario.setup.gravity * course.attitudes[:, 1]
@@ -132,9 +142,10 @@ def _turns(
     biases: tuple[InRunBias, ...],
     rng: np.random.Generator,
 ) -> tuple[Turns, TurnSamples, TurnReadings]:
-    """The turns (K,), not yet integrated, and their samples: for each turn AHEAD more are
-    kept ahead of it, which its first step wants, as if it turned already. All have white noise but those of the gyros
-    ahead."""
+    """Return the turns (K,), not yet integrated, and their samples.
+
+    The first step of a turn needs AHEAD samples before it, as if it turned already. All have white noise except those
+    of the gyros ahead."""
     (accel, gyro), first, T = sensors, course.first, course.seconds
     K, n, S, before = len(first), gyro.block.size, SAMPLES + AHEAD, course.attitudes[first]
     to_body, to_force = onto_body(gyro.block.axes), onto_body(accel.block.axes)
@@ -149,19 +160,22 @@ def _turns(
         times, which = np.unique(late, return_inverse=True)
         each = [_mean_verticals(scenario, before, vector, T, behind) for behind in times.tolist()]
         force = scenario.setup.gravity * np.stack(each, axis=2)[:, :, which]
-    felt = _sampled(accel, _with_levers(scenario, course, force, vector, T), rate, when)
-    felt += biases[0].at(when) + accel.white / np.sqrt(dt)[:, None, None] * rng.spawn(1)[0].standard_normal(felt.shape)
+    force_samples = _sampled(accel, _with_levers(scenario, course, force, vector, T), rate, when)
+    noise = rng.spawn(1)[0].standard_normal(force_samples.shape)
+    force_samples += biases[0].at(when) + accel.white / np.sqrt(dt)[:, None, None] * noise
     stored = MotionSamples()
     stored.append(
         (sampled @ to_body.T).reshape(-1, 3),
-        (felt @ to_force.T).reshape(-1, 3),
+        (force_samples @ to_force.T).reshape(-1, 3),
         np.repeat(dt, S),
     )
     start = AHEAD + S * np.arange(K)
     spread = np.trace(to_force @ to_force.T) / 3.0
     step = np.linalg.norm(vector, axis=1) / SAMPLES
     floor = VELOCITY_FLOOR + VELOCITY_STEP * scenario.setup.gravity * T * step**3
-    covariance = gyro.white**2 * T[:, None, None] * _carried(vector, to_body @ to_body.T) + TURN_FLOOR**2 * np.eye(3)
+    covariance = gyro.white**2 * T[:, None, None] * _mean_rotated(vector, to_body @ to_body.T) + TURN_FLOOR**2 * np.eye(
+        3
+    )
     turns = white_turns(first, T, covariance, accel.white**2 * T * spread + floor**2)
     variance = gyro.white**2 * T + TURN_FLOOR**2
     integrals = TurnReadings(
@@ -171,18 +185,17 @@ def _turns(
 
 
 def _sampled(sensors: SimulatedBlock, force: Array, rate: Array, when: Array) -> Array:
-    """Readings (K, S, n) at times (K, S), s, in forces (K, S, 3), or (K, S, n, 3), and rates (K, S, 3) of the body."""
+    """Return readings (K, S, n) at times (K, S), s, for forces (K, S, 3) or (K, S, n, 3) and rates (K, S, 3) of the body."""
     (K, S), flat = when.shape, force.reshape(when.size, *force.shape[2:])
     return sensors.read(flat, rate.reshape(K * S, 3), when.ravel()).reshape(K, S, len(sensors.coefficients))
 
 
 def _with_levers(scenario: Scenario, course: Itinerary, force: Array, vector: Array, T: Array) -> Array:
-    """Forces at the accelerometers (K, S, n, 3) from those of the body (K, S, 3), or (K, S, n, 3) where accelerometers
-    are late; the same where no arm is known.
+    """Return forces at the accelerometers (K, S, n, 3) from those of the body (K, S, 3), or (K, S, n, 3) with delays.
 
-    At a constant rate ω an arm r feels [ω×]²r, and at the two ends, where the turn begins and stops at once, its
-    velocity jumps by ±(ω − ω_rest) × r: the first and the last sample have it in them, turned by half a sample from
-    where it is to their middle, and by the delays."""
+    At a constant rate ω, an arm r adds [ω×]²r. At both ends, where the turn starts and stops at once, the velocity jumps
+    by ±(ω − ω_rest) × r; it is part of the first and last sample, rotated by half a sample to their middle, and by the
+    delays. Without lever arms the forces are unchanged."""
     instrument = scenario.instrument
     if instrument.turn_only("lever") is None:
         return force
@@ -200,15 +213,14 @@ def _with_levers(scenario: Scenario, course: Itinerary, force: Array, vector: Ar
 
 
 def _mean_verticals(scenario: Scenario, start: Array, vector: Array, T: Array, late: float = 0.0) -> Array:
-    """The upward vertical in the body (K, SAMPLES + AHEAD, 3), mean over each sample, which is `late`, of turns from
-    attitudes `start` through rotation vectors `vector` (K, 3) in `T` (K,) s. The first AHEAD samples are those
-    before, as if it turned already.
+    """Return the mean upward vertical in the body (K, SAMPLES + AHEAD, 3) over each sample, `late` by some s.
 
-    With n the axis in the body and ω the rate of the turn, and Ω = Ω m that of the Earth,
+    Turns are from attitudes `start` through rotation vectors `vector` (K, 3) in `T` (K,) s. The first AHEAD samples are
+    before the turn, as if it turned already. With the axis n in the body, the rate ω of the turn and the Earth's Ω m,
 
         exp(−[n×] ωt) L₀ᵀ exp([m×] Ωt) e_U,   exp([n×] θ) = Σ_p P_p(n) e^{ipθ},   p = −1, 0, 1
 
-    is a sum of products whose mean over an interval is that of e^{iλt}: its value in the middle times sinc."""
+    is a sum of products e^{iλt}, whose mean over an interval is the value in its middle times sinc."""
     earth = np.array(earth_rate(scenario.setup.latitude))
     angle, earth_norm = np.linalg.norm(vector, axis=1), float(np.linalg.norm(earth))
     P = _spectral(vector / np.where(angle > 0.0, angle, 1.0)[:, None])
@@ -228,14 +240,14 @@ def _mean_verticals(scenario: Scenario, start: Array, vector: Array, T: Array, l
 
 
 def _spectral(axis: Array) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """P₋₁, P₀ and P₁ (K, 3, 3) of the rotations about unit vectors (K, 3): exp([n×] θ) = Σ P_p e^{ipθ}."""
+    """Return P₋₁, P₀, P₁ (K, 3, 3) of rotations about unit vectors n (K, 3): exp([n×] θ) = Σ P_p e^{ipθ}."""
     along = axis[:, :, None] * axis[:, None, :]
     across, turned = 0.5 * (np.eye(3) - along), 0.5j * skew(axis)
     return across + turned, np.asarray(along, dtype=complex), across - turned
 
 
-def _carried(vector: Array, density: Array) -> Array:
-    """Mean of R N Rᵀ (K, 3, 3) over turns through rotation vectors (K, 3), for a density N (3, 3)."""
+def _mean_rotated(vector: Array, density: Array) -> Array:
+    """Return the mean of R N Rᵀ (K, 3, 3) over turns by rotation vectors (K, 3), for a density N (3, 3)."""
     if np.allclose(density, density[0, 0] * np.eye(3), rtol=1e-12, atol=0.0):
         return np.broadcast_to(density, (len(vector), 3, 3))
     middle = (np.arange(SAMPLES) + 0.5) / SAMPLES

@@ -1,17 +1,17 @@
-"""The log of a scenario, sample by sample, exact to rounding.
+"""Samples of the log of a scenario, exact to rounding.
 
-All the time the Earth turns. With n and θ of a move and L₀ the attitude at its start (body → geographic),
+The Earth rotates throughout. For a move by θ about n, from the attitude L₀ (body → geographic),
 
     L(t) = exp([nθ×]) L₀,   ω = n θ̇ + Ω,   f = (g + v) e_U        geographic frame; v: vibration, vertical
 
-A sample is the mean of the readings over the interval that ends at its time stamp, of late accelerometers so much
-earlier, by forces Lᵀf and rates Lᵀω in the body, with R = exp([nθ×]),
+A sample is the mean of the readings over the interval that ends at its time stamp, or earlier by the delay of an
+accelerometer, for forces Lᵀf and rates Lᵀω in the body, with R = exp([nθ×]),
 
     Lᵀ = L₀ᵀ Rᵀ,   Rᵀ = nnᵀ + cos θ (I − nnᵀ) − sin θ [n×]
 
 and f + [ω̇×]r + [ω×]²r at an accelerometer with lever arm r. The means are Gauss–Legendre sums over panels that end
-wherever a sample ends or θ(t) is not smooth, exact to rounding; moves need not begin or end with a sample. Parameters
-that change with temperature have at rest the value of the middle of the sample.
+where a sample ends or θ(t) is not smooth; moves need not begin or end with a sample. At rest, parameters that change
+with temperature have the value in the middle of the sample.
 """
 
 from __future__ import annotations
@@ -32,52 +32,59 @@ from tumble.simulation.sensors import SimulatedBlock
 from tumble.units import Array
 
 _LEGENDRE = np.polynomial.legendre.leggauss(6)
-_NODES, _WEIGHTS = 0.5 * (_LEGENDRE[0] + 1.0), 0.5 * _LEGENDRE[1]
-"""Six Gauss–Legendre nodes and weights on 0…1."""
+_NODES, _WEIGHTS = 0.5 * (_LEGENDRE[0] + 1.0), 0.5 * _LEGENDRE[1]  # Gauss–Legendre on 0…1
 _PANELS_PER_CYCLE = 4.0
-_MAX_SAMPLES = 30_000_000
-"""Eight hours at 1 kHz, 1.5 GB."""
-_CHUNK = 1 << 13
-"""Samples made at a time."""
+_MAX_SAMPLES = 30_000_000  # eight hours at 1 kHz, 1.5 GB
+_CHUNK = 1 << 13  # samples made at a time
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Recording(Itinerary):
-    """A simulated log and what really happened: `time` (N,), s; `accel` (N, n), m/s²; `gyro` (N, n), rad/s."""
+    """A simulated log with its true itinerary."""
 
-    time: Array
-    accel: Array
-    gyro: Array
+    time: Array  # (N,), s
+    accel: Array  # (N, n), m/s²
+    gyro: Array  # (N, n), rad/s
 
 
 def record(scenario: Scenario, rng: np.random.Generator) -> Recording:
-    """Run a scenario in memory. Attitudes and times do not depend on the noise. Accelerometers may be late, each by a
-    time of its own.
+    """Record a scenario in memory; attitudes and times do not depend on the noise.
 
-    Raises InputError, one line, if the scenario is impossible or too long."""
+    Parameters
+    ----------
+    scenario
+        The scenario; each accelerometer may have a delay.
+    rng
+        Random numbers.
+
+    Raises
+    ------
+    InputError
+        If the scenario is impossible or too long.
+    """
     geometry, noise = rng.spawn(2)
     course, fs = itinerary(scenario, geometry), scenario.setup.sample_rate
     samples = float(course.rests[-1, 1]) * float(fs)
     if not samples <= _MAX_SAMPLES:
         raise InputError(f"session: expected at most {_MAX_SAMPLES:g} samples, found {samples:.3g}")
     N = math.floor(course.rests[-1, 1] * fs + 1e-6)
-    of_accel, of_gyro = noise.spawn(2)
+    accel_noise, gyro_noise = noise.spawn(2)
     late, which = np.unique(scenario.instrument.delays(scenario.values), return_inverse=True)
-    streams = [of_accel] if len(late) == 1 else of_accel.spawn(len(late))
+    streams = [accel_noise] if len(late) == 1 else accel_noise.spawn(len(late))
     accel = np.empty((scenario.accel.size, N))
-    for k, (behind, stream) in enumerate(zip(late.tolist(), streams, strict=True)):
-        accel[which == k] = _block_readings(scenario.accel, scenario, course, stream, behind)[which == k]
-    gyro = _block_readings(scenario.gyro, scenario, course, of_gyro, 0.0)
-    happened = {field.name: getattr(course, field.name) for field in fields(course)}
-    return Recording(time=np.arange(1, N + 1) / fs, accel=accel.T, gyro=gyro.T, **happened)
+    for k, (delay, stream) in enumerate(zip(late.tolist(), streams, strict=True)):
+        accel[which == k] = _block_readings(scenario.accel, scenario, course, stream, delay)[which == k]
+    gyro = _block_readings(scenario.gyro, scenario, course, gyro_noise, 0.0)
+    truth = {field.name: getattr(course, field.name) for field in fields(course)}
+    return Recording(time=np.arange(1, N + 1) / fs, accel=accel.T, gyro=gyro.T, **truth)
 
 
 def _block_readings(
     block: Block, scenario: Scenario, course: Itinerary, rng: np.random.Generator, late: float
 ) -> Array:
-    """Readings (n, N) of a block that is `late`, s, piece by piece: rest, move, rest, …
+    """Return the readings (n, N) of a block with a delay `late`, s.
 
-    A sample belongs to a rest if all of its interval does."""
+    They are made piece by piece: rest, move, rest, … A sample belongs to a rest if its whole interval does."""
     fs, rests = scenario.setup.sample_rate, course.rests
     sensors = SimulatedBlock.of(block, scenario, course.middle)
     out = np.empty((block.size, math.floor(rests[-1, 1] * fs + 1e-6)))
@@ -99,19 +106,19 @@ def _block_readings(
                 out[:, first:last] += math.sqrt(fs) * sensors.white * rng.standard_normal((block.size, last - first))
     bias = sensors.bias(normal, rests)
     for first, last in _chunks(0, out.shape[1]) if np.any(bias.values) else ():
-        begins = (np.arange(first, last) + 1e-6) / fs - late  # that of a rest, where it begins with it
+        begins = (np.arange(first, last) + 1e-6) / fs - late  # of the rest that begins there
         out[:, first:last] += bias.at(np.asarray(begins, dtype=float)).T
     return out
 
 
 def _chunks(first: int, last: int) -> Iterator[tuple[int, int]]:
-    """A range of samples in pieces of bounded length."""
+    """Yield a range of samples in pieces of bounded length."""
     for start in range(int(first), int(last), _CHUNK):
         yield start, min(start + _CHUNK, int(last))
 
 
 def _at_rest(sensors: SimulatedBlock, scenario: Scenario, late: float, L: Array, first: int, last: int) -> Array:
-    """Mean readings of samples [first, last) at rest: (1, n), or with vibration or drift those of every sample."""
+    """Return the mean readings of samples [first, last) at rest: (1, n), or of every sample with vibration or drift."""
     setup, vibration, fs = scenario.setup, scenario.vibration, scenario.setup.sample_rate
     still = vibration.amplitude == 0.0 and not sensors.changes
     middle = np.asarray((np.arange(first, first + 1 if still else last) + 0.5) / fs - late, dtype=float)
@@ -133,12 +140,11 @@ def _in_move(
     first: int,
     last: int,
 ) -> Array:
-    """Mean readings (last − first, n) of samples of a move from attitude L that starts at time `start`. The formulas
-    are those at the head of the module."""
+    """Return the mean readings (last − first, n) of samples of a move from attitude L that starts at time `start`."""
     profile, vibration, fs = scenario.profile, scenario.vibration, scenario.setup.sample_rate
     total = float(np.linalg.norm(move))
     n, earth = move / total if total > 0.0 else UP, np.array(earth_rate(scenario.setup.latitude))
-    whole = math.floor(start * fs)  # time within the move, in samples, so that nothing is lost late in a log
+    whole = math.floor(start * fs)  # time within the move is counted in samples, for precision late in a log
     passed = (first - whole) - (start * fs - whole)
     panels = _panels(scenario, total, passed, last - first)
     nodes = panels[:-1, None] + np.diff(panels)[:, None] * _NODES
@@ -159,7 +165,7 @@ def _in_move(
 
 
 def _with_levers(sensors: SimulatedBlock, force: Array, rate: Array, change: Array) -> Array:
-    """Forces (N, n, 3) at lever arms r, f + [ω̇×]r + [ω×]²r, or those (N, 3) of the body without any."""
+    """Return forces (N, n, 3) at lever arms r, f + [ω̇×]r + [ω×]²r, or those (N, 3) of the body without arms."""
     if not np.any(sensors.arms):
         return force
     around = skew(change) + skew(rate) @ skew(rate)
@@ -167,14 +173,14 @@ def _with_levers(sensors: SimulatedBlock, force: Array, rate: Array, change: Arr
 
 
 def _turning(n: Array, vector: Array) -> Array:
-    """Rows a, b, c with Rᵀ vector = a + b cos θ + c sin θ, R the rotation by θ about n."""
+    """Return rows a, b, c with Rᵀ vector = a + b cos θ + c sin θ for the rotation R by θ about n."""
     along = n * (n @ vector)
     return np.stack([along, vector - along, -np.cross(n, vector)])
 
 
 def _panels(scenario: Scenario, total: float, passed: float, samples: int) -> Array:
-    """Borders of the quadrature panels of a piece of a move, in samples from its beginning: every sample's
-    ends, quarters of the vibration's cycle, and where the ramps begin and end."""
+    """Return the ends of the quadrature panels of a piece of a move, in samples from its start: those of every sample,
+    of quarters of the vibration's cycle, and of the ramps."""
     profile, vibration = scenario.profile, scenario.vibration
     each = 1
     if vibration.amplitude > 0.0:

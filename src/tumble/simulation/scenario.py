@@ -1,8 +1,7 @@
-"""Scenarios: an IMU with given errors goes through the programme of a set-up, or through a hand. `scenario_of` draws
-the errors.
+"""Scenarios: an IMU with given errors in the positions of a programme, or in random ones by hand.
 
-Every move is a rotation about an axis fixed in the geographic frame, with the smooth angle θ(t) of `Profile`;
-between moves the table stands still.
+Every move is a rotation about an axis fixed in the geographic frame by the smooth angle θ(t) of `Profile`. The table is
+still between moves.
 """
 
 from __future__ import annotations
@@ -34,18 +33,17 @@ _MAX_CYCLES_PER_SAMPLE = 10.0
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Profile:
-    """How moves go: at a rate, rad/s, reached and left in `ramp` s along a raised cosine (a short move keeps the ramps
-    and is slower)."""
+    """Angle of a move over time: a rate, rad/s, with raised-cosine ramps, s; short moves keep the ramps and are slower."""
 
     rate: float
     ramp: float
 
     def duration(self, angle: float) -> float:
-        """How long a move through this angle (rad) takes, s."""
+        """Return the duration of a move by an angle, rad, in s."""
         return max(abs(angle) / self.rate, self.ramp) + self.ramp
 
     def angle(self, t: Array, total: float) -> Array:
-        """Angle, rad, at times t, s, after the start of a move through `total`: zero before, total after."""
+        """Return the angle, rad, at times t, s, after the start of a move by `total`: zero before, total after."""
         T = self.duration(total)
         t = np.clip(t, 0.0, T)
         late = t > 0.5 * T
@@ -56,7 +54,7 @@ class Profile:
         return np.asarray(np.where(late, total - gone, gone))
 
     def rates(self, t: Array, total: float) -> tuple[Array, Array]:
-        """Rate, rad/s, and angular acceleration, rad/s², at times t, s: the derivatives of `angle`."""
+        """Return rate, rad/s, and angular acceleration, rad/s², at times t, s: the derivatives of `angle`."""
         T = self.duration(total)
         moving, late = (t > 0.0) & (t < T), t > 0.5 * T
         into = np.clip(np.where(late, T - t, t), 0.0, self.ramp)
@@ -78,52 +76,50 @@ NO_VIBRATION = Vibration()
 
 @dataclass(frozen=True, kw_only=True)
 class Scenario:
-    """Everything that a simulated session is made of, apart from chance: a set-up, whose spreads are not used, blocks
-    of sensors, the true values of all parameters, SI, as truth.json has them, a vibration throughout the log, and the
-    temperatures, with which parameters change.
+    """Everything that determines a simulated session except random numbers.
 
-    Errors of table and mounting are rotations uniform within ± about each axis: of the mounting for the launch (body
-    axes), of the table for every position (geographic axes).
+    Errors of mounting and table are rotations uniform within ± about each axis, of the mounting once (body axes), of
+    the table for every position (geographic axes).
     """
 
-    setup: Setup
+    setup: Setup  # whose spreads are not used
     accel: Block
     gyro: Block
-    truth: Mapping[str, float]
-    vibration: Vibration
+    truth: Mapping[str, float]  # true values of all parameters by name, SI, as in truth.json
+    vibration: Vibration  # throughout the log
     serial: str
-    climate: Climate | None = None
+    climate: Climate | None = None  # temperatures, with which parameters change
 
     def changed(self, **setup: Any) -> Scenario:
-        """The same with other values of its set-up."""
+        """Return the scenario with other values of its set-up."""
         return replace(self, setup=replace(self.setup, **setup))
 
     @property
     def programme(self) -> Programme | None:
-        """What it goes through on the table; None by hand."""
+        """The programme on the table; None by hand."""
         return self.setup.programme if self.setup.by_hand is None else None
 
     @property
     def site(self) -> Site:
-        """Where it is recorded."""
+        """Site of the recording."""
         s = self.setup
         return Site(latitude=s.latitude, height=s.height, gravity=s.gravity, gravity_u=s.gravity_u)
 
     @property
     def profile(self) -> Profile:
-        """How it moves."""
+        """Profile of its moves."""
         return Profile(rate=self.setup.turn_rate, ramp=self.setup.ramp)
 
     @cached_property
     def instrument(self) -> Instrument:
-        """The instrument whose true values are given."""
+        """The instrument with all parameters that have true values."""
         thermal: tuple[Variable, ...] = ("temperature", "temperature²", "hysteresis")
         variables: tuple[Variable, ...] = ("time", *(() if self.climate is None else thermal))
         return Instrument.of(self.accel, self.gyro, tuple({group_name(name) for name in self.truth}), variables)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Parameters of the instrument."""
+        """Names (m,) of the parameters of the instrument."""
         return self.instrument.names
 
     @cached_property
@@ -135,20 +131,20 @@ class Scenario:
 def scenario_of(
     setup: Setup, rng: np.random.Generator, *, serial: str = "simulated", vibration: Vibration = NO_VIBRATION
 ) -> Scenario:
-    """A scenario of a set-up: a triad of each kind along the body axes, with errors drawn from its spreads."""
+    """Draw a scenario of a set-up: triads along the body axes, with random errors of its spreads."""
     linear = draw_parameters(setup, (ACCEL, GYRO), rng)
     truth = linear | draw_further(setup.further, ACCEL, GYRO, rng)
     return Scenario(setup=setup, accel=ACCEL, gyro=GYRO, truth=truth, vibration=vibration, serial=serial)
 
 
 def draw_parameters(instrument: Setup | Grade, blocks: Sequence[Block], rng: np.random.Generator) -> dict[str, float]:
-    """True values by parameter name of blocks, Gaussian with the spreads of a set-up or a grade."""
+    """Draw true values of the parameters of blocks by name, Gaussian with the spreads of a set-up or a grade."""
     names = [name for block in blocks for name in block.names]
     return {name: spread_of(instrument, name) * float(rng.standard_normal()) for name in names}
 
 
 def draw_further(spreads: Mapping[str, float], accel: Block, gyro: Block, rng: np.random.Generator) -> dict[str, float]:
-    """True values by parameter name of groups beyond the linear model, Gaussian with these standard deviations, SI."""
+    """Draw true values of groups beyond the linear model by name, Gaussian with standard deviations `spreads`, SI."""
     instrument = Instrument.of(accel, gyro, tuple(spreads))
     return {
         name: float(spreads[group.name] * rng.standard_normal())
@@ -158,18 +154,20 @@ def draw_further(spreads: Mapping[str, float], accel: Block, gyro: Block, rng: n
 
 
 def itinerary(scenario: Scenario, rng: np.random.Generator) -> Itinerary:
-    """Attitudes, moves and times of a scenario; of the two ways round, a move goes the one nearer to the nominal move,
-    or the shorter one if any movement will do. Raises InputError, one line, if the scenario is impossible."""
+    """Draw the attitudes, moves and times of a scenario; raise InputError if it is impossible.
+
+    Of the two ways round, a move takes the one closer to that of the programme, or the shorter one if any is allowed.
+    """
     _check(scenario)
     setup, profile = scenario.setup, scenario.profile
     positions, attitudes, nominal = _attitudes(setup, rng)
     listed = [np.zeros(3) if move.axis is None or move.angle is None else move.angle * move.axis for move in nominal]
     turned = attitudes[1:] @ np.swapaxes(attitudes[:-1], 1, 2)
-    moves = rotation_vector_near(turned, np.reshape(listed, (-1, 3)))  # near none, the shorter way
+    moves = rotation_vector_near(turned, np.reshape(listed, (-1, 3)))  # near zero: the shorter way
     rests = np.full(len(moves) + 1, setup.rest)
     rests[0] = max(setup.rest, setup.first_rest)
     durations = [profile.duration(angle) for angle in np.linalg.norm(moves, axis=1).tolist()]
-    with np.errstate(over="ignore"):  # too long a session is refused after
+    with np.errstate(over="ignore"):  # a session that is too long is refused later
         stops = np.cumsum(rests + np.concatenate([[0.0], durations]))
     return Itinerary(
         attitudes=attitudes,
@@ -182,8 +180,9 @@ def itinerary(scenario: Scenario, rng: np.random.Generator) -> Itinerary:
 
 
 def _attitudes(setup: Setup, rng: np.random.Generator) -> tuple[tuple[int, ...], Array, tuple[Move, ...]]:
-    """Which position comes when, the true attitudes (R, 3, 3), and the nominal moves between them. By hand they are
-    uniform over all orientations: of quaternions of Gaussian components."""
+    """Return the order of the positions, the true attitudes (R, 3, 3), and the nominal moves between them.
+
+    By hand the attitudes are uniform over all orientations, from quaternions with Gaussian components."""
     if (n := setup.by_hand) is not None:
         from scipy.spatial.transform import Rotation
 
@@ -201,12 +200,11 @@ def _attitudes(setup: Setup, rng: np.random.Generator) -> tuple[tuple[int, ...],
 
 # -------------------- checks --------------------
 
-MOST_POSITIONS = 100_000
-"""By hand, of one session."""
+MOST_POSITIONS = 100_000  # by hand
 
 
 def _check(scenario: Scenario) -> None:
-    """Raise InputError if a scenario is one nothing can be recorded of."""
+    """Raise InputError for a scenario of which nothing can be recorded."""
     setup, vibration = scenario.setup, scenario.vibration
     sizes = (("sample rate", setup.sample_rate, "Hz"), ("rate", setup.turn_rate / DEGREE, "deg/s"))
     for what, value, unit in (*sizes, ("ramp", setup.ramp, "s")):

@@ -1,12 +1,12 @@
-"""Simulated sensors at work: what a block reads, without its white noise, in forces and rates at times of a session.
+"""Readings of simulated sensors without white noise, for given forces and rates at times of a session.
 
-In-run, a bias changes by a stationary Gauss–Markov process of standard deviation σ and correlation time τ, sampled in
+The in-run bias is a stationary Gauss–Markov process of standard deviation σ and correlation time τ, sampled in
 the middles t_k of the rests,
 
     β_{k+1} = e^(−Δt/τ) β_k + σ √(1 − e^(−2Δt/τ)) z_{k+1},     β_0 = σ z_0,     Δt = t_{k+1} − t_k
 
-with independent standard normal z. It stays so for the rest and goes straight to the next through the move, whose mean
-is (β_k + β_{k+1})/2. With τ = 0 it is held through the move.
+with independent standard normal z. It is constant during a rest and linear during a move, with the mean
+(β_k + β_{k+1})/2. With τ = 0 it is held during the move.
 """
 
 from __future__ import annotations
@@ -26,15 +26,14 @@ from tumble.units import Array
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class InRunBias:
-    """Changes (R, n), SI, of the biases of a block at rests (R, 2) from start to stop, s, each `held` until the next
-    rest, or else going there linearly."""
+    """In-run biases of a block."""
 
-    rests: Array
-    values: Array
-    held: bool
+    rests: Array  # (R, 2): start and stop, s
+    values: Array  # (R, n), SI
+    held: bool  # until the next rest; otherwise linear between rests
 
     def at(self, when: Array) -> Array:
-        """Change (..., n) at times (...), s."""
+        """Return the biases (..., n) at times (...), s."""
         if self.held:
             return np.asarray(self.values[np.maximum(np.searchsorted(self.rests[:, 0], when, side="right") - 1, 0)])
         knots = self.rests.ravel()
@@ -43,24 +42,21 @@ class InRunBias:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SimulatedBlock:
-    """A block of sensors with true errors: coefficients K (n, 15) at the mean time of the rests, `middle`, and at the
-    reference temperature; changes (n, 15) of K per second, and with what goes with the temperature of the `climate`;
-    lever arms (n, 3), m; the density of the white noise, SI/√Hz; and the standard deviation of the in-run bias, SI,
-    with its correlation time, s."""
+    """A block of sensors with true errors."""
 
     block: Block
-    coefficients: Array
-    changes: Mapping[Variable, Array]
+    coefficients: Array  # K (n, 15), at the mean time of the rests and at the reference temperature
+    changes: Mapping[Variable, Array]  # (n, 15): changes of K per unit of time and of functions of temperature
     climate: Climate | None
-    middle: float
-    arms: Array
-    white: float
-    instability: float
-    instability_time: float
+    middle: float  # mean time of the rests, s
+    arms: Array  # (n, 3): lever arms, m
+    white: float  # density of the white noise, SI/√Hz
+    instability: float  # standard deviation of the in-run bias, SI
+    instability_time: float  # its correlation time, s
 
     @staticmethod
     def of(block: Block, scenario: Scenario, middle: float) -> SimulatedBlock:
-        """A block of a scenario."""
+        """Return a block of a scenario; `middle` is the mean time of the rests, s."""
         noise, instrument, values = scenario.setup.noise, scenario.instrument, scenario.values
         accel = block.kind == "accel"
         changes = {variable: instrument.change(block, values, variable) for _, _, variable in instrument.changes}
@@ -77,20 +73,22 @@ class SimulatedBlock:
         )
 
     def bias(self, normal: Array, rests: Array) -> InRunBias:
-        """In-run change of the biases in a session by standard normal numbers (R, n), at rests (R, 2) from start to
-        stop, s. A process that lasts is taken less its mean over the rests, which is the parameter."""
+        """Return the in-run biases at rests (R, 2) from standard normal numbers (R, n).
+
+        With a correlation time, they are about their mean over the rests, which is the parameter."""
         values = self.instability * normal
         if self.instability_time > 0.0:
             ρ = np.exp(-np.diff(rests.mean(axis=1)) / self.instability_time)
-            for k, alike in enumerate(ρ):
-                values[k + 1] = alike * values[k] + np.sqrt(1.0 - alike**2) * values[k + 1]
+            for k, ρ_k in enumerate(ρ):
+                values[k + 1] = ρ_k * values[k] + np.sqrt(1.0 - ρ_k**2) * values[k + 1]
             values -= values.mean(axis=0)
         return InRunBias(rests=rests, values=values, held=self.instability_time == 0.0)
 
     def read(self, force: Array, rate: Array, when: Array, seconds: Array | None = None) -> Array:
-        """Readings (N, n) without white noise in specific forces (N, 3) of the body, or (N, n, 3) at each sensor, and
-        rates (N, 3) of the body, at times (N,) from the start of the session, s, with the temperatures of these times,
-        or means over intervals of so many `seconds` (N,) about them."""
+        """Return readings (N, n) without white noise.
+
+        They are for specific forces (N, 3) of the body, or (N, n, 3) at each sensor, and rates (N, 3) of the body, at
+        times `when` (N,), s, or as means over intervals of `seconds` (N,) about these."""
         out = readings(self.block, self.coefficients, force, rate)
         if not self.changes:
             return out

@@ -1,4 +1,4 @@
-"""Session folders with known truth: a set-up becomes a scenario, its log and truth.json."""
+"""Simulated session folders with a log and the true parameters (truth.json)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -31,12 +31,9 @@ from tumble.simulation.temperature_profile import (
 )
 from tumble.units import DEGREE, G_STANDARD, ZERO_CELSIUS, Array
 
-if TYPE_CHECKING:
-    pass
-
 LogFormat = Literal["parquet", "csv", "counts"]
 COUNTS: Mapping[str, tuple[str, float]] = {"a": ("acc_", 4096.0 / G_STANDARD), "g": ("gyr_", 32.8 / DEGREE)}
-"""Of a log in counts the names of accelerometers and gyros, and counts per m/s² and rad/s."""
+"""For a log in counts, the prefixes of the columns of accelerometers and gyros, and counts per m/s² and rad/s."""
 TRUTH_FILE = "truth.json"
 
 
@@ -56,7 +53,7 @@ def simulate_session(
     Parameters
     ----------
     folder
-        The folder, without a session.
+        A folder without a session.
     setup
         Instrument, programme and site.
     seed
@@ -66,10 +63,10 @@ def simulate_session(
     vibration
         Vertical vibration throughout the log.
     temperature
-        Temperatures of the session. The log has a thermometer then, and biases and scale factors change with it as is
-        usual in the grade; with all terms the sensors follow it with a lag, and biases have a hysteresis.
+        Temperatures of the session. The log then has a thermometer, and biases and scale factors change as usual for
+        the grade; with all terms the sensors lag behind the thermometer, and biases have a hysteresis.
     log_format
-        "parquet" or "csv", in SI; or "counts", a log as a cheap logger writes it, without a session.toml.
+        "parquet" or "csv", in SI; or "counts", whole counts and milliseconds without a session.toml.
 
     Returns
     -------
@@ -79,7 +76,7 @@ def simulate_session(
     Raises
     ------
     InputError
-        For a set-up that is impossible, and for a folder that holds a session.
+        For an impossible set-up, and for a folder that has a session.
 
     Examples
     --------
@@ -100,7 +97,7 @@ def simulate_session(
 
 
 def vibration_of(text: str) -> Vibration:
-    """A vibration written as AMPLITUDE@HZ, such as "0.05@30" for 0.05 m/s² at 30 Hz."""
+    """Return the vibration of a text AMPLITUDE@HZ, such as "0.05@30" for 0.05 m/s² at 30 Hz."""
     amplitude, separator, frequency = text.partition("@")
     try:
         vibration = Vibration(amplitude=float(amplitude), frequency=float(frequency))
@@ -114,12 +111,10 @@ def vibration_of(text: str) -> Vibration:
 def write_simulation(
     folder: Path, scenario: Scenario, rng: np.random.Generator, *, log_format: LogFormat = "parquet"
 ) -> Path:
-    """Record a scenario and write it as a session folder, which must not hold a session yet.
+    """Record a scenario and write it as a new session folder; raise InputError if it has a session.
 
-    session.toml names a built-in programme, lists the positions of another, and names none for random ones.
-    "counts" is a log as a cheap logger writes it, whole counts and milliseconds, and no session.toml. Raises
-    InputError."""
-    import polars as pl  # heavy, and only needed here
+    session.toml names a built-in programme, lists the positions of another one, and has none for random positions."""
+    import polars as pl  # slow to import
 
     log = f"log.{log_format}" if log_format != "counts" else "log.csv"
     for name, what in ((SESSION_FILE, "a session"), (log, log), (TRUTH_FILE, TRUTH_FILE)):
@@ -153,17 +148,17 @@ def write_simulation(
 
 
 def session_in_memory(scenario: Scenario, rng: np.random.Generator) -> Session:
-    """A scenario recorded as a session in memory, the same as `write_simulation` writes."""
+    """Record a scenario as a session in memory, equal to that of `write_simulation`."""
     content = _content(scenario, "parquet")
     log = {key: value for key, value in content["log"].items() if key != "file"}
     return session_of(content | {"log": log}, _columns_of(scenario, record(scenario, rng)))
 
 
-_LARGEST = 1e60
+_LARGEST = 1e60  # of a true value
 
 
 def read_truth(path: Path) -> dict[str, float]:
-    """True values by parameter name from a truth.json. Raises InputError for a file that is none."""
+    """Read the true values by parameter name from a truth.json; raise InputError for another file."""
     try:
         content = json_of(text_of_document(path))
     except (InputError, ValueError) as error:
@@ -176,13 +171,13 @@ def read_truth(path: Path) -> dict[str, float]:
 
 
 def _columns(block: Block) -> list[str]:
-    """Column names of a block: ax, ay, az if it is along the body axes, else a0, a1, …"""
+    """Return the column names of a block: ax, ay, az along the body axes, otherwise a0, a1, …"""
     along = np.array_equal(block.axes, np.eye(3))
     return [f"{block.kind[0]}{'xyz'[p] if along else p}" for p in range(block.size)]
 
 
 def _columns_of(scenario: Scenario, recording: Recording) -> dict[str, Array]:
-    """The log by the names of its columns, SI."""
+    """Return the columns of the log by name, SI."""
     accel = dict(zip(_columns(scenario.accel), recording.accel.T, strict=True))
     columns = {"t": recording.time} | accel | dict(zip(_columns(scenario.gyro), recording.gyro.T, strict=True))
     if scenario.climate is not None:
@@ -192,7 +187,7 @@ def _columns_of(scenario: Scenario, recording: Recording) -> dict[str, Array]:
 
 
 def _content(scenario: Scenario, log_format: LogFormat) -> dict[str, Any]:
-    """What session.toml says."""
+    """Return the content of session.toml."""
     setup = scenario.setup
     content: dict[str, Any] = {
         "format": 1,

@@ -1,12 +1,12 @@
-"""Temperatures of simulated sessions, at a level, in a ramp or two, by self-heating: of thermometers, and of sensors.
+"""Temperatures of thermometers and sensors in simulated sessions: constant, in ramps, or by self-heating.
 
     "25"            a chamber at 25 °C
     "-10:60"        from −10 to 60 °C over the session, and "-10:60:-10" up in the first half and down in the second
     "22+15@600"     switched on at 22 °C: T(t) = 22 + 15 (1 − exp(−t / 600 s)); so with a ramp, "-10:60:-10+8@300"
     "22+3@200+12@600"   two chips with a thermometer each: the accelerometers warm by 3 K, the gyros by 12 K
 
-True values are those at `REFERENCE`, whatever the profile, so that sessions of one device at several levels belong
-together; `truth_at` gives them at another temperature.
+True values are those at `REFERENCE` for any profile, so that sessions of one device at several temperatures belong
+together; `truth_at` converts them to another temperature.
 """
 
 from __future__ import annotations
@@ -27,52 +27,48 @@ from tumble.sensors.model import Block, SensorKind, thermometers_of
 from tumble.sensors.parameters import FURTHER, THERMAL, Variable, to_temperature
 from tumble.units import ZERO_CELSIUS, Array
 
-FINE = 0.1  # s, of the temperatures of the sensors
-NODES = 128
-"""Temperatures of which the mean over a rest is taken."""
+FINE = 0.1  # s: interval of the temperatures of the sensors
+NODES = 128  # temperatures in the mean over a rest
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Climate:
-    """Temperatures (N, T), K, of thermometers throughout a session, between times (N,), s, linear; the temperature, K,
-    at which the true parameters have their values; the lags of the sensors behind their thermometers, s, by kind; and
-    of each thermometer the middle and half the range, of which the hysteresis is made."""
+    """Temperatures throughout a session."""
 
-    time: Array
-    kelvin: Array
-    reference: float
-    lags: Mapping[str, float] = field(default_factory=dict)
-    span: tuple[float | Array, float | Array] = (0.0, 1.0)
+    time: Array  # (N,), s
+    kelvin: Array  # (N, T): of the thermometers, linear between the times
+    reference: float  # K, at which the parameters have their true values
+    lags: Mapping[str, float] = field(default_factory=dict)  # of the sensors behind their thermometers, s, by kind
+    span: tuple[float | Array, float | Array] = (0.0, 1.0)  # middle and half the range of each thermometer, K
 
     def variables(self, time: Array, block: Block) -> dict[Variable, Array]:
-        """What parameters of the sensors (n,) of a block change with at times (N,), s: (N, n)."""
+        """Return the variables (N, n) with which parameters of the sensors of a block change, at times (N,), s."""
         sensors = self.sensors(time, block.kind)
         x = (sensors - self.span[0]) / self.span[1]
         warmer = sensors - self.reference
-        came = self.record.direction(np.zeros(len(time), dtype=np.int64), time)
-        hysteresis = came * np.maximum(1.0 - x**2, 0.0)
-        every: dict[Variable, Array] = {v: warmer**power for power, v in enumerate(THERMAL, 1)}
-        every["hysteresis"] = hysteresis
-        return {variable: values[:, block.thermometer] for variable, values in every.items()}
+        direction = self.record.direction(np.zeros(len(time), dtype=np.int64), time)
+        variables: dict[Variable, Array] = {v: warmer**power for power, v in enumerate(THERMAL, 1)}
+        variables["hysteresis"] = direction * np.maximum(1.0 - x**2, 0.0)
+        return {variable: values[:, block.thermometer] for variable, values in variables.items()}
 
     def means(self, start: Array, stop: Array, block: Block) -> dict[Variable, Array]:
-        """The means of the same from start to stop (N,), s."""
+        """Return the means of these variables from `start` to `stop` (N,), s."""
         nodes = start[:, None] + (stop - start)[:, None] * (np.arange(NODES) + 0.5) / NODES
-        every = self.variables(nodes.ravel(), block)
-        return {variable: values.reshape(*nodes.shape, -1).mean(axis=1) for variable, values in every.items()}
+        variables = self.variables(nodes.ravel(), block)
+        return {variable: values.reshape(*nodes.shape, -1).mean(axis=1) for variable, values in variables.items()}
 
     def thermometers(self, time: Array) -> Array:
-        """Temperatures (N, T), K, that the thermometers read at times (N,), s."""
+        """Return the temperatures (N, T), K, of the thermometers at times (N,), s."""
         return np.column_stack([np.interp(time, self.time, kelvin) for kelvin in self.kelvin.T])
 
     def sensors(self, time: Array, kind: SensorKind) -> Array:
-        """Temperatures (N, T), K, of the sensors of a kind with each thermometer at times (N,), s."""
+        """Return the temperatures (N, T), K, of the sensors of a kind at each thermometer, at times (N,), s."""
         fine, kelvin = self._sensors
         return np.column_stack([np.interp(time, fine, each) for each in kelvin[kind]])
 
     @cached_property
     def _sensors(self) -> tuple[Array, dict[str, Array]]:
-        """Times, s, and temperatures (T, ·), K, of the sensors of each kind throughout."""
+        """Times, s, and temperatures (T, ·), K, of the sensors of each kind."""
         fine = np.arange(self.time[0], self.time[-1] + FINE, FINE)
         read = self.thermometers(fine).T
         lags = {kind: self.lags.get(kind, 0.0) for kind in get_args(SensorKind)}
@@ -80,35 +76,33 @@ class Climate:
 
     @cached_property
     def record(self) -> Thermometers:
-        """What the thermometers recorded."""
+        """The record of the thermometers."""
         records: Mapping[int, tuple[Array, Array]] = {0: (self.time, self.kelvin)}
         return Thermometers.of(records)
 
 
-REFERENCE = 25.0
-"""°C, at which the true parameters of simulated devices have their values."""
-REFERENCE_NAME = "temperature.reference"
-"""What truth.json calls it."""
+REFERENCE = 25.0  # °C, at which the parameters of simulated devices have their true values
+REFERENCE_NAME = "temperature.reference"  # its name in truth.json
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)"
 _RISE = rf"([-+](?:\d+\.?\d*|\.\d+))@({_NUMBER})"
 _PROFILE = re.compile(rf"(.+?)((?:{_RISE})*)")
 _LOWEST, _HIGHEST = -100.0, 200.0
 _NODES = 2000
-"""Straight pieces of an exponential: closer to it than 1e-6 of its rise in a session of three time constants."""
+"""Linear pieces of an exponential, accurate to 1e-6 of its rise in a session of three time constants."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TemperatureProfile:
-    """Temperatures of a session: those, °C, at equal steps from the start to the end, one if it stays the same; and the
-    rise of each thermometer after power-on, K, with the time constant, s, by which it is reached: one for all sensors,
-    two for accelerometers and gyros, or one a sensor."""
+    """Temperatures of a session."""
 
-    celsius: tuple[float, ...]
+    celsius: tuple[float, ...]  # °C, at equal steps from start to end; one if constant
     heating: tuple[tuple[float, float], ...] = ((0.0, 600.0),)
+    """Rise of each thermometer after power-on, K, and its time constant, s: one for all sensors, two for accelerometers
+    and gyros, or one for each sensor."""
 
     def climate(self, duration: float, lags: Mapping[str, float] | None = None) -> Climate:
-        """The temperatures of a session that lasts so long, s, whose sensors follow with `lags`, s, by kind."""
+        """Return the temperatures of a session of a duration, s, whose sensors have `lags`, s, by kind."""
         celsius = np.array(self.celsius if len(self.celsius) > 1 else 2 * self.celsius)
         time = np.linspace(0.0, duration, len(celsius))
         rise, constant = np.array(self.heating).T
@@ -126,7 +120,7 @@ class TemperatureProfile:
         )
 
     def blocks(self, accel: Block, gyro: Block) -> tuple[Block, Block]:
-        """Accelerometers and gyros with these thermometers. Raises InputError for another number than they can have."""
+        """Return accelerometers and gyros with these thermometers; raise InputError for an impossible number."""
         numbers = thermometers_of(len(self.heating), accel.size, gyro.size)
         if numbers is None:
             raise InputError(
@@ -138,8 +132,9 @@ class TemperatureProfile:
 
 
 def temperature_profile(text: str) -> TemperatureProfile:
-    """The profile of a text such as "25", "-10:60:-10", "22+15@600" or "-10:60:-10+8@300+3@200". Raises InputError,
-    one line."""
+    """Return the profile of a text such as "25", "-10:60:-10", "22+15@600" or "-10:60:-10+8@300+3@200".
+
+    Raises InputError for another text."""
     parts = _PROFILE.fullmatch(text.strip())
     course, rises = (text, "") if parts is None else parts.group(1, 2)
     heating = tuple((float(rise), float(constant)) for rise, constant in re.findall(_RISE, rises))
@@ -154,15 +149,16 @@ def temperature_profile(text: str) -> TemperatureProfile:
 
 
 def _number(text: str) -> float:
-    """A number, or not a number."""
+    """Return a number, or NaN."""
     return float(text) if re.fullmatch(_NUMBER, text.strip()) else math.nan
 
 
 def draw_thermal(
     spreads: Mapping[str, float], grade: str, blocks: Mapping[str, Block], rng: np.random.Generator
 ) -> dict[str, float]:
-    """True values by name of what changes with temperature, Gaussian with the standard deviations, SI, of a set-up or,
-    where it has none, of its grade; and where the set-up has them, of hysteresis."""
+    """Draw true values of parameters over temperature by name, Gaussian with the standard deviations of a set-up, SI.
+
+    Those that the set-up does not have are of its grade; hysteresis is drawn only if the set-up has it."""
     truth: dict[str, float] = {}
     for group in FURTHER:
         usual = group.variable in THERMAL and group.usual
@@ -175,8 +171,8 @@ def draw_thermal(
 
 
 def draw_lags(spreads: Mapping[str, float], rng: np.random.Generator) -> dict[str, float]:
-    """The lags of the sensors behind the thermometer, s, by kind, the sizes of Gaussian numbers with the standard
-    deviations of a set-up; none where that has none."""
+    """Draw the lags of the sensors behind the thermometer, s, by kind: absolute Gaussian numbers with the standard
+    deviations of a set-up; none without these."""
     sizes = {kind: spreads[f"{kind}.lag"] for kind in get_args(SensorKind) if f"{kind}.lag" in spreads}
     return {kind: abs(spread * float(rng.standard_normal())) for kind, spread in sizes.items()}
 
@@ -184,8 +180,7 @@ def draw_lags(spreads: Mapping[str, float], rng: np.random.Generator) -> dict[st
 def truth_at(
     truth: Mapping[str, float], celsius: float | None, own: Callable[[str], float] | None = None
 ) -> dict[str, float]:
-    """True values at another temperature than their reference, or each at its `own`; as they are where there is
-    none."""
+    """Return true values at a temperature other than their reference, or each at its `own`; unchanged without one."""
     if REFERENCE_NAME not in truth or celsius is None:
         return dict(truth)
     names = list(truth)
@@ -195,7 +190,7 @@ def truth_at(
 
 
 def thermometer_columns(climate: Climate, time: Array) -> dict[str, Array]:
-    """Readings (N,), °C, of the thermometers at times (N,), s: T; T_accel and T_gyro; or T0, T1, … of the sensors."""
+    """Return readings (N,), °C, of the thermometers at times (N,), s: T; T_accel and T_gyro; or T0, T1, …"""
     celsius = climate.thermometers(time).T - ZERO_CELSIUS
     names = {1: ["T"], 2: ["T_accel", "T_gyro"]}.get(len(celsius), [f"T{t}" for t in range(len(celsius))])
     return dict(zip(names, celsius, strict=True))
