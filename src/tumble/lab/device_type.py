@@ -54,22 +54,12 @@ _NOT_OF_DEVICE: tuple[Variable, ...] = ("time", "launch", "lag")
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Unit:
-    """Information on one unit by its calibration, Eq. (1).
+    """Information on the m parameters of one unit by its calibration, Eq. (1).
 
-    Attributes
-    ----------
-    names
-        Names of the m parameters.
-    information, shift
-        Λ (m, m) and h (m,), SI.
-    usual
-        Precisions (m,) without a recording: of the priors, or of the limits of the values.
-    reference
-        Temperature in °C to which the parameters refer, None if it is not known.
-    in_run
-        Standard deviations of the in-run biases of "accel" and "gyro", SI.
-    launches
-        Variances between launches, if the calibration is the mean of several."""
+    `information` is Λ (m, m) and `shift` h (m,), SI; `usual` the precisions (m,) without a recording: of the priors, or
+    of the limits of the values; `reference` the temperature in °C to which the parameters refer, None if it is not
+    known; `in_run` the standard deviations of the in-run biases of "accel" and "gyro", SI; `launches` the variances
+    between launches, if the calibration is the mean of several."""
 
     serial: str
     names: tuple[str, ...]
@@ -166,19 +156,10 @@ def run_to_run(units: Sequence[Unit], name: str) -> float | None:
 
 
 def prior_of(units: Sequence[Unit], model: str) -> DevicePrior:
-    """Return the prior of another unit of a type (module docstring).
+    """Return the prior of another unit of a type, called `model` in messages, from other units (module docstring).
 
-    Parameters
-    ----------
-    units
-        Other units of the type. With fewer than MIN_UNITS the prior is empty.
-    model
-        Name of the type, for messages.
-
-    Returns
-    -------
-    DevicePrior
-        Of the parameters that at least MIN_UNITS have, and that the type determines better than the grade."""
+    It has the parameters that at least MIN_UNITS units have and that the type determines better than the grade; none
+    with fewer units."""
     words = f"{len(units)} other units of the type {model!r}"
     if len(units) < MIN_UNITS:
         nothing, words = np.zeros(0), f"{words}, fewer than {MIN_UNITS}"

@@ -85,29 +85,10 @@ _FOR_THE_OPERATOR = ("[", "`", "--", "tumble ", "let ")
 def write_judged_report(
     calibrations: Calibration | FilePath | Sequence[Calibration | FilePath], out: FilePath, limits: FilePath
 ) -> list[str]:
-    """Write the report of calibrations of one device into an .html file, with the verdict by acceptance limits.
+    """Write the report of calibrations of one device into an .html file, with verdicts by a file of acceptance limits.
 
-    Parameters
-    ----------
-    calibrations
-        Calibrations or their files.
-    out
-        File to write.
-    limits
-        File of acceptance limits.
-
-    Returns
-    -------
-    list of str
-        Why calibrations are not accepted or not within the limits.
-
-    Raises
-    ------
-    InputError
-        For files that cannot be used.
-    MissingExtraError
-        Without the extra `tumble[lab]`.
-    """
+    Returns the reasons why calibrations are not accepted or not within the limits. Raises InputError for files that
+    cannot be used, MissingExtraError without the extra `tumble[lab]`."""
     ending_in(Path(out), ".html")
     acceptance, sources = read_limits(Path(limits)), sources_of(calibrations)
     checks = [judge_calibration(source.calibration, acceptance) for source in sources]
@@ -118,29 +99,12 @@ def write_judged_report(
 def write_certificate(
     calibrations: Calibration | FilePath | Sequence[Calibration | FilePath], out: FilePath, certificate: FilePath
 ) -> list[str]:
-    """Write the certificate of one calibration into an .html or .pdf file.
+    """Write the certificate of one calibration into an .html or .pdf file; `certificate` is the file of its laboratory,
+    customer, dates and statements.
 
-    Parameters
-    ----------
-    calibrations
-        One calibration or its file.
-    out
-        File to write.
-    certificate
-        File with laboratory, customer, dates and statements.
-
-    Returns
-    -------
-    list of str
-        Why the calibration is not accepted or not within the limits that the certificate names.
-
-    Raises
-    ------
-    InputError
-        For files that cannot be used, several calibrations, and a calibration without a date.
-    MissingExtraError
-        Without the extra `tumble[lab]`.
-    """
+    Returns the reasons why the calibration is not accepted or not within the limits that the certificate names. Raises
+    InputError for files that cannot be used, several calibrations, and a calibration without a date, MissingExtraError
+    without the extra `tumble[lab]`."""
     ending_in(Path(out), ".html", ".pdf")
     stated, sources = read_certificate(Path(certificate)), sources_of(calibrations)
     acceptance = certificate_limits(stated)

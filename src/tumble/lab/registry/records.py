@@ -16,21 +16,11 @@ FAILED = ("fail", "conditional fail")
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Record:
-    """A calibration in the registry.
+    """A calibration in the registry, with a `number` that is never used again.
 
-    Attributes
-    ----------
-    number
-        Identifies the record; never used again.
-    sha256
-        Hash of the canonical JSON of the calibration file, independent of its layout.
-    performed, occasion, state
-        When the device was calibrated, at which check, and whether before or after an adjustment.
-    limits, verdict
-        Number of the acceptance limits in force at that time and the verdict by them; None without limits.
-    added
-        When the record was added.
-    """
+    `sha256` is the hash of the canonical JSON of its file. `performed`, `occasion` and `state` are when the device was
+    calibrated, at which check, and whether before or after an adjustment; `limits` is the number of the acceptance
+    limits that were in force, `verdict` the result by them, None without limits."""
 
     number: int
     sha256: str
