@@ -25,7 +25,7 @@ import numpy as np
 from tumble.documents import plain
 from tumble.errors import InputError
 from tumble.export import Target
-from tumble.export.exported import Exported, models, not_held, origin, shown
+from tumble.export.exported import Exported, models, origin, shown, table_notes
 from tumble.files import FilePath
 from tumble.lab.certificate import (
     SCOPE_STATEMENT,
@@ -86,7 +86,7 @@ def dcc(calibration: Calibration, *, certificate: Certificate | FilePath) -> Exp
     check_certificate(certificate, calibration)
     limits = certificate_limits(certificate)
     checks = () if limits is None else tuple(judge_calibration(calibration, limits))
-    losses = (*LOSSES, *not_held(calibration))
+    losses = (*LOSSES, *table_notes(calibration))
     inertial = [p for p in calibration.parameters if sensor_kind(p.name) != "mag"]
     provenance, circumstances = calibration.provenance, calibration.provenance.circumstances
     name, _, release = (provenance.software or "tumble 0").partition(" ")
@@ -116,7 +116,13 @@ def dcc(calibration: Calibration, *, certificate: Certificate | FilePath) -> Exp
     return Exported(content="\n".join(filter(None, lines)).encode() + b"\n", losses=losses)
 
 
-TARGET = Target(write=dcc, takes=("certificate",), needs=("certificate",), ending=".xml")
+TARGET = Target(
+    write=dcc,
+    about="Digital Calibration Certificate of PTB, XML",
+    takes=("certificate",),
+    needs=("certificate",),
+    ending=".xml",
+)
 """Target of `tumble export --to dcc`."""
 
 
