@@ -79,7 +79,7 @@ def calibrate(
     """
     from tumble.recording.session_file import read_session
     from tumble.run.calibrate import calibrate as calibrate_session
-    from tumble.views.calibration import MOST_REMARKS, WIDTH, calibration_blocks
+    from tumble.views.calibration import MAX_REMARKS, WIDTH, calibration_blocks
 
     check_recordings(sessions)
     methods, estimation = tuple(dict.fromkeys(method)), _taken(options, "iterations", "frame", "terms")
@@ -139,7 +139,7 @@ def calibrate(
     for other in others:
         for reason in other.outcome.reasons:
             tell.warn(f"{other.method}: not accepted: {reason}")
-    tell.end(result.outcome.reasons, "not accepted: ", most=None if shown["every"] else MOST_REMARKS)
+    tell.end(result.outcome.reasons, "not accepted: ", most=None if shown["every"] else MAX_REMARKS)
 
 
 def _taken(options: dict[str, Any], *names: str) -> dict[str, Any]:

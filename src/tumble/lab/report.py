@@ -66,7 +66,7 @@ from tumble.views.report.document import (
     write_document,
 )
 from tumble.views.report.result import value_blocks, verdict_blocks
-from tumble.views.uncertainty_budget import SHOWN
+from tumble.views.uncertainty_budget import MIN_SHARE
 
 TONES: Mapping[Result, Tone] = {
     "pass": "good",
@@ -241,7 +241,7 @@ def _statement_of_priors(calibration: Calibration) -> str:
     """Return a sentence on the basis of the priors and their shares of u² by parameter group; empty without any."""
     clauses = []
     for basis, shares in shares_of_priors(calibration).items():
-        largest = sorted(((share, group) for group, share in shares.items() if share >= SHOWN), reverse=True)
+        largest = sorted(((share, group) for group, share in shares.items() if share >= MIN_SHARE), reverse=True)
         if largest:
             clauses.append(f"by the {basis}: {', '.join(f'{percent(share)} of {group}' for share, group in largest)}")
     if not clauses:

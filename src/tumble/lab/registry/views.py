@@ -15,7 +15,7 @@ from tumble.result.parts import Parameter
 from tumble.sensors.parameters import beyond_linear, group_name
 from tumble.units import two_digits
 from tumble.views.blocks import Block, Items, Table
-from tumble.views.checks import judged_lines
+from tumble.views.checks import comparison_lines
 from tumble.views.numbers import (
     Q,
     cells,
@@ -174,7 +174,7 @@ def trend_blocks(trend: Trend, *, every: bool) -> list[Block]:
 
 def change_lines(trend: Trend) -> list[str]:
     """Return sentences on the changes since the calibration before."""
-    lines = [] if trend.comparison is None else judged_lines(trend.comparison)
+    lines = [] if trend.comparison is None else comparison_lines(trend.comparison)
     return [f"the latest against the one before: {line}" if i == 0 else line for i, line in enumerate(lines)]
 
 
