@@ -30,7 +30,7 @@ from tumble.diagnosis.turn_likelihood import (
     WIDTHS,
     TurnLikelihood,
     Widths,
-    cost_of_any,
+    cost_of_free_scale,
     ends_tilted,
     turn_likelihoods,
 )
@@ -275,8 +275,8 @@ def ranked(shown: Evidence, draft: Draft, widths: Widths = WIDTHS) -> list[Hypot
     """All hypotheses of a log, the least cost first."""
     deviation = math.hypot(widths.scale, shown.length_u)
     with_accel = ACCEL in draft.triads
-    accels = list(_assumed(ACCEL, draft, cost_of_any(deviation))) if with_accel else [(COUNTS, 0.0)]
-    gyros = list(_assumed(GYRO, draft, cost_of_any(widths.scale))) if GYRO in draft.triads else []
+    accels = list(_assumed(ACCEL, draft, cost_of_free_scale(deviation))) if with_accel else [(COUNTS, 0.0)]
+    gyros = list(_assumed(GYRO, draft, cost_of_free_scale(widths.scale))) if GYRO in draft.triads else []
     if not shown.profiles:  # what counts are worth nothing tells
         counted = sum(math.exp(-0.5 * cost) for gyro, cost in gyros if gyro.unit is None and gyro.known)
         units = [(gyro, cost) for gyro, cost in gyros if gyro.unit is not None]
@@ -324,7 +324,7 @@ def _with_gyros(
         if profile is not None and of_rate is not None and gyro.unit is not None and not gyro.increment:
             rate = profile.found() * DEGREE / gyro.value
             if RATES_OF_LOGS[0] <= rate <= RATES_OF_LOGS[1]:
-                cost = of_rate - 2.0 * math.log(UNUSUAL) + cost_of_any(widths.scale, _RATE_RANGE)
+                cost = of_rate - 2.0 * math.log(UNUSUAL) + cost_of_free_scale(widths.scale, _RATE_RANGE)
                 trials = (*every, at_rate(float(f"{rate:.4g}"), cost))
         for times in trials:
             found, cost = gyro, assumed

@@ -112,6 +112,8 @@ class Observations(Brief):
     """For every session, the moments of the accelerometers of an array in motion, where there are enough of them."""
     by_clock: Mapping[str, float] = field(default_factory=dict)
     """By group of parameters, their change by one standard uncertainty of the time base."""
+    turns_left_out: tuple[str, ...] = ()
+    """A sentence on each turn that was left out because it was not recorded as a whole."""
     unstamped: bool = False
     """Whether the log has no times that would show missing samples."""
     usual: Mapping[str, float] = field(default_factory=dict)

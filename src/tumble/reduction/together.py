@@ -92,6 +92,9 @@ def joined(sessions: Sequence[Observations], names: Sequence[str], numbers: Sequ
         rounding=rounding,
         thermometers=Thermometers(files=records) if thermometers else None,
         notes=tuple(f"{name}: {note}" for name, each in zip(names, sessions, strict=True) for note in each.notes),
+        turns_left_out=tuple(
+            f"{name}: {turn}" for name, each in zip(names, sessions, strict=True) for turn in each.turns_left_out
+        ),
         together=Together(
             names=tuple(names), session=np.repeat(np.arange(len(sessions)), counts), number=np.concatenate(numbers)
         ),
