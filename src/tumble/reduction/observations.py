@@ -31,7 +31,7 @@ from tumble.reduction.noise.coloured_noise import fit_coloured_noise
 from tumble.reduction.noise.rounding import Rounding, rounding_notes
 from tumble.reduction.rests.blemishes import BadSamples, bad_sample_notes, blemish_notes
 from tumble.reduction.rests.rests import Rests, reduced_rests, rows_of, thermometers_of
-from tumble.reduction.rests.segmentation import Stretch, unrecorded
+from tumble.reduction.rests.segmentation import Stretch, gap_between
 from tumble.reduction.rests.sway import sway_notes, sway_of
 from tumble.reduction.rests.thermometer import Thermometers
 from tumble.reduction.turns.array_motion import ArrayMoments, MovedArray, array_moments
@@ -272,7 +272,7 @@ def observe(
         Those of a device that is moved, between these rests (`tumble.reduction.turns.links.links_of`).
     """
     if links is not None:
-        linked = [unrecorded(a, b, 1, "links", why="") for a, b in pairwise(spans) if stretched(a, b)]
+        linked = [gap_between(a, b, 1, "links", why="") for a, b in pairwise(spans) if stretched(a, b)]
         reduction = replace(reduction, gaps=(*reduction.gaps, *linked))
         if not spans:
             return without_rests(links, accel, gyro, site)

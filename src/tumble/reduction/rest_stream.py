@@ -77,7 +77,9 @@ def rests_so_far(
         reduction = replace(without_blemishes(reduction), tuning=quick)
         found = without_times(reduction, find_rests(reduction, accel, gyro), excluded)
     shortest = usual.rest + 2.0 * usual.margin_least - 1e-9
-    return replace(found, rests=tuple(each for each in found.rests if each.lasts or each.stop - each.start >= shortest))
+    return replace(
+        found, rests=tuple(each for each in found.rests if each.reaches_end or each.stop - each.start >= shortest)
+    )
 
 
 def mean_so_far(file: FileBlocks, first: int, last: int) -> dict[str, tuple[float, float]]:

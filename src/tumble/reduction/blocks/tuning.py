@@ -7,7 +7,7 @@ words and a reason: a derivation, or, for a value chosen by hand, the study that
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 from tumble.units import DEGREE, G_STANDARD
@@ -122,21 +122,6 @@ class Tuning:
     def margin_of(self, duration: float) -> float:
         """The margin, s, at each end of a stretch of this duration, s, that borders on movement."""
         return max(self.margin_least, min(self.margin_fraction * duration, self.margin_most))
-
-    def for_short_rests(self, rate: float) -> Tuning:
-        """The thresholds for a recording of short rests at a sample rate, Hz."""
-        rest = max(self.short_rest, self.short_samples / rate)
-        return replace(self, window=self.short_window, rest=rest, margin_least=self.short_margin)
-
-    @property
-    def for_few_rests(self) -> Tuning:
-        """The thresholds for a recording that moves most of the time."""
-        return replace(self, quiet_share=self.few_share)
-
-    @property
-    def for_moments(self) -> Tuning:
-        """The thresholds for a recording in which nothing rests for long enough."""
-        return replace(self, window=self.moment, rest=self.moment, margin_least=0.0, margin_fraction=0.0)
 
 
 USUAL = Tuning()

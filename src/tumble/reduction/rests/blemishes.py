@@ -29,7 +29,7 @@ import numpy as np
 from tumble.reduction.blocks.motion_samples import MotionSamples
 from tumble.reduction.blocks.reducer import Blemish, FileBlocks, Reduction
 from tumble.reduction.blocks.tuning import USUAL, Tuning
-from tumble.reduction.rests.segmentation import Stretch, inner_mean, inner_variance
+from tumble.reduction.rests.segmentation import Stretch, sliding_mean, sliding_variance
 from tumble.units import Array, BoolArray, IntArray
 
 AT_A_TIME = 2**17
@@ -66,8 +66,8 @@ def _blemishes(reduction: Reduction, samples: MotionSamples, f: FileBlocks, side
         return
     steps = np.array([channel.step for channel in (*reduction.accel_channels, *reduction.gyro_channels)])
     coarse = np.where(np.isfinite(steps), steps, 0.0)
-    mean = inner_mean(values, side)
-    variance = inner_variance(values, mean, side) * (side / (side - 1.0))
+    mean = sliding_mean(values, side)
+    variance = sliding_variance(values, mean, side) * (side / (side - 1.0))
     taken = np.zeros(len(values), dtype=bool)
     for length in range(1, int(tuning.longest_blemish / reduction.block_seconds * (1.0 + 1e-9)) + 1):
         count = len(values) - 2 * side - length + 1
@@ -75,7 +75,9 @@ def _blemishes(reduction: Reduction, samples: MotionSamples, f: FileBlocks, side
             return
         before, after = slice(0, count), slice(side + length, side + length + count)
         scatter = np.sqrt(0.5 * (variance[before] + variance[after]))
-        off = np.abs(inner_mean(values[side : side + count + length - 1], length) - 0.5 * (mean[before] + mean[after]))
+        off = np.abs(
+            sliding_mean(values[side : side + count + length - 1], length) - 0.5 * (mean[before] + mean[after])
+        )
         beyond = (off > tuning.block_beyond * scatter + coarse).any(axis=1)
         agree = np.abs(mean[after] - mean[before]) <= tuning.sides_agree * np.sqrt(2.0 / side) * scatter + coarse
         for first in (side + np.flatnonzero(beyond & agree.all(axis=1))).tolist():

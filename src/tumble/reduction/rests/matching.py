@@ -21,7 +21,7 @@ from tumble.errors import ProgrammeError, SessionError
 from tumble.programme.positions import Programme
 from tumble.recording.session import Exclusion, ProgrammeSpec, Session
 from tumble.reduction.blocks.reducer import BLOCK_SECONDS, FileBlocks, Reduction
-from tumble.reduction.rests.segmentation import Segmentation, Stretch, unrecorded
+from tumble.reduction.rests.segmentation import Segmentation, Stretch, gap_between
 from tumble.rotation import onto_body, unit_vector
 from tumble.sensors.model import Block
 from tumble.units import DEGREE, Array, IntArray
@@ -274,8 +274,10 @@ def _longest(reduction: Reduction, span: Stretch, file: int, start: float, stop:
     first, last = max(before, after, key=lambda part: part[1] - part[0])
     if last <= first or edges[last] - edges[first] < reduction.tuning.rest:
         return None
-    lasts = span.lasts and last == span.last
-    return replace(span, first=first, last=last, start=float(edges[first]), stop=float(edges[last]), lasts=lasts)
+    reaches_end = span.reaches_end and last == span.last
+    return replace(
+        span, first=first, last=last, start=float(edges[first]), stop=float(edges[last]), reaches_end=reaches_end
+    )
 
 
 def without_numbered(
@@ -292,7 +294,7 @@ def without_numbered(
                 raise SessionError(f"{where}: expected a {what} from 1 to {count}, found {number}")
         numbers[what] = [number for _, number in stated]
     ends = [found.rests[turn - 1 : turn + 1] for turn in numbers["turn"]]
-    gaps = [unrecorded(before, after, 1, "left out", why="") for before, after in ends]  # the note is `left_out`
+    gaps = [gap_between(before, after, 1, "left out", why="") for before, after in ends]  # the note is `left_out`
     reduction = replace(reduction, gaps=(*reduction.gaps, *gaps)) if gaps else reduction
     if not numbers["rest"]:
         return reduction, found
@@ -322,7 +324,7 @@ def without_jump(reduction: Reduction, found: Segmentation, gyro: Block | None) 
     if samples is not None:
         samples = samples.less(reduction.by_file[first.file].sample_at(first.first), jump.step)
     if last.file == first.file:
-        gaps = (*gaps, unrecorded(last, first, 1, "left out", why=""))
+        gaps = (*gaps, gap_between(last, first, 1, "left out", why=""))
     return replace(reduction, files=tuple(files), samples=samples, gaps=gaps)
 
 

@@ -33,7 +33,7 @@ from tumble.reduction.noise.coloured_noise import ColouredNoise
 from tumble.reduction.noise.rounding import Rounding
 from tumble.reduction.rests.blemishes import NO_BAD_SAMPLES, BadSamples, bad_samples_of_turns
 from tumble.reduction.rests.rests import Rests
-from tumble.reduction.rests.segmentation import Stretch, unrecorded
+from tumble.reduction.rests.segmentation import Stretch, gap_between
 from tumble.reduction.rests.sway import FOURTH_DIFFERENCES, Sway
 from tumble.reduction.turns.array_motion import read_by
 from tumble.reduction.turns.moments import BlockCompensation, Compensation, Pieces, integrate_in_parts
@@ -407,11 +407,11 @@ def without_unknown_turns(
             count = int(((readings <= least) | (readings >= most)).any(axis=1).sum())
             if count >= reduction.tuning.fewest_clipped:
                 why = f"gyros are clipped in {count} of its samples"
-                clipped[k] = unrecorded(before, after, count, "no rotation", why)
+                clipped[k] = gap_between(before, after, count, "no rotation", why)
         count = int((np.linalg.norm(rates, axis=1) * intervals > HALF_TURN).sum()) if may_be_fast else 0
         if count:
             why = f"gyros read more than half a turn from sample to sample, in {count} of its samples"
-            fast[k] = unrecorded(before, after, count, "no rotation", why)
+            fast[k] = gap_between(before, after, count, "no rotation", why)
     if 2 * len(fast) > len(turns):
         fast = {}  # then it is the unit or the rate that is wrong, which is said elsewhere
     gaps = {**fast, **clipped}
