@@ -13,7 +13,7 @@ from tumble.inference.array_levers import COMMON, ArrayLevers, array_levers
 from tumble.reduction.blocks.motion_samples import MotionSamples
 from tumble.reduction.turns.array_motion import ArrayMoments, MovedArray, array_moments
 from tumble.sensors.instrument import Instrument
-from tumble.sensors.model import Block, beyond_body
+from tumble.sensors.model import Block, left_null_space
 from tumble.units import DEGREE, G_STANDARD, Array
 
 UPRIGHT, TURNED = np.eye(3), np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
@@ -28,7 +28,7 @@ ALONG = np.abs(AXES).argmax(axis=1)
 def moments_of(accel: Array, gyro: Array, dt: float) -> ArrayMoments | None:
     """The moments of readings (m, n) of accelerometers and gyros."""
     samples = MotionSamples(spare=2 * (len(AXES) - 3))
-    to_body, beyond = np.linalg.pinv(AXES).T, beyond_body(AXES).T
+    to_body, beyond = np.linalg.pinv(AXES).T, left_null_space(AXES).T
     spare = np.hstack([accel @ beyond, gyro @ beyond])
     samples.append(gyro @ to_body, accel @ to_body, np.full(len(accel), dt), spare)
     return array_moments(samples, [(0, len(accel))], moved(accel, gyro))

@@ -41,7 +41,7 @@ from tumble.inference.start import start_of
 from tumble.planning.setup import Setup
 from tumble.programme.positions import from_attitudes, programme
 from tumble.reduction.observations import Observations
-from tumble.reduction.together import joined
+from tumble.reduction.together import join_sessions
 from tumble.rotation import unit_vector
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import usual_sizes
@@ -81,7 +81,7 @@ def accelerometers_alone() -> Observations:
 def two_sessions() -> Observations:
     """Of one unit, each with a launch of its own."""
     both = [observed(by_hand(9), seed, full=True) for seed in (1, 2)]
-    return joined(both, ["a", "b"], [np.arange(len(each.rests)) for each in both])
+    return join_sessions(both, ["a", "b"], [np.arange(len(each.rests)) for each in both])
 
 
 def of_pyramids() -> Observations:

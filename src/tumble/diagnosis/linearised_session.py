@@ -10,7 +10,7 @@ import numpy as np
 from tumble.inference.linearisation import Linearisation
 from tumble.inference.problem import SessionSpan
 from tumble.reduction.observations import Observations
-from tumble.reduction.together import apart
+from tumble.reduction.together import extract_session
 from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.sensors.model import Block
 from tumble.units import DEGREE, G_STANDARD, Array
@@ -59,7 +59,7 @@ class LinearisedSession:
         """The observations of each session."""
         if self.observations.together is None:
             return [self.observations]
-        return [apart(self.observations, part.rests, part.turns) for part in self.problem.parts]
+        return [extract_session(self.observations, part.rests, part.turns) for part in self.problem.parts]
 
     @cached_property
     def steps(self) -> Array:

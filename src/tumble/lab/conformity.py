@@ -35,7 +35,7 @@ from tumble.result.accepted import accepted_kinds, accepted_part
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import expanded_of
 from tumble.result.parts import Parameter
-from tumble.sensors.parameters import group_of, meant_by
+from tumble.sensors.parameters import group_of, name_covers
 from tumble.units import two_digits
 
 RULE = (
@@ -138,7 +138,7 @@ def judge(
     values = {p.name: p for p in parameters}
     named = [*values, *unobservable]
     judged = []
-    for name in [*named, *(key for key in by_key if not any(meant_by(key, each) for each in named))]:
+    for name in [*named, *(key for key in by_key if not any(name_covers(key, each) for each in named))]:
         ends = limits.of(name, occasion)
         if ends is None:
             continue

@@ -215,7 +215,7 @@ class Observations(Brief):
         turns = replace(turns, aliased=aliased_rotations(samples, turns.covariance))
         return replace(self, turns=turns, turn_samples=samples)
 
-    def with_blows(self) -> Observations:
+    def with_blow_variances(self) -> Observations:
         """Observations whose velocity covariances contain what blows in the turns may hide."""
         if self.turns is None or self.turn_samples is None:
             return self

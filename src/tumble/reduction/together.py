@@ -34,7 +34,7 @@ HELD = 1e-6
 """rad an axis: what a support moves by from one part of a rest to the next."""
 
 
-def in_parts(reduction: Reduction, whole: Segmentation, least: int = 1) -> tuple[Segmentation, IntArray]:
+def split_warming_rests(reduction: Reduction, whole: Segmentation, least: int = 1) -> tuple[Segmentation, IntArray]:
     """Divide the rests that warm, a part for each WARMED, all into `least` where they are long enough: the parts in
     place of the rests, and the number (N,) of the rest that each of them belongs to."""
     by_file, spans, number = reduction.by_file, list[Stretch](), list[int]()
@@ -56,7 +56,7 @@ def in_parts(reduction: Reduction, whole: Segmentation, least: int = 1) -> tuple
     return replace(whole, rests=tuple(spans), position=position), np.array(number, dtype=np.int64)
 
 
-def joined(sessions: Sequence[Observations], names: Sequence[str], numbers: Sequence[IntArray]) -> Observations:
+def join_sessions(sessions: Sequence[Observations], names: Sequence[str], numbers: Sequence[IntArray]) -> Observations:
     """Join the observations of several sessions of one device at one place. `numbers`: for each session the numbers
     (N,) of its rests; parts of a rest have the same."""
     counts = [len(each.rests) for each in sessions]
@@ -105,7 +105,7 @@ def _stacked(parts: Sequence[_Arrays]) -> _Arrays:
     return replace(parts[0], **whole)
 
 
-def apart(observations: Observations, rests: slice, turns: slice) -> Observations:
+def extract_session(observations: Observations, rests: slice, turns: slice) -> Observations:
     """Take one session with these rests and turns out of the observations of several that were joined."""
     together, samples, readings = observations.together, observations.turn_samples, observations.turn_readings
     assert together is not None
@@ -125,7 +125,7 @@ def apart(observations: Observations, rests: slice, turns: slice) -> Observation
     )
 
 
-def held(observations: Observations) -> Observations:
+def hold_attitude(observations: Observations) -> Observations:
     """Observations whose turns of no duration leave the attitude as it is to HELD."""
     turns = observations.turns
     if turns is None:

@@ -41,7 +41,7 @@ from tumble.reduction.rests.blemishes import without_blemishes
 from tumble.reduction.rests.matching import match_rests, without_jump, without_numbered, without_times
 from tumble.reduction.rests.rests import thermometers_of
 from tumble.reduction.rests.segmentation import Segmentation, Stretch, find_rests
-from tumble.reduction.together import held, in_parts
+from tumble.reduction.together import hold_attitude, split_warming_rests
 from tumble.reduction.turns.links import links_of
 from tumble.reduction.turns.turns import torn_turns, without_unknown_turns
 from tumble.rotation import onto_body
@@ -271,8 +271,8 @@ def observations_in_parts(observed: Observed, least: int = 1) -> tuple[Observati
     if isinstance(matched, Outcome):
         return matched
     reduction, match_of_rests, torn = matched
-    match, numbers = in_parts(reduction, match_of_rests, least)
-    return held(_observed_again(observed, reduction, match, torn)), numbers
+    match, numbers = split_warming_rests(reduction, match_of_rests, least)
+    return hold_attitude(_observed_again(observed, reduction, match, torn)), numbers
 
 
 def _observed_again(
@@ -285,7 +285,7 @@ def _observed_again(
         arrays = None if again is None or observed.gyro_bias_faults else again.arrays
         again = observe(reduction, match.rests, session.accel_block, session.gyro_block, session.site, arrays)
     again = replace(again, programme=match.programme, position=match.position)
-    return with_mended_samples(replace(again, notes=(*observed.notes, *again.notes, *notes))).with_blows()
+    return with_mended_samples(replace(again, notes=(*observed.notes, *again.notes, *notes))).with_blow_variances()
 
 
 def _matched(observed: Observed) -> tuple[Reduction, Segmentation, tuple[str, ...]] | Outcome:

@@ -21,7 +21,7 @@ from tumble.reduction.blocks.motion_samples import MotionSamples
 from tumble.reduction.blocks.tuning import USUAL, Tuning
 from tumble.reduction.turns.array_motion import FEWEST
 from tumble.rotation import onto_body
-from tumble.sensors.model import Block, beyond_body
+from tumble.sensors.model import Block, left_null_space
 from tumble.units import Array, IntArray
 
 BLOCK_SECONDS = 0.1
@@ -282,7 +282,9 @@ class Reducer:
         self._file, self._first, self._count, self._stop = -1, 0, 0, 0.0
         self._edges, self._temperature = _Growing(1), _Growing(1)
         self._unrecorded: dict[int, float] = {}
-        self._beyond = (beyond_body(accel.axes), beyond_body(gyro.axes)) if gyro and accel.size >= FEWEST else None
+        self._beyond = (
+            (left_null_space(accel.axes), left_null_space(gyro.axes)) if gyro and accel.size >= FEWEST else None
+        )
         self._to_body = [_to_body(block) for block in (accel, gyro) if block is not None]
         self._stored = MotionSamples(0 if self._beyond is None else sum(map(len, self._beyond))) if gyro else None
         self._lost = self._repeated = 0

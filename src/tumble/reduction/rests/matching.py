@@ -56,7 +56,7 @@ def match_rests(session: Session, reduction: Reduction, segmentation: Segmentati
     means = np.array([by_file[s.file].accel.mean(s.first, s.last) for s in rests])
     readings = means @ onto_body(session.log.accel.axes).T
     expected = np.array([p.vertical_b for p in listed.positions])
-    verticals = freed_verticals(readings, expected, session.site.gravity)
+    verticals = bias_free_verticals(readings, expected, session.site.gravity)
     off = np.arccos(np.clip(expected @ verticals.T, -1.0, 1.0))
     why_missing = (
         f"was it skipped or shorter than {segmentation.tuning.still} s? "
@@ -135,7 +135,7 @@ def _groups_by_vertical(expected: Array, verticals: Array) -> list[list[int]]:
     return groups
 
 
-def freed_verticals(readings: Array, expected: Array, gravity: float) -> Array:
+def bias_free_verticals(readings: Array, expected: Array, gravity: float) -> Array:
     """Directions of the vertical in the body (N, 3), freed from bias by the median difference from the nearest expected
     ones. With one or two readings nothing is subtracted: the difference may be an error of the attitude."""
     bias = np.median(readings - gravity * expected[np.argmax(unit_vector(readings) @ expected.T, axis=1)], axis=0)
@@ -294,7 +294,9 @@ def without_numbered(
                 raise SessionError(f"{where}: expected a {what} from 1 to {count}, found {number}")
         numbers[what] = [number for _, number in stated]
     ends = [found.rests[turn - 1 : turn + 1] for turn in numbers["turn"]]
-    gaps = [gap_between(before, after, 1, "left out", why="") for before, after in ends]  # the note is `left_out`
+    gaps = [
+        gap_between(before, after, 1, "left out", why="") for before, after in ends
+    ]  # the note is `exclusion_notes`
     reduction = replace(reduction, gaps=(*reduction.gaps, *gaps)) if gaps else reduction
     if not numbers["rest"]:
         return reduction, found
@@ -328,7 +330,7 @@ def without_jump(reduction: Reduction, found: Segmentation, gyro: Block | None) 
     return replace(reduction, files=tuple(files), samples=samples, gaps=gaps)
 
 
-def left_out(excluded: tuple[Exclusion, ...]) -> tuple[str, ...]:
+def exclusion_notes(excluded: tuple[Exclusion, ...]) -> tuple[str, ...]:
     """Notes on what a session excludes."""
     notes = []
     for one in excluded:

@@ -25,7 +25,7 @@ from itertools import pairwise
 import numpy as np
 
 from tumble.reduction.blocks.motion_samples import MotionSamples
-from tumble.sensors.model import Block, beyond_body
+from tumble.sensors.model import Block, left_null_space
 from tumble.sensors.parameters import PAIRS
 from tumble.units import Array, BoolArray
 
@@ -151,7 +151,7 @@ def _products(u: Array, v: Array) -> Array:
 
 def read_by(block: Block, vectors: Array, spare: Array) -> Array:
     """What every sensor reads (m, n), of vectors in the body (m, 3) and what is spare (m, n − 3)."""
-    return np.asarray(vectors @ block.axes.T + spare @ beyond_body(block.axes))
+    return np.asarray(vectors @ block.axes.T + spare @ left_null_space(block.axes))
 
 
 def _within(readings: Array, extremes: Array) -> BoolArray:
