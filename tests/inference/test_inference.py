@@ -176,7 +176,7 @@ def with_turns(session: Observations, keep: BoolArray, rests: int) -> Observatio
         session,
         rests=replace(every, **first),
         turns=type(turns)(**{field.name: getattr(turns, field.name)[keep] for field in fields(turns)}),
-        turn_samples=replace(samples, start=samples.start[keep], stop=samples.stop[keep], _kept=[]),
+        turn_samples=replace(samples, start=samples.start[keep], stop=samples.stop[keep]),
     )
 
 
@@ -425,7 +425,7 @@ def test_a_spoilt_turn_is_left_out_and_named_and_moves_nothing() -> None:
         rates[own] += times * noise * level / dt[own].sum()
         other = type(samples.samples)()
         other.append(rates, forces, dt)
-        spoilt = replace(session, turn_samples=replace(samples, samples=other, _kept=[]))
+        spoilt = replace(session, turn_samples=replace(samples, samples=other))
         found = joint(spoilt)
         assert found.left_out is not None
         assert np.flatnonzero(found.left_out.turn).tolist() == [11]

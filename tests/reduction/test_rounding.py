@@ -116,6 +116,6 @@ def test_rounding_lasts_as_long_as_a_rate_is_steady() -> None:
         rates = np.concatenate([rate * ramp, np.full(300, rate), rate * ramp[::-1]])[:, None]
         rounded_rates = np.round(rates)
         errors.append(0.01 * (rounded_rates - rates).sum())
-        said.append(found.of_integrals(rounded_rates, np.full(len(rates), 0.01))[0])
+        said.append(found.variance_of_integrals(rounded_rates, np.full(len(rates), 0.01))[0])
     assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(np.sqrt(np.mean(said)), rel=0.15)
     assert np.sqrt(np.mean(said)) == pytest.approx(3.0 / np.sqrt(12.0), rel=0.1)

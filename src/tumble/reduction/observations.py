@@ -49,11 +49,11 @@ from tumble.reduction.turns.turns import (
     Turns,
     TurnSamples,
     aliased_rotations,
+    blow_variances,
     linear_compensation,
     no_turns,
     reduced_turns,
     turn_readings,
-    unread_velocities,
 )
 from tumble.rotation import onto_body, unit_vector
 from tumble.sensors.model import Block, SensorModel
@@ -219,7 +219,7 @@ class Observations(Brief):
         """Observations whose velocity covariances contain what blows in the turns may hide."""
         if self.turns is None or self.turn_samples is None:
             return self
-        blows = unread_velocities(self.turn_samples)[:, None, None] * np.eye(3)
+        blows = blow_variances(self.turn_samples)[:, None, None] * np.eye(3)
         return replace(self, turns=replace(self.turns, velocity_covariance=self.turns.velocity_covariance + blows))
 
     def turns_about(self, gyro: SensorModel) -> Turns:

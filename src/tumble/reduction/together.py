@@ -84,7 +84,7 @@ def join_sessions(sessions: Sequence[Observations], names: Sequence[str], number
         sessions[0],
         rests=replace(_stacked(rests), magnetometer=None, magnetometer_covariance=None),
         turns=_stacked(turns) if turns else None,
-        turn_samples=replace(samples[0][1], others=tuple(samples[1:]), _kept=[]) if samples else None,
+        turn_samples=replace(samples[0][1], others=tuple(samples[1:])) if samples else None,
         turn_readings=_stacked(readings) if readings else None,
         arrays=tuple(moments for each in sessions for moments in each.arrays),
         programme=None,
@@ -114,7 +114,7 @@ def extract_session(observations: Observations, rests: slice, turns: slice) -> O
         its_turns = rows_of(observations.turns, turns)
         its_turns = replace(its_turns, first=its_turns.first - rests.start, last=its_turns.last - rests.start)
     if samples is not None:  # of the session whose turns begin with this one
-        samples = ({0: replace(samples, others=(), _kept=[])} | dict(samples.others)).get(turns.start)
+        samples = ({0: replace(samples, others=())} | dict(samples.others)).get(turns.start)
     return replace(
         observations,
         rests=rows_of(observations.rests, rests),

@@ -43,7 +43,7 @@ from tumble.reduction.rests.rests import thermometers_of
 from tumble.reduction.rests.segmentation import Segmentation, Stretch, find_rests
 from tumble.reduction.together import hold_attitude, split_warming_rests
 from tumble.reduction.turns.links import links_of
-from tumble.reduction.turns.turns import torn_turns, without_unknown_turns
+from tumble.reduction.turns.turns import torn_turns, without_ambiguous_turns
 from tumble.rotation import onto_body
 from tumble.units import DEGREE, IntArray
 
@@ -169,7 +169,7 @@ def inspected(session: Session, progress: Progress, beside: Executor, tuning: Tu
         segmentation = without_times(reduction, segmentation, session.excluded)
         segmentation = replace(segmentation, stated_rate=session.log.rate)
         if session.gyro_block is not None and session.log.gyro is not None:
-            reduction = without_unknown_turns(reduction, segmentation.rests, session.gyro_block, session.log.gyro)
+            reduction = without_ambiguous_turns(reduction, segmentation.rests, session.gyro_block, session.log.gyro)
         observations = _observed(session, reduction, segmentation.rests)
         trial = observations
         if trial is None and not faults:

@@ -63,7 +63,7 @@ class Rounding:
         """The channels (n,) whose noise is too small for rounding to average out."""
         return np.asarray((self.step > 0.0) & (self.noise < ENOUGH_NOISE * self.step))
 
-    def of_integrals(self, readings: Array, intervals: Array) -> Array:
+    def variance_of_integrals(self, readings: Array, intervals: Array) -> Array:
         """Variance (n,) from rounding of the integrals of m ≥ 1 samples (m, n) at intervals (m,), s. An error lasts as
         long as a reading keeps to one step, or, where noise takes it to and fro, to two: Σ T² of_rest² over such
         times T."""

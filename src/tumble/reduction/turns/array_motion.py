@@ -123,8 +123,8 @@ def _in_motion(samples: MotionSamples, parts: list[tuple[int, int]], array: Move
         if around[1] - around[0] <= 2:
             continue
         rates, forces, intervals, spare = samples.read_with_spare(*around)
-        readings = read_by(array.accel, forces, spare[:, :beyond])
-        of_gyros = read_by(array.gyro, rates, spare[:, beyond:])
+        readings = sensor_readings(array.accel, forces, spare[:, :beyond])
+        of_gyros = sensor_readings(array.gyro, rates, spare[:, beyond:])
         usable = _within(readings, array.accel_extremes) & _within(of_gyros, array.gyro_extremes)
         usable &= np.abs(intervals / np.median(intervals) - 1.0) < UNEVEN
         if spare.shape[1] > beyond:
@@ -149,7 +149,7 @@ def _products(u: Array, v: Array) -> Array:
     return np.asarray(u[:, _FIRST] * v[:, _SECOND])
 
 
-def read_by(block: Block, vectors: Array, spare: Array) -> Array:
+def sensor_readings(block: Block, vectors: Array, spare: Array) -> Array:
     """What every sensor reads (m, n), of vectors in the body (m, 3) and what is spare (m, n − 3)."""
     return np.asarray(vectors @ block.axes.T + spare @ left_null_space(block.axes))
 

@@ -28,7 +28,7 @@ from tumble.reduction.blocks.reducer import Reduction
 from tumble.reduction.rests.blemishes import bad_samples_of_turns
 from tumble.reduction.rests.segmentation import Stretch
 from tumble.reduction.rests.sway import FOURTH_DIFFERENCES
-from tumble.reduction.turns.turns import TurnSamples, smallest_distances, variances_of_independent
+from tumble.reduction.turns.turns import TurnSamples, independent_sample_variances, smallest_distances
 from tumble.rotation import rotation_matrix, skew
 from tumble.sensors.model import SensorKind
 from tumble.units import Array, BoolArray, IntArray
@@ -212,7 +212,7 @@ def _variance_between(differences: Array) -> float:
 
 def _density(samples: TurnSamples, kind: SensorKind, duration: Array) -> float:
     """Density of white noise, rad²/s of rates or m²/s³ of forces, in the quietest links."""
-    variances = variances_of_independent(samples, kind).reshape(-1, PARTS).sum(axis=1)
+    variances = independent_sample_variances(samples, kind).reshape(-1, PARTS).sum(axis=1)
     return float(np.quantile(variances / duration, QUIET))
 
 
