@@ -35,7 +35,7 @@ from tumble.reduction.rests.segmentation import Stretch, gap_between
 from tumble.reduction.rests.sway import sway_notes, sway_of
 from tumble.reduction.rests.thermometer import Thermometers
 from tumble.reduction.turns.array_motion import ArrayMoments, MovedArray, array_moments
-from tumble.reduction.turns.links import Links, stretched
+from tumble.reduction.turns.links import Links, is_linked
 from tumble.reduction.turns.moments import (
     NO_OWN_AXES,
     Compensation,
@@ -272,7 +272,7 @@ def observe(
         Those of a device that is moved, between these rests (`tumble.reduction.turns.links.links_of`).
     """
     if links is not None:
-        linked = [gap_between(a, b, 1, "links", why="") for a, b in pairwise(spans) if stretched(a, b)]
+        linked = [gap_between(a, b, 1, "links", why="") for a, b in pairwise(spans) if is_linked(a, b)]
         reduction = replace(reduction, gaps=(*reduction.gaps, *linked))
         if not spans:
             return without_rests(links, accel, gyro, site)

@@ -36,7 +36,7 @@ class MotionSamples:
         self._less: tuple[MotionSamples, int, Array] | None = None
         self.count = 0
 
-    def less(self, first: int, rate: Array) -> MotionSamples:
+    def with_rate_subtracted(self, first: int, rate: Array) -> MotionSamples:
         """The same samples with a rate (3,), rad/s, subtracted from those of sample `first` on. Nothing may be added to
         them."""
         out = copy(self)
