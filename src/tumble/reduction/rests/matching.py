@@ -34,27 +34,10 @@ SHORTEST_STATED = 1.0  # s: a shorter rest has too few blocks for the noise of i
 
 
 def match_rests(session: Session, reduction: Reduction, segmentation: Segmentation) -> Segmentation:
-    """Assign the rests to the positions of the session's programme.
+    """Assign the rests of a session's log to the positions of its programme, if it has one.
 
-    Parameters
-    ----------
-    session
-        The session; without a programme all rests are kept as they are.
-    reduction
-        The blocks of its log.
-    segmentation
-        The rests found in it.
-
-    Returns
-    -------
-    Segmentation
-        The rests, including those with stated times, with the programme and the position of each.
-
-    Raises
-    ------
-    ProgrammeError
-        If the recording does not go through the programme.
-    """
+    Rests with stated times replace those found there. Raises ProgrammeError if the recording does not follow the
+    programme."""
     spec = session.programme
     if spec is None:
         return segmentation
@@ -148,23 +131,10 @@ def _groups_by_vertical(expected: Array, verticals: Array) -> list[list[int]]:
 
 
 def bias_free_verticals(readings: Array, expected: Array, gravity: float) -> Array:
-    """Return the directions of the vertical in the body, freed from accelerometer bias.
+    """Return the verticals in the body (N, 3) of mean specific forces (N, 3), m/s², freed from accelerometer bias.
 
-    Parameters
-    ----------
-    readings
-        Mean specific forces (N, 3) of rests, m/s².
-    expected
-        Verticals (P, 3) of the positions of a programme.
-    gravity
-        Gravity, m/s².
-
-    Returns
-    -------
-    Array
-        Unit vectors (N, 3). The bias is the median difference from the nearest expected vectors; with one or two
-        readings nothing is subtracted, since the difference may be an error of the attitude.
-    """
+    The bias is the median difference from the nearest `expected` vertical (P, 3) times gravity. With one or two
+    readings nothing is subtracted, since the difference may be an error of the attitude."""
     bias = np.median(readings - gravity * expected[np.argmax(unit_vector(readings) @ expected.T, axis=1)], axis=0)
     plausible = len(readings) > 2 and np.linalg.norm(bias) < BIAS_LIMIT * gravity
     return unit_vector(readings - bias if plausible else readings)
@@ -306,25 +276,9 @@ def _longest_part(reduction: Reduction, rest: Stretch, file: int, start: float, 
 def without_numbered(
     reduction: Reduction, segmentation: Segmentation, excluded: tuple[Exclusion, ...]
 ) -> tuple[Reduction, Segmentation]:
-    """Exclude rests and turns by their numbers.
+    """Exclude rests and turns by number: excluded turns become gaps of the reduction, excluded rests are removed.
 
-    Parameters
-    ----------
-    reduction, segmentation
-        The blocks of a log and its rests.
-    excluded
-        Exclusions of the session.
-
-    Returns
-    -------
-    tuple of Reduction and Segmentation
-        The reduction with the excluded turns as gaps, and the segmentation without the excluded rests.
-
-    Raises
-    ------
-    SessionError
-        For a number beyond the last rest or turn.
-    """
+    Raises SessionError for a number beyond the last rest or turn."""
     rests, numbers = segmentation.rests, dict[str, list[int]]()
     for what, count in (("turn", len(rests) - 1), ("rest", len(rests))):
         stated = [(e.by, getattr(e, what)) for e in excluded if getattr(e, what) is not None]
