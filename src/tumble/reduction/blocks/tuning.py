@@ -36,7 +36,7 @@ class Tuning:
     scatter_factor: float = _threshold(10.0, "", "largest scatter of the accelerometers at rest, in noise floors")
     quiet_factor: float = _threshold(
         2.0, "", "largest scatter of the accelerometers, in noise floors, in blocks that show the gyro level")
-    quiet_share: float = _threshold(0.1, "", "least fraction of a recording at rest: the quantile at which noise floors start")
+    quiet_share: float = _threshold(0.1, "", "least fraction of a recording at rest: noise floors start there")
     edge: float = _threshold(4.0, "", "distance of a block, in standard deviations of a rest, at which the rest ends")
     rest: float = _threshold(2.0, "s", "shortest rest between its margins")
     fewest_blocks: int = _threshold(2, "", "fewest blocks of a rest", "a covariance needs two")
@@ -51,7 +51,7 @@ class Tuning:
     short_window: float = _threshold(0.5, "s", "averaging time in such a recording")
     short_margin: float = _threshold(0.1, "s", "smallest margin in such a recording")
     fewest_short: int = _threshold(9, "", "additional rests that make a recording one of short rests")
-    few_share: float = _threshold(0.02, "", "the same for a recording that is mostly motion, without a rest by the usual one")
+    few_share: float = _threshold(0.02, "", "the same for a recording that is mostly motion")
     moment: float = _threshold(0.2, "s", "shortest moment of rest that is reported if there is no rest", "two blocks")
     # the level of the gyros at rest
     level_blocks: int = _threshold(10, "", "fewest blocks of a stretch that shows the gyro level")
@@ -59,7 +59,7 @@ class Tuning:
         20.0, "°/s", "largest difference of the gyro level between attitudes, or at a jump",
         "the biases of the poorest sensors")
     vertical_moves: float = _threshold(
-        1.0 / 3.0, "", "largest motion of the vertical in a rest off the level, as a fraction of the angle of a turn at that rate")
+        1.0 / 3.0, "", "largest motion of the vertical in a rest off the level, relative to a turn at that rate")
     vertical_stays: float = _threshold(0.05, "°", "motion of the vertical that is always accepted")
     g_sensitivity: float = _threshold(
         1.0, "°/s/g", "usual dependence of the gyro level on attitude", "ten times that of a MEMS unit")
@@ -78,7 +78,8 @@ class Tuning:
         2.0, "", "largest uncertainty of a predicted level, in that of a single level")
     # bad samples in rests
     side: float = _threshold(1.0, "s", "time before and after a block with which it is compared")
-    longest_blemish: float = _threshold(0.3, "s", "longest run of blocks with bad samples", "most of both sides is sound")
+    longest_blemish: float = _threshold(
+        0.3, "s", "longest run of blocks with bad samples", "most of both sides is sound")
     block_beyond: float = _threshold(
         12.0, "", "distance of a block with a bad sample, in standard deviations of blocks",
         "Student's t of 18 degrees of freedom: in an hour of 6 channels a false one with 1e-4")
@@ -108,7 +109,7 @@ class Tuning:
     violent_angle: float = _threshold(0.1, "", "the same for the attitude, rad", "no hand does, nor a table")
     longest_run: int = _threshold(3, "", "longest run of equal bad samples", "a longer run may be a blow")
     # held samples, and samples out of range
-    held_share: float = _threshold(0.2, "", "fraction of a log, that at rest, in which channels are assumed to repeat by chance")
+    held_share: float = _threshold(0.2, "", "fraction of a log, at rest, in which channels may repeat by chance")
     fewest_clipped: int = _threshold(
         2, "", "samples at the end of a converter that exclude a turn", "a single one may just have reached it")
     # fmt: on

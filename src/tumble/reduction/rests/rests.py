@@ -144,7 +144,7 @@ def reduced_rests(
         ends = {f.file: getattr(f, kind).ends for f in reduction.files}
         every, of_rests = list(ends.values()), [ends[s.file][s.first : s.last] for s in spans]
         rounded[kind] = rounding(every[0] if len(every) == 1 else np.concatenate(every), of_rests, channels)
-        return np.asarray(by_noise + np.diag(floor**2 + rounded[kind].of_rest ** 2))
+        return np.asarray(by_noise + np.diag(floor**2 + rounded[kind].rest_u ** 2))
 
     def of_means(noise: ColouredNoise, kind: str) -> Array:
         return np.array([noise.covariance_of_mean(len(s), i) for i, s in enumerate(series[kind])])
