@@ -8,7 +8,7 @@ R_IMUtoACC = 1, which is the frame `accelerometer`: with M = L Q, L lower triang
 rotation, Ta = L of the accelerometers, and of the gyros seen in the frame Q of the accelerometers Tw = L, R_IMUtoGYRO =
 Q. Nothing of either matrix is lost. Kalibr calls them M and C_gyro_i.
 
-The noise densities are continuous-time, those that stand for the processes of `noise`: `densities`.
+The noise densities are continuous-time, those that stand for the processes of `noise`: `filter_densities`.
 
 Source: OpenVINS, documentation and VioManagerOptions; Kalibr, wiki "IMU noise model" and "Multi IMU and IMU intrinsic
 calibration"; Rehder et al., Extending Kalibr, ICRA 2016.
@@ -34,7 +34,7 @@ from tumble.export.templates import laid_out
 from tumble.files import FilePath
 from tumble.recording.session import Session
 from tumble.recording.session_file import session_from
-from tumble.reduction.noise.densities import Densities, densities
+from tumble.reduction.noise.wavelet_moments import FilterDensities, filter_densities
 from tumble.result.calibration import Calibration
 from tumble.result.correction import linear_example
 from tumble.result.parts import SensorsAtRest
@@ -47,8 +47,8 @@ from tumble.units import Array
 class NoiseDensities:
     """Noise of both kinds of sensors, the sample rate, Hz, None where it is not known, and where it was seen."""
 
-    accel: Densities
-    gyro: Densities
+    accel: FilterDensities
+    gyro: FilterDensities
     rate: float | None
     source: str
 
@@ -60,7 +60,7 @@ def noise_densities(session: Session) -> NoiseDensities:
     panels = noise_panels([record])
     if len(panels) != 2:
         raise InputError(f"{session.name}: expected accelerometers and gyros to take the noise from, found no gyros")
-    accel, gyro = (densities(panel, record.rate) for panel in panels)
+    accel, gyro = (filter_densities(panel, record.rate) for panel in panels)
     return NoiseDensities(accel=accel, gyro=gyro, rate=record.rate, source=record.source)
 
 
@@ -88,7 +88,7 @@ def noise_of_rests(calibration: Calibration) -> NoiseDensities:
             "with --noise"
         )
         walk = float(np.sqrt(walks.mean(axis=0).max()))
-        densities.append(Densities(white=float(white), walk=walk, bounds=(bound,)))
+        densities.append(FilterDensities(white=float(white), walk=walk, bounds=(bound,)))
     source = f"{len(calibration.evidence.rests)} rests of the calibration"
     return NoiseDensities(accel=densities[0], gyro=densities[1], rate=calibration.provenance.sample_rate, source=source)
 

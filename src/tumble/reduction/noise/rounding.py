@@ -186,10 +186,8 @@ def _step(values: Array, channel: ChannelState) -> float:
 
     For too few values it is the smallest step that occurred, if more than half of all samples repeat the one before."""
     distinct = np.unique(values)
-    differences = np.diff(distinct)
-    differences = np.sort(differences[differences > 1e-12 * max(np.abs(distinct).max(initial=0.0), 1e-300)])[
-        :MAX_DIFFERENCES
-    ]
+    differences, smallest = np.diff(distinct), 1e-12 * max(np.abs(distinct).max(initial=0.0), 1e-300)
+    differences = np.sort(differences[differences > smallest])[:MAX_DIFFERENCES]
     if len(differences) >= MIN_DIFFERENCES:
         candidates = [channel.step, *np.quantile(differences, [0.0, 0.05, 0.2, 0.5])]
         for candidate in sorted({float(c) for c in candidates if np.isfinite(c)}, reverse=True):
