@@ -309,9 +309,7 @@ def _identify(variance: Array, moments: _Moments, interval: float) -> NoiseParam
         if probability > MISFIT_PROBABILITY:
             break
     wider = np.sqrt(best.misfit / freedom) if probability < MISFIT_PROBABILITY else 1.0
-    units = interval ** np.array(
-        [1.0, 0.5, 0.0, -0.5, -1.0, *(0.0 for _ in best.times)]
-    )  # from sample intervals to s
+    units = interval ** np.array([1.0, 0.5, 0.0, -0.5, -1.0, *(0.0 for _ in best.times)])  # from sample intervals to s
     values = np.sqrt(best.squares) * units
     coefficients = {
         int(j): Coefficient(value=float(values[j]), u=float(0.5 * u * wider * values[j]))
