@@ -178,8 +178,10 @@ class Observations(Brief):
 
     def of_rest(self, i: int) -> Observations:
         """Return the observations of rest i alone."""
-        nothing = dict.fromkeys(("turns", "turn_samples", "turn_readings", "programme", "position"))
-        return replace(self, rests=rows_of(self.rests, slice(i, i + 1)), arrays=(), **nothing)
+        return replace(
+            self, rests=rows_of(self.rests, slice(i, i + 1)), turns=None, turn_samples=None, turn_readings=None,
+            programme=None, position=None, arrays=(),
+        )  # fmt: skip
 
     @property
     def _samples(self) -> TurnSamples:

@@ -269,8 +269,8 @@ def _longest_part(reduction: Reduction, rest: Stretch, file: int, start: float, 
     first, last = max(before, after, key=lambda part: part[1] - part[0])
     if last <= first or edges[last] - edges[first] < reduction.tuning.rest:
         return None
-    times = {"start": float(edges[first]), "stop": float(edges[last])}
-    return replace(rest, first=first, last=last, **times, reaches_end=rest.reaches_end and last == rest.last)
+    start, stop, reaches_end = float(edges[first]), float(edges[last]), rest.reaches_end and last == rest.last
+    return replace(rest, first=first, last=last, start=start, stop=stop, reaches_end=reaches_end)
 
 
 def without_numbered(
