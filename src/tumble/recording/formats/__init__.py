@@ -1,9 +1,9 @@
 """Recordings in other formats than CSV and Parquet: what they hold, and how it becomes a log.
 
 A recording is a list of `Message` kinds (a topic of a bag, a message of a flight log, a group of arrays), each with the
-sensors found in it and their units. `as_log` writes those of one kind, or accelerometers and gyros of two kinds, as one
-Parquet file, which a session can name. One reader per format, each behind the extra `formats`; a ROS 2 bag may also be
-a folder, and a log of ArduPilot a text. Other packages bring a `Reader` each (`tumble.plugins`).
+sensors found in it and their units. `write_log` writes one kind, or accelerometers and gyros of two kinds, as one Parquet
+file, which a session can name. One reader per format, each behind the extra `formats`; a ROS 2 bag may also be a folder,
+and a log of ArduPilot a text. Other packages bring a `Reader` each (`tumble.plugins`).
 """
 
 from __future__ import annotations
@@ -207,7 +207,7 @@ def _intact(path: Path) -> Iterator[None]:
         raise InputError(f"{path}: expected an intact recording, found it damaged or incomplete: {words}") from None
 
 
-def as_log(path: Path, accel: Message, gyro: Message | None = None, thermometers: Sequence[Message] = ()) -> None:
+def write_log(path: Path, accel: Message, gyro: Message | None = None, thermometers: Sequence[Message] = ()) -> None:
     """Write the rows of a message with accelerometers, and where its gyros are in another one those of both, into a
     Parquet file, whole or not at all.
 

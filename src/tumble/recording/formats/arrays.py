@@ -27,7 +27,7 @@ from scipy.io.matlab import MatlabOpaque, MatReadError
 
 from tumble.errors import InputError
 from tumble.recording.columns.names import ACCEL, Columns, columns_by_name
-from tumble.recording.columns.numbers import columns_by_data, grows, guesses
+from tumble.recording.columns.numbers import columns_by_data, grows, guess_remarks
 from tumble.recording.formats import TIME, Message
 from tumble.recording.rows.gaps import is_reading
 from tumble.recording.text.pieces import check_unpacked, largest_unpacked
@@ -126,7 +126,7 @@ def _with_columns_by_data(columns: Mapping[str, Column], named: Columns) -> tupl
     by_data = columns_by_data(list(together), np.column_stack([column.part(_WHOLE) for column in together.values()]))
     if ACCEL not in by_data.triads:
         return named, ""
-    remark = "; ".join(guesses(by_data, named.triads))
+    remark = "; ".join(guess_remarks(by_data, named.triads))
     return replace(named, triads={**by_data.triads, **named.triads}, time=named.time or by_data.time), remark
 
 
