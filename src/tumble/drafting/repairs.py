@@ -19,7 +19,7 @@ from tumble.files import OutputFolder
 from tumble.recording.columns.names import ACCEL, GYRO, MAGNETOMETER, time_unit
 from tumble.recording.formats import TIME
 from tumble.recording.readers import write_tables
-from tumble.recording.rows.gaps import JUMP
+from tumble.recording.rows.gaps import GAP_STEP
 from tumble.units import TIME_UNITS, Array
 
 _XSENS_TICK = 1e-4  # s, of SampleTimeFine
@@ -139,7 +139,7 @@ def _leave_out_other_rows(log: ForeignLog) -> list[Repair]:
         time = np.empty(0) if stamps is None else stamps.values[:samples]
         if len(time) == samples and whole[1:].any() and np.isfinite(time[~whole]).any():  # messages have no time
             steps, across = np.diff(time[whole]), np.diff(np.flatnonzero(whole)) > 1
-            are_others |= bool(across.any() and np.median(steps[across]) < JUMP * np.median(steps))
+            are_others |= bool(across.any() and np.median(steps[across]) < GAP_STEP * np.median(steps))
     if are_others:
         remark = f"rows: {blank} of {samples} have no readings of these sensors, as rows of others: left out"
         has_readings = pl.mean_horizontal(pl.col(sensors).is_finite()) >= _READ_SHARE
