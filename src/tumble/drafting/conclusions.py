@@ -14,8 +14,7 @@ from tumble.diagnosis.turn_likelihood import WIDTHS, Widths, columns_said
 from tumble.drafting.draft import Draft
 from tumble.drafting.hypotheses import Evidence, Hypothesis, gather_evidence, ranked_hypotheses
 from tumble.errors import InputError, TumbleError
-from tumble.recording.columns.names import ACCEL, GYRO
-from tumble.recording.columns.patterns import WITHOUT_GRAVITY
+from tumble.recording.columns.names import ACCEL, GYRO, WITHOUT_GRAVITY
 from tumble.recording.columns.scales import COUNTS_PER, COUNTS_PER_SI, SensorScale
 from tumble.run.observed import Progress, inspect_session
 from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS

@@ -240,8 +240,7 @@ class ForeignLog:
 
 
 def count_samples(table: Array) -> int:
-    """Return the number of rows (m, n) before the identical or empty ones with which a logger fills memory in advance;
-    m where there are none."""
+    """Return the number of rows (m, n) before the identical or empty ones with which a logger fills its memory."""
     if not len(table):
         return 0
     alike = ((table == table[-1]) | ~np.isfinite(table)).all(axis=1)

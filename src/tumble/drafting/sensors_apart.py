@@ -21,6 +21,7 @@ from tumble.recording.columns.names import (
     ACCEL,
     GYRO,
     SENSOR_WORDS,
+    WITHOUT_GRAVITY,
     Columns,
     Sensors,
     columns_by_name,
@@ -28,7 +29,6 @@ from tumble.recording.columns.names import (
     unit_of_name,
 )
 from tumble.recording.columns.numbers import time_by_data
-from tumble.recording.columns.patterns import WITHOUT_GRAVITY
 from tumble.recording.formats import TIME, Message, messages, write_log
 from tumble.recording.session import AutopilotSensor
 from tumble.units import TIME_UNITS
@@ -84,7 +84,7 @@ def log_of_recording(
 
 
 def _belong_together(accel: Message, gyro: Message) -> bool:
-    """Return whether gyros in another message have the same clock, and the same instance where there are numbers."""
+    """Return whether gyros in another message have the same clock, and the same number if both have one."""
     instances = accel.name.rpartition(".")[2], gyro.name.rpartition(".")[2]
     same = not all(map(str.isdecimal, instances)) or instances[0] == instances[1]
     return accel.timed and gyro.timed and same

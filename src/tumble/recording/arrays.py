@@ -159,8 +159,9 @@ def readings_of(kind: str, given: npt.ArrayLike) -> Array:
 
 
 def numbers_of(what: str, given: npt.ArrayLike, *, increments: bool = False) -> Array:
-    """An array of finite numbers in SI of an array or a frame; `what` is "accel" or "gyro" where they are readings.
-    Raises InputError for anything else, and for columns of a frame whose names say another unit."""
+    """Return an array of finite numbers in SI from an array or a frame; `what` is "accel" or "gyro" for readings.
+
+    Raises InputError for anything else, and for columns of a frame with another unit in their names."""
     numbers = _numbers(what, given)
     check_finite(what, numbers)
     for column in map(str, getattr(given, "columns", ()) if what in SI else ()):

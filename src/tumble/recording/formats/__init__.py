@@ -22,8 +22,7 @@ import polars as pl
 
 from tumble.errors import InputError, needs_extra
 from tumble.plugins import load_all
-from tumble.recording.columns.names import Sensors
-from tumble.recording.columns.patterns import ACCEL, GYRO, MAGNETOMETER
+from tumble.recording.columns.names import ACCEL, GYRO, MAGNETOMETER, Sensors
 from tumble.recording.readers import ENDINGS as READ_ENDINGS
 from tumble.recording.readers import write_tables
 from tumble.recording.session import AutopilotSensor

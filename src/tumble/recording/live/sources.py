@@ -246,7 +246,7 @@ class Replay(LineSource):
         if is_recorded(log):
             recorded = self._open.enter_context(file.open("rb"))
             self._header, lines = recorded.readline(), iter(recorded)
-        else:  # to the last digit; what could not be read is nan
+        else:  # to the last digit, with nan for unreadable numbers
             from tumble.recording.readers import source_of as reader_of
 
             rows = (row for table, _ in reader_of(file, log.dialect).tables(log.columns) for row in table.iter_rows())

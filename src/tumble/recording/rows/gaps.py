@@ -10,8 +10,8 @@ happens to a run depends on its length:
 * Runs before the first sound row and after the last one are left out.
 
 A row without a time of its own is left out (`timed`), and is a missing sample unless the next row follows in time. In a
-log without times each row is a sample, whatever it holds; if it may have been none, the gap is not integrable. All of
-this is reported as `Gap`.
+log without times each row counts as a sample; if it may have been none, the gap is not integrable. All of this is
+reported as `Gap`.
 
 The result does not depend on how the stream is divided into tables: rows that depend on the next table are pending.
 """

@@ -8,7 +8,7 @@ was set back, or rows are in the file twice: the time that passed is unknown, an
 Stamps can be unusable as the times of rows:
 
 * Rows that are stated to be regular are counted, and lie on the straight line through all stamps.
-* Stamps rounded to decimals or to 32 bits tell which time of the line each row has, lost rows included. For increments
+* Stamps rounded to decimals or to 32 bits identify the time of each row on the line, lost rows included. For increments
   this matters: a sum over 35 s, divided by a duration that is 0.5 ms off, is wrong by 14 ppm of gravity, unlike a mean
   of rates.
 * A driver that reads a buffer of samples at once spreads them evenly over the time since it read the last buffer. The
@@ -132,8 +132,8 @@ def rows_of(
 class _TimedRows:
     """State of a stream of rows from which rows without a time of their own are left out.
 
-    `count` rows were passed on, the last of them at the time `last`, s; `midnights` is added to times of day, s. Only
-    the next table tells whether the `pending` rows leap or fall back. `falls` has the number of rows, the first row,
+    `count` rows were passed on, the last of them at the time `last`, s; `midnights` is added to times of day, s. The
+    next table decides whether the `pending` rows leap or fall back. `falls` has the number of rows, the first row,
     the time before it and its own time, s, of each run of rows that fall back; `blank` has gaps for blank lines between
     counted rows. `left_out` rows were left out, of which `repeated` repeat a stamp; `first` is the first gap."""
 
@@ -155,7 +155,7 @@ class _TimedRows:
 
     def feed(self, rows: LogRows) -> LogRows:
         """Add the rows of the next table, and return those, with pending ones, that have a time of their own."""
-        counted = self.on_grid and not self.grid.rounded  # whatever their stamps are
+        counted = self.on_grid and not self.grid.rounded  # without regard to stamps
         untimed = (None, self.spec.time) if not counted else ()
         faults = [u for u in rows.unread.values() if u.kind in (Kind.NO_ROW, Kind.CUT) or u.column in untimed]
         if faults:

@@ -75,8 +75,8 @@ class Site:
     """Place of the recording: geodetic latitude, rad; height, m; gravity and its standard uncertainty, m/s².
 
     `field` is the modulus of the magnetic field in the unit of the magnetometer, None if unknown. `gravity_confirmed`:
-    gravity is meant, however far it is from normal gravity. `gravity_is_unit`: local gravity, whatever it is, is the
-    unit, and `gravity` stands for it. `assumed`: what gravity is assumed for."""
+    the stated gravity is intended although it is far from normal gravity. `gravity_is_unit`: local gravity is the unit,
+    and `gravity` is its nominal value. `assumed`: the quantity that was assumed to obtain gravity."""
 
     latitude: float | None
     height: float
@@ -163,9 +163,9 @@ class LogSpec:
     """Files of a log, or tables in memory, and their columns.
 
     Times are in the column `time`, in units of `time_factor` s, or at `rate`, Hz. `magnetometer` is in the unit of the
-    site's field. `clock`: the times are times of day or dates; `regular`: rows are equally spaced, whatever their
-    times; `doubt`: what is uncertain about the log, with its consequence; `dialect`: how text files are written, None
-    for CSV files with names in the first line; `clock_u`: relative standard uncertainty of the time base, None if not
+    site's field. `clock`: the times are times of day or dates; `regular`: rows are equally spaced, without regard to
+    their times; `doubt`: uncertainty about the log and its consequence; `dialect`: how text files are written, None for
+    CSV files with names in the first line; `clock_u`: relative standard uncertainty of the time base, None if not
     stated; `clock_rate`: seconds in a second of the log's clock, by the Earth's rate."""
 
     files: tuple[Path | LogSource, ...]

@@ -241,7 +241,7 @@ def _are_telling(names: Sequence[str]) -> bool:
 
 def _are_units(names: Sequence[str]) -> bool:
     """Return whether all cells of a line are units."""
-    from tumble.recording.columns.patterns import is_unit
+    from tumble.recording.columns.names import is_unit
 
     return all(not name or is_unit(_bare(name)) for name in names)
 
