@@ -219,12 +219,12 @@ def drafted_log(
 
 def _draft_of_raw_numbers(log: ForeignLog, rate: float | None) -> Draft:
     """Return a draft from names and first numbers, with sensors as raw numbers."""
-    known, times = log.columns, log.times(rate)
+    columns, times = log.columns, log.times(rate)
     remarks = list(log.remarks)
-    if rate is not None and known.time is not None:
-        remarks.append(f"time: column {known.time!r} is not used, since the rate was given")
-    remarks += [f"also there, and not used: {', '.join(known.others)}"] if known.others else []
-    triads = {kind: known.triads[kind] for kind in (ACCEL, GYRO) if kind in known.triads}
+    if rate is not None and columns.time is not None:
+        remarks.append(f"time: column {columns.time!r} is not used, since the rate was given")
+    remarks += [f"also there, and not used: {', '.join(columns.others)}"] if columns.others else []
+    triads = {kind: columns.triads[kind] for kind in (ACCEL, GYRO) if kind in columns.triads}
     head = {kind: log.read(sensors.columns, rows=HEAD_ROWS) for kind, sensors in triads.items()}
     first = next(iter(triads))
     magnitude = log.magnitude(triads[first].columns)
@@ -239,11 +239,11 @@ def _draft_of_raw_numbers(log: ForeignLog, rate: float | None) -> Draft:
         table[kind] = {"columns": list(sensors.columns), "unit": "count", "scale": 1.0, "offset": 0.0}
     if GYRO not in triads:
         remarks.append("no gyros were found (--gyro states their columns): the accelerometers alone will be calibrated")
-    if known.temperatures:
-        thermometers, remark = _temperature_table(log, known.temperatures)
+    if columns.temperatures:
+        thermometers, remark = _temperature_table(log, columns.temperatures)
         table |= {} if thermometers is None else {"temperature": thermometers}
         remarks.append(remark)
-    magnetometer, magnetometer_remarks = _magnetometer_table(log, known.triads.get(MAGNETOMETER))
+    magnetometer, magnetometer_remarks = _magnetometer_table(log, columns.triads.get(MAGNETOMETER))
     rates = head[GYRO][np.isfinite(head[GYRO]).all(axis=1)] if GYRO in triads else np.empty((0, 3))
     whole = {kind: bool((r == np.floor(r))[np.isfinite(r)].all()) for kind, r in head.items()}
     # means of accelerometers over two seconds keep gravity

@@ -95,8 +95,8 @@ def _nearest_thermometers(accel: Message, gyro: Message | None, separate: Sequen
     topic = accel.name.split("/")
     nearest = sorted(separate, key=lambda m: -len(list(takewhile(bool, map(eq, m.name.split("/"), topic)))))
     first = {m.temperatures: m for m in reversed(nearest)}
-    both = [first[name] for kind in (ACCEL, GYRO) if (name := (f"{kind}_temperature",)) in first]
-    return both if gyro is not None and len(both) == 2 else nearest[:1]
+    pair = [first[name] for kind in (ACCEL, GYRO) if (name := (f"{kind}_temperature",)) in first]
+    return pair if gyro is not None and len(pair) == 2 else nearest[:1]
 
 
 # -------------------- files of one kind of sensor each --------------------

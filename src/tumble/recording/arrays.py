@@ -88,9 +88,9 @@ def session_of_arrays(**arrays: Unpack[SensorArrays]) -> Session:
     >>> session_of_arrays(accel=still, rate=100.0, serial="A-0007").log.columns
     ('accel_x', 'accel_y', 'accel_z')
     """
-    known = list(SensorArrays.__annotations__)
-    if unknown := [name for name in arrays if name not in known]:
-        raise TypeError(f"unexpected argument {unknown[0]!r}; expected one of {', '.join(known)}")
+    arguments = list(SensorArrays.__annotations__)
+    if unexpected := [name for name in arrays if name not in arguments]:
+        raise TypeError(f"unexpected argument {unexpected[0]!r}; expected one of {', '.join(arguments)}")
     given: dict[str, Any] = {name: value for name, value in arrays.items() if value is not None}
     if ("time" in given) == ("rate" in given):
         raise InputError(
@@ -120,9 +120,9 @@ def session_of_arrays(**arrays: Unpack[SensorArrays]) -> Session:
     if "time" in given:
         data["time"] = _series("time", given["time"])
     if "temperature" in given:
-        of_sensors = _temperatures(given["temperature"], sensors)
-        log["temperature"] = {"columns": [column for column, _ in of_sensors], "unit": "degC"}
-        data |= dict(of_sensors)
+        temperatures = _temperatures(given["temperature"], sensors)
+        log["temperature"] = {"columns": [column for column, _ in temperatures], "unit": "degC"}
+        data |= dict(temperatures)
     first, *others = data
     for name in others:
         if len(data[name]) != len(data[first]):
@@ -147,7 +147,7 @@ def session_of_arrays(**arrays: Unpack[SensorArrays]) -> Session:
 
 
 def readings_of(kind: str, given: npt.ArrayLike) -> Array:
-    """Readings (N, n) in SI of an array or a frame. Raises InputError for another shape, and as `numbers_of`."""
+    """Return readings (N, n) in SI from an array or a frame. Raises InputError for other shapes and as `numbers_of`."""
     readings = numbers_of(kind, given)
     if readings.ndim != 2 or not len(readings) or readings.shape[1] < 3 or readings.shape[1] > max(len(readings), 3):
         turned = "; transpose it" if readings.ndim == 2 and 3 <= readings.shape[0] < readings.shape[1] else ""
@@ -169,8 +169,8 @@ def numbers_of(what: str, given: npt.ArrayLike, *, increments: bool = False) -> 
 
         si, unit = SI[what][increments], unit_of_name(what, column)
         if unit not in (None, si):
-            known = _UNITS[what][unit]
-            advice = f"multiply it by {known.factor:.9g}" if known.kind == "rate" else "convert it"
+            found = _UNITS[what][unit]
+            advice = f"multiply it by {found.factor:.9g}" if found.kind == "rate" else "convert it"
             raise InputError(f"{what}: expected {si}, found a column {column!r} in {unit}; {advice}")
     return numbers
 

@@ -54,7 +54,7 @@ class Chunk:
     def part(self, rows: slice) -> Chunk:
         """Return a part of the samples."""
         names = "time", "dt", "accel", "gyro", "temperature", "magnetometer"
-        arrays: dict[str, Any] = {name: each[rows] for name in names if (each := getattr(self, name)) is not None}
+        arrays: dict[str, Any] = {name: array[rows] for name in names if (array := getattr(self, name)) is not None}
         return replace(self, **arrays)
 
 

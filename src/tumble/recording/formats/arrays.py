@@ -176,20 +176,20 @@ def _arrays(path: Path) -> dict[str, Any]:
 
 def _bytes_of_matlab(path: Path) -> int:
     """Return the unpacked size of the elements of a MATLAB file of version 5, counted up to the limit, bytes."""
-    found, limit = 0, largest_unpacked(path)
+    unpacked, limit = 0, largest_unpacked(path)
     with path.open("rb") as stream:
         order = {b"IM": "<", b"MI": ">"}.get(stream.read(_MATLAB_HEADER)[-2:])
-        while order is not None and len(tag := stream.read(8)) == 8 and found <= limit:
+        while order is not None and len(tag := stream.read(8)) == 8 and unpacked <= limit:
             kind, size = struct.unpack(order + "II", tag)
             if kind != _MATLAB_PACKED:
                 stream.seek(size, 1)
                 continue
             unpack, packed = zlib.decompressobj(), stream.read(size)
             with suppress(zlib.error):  # reported by the reader
-                while packed and found <= limit:
-                    found += len(unpack.decompress(packed, _PIECE_BYTES))
+                while packed and unpacked <= limit:
+                    unpacked += len(unpack.decompress(packed, _PIECE_BYTES))
                     packed = unpack.unconsumed_tail
-    return found
+    return unpacked
 
 
 def _nested(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

@@ -59,23 +59,23 @@ def _opened(path: Path) -> AnyReader:
 
 def _bytes_of_chunks(path: Path) -> int:
     """Return the stated unpacked size of the chunks of an MCAP file or a ROS 1 bag, bytes; 0 for another file."""
-    found = 0
+    unpacked = 0
     with path.open("rb") as stream:
         if stream.read(len(_MCAP)) == _MCAP:
             while len(record := stream.read(9)) == 9:
                 kind, size = struct.unpack("<BQ", record)
                 begin = stream.tell()
-                found += int.from_bytes(stream.read(24)[16:], "little") if kind == _MCAP_CHUNK else 0
+                unpacked += int.from_bytes(stream.read(24)[16:], "little") if kind == _MCAP_CHUNK else 0
                 stream.seek(begin + size)
-            return found
+            return unpacked
         stream.seek(0)
         if stream.read(len(_BAG)) == _BAG:
             while size := stream.read(4):
                 header = stream.read(int.from_bytes(size, "little"))
                 stated = header.find(b"size=") + 5 if b"op=\x05" in header else len(header)
-                found += int.from_bytes(header[stated : stated + 4], "little")
+                unpacked += int.from_bytes(header[stated : stated + 4], "little")
                 stream.seek(int.from_bytes(stream.read(4), "little"), 1)
-    return found
+    return unpacked
 
 
 def _message(path: Path, origin: int, topic: str, kind: str, count: int) -> Message:

@@ -62,11 +62,11 @@ def messages(path: Path) -> list[Message]:
     kept = sorted(log.data_list, key=lambda d: (d.name, d.multi_id))
     kept = [data for data in kept if data.name != "sensor_baro" or _has_temperature(data.data)]
     origin = min((int(_taken(data.data)[0]) for data in kept), default=0)
-    found = [_message(data, origin, log.initial_parameters) for data in kept]
-    combined = max((m.count for m in found if m.name.startswith(_COMBINED)), default=0)
-    slow = [m for m in found if (m.accel or m.gyro) and m.count < combined // 2]
-    raw = [m for m in found if m not in slow and not m.name.startswith(_COMBINED)]
-    return raw if any(m.accel for m in raw) else [m for m in found if m not in slow]
+    candidates = [_message(data, origin, log.initial_parameters) for data in kept]
+    combined = max((m.count for m in candidates if m.name.startswith(_COMBINED)), default=0)
+    slow = [m for m in candidates if (m.accel or m.gyro) and m.count < combined // 2]
+    raw = [m for m in candidates if m not in slow and not m.name.startswith(_COMBINED)]
+    return raw if any(m.accel for m in raw) else [m for m in candidates if m not in slow]
 
 
 def _message(data: Any, origin: int, parameters: Mapping[str, Any]) -> Message:

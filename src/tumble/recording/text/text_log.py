@@ -258,8 +258,8 @@ def date_of(text: str) -> str | None:
     seconds = seconds_of(pl.Series([text], dtype=pl.String), day)[0] if day else None
     if not day or seconds is None:
         return None
-    found = re.search(_TIME, text)
-    zone = UTC if found and found[6] else None
+    match = re.search(_TIME, text)
+    zone = UTC if match and match[6] else None
     start = datetime(1970, 1, 1, tzinfo=zone) + timedelta(days=day)
     return (start + timedelta(seconds=float(seconds))).isoformat(timespec="seconds")
 
@@ -275,9 +275,9 @@ def seconds_of(text: pl.Series, day: int) -> pl.Series:
     zone = parts[6].str.replace(":", "").str.extract(r"([+-]\d{4})", 1).cast(pl.Int64, strict=False).fill_null(0)
     east = zone.sign() * (zone.abs() // 100 * 60 + zone.abs() % 100) * 60
     days = (_days(text).fill_null(day) - day) * _DAY
-    of_day = hour * 3600 + minute * 60 + second.cast(pl.Float64, strict=False)
-    of_week = text.str.extract(_WEEK, 2).cast(pl.Float64, strict=False)
-    return (days - east) + of_week.zip_with(of_week.is_not_null(), of_day)
+    seconds_of_day = hour * 3600 + minute * 60 + second.cast(pl.Float64, strict=False)
+    seconds_of_week = text.str.extract(_WEEK, 2).cast(pl.Float64, strict=False)
+    return (days - east) + seconds_of_week.zip_with(seconds_of_week.is_not_null(), seconds_of_day)
 
 
 def _normalised(text: pl.Series) -> pl.Series:
@@ -294,8 +294,8 @@ def _normalised(text: pl.Series) -> pl.Series:
 
 def _days(text: pl.Series) -> pl.Series:
     """Return days since 1970-01-01 of dates from `_normalised`, null without a date."""
-    found = [text.str.extract(_DATE, k) for k in range(1, 7)]
-    year, month, day = (found[i].zip_with(found[i].is_not_null(), found[j]) for i, j in ((0, 5), (1, 4), (2, 3)))
+    parts = [text.str.extract(_DATE, k) for k in range(1, 7)]
+    year, month, day = (parts[i].zip_with(parts[i].is_not_null(), parts[j]) for i, j in ((0, 5), (1, 4), (2, 3)))
     written = year + "-" + month.str.zfill(2) + "-" + day.str.zfill(2)
     days = written.str.to_date("%Y-%m-%d", strict=False).cast(pl.Int32).cast(pl.Int64)
     week = _GPS_START + 7 * text.str.extract(_WEEK, 1).cast(pl.Int64, strict=False)
