@@ -30,7 +30,7 @@ from tumble.recording.log import open_log
 from tumble.recording.session import Session
 from tumble.recording.session_file import session_of, write_session
 from tumble.reduction.observations import Observations
-from tumble.reduction.together import joined
+from tumble.reduction.together import join_sessions
 from tumble.result.calibration import Calibration, read_calibration
 from tumble.run.together import calibrate_together
 from tumble.sensors.instrument import Instrument
@@ -85,7 +85,7 @@ def together(scenario: Scenario, climates: list[Climate], seed: int = 2) -> Obse
                 truth[name] += scenario.setup.further[f"{kind}.bias.launch"] * rng.standard_normal()
         observed.append(simulate_observations(replace(scenario, truth=truth, climate=climate), rng))
     names = [f"session-{i + 1}" for i in range(len(climates))]
-    return joined(observed, names, [np.arange(len(each.rests)) for each in observed])
+    return join_sessions(observed, names, [np.arange(len(each.rests)) for each in observed])
 
 
 def problem_of(observations: Observations) -> Problem:

@@ -50,7 +50,7 @@ from tumble.reduction.observations import Observations
 from tumble.reduction.turns.turns import Turns
 from tumble.rotation import onto_body, rotation_matrix, skew, tangent_basis, unit_vector
 from tumble.run.observed import inspect_session
-from tumble.sensors.model import Block, SensorModel, beyond_body, beyond_turning
+from tumble.sensors.model import Block, SensorModel, left_null_space, tilt_null_space
 from tumble.sensors.parameters import limits_of, units_of
 from tumble.units import Array, BoolArray
 
@@ -206,7 +206,7 @@ def sphere_rows(
         whiten = (normal / np.sqrt(np.einsum("ip,ipq,iq->i", normal, covariance, normal))[:, None])[:, None]
     else:
         lower = np.linalg.cholesky(covariance)
-        free = beyond_turning(np.linalg.solve(lower, model.matrix), direction)
+        free = tilt_null_space(np.linalg.solve(lower, model.matrix), direction)
         whiten = np.swapaxes(np.linalg.solve(np.swapaxes(lower, 1, 2), free), 1, 2)
     homogeneous = np.concatenate([modulus * direction, np.ones((len(direction), 1))], axis=1)
     return SphereRows(
@@ -449,7 +449,7 @@ def gyro_rows(
         assert readings is not None
         seconds = np.concatenate([np.ones(N), T])
         y = np.concatenate([rests.gyro, readings.integral]) - np.outer(seconds, model.bias)
-        free = beyond_body(model.matrix)
+        free = left_null_space(model.matrix)
         of_body = np.column_stack([y @ model.inverse().T, seconds])
         rows = of_turns + 2 * K + np.arange(spare * (N + K)).reshape(N + K, spare)
         residual[rows], own = y @ free.T, (rows[:, :, None], rows[:, None, :])

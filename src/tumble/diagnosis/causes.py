@@ -407,7 +407,7 @@ def quantisation(session: LinearisedSession, s: int) -> Iterator[Cause]:
         if rounding is None or not rounding.common_u.any():
             continue
         covariance = getattr(session.observations.rests, f"{kind}_covariance")[rests]
-        variance = np.median(np.diagonal(covariance, axis1=1, axis2=2), axis=0) - rounding.of_rest**2
+        variance = np.median(np.diagonal(covariance, axis1=1, axis2=2), axis=0) - rounding.rest_u**2
         coarse = rounding.common_u > COARSE_ROUNDING * np.sqrt(np.maximum(variance, 0.0))
         if coarse.any():
             worst = int(np.argmax(np.where(coarse, rounding.common_u, 0.0)))

@@ -42,7 +42,7 @@ from tumble.inference.uncertainty_budget import contributions
 from tumble.reduction.observations import Observations
 from tumble.rotation import unit_vector
 from tumble.sensors.instrument import functions
-from tumble.sensors.model import beyond_body, beyond_turning
+from tumble.sensors.model import left_null_space, tilt_null_space
 from tumble.sensors.parameters import FORCE, ParameterGroup, group_of
 from tumble.units import Array
 
@@ -118,7 +118,7 @@ def omitted_by_rests(
     changes = np.einsum("ipb,pbm->ipm", beta, D)
     changing, base = problem.changed
     changes[:, :, changing] = changes[:, :, base] * problem.goes[0][:, None]
-    across = beyond_turning(instrument.coefficients(block, values)[:, FORCE], force / g)
+    across = tilt_null_space(instrument.coefficients(block, values)[:, FORCE], force / g)
     rows = np.einsum("ipr,ipm->irm", across, changes).reshape(-1, len(values))
     if sigma is not None:
         rows = rows / np.repeat(sigma, block.size - 2)[:, None]
@@ -140,7 +140,7 @@ def group_columns(observations: Observations) -> tuple[Problem, Array]:
         last += block.size
     columns.append(rows.turn[:, :3, 7 + first : -1])
     if observations.turn_readings is not None:
-        free = beyond_body(problem.instrument.blocks[1].axes)
+        free = left_null_space(problem.instrument.blocks[1].axes)
         columns.append(free.T @ rows.turn[:, -len(free) :, 7 + first : -1])
     k = len(problem.instrument.names) - first
     return problem, np.concatenate([*(each.reshape(-1, k) for each in columns), np.zeros((1, k))])

@@ -9,7 +9,7 @@ import numpy as np
 from tumble.inference.linearisation import Linearisation
 from tumble.inference.problem import SessionSpan
 from tumble.reduction.observations import Observations
-from tumble.reduction.together import apart
+from tumble.reduction.together import extract_session
 from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.sensors.model import Block, SensorKind
 from tumble.units import Array
@@ -43,7 +43,7 @@ class LinearisedSession:
         """The observations of each session."""
         if self.observations.together is None:
             return [self.observations]
-        return [apart(self.observations, part.rests, part.turns) for part in self.problem.parts]
+        return [extract_session(self.observations, part.rests, part.turns) for part in self.problem.parts]
 
     @cached_property
     def _path_rotations(self) -> Array:

@@ -14,7 +14,7 @@ import numpy as np
 
 from tumble.inference.estimate import SEEN
 from tumble.reduction.rests.rests import sphere_through
-from tumble.sensors.model import Block, beyond_turning
+from tumble.sensors.model import Block, tilt_null_space
 from tumble.sensors.parameters import within_kind
 from tumble.units import Array
 
@@ -86,7 +86,7 @@ def rest_rows(block: Block, directions: Array, modulus: float = 1.0) -> Array:
     Eq. (13) of the turntable paper."""
     homogeneous = np.concatenate([modulus * directions, np.ones((len(directions), 1))], axis=1)
     jacobian = block.jacobian(np.zeros(len(block.names)))
-    return np.asarray(np.einsum("ipr,pqm,iq->irm", beyond_turning(block.axes, directions), jacobian, homogeneous))
+    return np.asarray(np.einsum("ipr,pqm,iq->irm", tilt_null_space(block.axes, directions), jacobian, homogeneous))
 
 
 def _common_plane(directions: Array) -> str:

@@ -17,7 +17,7 @@ from tumble.inference.variables import RAMP, at_two_temperatures, both_ways, ove
 from tumble.recording.rows.gaps import Gap
 from tumble.recording.session import Session
 from tumble.reduction.observations import Observations
-from tumble.reduction.rests.matching import left_out
+from tumble.reduction.rests.matching import exclusion_notes
 from tumble.reduction.rests.warming import OVER_TEMPERATURE
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import MANY_DEGREES, with_degrees
@@ -110,7 +110,8 @@ def result_of(
             programme=None if observations.programme is None else observations.programme.name,
             readings=readings_of_session(session),
             notes=(
-                *(*bridged, *left_out(session.excluded), *observations.notes, *doubtful_gravity(observations.site)),
+                *(*bridged, *exclusion_notes(session.excluded)),
+                *(*observations.notes, *doubtful_gravity(observations.site)),
                 *_of_the_fit(estimate, observations),
                 *limited,
                 *_of_the_case(case),

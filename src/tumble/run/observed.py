@@ -41,9 +41,9 @@ from tumble.reduction.rests.blemishes import without_blemishes
 from tumble.reduction.rests.matching import match_rests, without_jump, without_numbered, without_times
 from tumble.reduction.rests.rests import thermometers_of
 from tumble.reduction.rests.segmentation import Segmentation, Stretch, find_rests
-from tumble.reduction.together import held, in_parts
+from tumble.reduction.together import hold_attitude, split_warming_rests
 from tumble.reduction.turns.links import links_of
-from tumble.reduction.turns.turns import torn_turns, without_unknown_turns
+from tumble.reduction.turns.turns import torn_turns, without_ambiguous_turns
 from tumble.rotation import onto_body
 from tumble.units import DEGREE, IntArray
 
@@ -169,7 +169,7 @@ def inspected(session: Session, progress: Progress, beside: Executor, tuning: Tu
         segmentation = without_times(reduction, segmentation, session.excluded)
         segmentation = replace(segmentation, stated_rate=session.log.rate)
         if session.gyro_block is not None and session.log.gyro is not None:
-            reduction = without_unknown_turns(reduction, segmentation.rests, session.gyro_block, session.log.gyro)
+            reduction = without_ambiguous_turns(reduction, segmentation.rests, session.gyro_block, session.log.gyro)
         observations = _observed(session, reduction, segmentation.rests)
         trial = observations
         if trial is None and not faults:
@@ -271,8 +271,8 @@ def observations_in_parts(observed: Observed, least: int = 1) -> tuple[Observati
     if isinstance(matched, Outcome):
         return matched
     reduction, match_of_rests, torn = matched
-    match, numbers = in_parts(reduction, match_of_rests, least)
-    return held(_observed_again(observed, reduction, match, torn)), numbers
+    match, numbers = split_warming_rests(reduction, match_of_rests, least)
+    return hold_attitude(_observed_again(observed, reduction, match, torn)), numbers
 
 
 def _observed_again(
@@ -286,7 +286,7 @@ def _observed_again(
         again = observe(reduction, match.rests, session.accel_block, session.gyro_block, session.site, arrays)
     notes = (*observed.notes, *again.notes, *torn)
     again = replace(again, programme=match.programme, position=match.position, notes=notes, turns_left_out=torn)
-    return with_mended_samples(again).with_blows()
+    return with_mended_samples(again).with_blow_variances()
 
 
 def _matched(observed: Observed) -> tuple[Reduction, Segmentation, tuple[str, ...]] | Outcome:
