@@ -181,14 +181,8 @@ def rms_components(estimate: Estimate) -> VarianceComponents:
 
 
 def shift_by_likelihood(rows: Linearisation) -> Array:
-    """Return the shift (m, k) of the linear parameters by one of each parameter of the groups, for a fit by likelihood:
-    −C_AB C_BB⁻¹ of the covariance C with the groups.
-
-    Parameters
-    ----------
-    rows
-        The likelihood of the instrument with all groups, with the noise of a fit of the linear model.
-    """
+    """Return the shift (m, k) of the linear parameters by one of each parameter of the groups, −C_AB C_BB⁻¹ of the
+    covariance C by the likelihood of the instrument with all groups, with the noise of a fit of the linear model."""
     covariance = np.sum(list(contributions(solve(rows)).values()), axis=0)[1:, 1:]
     A, B = np.split(covariance[:, rows.problem.instrument.linear_count :], [rows.problem.instrument.linear_count])
     return np.asarray(-np.linalg.solve(B, A.T).T)

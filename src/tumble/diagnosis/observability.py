@@ -121,17 +121,8 @@ def in_words(null: Array, names: Sequence[str]) -> list[str]:
 
 
 def most_informative(null: Array, candidates: Mapping[str, Array]) -> tuple[list[str], int]:
-    """Choose candidates with rows (r, m) that together determine the combinations `null` (q, m).
-
-    Each time the candidate that sees most of the remaining combinations is chosen.
-
-    Returns
-    -------
-    chosen : list of str
-        Names of the candidates.
-    undetermined : int
-        Number of combinations that no candidate sees.
-    """
+    """Return the names of candidates with rows (r, m) that together determine the combinations `null` (q, m), and the
+    number of combinations that none determines; each time the one that sees most of the remaining is chosen."""
     chosen: list[str] = []
     left = null[np.linalg.norm(null, axis=1) > SEEN]
     while len(left):

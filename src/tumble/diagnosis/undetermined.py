@@ -118,27 +118,13 @@ def parameter_list(names: Sequence[str]) -> str:
 
 
 def _poorly_determined(estimate: Estimate, observations: Observations, without: set[str]) -> tuple[Array, Array, bool]:
-    """Return combinations of parameters of the linear model that the data determine poorly.
+    """Return poorly determined combinations (q, m) of linear parameters in units of spreads, the worst first, their u
+    (q,) in these units, and whether one is too uncertain for use; kinds of sensors `without` are left out.
 
     Spreads are the limits of parameters, times √(n/3) for n sensors of a kind, so that a combination of unit length in
     which all n err alike counts as one of a triad in which all three do. A combination is refused also where the square
     of the uncertainty of scale factors and angles is not small against what the data resolve, as effects of second
-    order are then not in u.
-
-    Parameters
-    ----------
-    without
-        Kinds of sensors that are left out.
-
-    Returns
-    -------
-    combinations : (q, m) array
-        In units of the spreads, the worst first.
-    u : (q,) array
-        Their standard uncertainties, in the same units.
-    refused : bool
-        Whether one is too uncertain for use.
-    """
+    order are then not in u."""
     linear = linear_names(estimate.names)
     kept = [i for i, name in enumerate(linear) if sensor_kind(name) not in without]
     blocks = (observations.accel_block, observations.gyro_block)

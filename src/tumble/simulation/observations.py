@@ -173,9 +173,8 @@ def _turns(
     spread = np.trace(to_force @ to_force.T) / 3.0
     step = np.linalg.norm(vector, axis=1) / SAMPLES
     floor = VELOCITY_FLOOR + VELOCITY_STEP * scenario.setup.gravity * T * step**3
-    covariance = gyro.white**2 * T[:, None, None] * _mean_rotated(vector, to_body @ to_body.T) + TURN_FLOOR**2 * np.eye(
-        3
-    )
+    covariance = gyro.white**2 * T[:, None, None] * _mean_rotated(vector, to_body @ to_body.T)
+    covariance = covariance + TURN_FLOOR**2 * np.eye(3)
     turns = white_turns(first, T, covariance, accel.white**2 * T * spread + floor**2)
     variance = gyro.white**2 * T + TURN_FLOOR**2
     integrals = TurnReadings(
@@ -185,7 +184,7 @@ def _turns(
 
 
 def _sampled(sensors: SimulatedBlock, force: Array, rate: Array, when: Array) -> Array:
-    """Return readings (K, S, n) at times (K, S), s, for forces (K, S, 3) or (K, S, n, 3) and rates (K, S, 3) of the body."""
+    """Return readings (K, S, n) at times (K, S), s, for forces (K, S, 3) or (K, S, n, 3) and rates (K, S, 3)."""
     (K, S), flat = when.shape, force.reshape(when.size, *force.shape[2:])
     return sensors.read(flat, rate.reshape(K * S, 3), when.ravel()).reshape(K, S, len(sensors.coefficients))
 
@@ -193,9 +192,9 @@ def _sampled(sensors: SimulatedBlock, force: Array, rate: Array, when: Array) ->
 def _with_levers(scenario: Scenario, course: Itinerary, force: Array, vector: Array, T: Array) -> Array:
     """Return forces at the accelerometers (K, S, n, 3) from those of the body (K, S, 3), or (K, S, n, 3) with delays.
 
-    At a constant rate ω, an arm r adds [ω×]²r. At both ends, where the turn starts and stops at once, the velocity jumps
-    by ±(ω − ω_rest) × r; it is part of the first and last sample, rotated by half a sample to their middle, and by the
-    delays. Without lever arms the forces are unchanged."""
+    At a constant rate ω, an arm r adds [ω×]²r. At both ends, where the turn starts and stops at once, the velocity
+    jumps by ±(ω − ω_rest) × r; it is part of the first and last sample, rotated by half a sample to their middle, and
+    by the delays. Without lever arms the forces are unchanged."""
     instrument = scenario.instrument
     if instrument.turn_only("lever") is None:
         return force

@@ -33,7 +33,7 @@ _MAX_CYCLES_PER_SAMPLE = 10.0
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Profile:
-    """Angle of a move over time: a rate, rad/s, with raised-cosine ramps, s; short moves keep the ramps and are slower."""
+    """Angle of a move: a rate, rad/s, with raised-cosine ramps, s, which short moves keep at a lower rate."""
 
     rate: float
     ramp: float
