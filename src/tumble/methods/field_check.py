@@ -119,7 +119,7 @@ class ParameterTest:
     unit: str
     change: float
     u: float
-    detectable: float  # change that is found with the probability POWER
+    detectable: float  #: change that is found with the probability POWER
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -37,9 +37,9 @@ _AXES = "NUE"
 class TurnTable:
     """A turntable."""
 
-    axes: str = _AXES  # some of N, U, E
-    step: float = 45.0 * DEGREE  # rad, a part of 90°
-    by_hand: bool = True  # otherwise the device stays mounted, and every move is one turn about one of the axes
+    axes: str = _AXES  #: some of N, U, E
+    step: float = 45.0 * DEGREE  #: rad, a part of 90°
+    by_hand: bool = True  #: otherwise the device stays mounted, and every move is one turn about one of the axes
 
     @staticmethod
     def of(axes: str | None, step_deg: float, programme: Programme | None = None) -> TurnTable:
@@ -95,10 +95,10 @@ class NextPosition:
     """A position to add to a programme."""
 
     position: Position
-    move: Move  # that leads there
-    as_good: int  # number of other positions that are as good
-    ratio: float  # of the criterion to that of the programme without it
-    u: Mapping[str, float] = field(default_factory=dict, hash=False)  # in a plan, the expected u by group, SI
+    move: Move  #: that leads there
+    as_good: int  #: number of other positions that are as good
+    ratio: float  #: of the criterion to that of the programme without it
+    u: Mapping[str, float] = field(default_factory=dict, hash=False)  #: in a plan, the expected u by group, SI
 
     def added(self, setup: Setup) -> Setup:
         """Return a set-up whose programme ends with this position."""

@@ -51,12 +51,12 @@ class PlannedGroup:
 
     group: str
     unit: str
-    iteration: int  # number of passes of the paper's methods
-    estimator: str  # how the group is determined, with the equation of the paper
-    u: float  # root mean square over the parameters, infinite if one is undetermined
-    spread: float  # standard deviation over instruments before calibration
-    parameters: Mapping[str, float]  # u by parameter
-    sources: Mapping[str, float]  # u by source, the largest first; their squares add up to u²
+    iteration: int  #: number of passes of the paper's methods
+    estimator: str  #: how the group is determined, with the equation of the paper
+    u: float  #: root mean square over the parameters, infinite if one is undetermined
+    spread: float  #: standard deviation over instruments before calibration
+    parameters: Mapping[str, float]  #: u by parameter
+    sources: Mapping[str, float]  #: u by source, the largest first; their squares add up to u²
 
     @property
     def largest(self) -> str:
@@ -70,13 +70,13 @@ class Requirement:
 
     group: str
     unit: str
-    wanted: float  # rms of u
-    u: float  # rms of u with the set-up as it is
-    table_error: float | None = None  # largest tolerance, rad, in the ratio of the set-up; None if it does not matter
-    mounting_error: float | None = None  # within `largest_errors`
-    rest: float = math.inf  # shortest rest, s, with the programme as it is; infinite if an hour is too short
-    positions: int | None = None  # their number with the rests as they are; None if MOST_ADDED more are too few
-    reason: str = ""  # why no set-up gives this accuracy
+    wanted: float  #: rms of u
+    u: float  #: rms of u with the set-up as it is
+    table_error: float | None = None  #: largest one, rad; None if none within `largest_errors` matters
+    mounting_error: float | None = None  #: the same for the mounting, in the ratio of the set-up
+    rest: float = math.inf  #: shortest rest, s, with the programme as it is; infinite if an hour is too short
+    positions: int | None = None  #: their number with the rests as they are; None if MOST_ADDED more are too few
+    reason: str = ""  #: why no set-up gives this accuracy
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, repr=False)
@@ -89,14 +89,14 @@ class Plan(Brief):
     )
     setup: Setup
     method: PlannedMethod
-    groups: tuple[PlannedGroup, ...]  # u by group; of the paper's methods after each pass
-    rank: int | None = None  # of joint, number of determined combinations of the linear parameters
-    condition: float | None = None  # of joint, condition number of the whitened Jacobian
-    following: tuple[NextPosition, ...] = ()  # the best next positions
-    requirements: tuple[Requirement, ...] = ()  # of each wanted accuracy
-    motion: Motion | None = None  # recorded instead of the programme
-    reasons: tuple[str, ...] = ()  # parameters that the programme does not determine, and impossible accuracies
-    remarks: tuple[str, ...] = ()  # on the validity of the formulas
+    groups: tuple[PlannedGroup, ...]  #: u by group; of the paper's methods after each pass
+    rank: int | None = None  #: of joint, number of determined combinations of the linear parameters
+    condition: float | None = None  #: of joint, condition number of the whitened Jacobian
+    following: tuple[NextPosition, ...] = ()  #: the best next positions
+    requirements: tuple[Requirement, ...] = ()  #: of each wanted accuracy
+    motion: Motion | None = None  #: recorded instead of the programme
+    reasons: tuple[str, ...] = ()  #: parameters that the programme does not determine, and impossible accuracies
+    remarks: tuple[str, ...] = ()  #: on the validity of the formulas
 
     @property
     def assumptions(self) -> tuple[str, ...]:

@@ -96,7 +96,7 @@ _NODES = 2000
 class TemperatureProfile:
     """Temperatures of a session."""
 
-    celsius: tuple[float, ...]  # °C, at equal steps from start to end; one if constant
+    celsius: tuple[float, ...]  #: °C, at equal steps from start to end; one if constant
     heating: tuple[tuple[float, float], ...] = ((0.0, 600.0),)
     """Rise of each thermometer after power-on, K, and its time constant, s: one for all sensors, two for accelerometers
     and gyros, or one for each sensor."""
