@@ -124,16 +124,16 @@ def most_informative(null: Array, candidates: Mapping[str, Array]) -> tuple[list
     """Return the names of candidates with rows (r, m) that together determine the combinations `null` (q, m), and the
     number of combinations that none determines; each time the one that sees most of the remaining is chosen."""
     chosen: list[str] = []
-    left = null[np.linalg.norm(null, axis=1) > SEEN]
-    while len(left):
-        name = max(candidates, key=lambda name: float(np.linalg.norm(left @ candidates[name].T)))
-        U, s, _ = np.linalg.svd(left @ candidates[name].T)
+    remaining = null[np.linalg.norm(null, axis=1) > SEEN]
+    while len(remaining):
+        name = max(candidates, key=lambda name: float(np.linalg.norm(remaining @ candidates[name].T)))
+        U, s, _ = np.linalg.svd(remaining @ candidates[name].T)
         seen = int(np.sum(s > SEEN * np.linalg.norm(candidates[name])))
         if seen == 0:
             break
         chosen.append(name)
-        left = U[:, seen:].T @ left
-    return chosen, len(left)
+        remaining = U[:, seen:].T @ remaining
+    return chosen, len(remaining)
 
 
 def faces_and_edges() -> list[Array]:

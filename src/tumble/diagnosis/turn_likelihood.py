@@ -151,13 +151,13 @@ def turn_likelihoods(
                 start, end = (np.einsum("eij,kj->eki", np.array(exchanges)[own], v[:most]) for v in (before, behind))
                 cosines[own] = _cosines(sign * sums, start, end, q)
         kappa = 1.0 / (widths.vertical**2 + (widths.axes * path[:most] / q) ** 2)
-        peak, found = 2.0 * kappa / -np.expm1(-2.0 * kappa), []
+        peak, out = 2.0 * kappa / -np.expm1(-2.0 * kappa), []
         for exchange, cosine in zip(exchanges, cosines, strict=True):
             density = peak * np.exp(kappa * (np.minimum(cosine, 1.0) - 1.0))
             cost = -2.0 * np.log(widths.damaged + (1.0 - widths.damaged) * density).sum(axis=1)
             kappa_at_best = kappa[np.argmin(cost[:-1])]
             exchanged = not np.array_equal(exchange, np.eye(3))
-            found.append(
+            out.append(
                 TurnLikelihood(
                     log_q=log_q,
                     cost=cost[:-1],
@@ -167,7 +167,7 @@ def turn_likelihoods(
                     exchanged=-2.0 * math.log(widths.exchanged / 47.0) if exchanged else 0.0,
                 )
             )
-        return found
+        return out
 
     stated, *exchanges = signed_permutations()
     (first,) = likelihoods([stated], GRID, 1, MOST_TURNS)

@@ -132,8 +132,8 @@ class PaperProgramme:
         table = rotation_matrix(τ[:, : 3 * N].reshape(-1, N, 3))
         attitudes = (table @ self.nominal @ rotation_matrix(τ[:, None, 3 * N :]))[:, None]
         up, down = np.split(self.estimated(X, attitudes), 2, axis=1)
-        left = np.eye(len(NAMES)) - np.swapaxes(up - down, 1, 2) / (2.0 * steps)
-        forward, backward, T0 = np.split(left, [3 * N + 3, 6 * N + 6])
+        errors = np.eye(len(NAMES)) - np.swapaxes(up - down, 1, 2) / (2.0 * steps)
+        forward, backward, T0 = np.split(errors, [3 * N + 3, 6 * N + 6])
         D, least = (forward - backward) / (2.0 * STEP), ROUNDING * steps[:, None] / steps
         return np.where(np.abs(T0[0]) > least, T0[0], 0.0), np.where(np.abs(D) > least, D, 0.0)
 

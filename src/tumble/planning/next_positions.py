@@ -170,8 +170,8 @@ def next_positions(
     rows[:, d:t] = turn
     rows[:, t : -2 * d, d : 2 * d], rows[:, t : -2 * d, 2 * d :] = rest[..., :d], rest[..., d:]
     rows[:, -2 * d :, : 2 * d] = PRIOR_WEIGHT * np.eye(2 * d)
-    left = np.asarray(np.linalg.qr(rows, mode="r"))[:, 2 * d :, 2 * d :]
-    both = np.concatenate([np.broadcast_to(triangle, (len(places), *triangle.shape)), left], axis=1)
+    remaining = np.asarray(np.linalg.qr(rows, mode="r"))[:, 2 * d :, 2 * d :]
+    both = np.concatenate([np.broadcast_to(triangle, (len(places), *triangle.shape)), remaining], axis=1)
     values = criterion(np.asarray(np.linalg.qr(both, mode="r")))
     order = np.argsort(values, kind="stable")
     alike = np.split(order, np.flatnonzero(np.diff(np.log(values[order])) > EQUAL) + 1)

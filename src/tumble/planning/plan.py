@@ -288,7 +288,7 @@ def _positions_needed(
     """Return the number of positions by group that give a wanted accuracy, if MOST_ADDED more are enough.
 
     The search ignores accuracies that gravity and time base make impossible."""
-    counts, left = dict[str, int](), dict(wanted)
+    counts, remaining = dict[str, int](), dict(wanted)
     for added in range(MOST_ADDED + 1 if wanted else 0):
         rows = {row.group: row for row in _groups_of(state(setup), setup)}
         for group, value in wanted.items():
@@ -296,9 +296,9 @@ def _positions_needed(
                 counts.setdefault(group, len(setup.programme.positions))
             fixed = math.hypot(*(rows[group].sources.get(name, 0.0) for name in (GRAVITY, CLOCK)))
             if group in counts or fixed > value:
-                left.pop(group, None)
+                remaining.pop(group, None)
         progress(added, MOST_ADDED)
-        candidates = following(setup, left) if left else ()
+        candidates = following(setup, remaining) if remaining else ()
         if not candidates:
             break
         setup = candidates[0].added(setup)

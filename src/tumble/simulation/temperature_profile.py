@@ -88,8 +88,7 @@ _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)"
 _RISE = rf"([-+](?:\d+\.?\d*|\.\d+))@({_NUMBER})"
 _PROFILE = re.compile(rf"(.+?)((?:{_RISE})*)")
 _LOWEST, _HIGHEST = -100.0, 200.0
-_NODES = 2000
-"""Linear pieces of an exponential, accurate to 1e-6 of its rise in a session of three time constants."""
+_NODES = 2000  # linear pieces of an exponential, accurate to 1e-6 of its rise in a session of three time constants
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -117,7 +117,7 @@ def normal_of(axes: Array, pair: Pair) -> Array:
 
 
 def oblique(nominal: Array, axes: Array, pair: Pair) -> tuple[BoolArray, float]:
-    """Return the rests (N,) in which two axes are in a vertical plane and symmetric, and about what they are so.
+    """Return the rests (N,) in which two axes are in a vertical plane and symmetric, and the side.
 
     By Eq. (9) it is best about the horizon (side 1) for angles of at most 90° between them, and about the vertical
     (side −1) for larger ones."""
