@@ -166,8 +166,8 @@ def first_screen(results: Mapping[str, Any]) -> str:
     ahead = [f"{head.partition('default, ')[2]}: {', '.join(each)}" for head, each in behind_in(results).items()]
     if not ahead:
         words = (
-            "no program of the comparison predicts held-out rests and turns better than the default method by more than "
-            "two standard errors."
+            "no program of the comparison predicts held-out rests and turns better than the default method by more "
+            "than two standard errors."
         )
     else:
         words = (
@@ -178,7 +178,7 @@ def first_screen(results: Mapping[str, Any]) -> str:
 
 
 def repeats_better(results: Mapping[str, Any]) -> dict[str, list[str]]:
-    """Return the programs whose scale factors and axes repeat better than those of the first one in the same sessions."""
+    """Return the programs whose scale factors and axes repeat better than those of the first one."""
     said: dict[str, list[str]] = {}
     for program in programs_of(results):
         for group, made in results["repeatability"].get(program, {}).items():
@@ -193,14 +193,6 @@ def programs_of(results: Mapping[str, Any]) -> list[str]:
     """Return the programs of the results that the benchmark still has."""
     there = {program.name for program in (*PROGRAMS, LINEAR)}
     return [program for program in results["made"]["programs"] if program in there]
-
-
-def fewer(made: Mapping[str, Any]) -> str:
-    """Return a sentence for each program that was run on only some chips of the array."""
-    given = made.get("fewer", {}).items()
-    return "".join(
-        f"{program} is slow and was run on only {' and '.join(chips)} of the array. " for program, chips in given
-    )
 
 
 def refused(results: Mapping[str, Any]) -> list[str]:
