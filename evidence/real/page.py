@@ -209,7 +209,7 @@ def refused(results: Mapping[str, Any]) -> list[str]:
     gyros = [case for case in cases if of[case, "imu_tk"]["gyro"]]
     without = sum(not of[case, OURS]["gyro"] for case in gyros)
     if without:
-        out.append(f"gyros of {without} of the {len(gyros)} recordings that imu_tk calibrates")
+        out.append(f"gyros in {without} of the {len(gyros)} cases that imu_tk calibrates")
     return out
 
 
