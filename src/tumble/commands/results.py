@@ -38,8 +38,7 @@ def check(
     """Test whether CALIBRATION still holds for its device, and what has changed.
 
     READINGS are a session with three or more rests in any attitude, or a table of readings at rest. Each rest is
-    compared with gravity, and the rests and turns of a session test every parameter. The readings of the calibration
-    itself are left out in turn.
+    compared with gravity, and the rests and turns of a session test every parameter.
 
     A stream is checked rest by rest until it ends or is stopped with Ctrl-C. CALIBRATION is never changed.
 

@@ -21,7 +21,7 @@ that of the check. If both use the same stated gravity, its error is in the scal
 Scatter is that of the calibration, and in-run biases have the usual size for the grade.
 
 The rests are also compared with gravity one by one (`tumble.use.positions`). This alone decides for a table of
-readings, for the rests of the calibration itself, and for a calibration in the frame of the case.
+readings and for a calibration in the frame of the case.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ class CheckedRest:
 class FieldCheck(Judged):
     """Result of the check of a calibration.
 
-    `rests` are those of the session, table or stream; if `left_out`, those of the calibration, each left out in turn.
+    `rests` are those of the session, table or stream.
     `rest_limit` is what their largest |difference|/u exceeds by chance in one of 100 cases, None in a stream. Of
     `turns` so many were used. `changes` is what has changed, `parameters` the test of every parameter that rests and
     turns determine, empty if the rests alone decide, with the `largest` |change|/u and the `limit` that it exceeds by
@@ -108,13 +108,12 @@ class FieldCheck(Judged):
     """
 
     json_fields: ClassVar = (
-        "verdict", "reasons", "source", "rests", "left_out", "rest_limit", "turns", "changes", "parameters", "largest",
+        "verdict", "reasons", "source", "rests", "rest_limit", "turns", "changes", "parameters", "largest",
         "limit", "unseen", "misfit", "notes",
     )  # fmt: skip
 
     source: str
     rests: tuple[CheckedRest, ...]
-    left_out: bool = False
     rest_limit: float | None = None
     turns: int = 0
     changes: tuple[ChangedParameter, ...] = ()
@@ -197,8 +196,7 @@ def check_calibration(
         An accepted calibration of accelerometers, or its file.
     readings
         A session of the device with three or more rests in any attitude, or its folder; or a file with a table of
-        readings at rest, one row per position, in the unit of the table that the calibration was made from. The session
-        or table of the calibration itself is checked by leaving out each of its positions in turn.
+        readings at rest, one row per position, in the unit of the table that the calibration was made from.
     launches
         Launches of the device behind its other calibrations, by which it is judged how much turning it on again
         changes. By default this is what is usual for its grade.
@@ -250,7 +248,7 @@ def check_calibration(
         celsius=len(rests) * [None] if kelvin is None else (kelvin - ZERO_CELSIUS).tolist(),
     )
     by_rests = replace(by_rests, notes=accepted.provenance.absent)
-    if by_rests.left_out or accepted.frame == "case":
+    if accepted.frame == "case":
         return by_rests
 
     # all parameters
@@ -278,7 +276,7 @@ def _by_gravity(source: str, residuals: PositionResiduals, **columns: Sequence[A
     columns |= {name: getattr(residuals, name).tolist() for name in ("difference", "u", "sigmas")}
     rows = zip(*columns.values(), strict=True)
     rests = tuple(CheckedRest(**dict(zip(columns, row, strict=True))) for row in rows)
-    return FieldCheck(source=source, rests=rests, left_out=residuals.left_out, rest_limit=residuals.limit)
+    return FieldCheck(source=source, rests=rests, rest_limit=residuals.limit)
 
 
 def _assumptions(

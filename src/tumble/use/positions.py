@@ -4,20 +4,13 @@ In every position, with true = matrix⁻¹ (reading − bias), Eq. (21) of the e
 
     Δg = g − |true|                                                                                              (1)
 
-If the position took no part in the calibration, Δg has the variance
+In positions that took no part in the calibration Δg has the variance
 
     u² = variance of the rest + scatter between rests + J Σ Jᵀ + u(g)²,   J = ∂|true|/∂θ                         (2)
 
 with Σ the covariance of the parameters θ. With v the vertical and S the axes matrix, J = −vᵀ S⁻¹ ∂(S g v + b)/∂θ. If
 the calibration was made with the same stated gravity, the error of this gravity is in its scale factors too: it
 cancels in Δg, and J Σ Jᵀ contains u(g)² that is to be taken off.
-
-If the position belongs to the calibration, it is left out. Let h be its leverage, the ratio of the variance of |true|
-from the parameters to the variance of the position itself. Without the position
-
-    Δg → Δg / (1 − h),   u² → variance of the position / (1 − h)                                                 (3)
-
-which is exact for a linear fit. The plain residual would be too small by √(1 − h).
 
 The largest |Δg|/u of N positions is compared with the quantile that it exceeds by chance with the probability CHANCE,
 by Bonferroni's inequality over the positions. It is one of Student's t distribution if the scatter was estimated.
@@ -36,7 +29,6 @@ import scipy
 from tumble.errors import CalibrationError, InputError
 from tumble.inference.estimate import Fit
 from tumble.inference.variables import sensors_at
-from tumble.methods.least_squares import sigmas
 from tumble.reduction.observations import Observations
 from tumble.result.calibration import Calibration
 from tumble.rotation import unit_vector
@@ -50,10 +42,6 @@ from tumble.units import ZERO_CELSIUS, Array
 CHANCE = 0.01
 """Probability that the largest difference refutes a good calibration."""
 
-NOTHING_LEFT = 0.05
-"""1 − h below which hardly anything but the position itself determines what it is compared with: h is the ratio of two
-variances that integrate over the scatter, and known to some hundredths."""
-
 _OVER_TEMPERATURE: dict[Variable, int] = {variable: power for power, variable in enumerate(THERMAL, 1)}
 """Variables that a reading at some temperature depends on, and their powers."""
 
@@ -61,14 +49,12 @@ _OVER_TEMPERATURE: dict[Variable, int] = {variable: power for power, variable in
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PositionResiduals:
     """Differences Δg (N,) from gravity with their u, m/s², and Δg/u, `sigmas`, the largest of which is compared with
-    the quantile `limit`. If the positions are those of the calibration, each is `left_out`, Eq. (3): Δg is not a number
-    where nothing but the position determines it, and Δg/u is studentised."""
+    the quantile `limit`."""
 
     difference: Array
     u: Array
     sigmas: Array
     limit: float
-    left_out: bool
 
 
 def table_observations(calibration: Calibration, path: Path) -> tuple[Observations, ReadingsTable]:
@@ -105,19 +91,18 @@ def _accelerometer_fit(calibration: Calibration) -> Fit:
 
 
 def residuals_in(calibration: Calibration, observations: Observations, sha256: str) -> PositionResiduals:
-    """Differences by an accepted calibration, Eq. (1) to (3), in check positions whose log or table has this SHA-256.
+    """Return the differences from gravity, Eq. (1) and (2), in check positions whose log or table has this SHA-256.
 
     Raises CalibrationError for a calibration without all parameters of its accelerometers, and InputError for positions
-    of other sensors or of one of several launches behind the calibration, and if each of its own positions is
-    determined by nothing but itself."""
+    of other sensors or from which the calibration was made."""
     force, J, names, covariance = _length_and_derivative(calibration, observations)
     length = np.linalg.norm(force, axis=1)
     rests, site_of_check, block = observations.rests, observations.site, observations.accel_block
     assert calibration.accel is not None
-    if any(launch.log_sha256 == sha256 for launch in calibration.evidence.launches):
+    if sha256 in (calibration.provenance.log_sha256, *(each.log_sha256 for each in calibration.evidence.launches)):
         raise InputError(
-            f"calibration of {calibration.serial!r}: expected positions that did not take part in it, or those of its "
-            f"only session, found one of its {len(calibration.evidence.launches)} launches; check with another session"
+            f"calibration of {calibration.serial!r}: expected positions that took no part in it, found those it was "
+            "made from; record a few rests in other attitudes, such as on edges of a cube"
         )
     fit, site = _accelerometer_fit(calibration), calibration.provenance.site
     across = unit_vector(force)[:, None, :] @ calibration.accel.inverse()
@@ -131,28 +116,6 @@ def residuals_in(calibration: Calibration, observations: Observations, sha256: s
         tail = 1.0 - 0.5 * CHANCE / len(difference)
         return float(scipy.special.ndtri(tail) if np.isinf(degrees) else scipy.special.stdtrit(degrees, tail))
 
-    if calibration.provenance.log_sha256 == sha256:  # its own positions: each is left out
-        if any(source.name.startswith("prior.") for source in calibration.evidence.budget) and not calibration.groups:
-            raise InputError(
-                f"calibration of {calibration.serial!r}: expected one with all terms, found linear ones, whose u "
-                "does not tell its own positions from others; calibrate with --terms full, or record check positions"
-            )
-        unlearned = _unlearned(calibration, names, J)
-        remaining = 1.0 - np.maximum(by_parameters - unlearned - site_of_check.gravity_u**2, 0.0) / variance
-        remaining = np.where(remaining > NOTHING_LEFT, remaining, np.nan)
-        if np.isnan(remaining).all():
-            raise InputError(
-                f"calibration of {calibration.serial!r}: expected more positions than parameters, found "
-                f"{len(difference)}, of which each is determined by itself alone; record check positions"
-            )
-        u = np.sqrt(variance * remaining + unlearned)
-        return PositionResiduals(
-            difference=difference / remaining,
-            u=u / remaining,
-            sigmas=np.sign(difference) * sigmas(difference / u, fit.degrees, fit.scatter > 0.0),
-            limit=limit(np.inf),
-            left_out=True,
-        )
     shared = site is not None and (site.gravity, site.gravity_u) == (site_of_check.gravity, site_of_check.gravity_u)
     by_gravity = -(site_of_check.gravity_u**2) if shared else site_of_check.gravity_u**2
     u = np.sqrt(variance + np.maximum(by_parameters + by_gravity, 0.0))
@@ -162,19 +125,7 @@ def residuals_in(calibration: Calibration, observations: Observations, sha256: s
         u=u,
         sigmas=difference / u,
         limit=limit(fit.degrees / by_scatter**2 if by_scatter > 0.0 else np.inf),  # Welch–Satterthwaite
-        left_out=False,
     )
-
-
-def _unlearned(calibration: Calibration, names: tuple[str, ...], J: Array) -> Array:
-    """Part (N,) of the variance of |true| in the positions of the calibration from parameters that have only a
-    prior."""
-    unlearned = [p.name for p in calibration.parameters if p.learned == 0.0]
-    every = calibration.covariance_of([*names, *unlearned])
-    if every is None or not unlearned:
-        return np.zeros(len(J))
-    moved = J @ every[: len(names), len(names) :]
-    return np.asarray(np.einsum("ik,ki->i", moved, np.linalg.solve(every[len(names) :, len(names) :], moved.T)))
 
 
 def _length_and_derivative(

@@ -56,8 +56,7 @@ def check_blocks(check: FieldCheck, *, rests: bool = True) -> list[Block]:
     """The rests against gravity, the test of every parameter, and the verdict; without the `rests` where a stream has
     shown them one by one."""
     turns = f" and {check.turns} turns" if check.turns else ""
-    left_out = ", each of the calibration's own left out in turn" if check.left_out else ""
-    blocks: list[Block] = [f"{sum(not rest.why for rest in check.rests)} rests{turns}{left_out}"]
+    blocks: list[Block] = [f"{sum(not rest.why for rest in check.rests)} rests{turns}"]
     compared = [rest for rest in check.rests if rest.u is not None and math.isfinite(rest.u)]
     if rests and compared:
         blocks += [rest_table(check.rests), _summary(compared, check.rest_limit)]
