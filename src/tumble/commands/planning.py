@@ -65,10 +65,8 @@ def programme(
 @ask.WANT
 @click.option("--sources", is_flag=True, help="Show u by source.")
 @click.option("--accel-only", is_flag=True, help="Accelerometers alone, without gyros and turns.")
-@ask.option("--axes", "Turns about these alone, the device staying as it is mounted.", metavar="N,U,E")
 @ask.option("--pivot", "Instead of PROGRAMME: so long on a tripod head or ball joint, no rests.", metavar="SECONDS")
 @ask.option("--hand", "Instead of PROGRAMME: so long in the hand, no rests.", metavar="SECONDS")
-@ask.option("--step", "Where the table stops: multiples, °.", 45.0, type=float)
 @ask.JSON
 def plan(
     programme: str,
@@ -79,15 +77,12 @@ def plan(
     wanted: tuple[str, ...],
     sources: bool,
     accel_only: bool,
-    axes: str | None,
-    step: float,
     pivot: str | None,
     hand: str | None,
     **options: Any,
 ) -> None:
     """The u that a calibration by PROGRAMME will state, the best next positions, and what a wanted accuracy needs."""
     from tumble.planning.in_motion import motion_of
-    from tumble.planning.next_positions import TurnTable
     from tumble.planning.plan import plan
     from tumble.planning.setup import wanted_accuracies
     from tumble.programme.positions import from_attitudes
@@ -96,7 +91,7 @@ def plan(
     setup = ask.setup_of(options | {"programme": programme})
     if attitudes:
         setup = replace(setup, programme=from_attitudes(attitudes))
-    accuracies, table = wanted_accuracies(wanted), TurnTable.of(axes, step, setup.programme)
+    accuracies = wanted_accuracies(wanted)
     with tell.working("planning") as progress:
         found = plan(
             setup,
@@ -105,7 +100,6 @@ def plan(
             iterations=iterations,
             wanted=accuracies,
             gyros=not accel_only,
-            table=table,
             motion=motion_of(pivot, hand),
             progress=progress,
         )

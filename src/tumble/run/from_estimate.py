@@ -113,7 +113,7 @@ def result_of(
                 *(*bridged, *left_out(session.excluded), *observations.notes, *gravity_doubted(observations.site)),
                 *_of_the_fit(estimate, observations),
                 *limited,
-                *_of_the_case(case),
+                *([] if case is None else [_case_note(case)]),
             ),
             absent=(f"{', '.join(outcome.unobservable)}: not determined by six faces, taken as 0",) if faces else (),
         ),
@@ -336,18 +336,13 @@ def _of_the_fit(estimate: Estimate, observations: Observations) -> Iterator[str]
         )
 
 
-def _of_the_case(case: CaseAlignment | None) -> Iterator[str]:
-    """How the case was found."""
-    if case is None:
-        return
+def _case_note(case: CaseAlignment) -> str:
+    """Return how the case was found, in a sentence."""
     u = np.sqrt(np.diag(case.alignment.covariance)) / DEGREE
-    plate = "azimuths are not known, so that the tilt of the plate is part of the scatter"
-    if len(case.tilt):
-        lean, lean_u = np.linalg.norm(case.tilt) / DEGREE, np.linalg.norm(case.tilt_u) / DEGREE
-        plate = f"the plate leans by {lean:.2g}° (u {lean_u:.1g}°)"
-    yield (
-        f"case: from {len(case.rests)} rests on its six faces, which scatter by {case.scatter / DEGREE:.2g}° an axis; "
-        f"standard uncertainty of its alignment {u[0]:.2g}°, {u[1]:.2g}°, {u[2]:.2g}° about X, Y, Z; {plate}"
+    return (
+        f"case: from {case.placements} rests on its six faces, which scatter by {case.scatter / DEGREE:.2g}° an axis; "
+        f"standard uncertainty of its alignment {u[0]:.2g}°, {u[1]:.2g}°, {u[2]:.2g}° about X, Y, Z; the tilt of the "
+        "plate is part of the scatter"
     )
 
 
