@@ -120,7 +120,7 @@ _LENGTHS = ((1e-2, " cm"), (1.0, " m"), (1e3, " km"))
 
 
 def _change(corrected: float, remaining: float, units: Sequence[tuple[float, str]], limit: float = 1.0) -> str:
-    """Return the errors before and after with an arrow between, each in the largest unit of which it is `limit` or more.
+    """Return both errors with an arrow between, each in the largest unit of which it is at least `limit`.
 
     Before calibration there was the correction beside the error that remains."""
     shown = ((value, *coarsest(units, value, limit=limit)) for value in (hypot(corrected, remaining), remaining))
