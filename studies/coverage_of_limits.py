@@ -24,8 +24,8 @@ from stored import shown, store
 from tumble.inference.joint import joint
 from tumble.lab.conformity import judge_value
 from tumble.planning.setup import Setup
-from tumble.result.coverage import by_gravity, degrees_of_mean, expanded
-from tumble.result.launch_variances import LaunchVariances, pooled, variance_of_type
+from tumble.result.coverage import degrees_of_mean, expanded, gravity_sensitivity
+from tumble.result.launch_variances import LaunchVariances, pool_with_type, variance_of_type
 from tumble.result.parts import Parameter
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import Scenario, scenario_of
@@ -136,7 +136,7 @@ def _mean(device: Launched, alike: Sequence[LaunchVariances]) -> list[Parameter]
         values = np.array([run[i].value for run, _ in runs])
         s2 = float(values.var(ddof=1))
         of_type = variance_of_type(alike, first.name, device.noise(i))
-        variance, degrees = pooled(s2, len(runs) - 1.0, of_type) or (s2, len(runs) - 1.0)
+        variance, degrees = pool_with_type(s2, len(runs) - 1.0, of_type) or (s2, len(runs) - 1.0)
         u, dof = degrees_of_mean(own, sqrt(variance), common, degrees=degrees)
         out.append(replace(first, value=float(values.mean()), u=u, dof=dof))
     return out
@@ -160,7 +160,7 @@ def _session(scenario: Scenario, off: float, launches: int, rng: np.random.Gener
             found.names, found.values, found.u, found.units, found.degrees, strict=True
         )
     ]
-    return parameters, by_gravity(parameters, found.covariance, site)
+    return parameters, gravity_sensitivity(parameters, found.covariance, site)
 
 
 def main(trials: int) -> int:

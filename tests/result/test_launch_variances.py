@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from tumble.result.coverage import degrees_of_mean
-from tumble.result.launch_variances import LaunchVariances, pooled, variance_of_type
+from tumble.result.launch_variances import LaunchVariances, pool_with_type, variance_of_type
 from tumble.result.parts import coverage_factor
 
 NAME = "accel.bias.x"
@@ -33,9 +33,9 @@ def test_launches_with_other_noise_have_that_of_their_own_beside_the_instability
 def test_a_device_that_is_less_stable_than_its_type_is_judged_by_itself() -> None:
     """One launch in addition: F(1, 20) is beyond 14.82 in one of 1000 cases."""
     limit = stats.f.isf(1e-3, 1, 20)
-    assert pooled(1.01 * limit, 1.0, (1.0, 20.0)) is None
-    assert pooled(0.99 * limit, 1.0, (1.0, 20.0)) == pytest.approx(((0.99 * limit + 20.0) / 21.0, 21.0))
-    assert pooled(4.0, 1.0, (0.0, 0.0)) == (4.0, 1.0)
+    assert pool_with_type(1.01 * limit, 1.0, (1.0, 20.0)) is None
+    assert pool_with_type(0.99 * limit, 1.0, (1.0, 20.0)) == pytest.approx(((0.99 * limit + 20.0) / 21.0, 21.0))
+    assert pool_with_type(4.0, 1.0, (0.0, 0.0)) == (4.0, 1.0)
 
 
 @pytest.mark.parametrize("instability", [1.0, 2.0, 3.0])
@@ -46,7 +46,7 @@ def test_two_launches_and_ten_devices_of_the_type_cover_as_stated(instability: f
     for _ in range(4000):
         alike = [known(1, float(spread**2 * rng.chisquare(1)), 1.0, serial=str(i)) for i in range(10)]
         values = spread * rng.standard_normal(2)
-        both = pooled(float(values.var(ddof=1)), 1.0, variance_of_type(alike, NAME, 1.0))
+        both = pool_with_type(float(values.var(ddof=1)), 1.0, variance_of_type(alike, NAME, 1.0))
         s2, degrees = both or (float(values.var(ddof=1)), 1.0)
         u, dof = degrees_of_mean([(1.0, None)] * 2, float(np.sqrt(s2)), 0.0, degrees=degrees)
         inside.append(abs(values.mean()) <= coverage_factor(np.inf if dof is None else dof) * u)

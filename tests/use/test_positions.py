@@ -24,7 +24,7 @@ from tumble.run.from_readings import calibrate_readings
 from tumble.sensors.model import Block
 from tumble.units import DEGREE, Array
 from tumble.use.check import check_calibration
-from tumble.use.positions import PositionResiduals, residuals_in, table_observations
+from tumble.use.positions import PositionResiduals, position_residuals, table_observations
 
 G = 9.8159
 SITE = Site(latitude=None, height=0.0, gravity=G, gravity_u=0.0)
@@ -103,7 +103,7 @@ def test_the_difference_is_that_of_equation_21() -> None:
     made, check = calibrated_from("cube-14", rng), read(directions("cube-12", rng), rng)
     assert made.accel is not None
     expected = [G - np.linalg.norm(np.linalg.solve(made.accel.matrix, y - made.accel.bias)) for y in check.rests.accel]
-    np.testing.assert_allclose(residuals_in(made, check, "check").difference, expected, atol=1e-14)
+    np.testing.assert_allclose(position_residuals(made, check, "check").difference, expected, atol=1e-14)
 
 
 @cache
@@ -117,14 +117,14 @@ def drawn() -> list[tuple[Calibration, Observations]]:
 
 def test_the_uncertainty_is_the_scatter_of_the_differences() -> None:
     """Known noise, so Δg/u is normal: no scatter to estimate."""
-    ratios = [residuals_in(with_fields(made, fits={}), check, "check").sigmas for made, check in drawn()]
+    ratios = [position_residuals(with_fields(made, fits={}), check, "check").sigmas for made, check in drawn()]
     assert np.mean(np.square(ratios)) == pytest.approx(1.0, abs=0.35)
     assert abs(np.mean(ratios)) < 5.0 / np.sqrt(200.0)
 
 
 def test_a_good_calibration_is_refuted_once_in_a_hundred_times() -> None:
     """At most 5 standard deviations more than 1 %."""
-    refuted = sum(bool(beyond(residuals_in(made, check, "check"))) for made, check in drawn())
+    refuted = sum(bool(beyond(position_residuals(made, check, "check"))) for made, check in drawn())
     assert refuted < 2.0 + 5.0 * np.sqrt(2.0)
 
 
@@ -133,9 +133,9 @@ def test_a_bad_position_and_a_device_that_has_changed_are_beyond_the_limit() -> 
     made, check = calibrated_from("cube-26", rng), read(directions("cube-14", rng), rng)
     bad = check.rests.accel.copy()
     bad[4] *= 1.001
-    assert beyond(residuals_in(made, changed(check, bad), "check")) == [4]
+    assert beyond(position_residuals(made, changed(check, bad), "check")) == [4]
     moved = changed(check, check.rests.accel + 300.0 * MICRO_G * np.array([1.0, -0.7, 0.4]))
-    assert beyond(residuals_in(made, moved, "check"))
+    assert beyond(position_residuals(made, moved, "check"))
 
 
 def test_an_error_of_gravity_that_is_common_cancels_and_one_that_is_not_counts() -> None:
@@ -147,10 +147,10 @@ def test_an_error_of_gravity_that_is_common_cancels_and_one_that_is_not_counts()
         replace(read(directions(name, rng), rng, gravity=G + doubt), site=doubtful) for name in ("cube-26", "cube-12")
     )
     made = calibrated(own)
-    same = residuals_in(made, check, "check")
+    same = position_residuals(made, check, "check")
     assert np.abs(same.difference).max() < 150.0 * MICRO_G
     assert same.u.max() < 50.0 * MICRO_G
-    elsewhere = residuals_in(with_fields(made, site=replace(doubtful, gravity=G + 1e-4)), check, "check")
+    elsewhere = position_residuals(with_fields(made, site=replace(doubtful, gravity=G + 1e-4)), check, "check")
     assert elsewhere.u.min() > 1.4 * doubt
 
 
@@ -169,7 +169,7 @@ def test_a_table_of_readings_has_the_scale_of_its_calibration(tmp_path: Path) ->
     rows = "\n".join(",".join(f"{v:.12g}" for v in row) for row in check.rests.accel * scale)
     table.write_text(f"ux,uy,uz\n{rows}\n")
     found = check_calibration(made, table)
-    expected = residuals_in(with_fields(made, fits={}), check, "check").difference
+    expected = position_residuals(with_fields(made, fits={}), check, "check").difference
     np.testing.assert_allclose([rest.difference for rest in found.rests], expected, atol=1e-9)
     assert found.rests[1].label == "position 2 (line 3)"
     assert found.valid
@@ -206,11 +206,11 @@ def test_positions_that_check_nothing_are_refused() -> None:
     tetrad = Block(kind="accel", axes=np.vstack([np.eye(3), [3**-0.5] * 3]))
     rests = replace(own.rests, accel=np.zeros((14, 4)), accel_covariance=np.broadcast_to(np.eye(4), (14, 4, 4)))
     with pytest.raises(InputError, match="found 4 with other axes"):
-        residuals_in(made, replace(own, accel_block=tetrad, rests=rests), "check")
+        position_residuals(made, replace(own, accel_block=tetrad, rests=rests), "check")
     one_quadratic = Parameter(name="accel.quadratic.x", value=0.0, u=None, unit="1/(m/s^2)")
     with pytest.raises(InputError, match="all parameters of a group or none, found no"):
-        residuals_in(replace(made, parameters=(*made.parameters, one_quadratic)), own, "check")
+        position_residuals(replace(made, parameters=(*made.parameters, one_quadratic)), own, "check")
     launch = Launch(session="own", parameters=(), covariance=None, log_sha256="own")
     for from_them in (made, with_fields(made, launches=(launch, launch), log_sha256=None)):
         with pytest.raises(InputError, match="found those it was made from; record a few rests in other attitudes"):
-            residuals_in(from_them, own, "own")
+            position_residuals(from_them, own, "own")

@@ -122,10 +122,10 @@ def apply(calibration: Path, session: Path, out: Path, force: bool) -> None:
     is copied.
     """
     from tumble.recording.session_file import read_session
-    from tumble.use.apply import applied, apply_to_session
+    from tumble.use.apply import apply_to_session, correction_notes
 
     described = read_session(session)
     apply_to_session(calibration, described, out, force=force)
     tell.say(f"written to {out}")
-    for sentence in applied(calibration, described):
+    for sentence in correction_notes(calibration, described):
         tell.say(sentence)

@@ -39,7 +39,7 @@ from tumble.inference.prediction import directions
 from tumble.recording.arrays import Temperatures, celsius_of, check_kinds, numbers_of
 from tumble.result.accepted import accepted_kinds
 from tumble.result.record import CalibrationData
-from tumble.result.temperature_curves import changing
+from tumble.result.temperature_curves import thermal_parameters
 from tumble.sensors.compensation import FIXED_POINT_STEPS, Compensator
 from tumble.sensors.instrument import functions, is_linear
 from tumble.sensors.model import UNITS, Block, SensorKind, SensorModel
@@ -68,7 +68,7 @@ def readings_at(calibration: CalibrationData, kind: SensorKind, force: Array, ra
     return np.asarray(np.einsum("npb,pb->np", functions(block, force, rate), K, optimize=True))
 
 
-def linear_model(calibration: CalibrationData, kind: SensorKind, held: Container[str] = ()) -> SensorModel:
+def best_linear_model(calibration: CalibrationData, kind: SensorKind, held: Container[str] = ()) -> SensorModel:
     """Matrix and bias that fit the whole model of "accel" or "gyro" best: those of the calibration where it has no
     other groups. Groups beyond the linear model that are `held`, which a program applies itself, are not fitted."""
     model = calibration.accel if kind == "accel" else calibration.gyro
@@ -89,7 +89,7 @@ def linear_model(calibration: CalibrationData, kind: SensorKind, held: Container
     return SensorModel(matrix=matrix, bias=at_rest)
 
 
-def errors_left(
+def correction_errors(
     calibration: CalibrationData, kind: SensorKind, correct: Callable[[Array], Array], held: Container[str] = ()
 ) -> Array:
     """Errors (N,), SI, of the vectors (N, 3) that `correct` makes of readings (N, n), without the groups that are
@@ -152,7 +152,7 @@ def examples(compensator: Compensator, kinds: Sequence[SensorKind], warmer: floa
     return out
 
 
-def beyond_linear(compensator: Compensator, kind: SensorKind) -> dict[str, Array]:
+def nonlinear_tables(compensator: Compensator, kind: SensorKind) -> dict[str, Array]:
     """The terms of Eq. (1) of the sensors of a kind by name, a row a sensor; none of a linear model, and "by_force" of
     gyros that feel the specific force."""
     block, K = compensator.sensors(kind)
@@ -164,7 +164,7 @@ def beyond_linear(compensator: Compensator, kind: SensorKind) -> dict[str, Array
     return tables | ({"by_force": K[:, FORCE]} if np.any(K[:, FORCE]) else {})
 
 
-def over_temperature(compensator: Compensator, kind: SensorKind) -> dict[str, Array]:
+def thermal_tables(compensator: Compensator, kind: SensorKind) -> dict[str, Array]:
     """What changes with temperature of the sensors of a kind, by name, a number a sensor."""
     bias, scale = (compensator.changes(kind, what) for what in ("bias", "scale"))
     scale = scale / np.linalg.norm(compensator.model(kind).matrix, axis=1)[:, None]
@@ -188,15 +188,15 @@ def correction_content(calibration: CalibrationData) -> dict[str, Any]:
     for kind, worked in examples(compensator, kinds).items():
         symbol = _SYMBOLS[kind]
         model = compensator.model(kind)
-        tables = {"bias": model.bias, "inverse": model.inverse()} | beyond_linear(compensator, kind)
+        tables = {"bias": model.bias, "inverse": model.inverse()} | nonlinear_tables(compensator, kind)
         terms = [words.format(symbol) for name, words in _TERMS.items() if np.any(tables.get(name, 0.0))]
         tables = {name: table for name, table in tables.items() if name in ("bias", "axis") or np.any(table)}
         formula = f"{symbol} = inverse · (y − bias{' − terms' if terms else ''})"
         if terms:
             formula += f", {FIXED_POINT_STEPS + 1} times from terms = 0, terms = {' + '.join(terms)}"
             formula += ", s = axis · " + symbol if {"cubic", "asymmetry"} & tables.keys() else ""
-        if changing(calibration) and compensator.warm:
-            tables |= over_temperature(compensator, kind)
+        if thermal_parameters(calibration) and compensator.warm:
+            tables |= thermal_tables(compensator, kind)
             curve = "(bias_curve + d bias_cube)" if "bias_cube" in tables else "bias_curve"
             formula += (
                 f"; at d = T − reference, °C: bias + d (bias_slope + d {curve}), and what stands in the brackets is "
@@ -208,8 +208,8 @@ def correction_content(calibration: CalibrationData) -> dict[str, Any]:
             example["f"] = worked.force.tolist()
         out[kind] = content | {"example": example}
         if terms:
-            best = linear_model(calibration, kind)
-            off = errors_left(calibration, kind, best.apply)
+            best = best_linear_model(calibration, kind)
+            off = correction_errors(calibration, kind, best.apply)
             out[kind]["linear"] = {
                 "formula": f"{symbol} = inverse · (y − bias)",
                 "inverse": best.inverse().tolist(),

@@ -77,7 +77,7 @@ def welch_satterthwaite(parts: Iterable[tuple[float, float | None]]) -> float | 
     return None if total >= MANY_DEGREES * of_variance else total / of_variance
 
 
-def apart(u: float | None, degrees: float | None, shared: Iterable[float]) -> tuple[float, float | None]:
+def unshared_variance(u: float | None, degrees: float | None, shared: Iterable[float]) -> tuple[float, float | None]:
     """Variance of a parameter of this u without the standard uncertainties that it shares, and its degrees of
     freedom."""
     variance = (u or 0.0) ** 2
@@ -133,7 +133,7 @@ def degrees_of_mean(
     return sqrt(square + common**2), welch_satterthwaite([(square, of_square), (common**2, None)])
 
 
-def by_gravity(parameters: Sequence[Parameter], covariance: Array | None, site: Site | None) -> Array:
+def gravity_sensitivity(parameters: Sequence[Parameter], covariance: Array | None, site: Site | None) -> Array:
     """Change (m,) of parameters with one standard uncertainty of g, as far as their covariance (m, m) has it: of the
     scale factors of accelerometers alone, in every frame
 
@@ -162,7 +162,7 @@ def shared_gravity(first: Site | None, second: Site | None) -> bool:
     return (first.gravity, first.gravity_u) == (second.gravity, second.gravity_u) and first.gravity_u > 0.0
 
 
-def without_expanded(parameters: Sequence[Parameter]) -> Iterator[str]:
+def notes_without_expanded(parameters: Sequence[Parameter]) -> Iterator[str]:
     """Of which parameters no U is stated, their u having too few degrees of freedom."""
     few = {p.name: p.dof for p in parameters if p.dof is not None and p.k is None}
     if few:

@@ -15,8 +15,8 @@ import scipy
 from tumble.inference.estimate import Fit
 from tumble.inference.prediction import Prediction
 from tumble.result.calibration import Calibration
-from tumble.result.correction import errors_left
-from tumble.result.coverage import without_expanded
+from tumble.result.correction import correction_errors
+from tumble.result.coverage import notes_without_expanded
 from tumble.result.parts import Evidence, Launch, Parameter
 from tumble.sensors.model import WORDS
 from tumble.sensors.parameters import beyond_linear, group_name, named_group, sensor_kind, shown_in
@@ -59,7 +59,7 @@ class GroupLine:
     shown: str
 
 
-def described(name: str) -> str:
+def parameter_words(name: str) -> str:
     """A parameter in words: "X accelerometer, bias", "angle of the Y accelerometer towards X"."""
     match = _NAME.fullmatch(name)
     if match is None:
@@ -121,7 +121,7 @@ def group_lines(calibration: Calibration) -> tuple[GroupLine, ...]:
     return tuple(lines)
 
 
-def predicted(prediction: Prediction) -> str:
+def prediction_text(prediction: Prediction) -> str:
     """What corrected readings are known to, in a line."""
     size, unit = engineering("m/s^2", prediction.force_u)
     sentence = f"corrected specific force at 1 g: u {two_digits(prediction.force_u / size)} {unit}"
@@ -171,7 +171,7 @@ def accepted_groups(calibration: Calibration) -> tuple[str, ...]:
     return tuple(name for name in spared if not outcome.of(sensor_kind(name)))
 
 
-def recorded_on(calibration: Calibration) -> list[str]:
+def recording_dates(calibration: Calibration) -> list[str]:
     """When the recordings behind a calibration were made, ISO 8601, each once and in their order; what is not known is
     left out."""
     sessions = [launch.circumstances.date for launch in calibration.evidence.launches]
@@ -183,7 +183,7 @@ def recorded_on(calibration: Calibration) -> list[str]:
     return sorted({moment for moment in every if moment is not None})
 
 
-def rests_said(recorded: Evidence | Launch) -> str:
+def rest_summary(recorded: Evidence | Launch) -> str:
     """How far the corrected readings at rest are from g, and turns from the fit."""
     rests, turns = recorded.rests, recorded.turns
     rms = sqrt(sum(rest.residual**2 for rest in rests) / len(rests))
@@ -198,17 +198,17 @@ def rests_said(recorded: Evidence | Launch) -> str:
     return f"{sentence}; {len(turns)} turns, the worst {max(turn.sigmas for turn in turns):z.1f} sigma from the fit"
 
 
-def checked(fit: Fit) -> bool:
+def has_redundancy(fit: Fit) -> bool:
     """Whether there are more data than unknowns."""
     return fit.degrees >= 0.5
 
 
-def other_factors(parameters: Sequence[Parameter]) -> bool:
+def has_other_factors(parameters: Sequence[Parameter]) -> bool:
     """Whether the coverage factor of any parameter is another than 2."""
     return any(p.k is None or abs(p.k - 2.0) > OTHER_THAN_TWO for p in parameters if p.u)
 
 
-def left_by_matrix(calibration: Calibration) -> str:
+def linear_errors_text(calibration: Calibration) -> str:
     """What matrix and bias alone leave of a vector that the whole model corrects, over all attitudes, in a line: of the
     specific force at 1 g, and of the rate that the prediction is at, about all axes in 1 g. Lever arms, delays and
     temperatures are not in it: they need a motion or a warming. Nothing where matrix and bias are the whole model, or
@@ -217,10 +217,10 @@ def left_by_matrix(calibration: Calibration) -> str:
         return ""
     prediction = calibration.prediction
     at_rate = None if calibration.gyro is None or prediction is None else prediction.at_rate
-    force = errors_left(calibration, "accel", calibration.accel.apply)
+    force = correction_errors(calibration, "accel", calibration.accel.apply)
     rate = np.zeros(1)
     if calibration.gyro is not None and at_rate is not None:
-        rate = errors_left(calibration, "gyro", calibration.gyro.apply)
+        rate = correction_errors(calibration, "gyro", calibration.gyro.apply)
     if max(force.max(), rate.max()) < NEGLIGIBLE:
         return "with matrix and bias alone: exact at the reference temperature"
 
@@ -245,7 +245,7 @@ def remarks(calibration: Calibration) -> tuple[str, ...]:
         least = 2.0 * float(scipy.special.gammaincinv(0.5 * fit.degrees, UNSEEN))
         return sqrt(max(fit.chi_square / least - 1.0, 0.0)) if least > 0.0 else inf
 
-    sentences = list(without_expanded(calibration.parameters))
+    sentences = list(notes_without_expanded(calibration.parameters))
     if calibration.evidence.launches:
         return tuple(sentences)
     for kind, sensors in WORDS.items():

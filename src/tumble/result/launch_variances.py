@@ -58,7 +58,9 @@ def launch_variances(calibration: Calibration) -> LaunchVariances | None:
         variances={
             p.name: (
                 p.run_to_run**2,
-                count * own_variance(calibration, p.name) if has_budget else sum(each[p.name] for each in u2) / count,
+                count * estimate_variance(calibration, p.name)
+                if has_budget
+                else sum(each[p.name] for each in u2) / count,
             )
             for p in calibration.parameters
             if p.run_to_run is not None and all(p.name in each for each in u2)
@@ -66,7 +68,7 @@ def launch_variances(calibration: Calibration) -> LaunchVariances | None:
     )
 
 
-def own_variance(calibration: Calibration, name: str) -> float:
+def estimate_variance(calibration: Calibration, name: str) -> float:
     """Variance of a parameter, SI, without what all launches of a device have in common, gravity, the time base and
     priors, and without changes from launch to launch; the whole where there is no budget."""
     budget = calibration.evidence.budget
@@ -84,7 +86,7 @@ def variances_between(calibrations: Sequence[Calibration]) -> LaunchVariances | 
         return None
     names = [name for name in calibrations[0] if all(name in each for each in calibrations)]
     between = np.var(at_temperature(calibrations, names, calibrations[-1].temperature)[0], axis=0, ddof=1)
-    noise = np.mean([[own_variance(each, name) for name in names] for each in calibrations], axis=0)
+    noise = np.mean([[estimate_variance(each, name) for name in names] for each in calibrations], axis=0)
     return LaunchVariances(
         serial=calibrations[0].serial,
         logs=frozenset(each.provenance.log_sha256 or "" for each in calibrations),
@@ -121,7 +123,7 @@ def variance_of_type(launches: Iterable[LaunchVariances], name: str, noise: floa
     return s2, degrees * (s2 * degrees / between) ** 2
 
 
-def pooled(variance: float, degrees: float, of_type: tuple[float, float]) -> tuple[float, float] | None:
+def pool_with_type(variance: float, degrees: float, of_type: tuple[float, float]) -> tuple[float, float] | None:
     """Variance of a device from launch to launch pooled with that of its type, each with its degrees of freedom; None
     if the device is more unstable than its type, by chance in fewer than UNLIKE of all cases."""
     type_variance, type_degrees = of_type

@@ -20,7 +20,7 @@ import numpy as np
 
 from tumble.inference.sources import by_time_base, clocked
 from tumble.result.calibration import Calibration
-from tumble.result.coverage import by_gravity, shared_gravity
+from tumble.result.coverage import gravity_sensitivity, shared_gravity
 from tumble.result.parts import Parameter, SourceContributions
 from tumble.sensors.parameters import group_name, variable_of
 from tumble.units import Array
@@ -34,14 +34,18 @@ def shared_errors(first: Calibration, second: Calibration) -> dict[str, tuple[Ar
     changes_by_source = {}
     if shared_gravity(first.provenance.site, second.provenance.site):
         ours, theirs = (
-            by_gravity(each.parameters, each.covariance, each.provenance.site)[:, None] for each in (first, second)
+            gravity_sensitivity(each.parameters, each.covariance, each.provenance.site)[:, None]
+            for each in (first, second)
         )
         changes_by_source[GRAVITY] = (ours, theirs)
     if first.serial == second.serial:
         if first.provenance.clock_u == second.provenance.clock_u > 0.0:
-            changes_by_source[TIME_BASE] = (of_time_base(first)[:, None], of_time_base(second)[:, None])
+            changes_by_source[TIME_BASE] = (
+                time_base_sensitivity(first)[:, None],
+                time_base_sensitivity(second)[:, None],
+            )
         by_ours, by_theirs = (
-            by_priors(each.parameters, each.covariance, each.evidence.budget) for each in (first, second)
+            prior_sensitivities(each.parameters, each.covariance, each.evidence.budget) for each in (first, second)
         )
         names = [name for name in by_ours if name in by_theirs]
         if names:
@@ -50,7 +54,7 @@ def shared_errors(first: Calibration, second: Calibration) -> dict[str, tuple[Ar
     return {source: changes for source, changes in changes_by_source.items() if changes[0].any() and changes[1].any()}
 
 
-def by_priors(
+def prior_sensitivities(
     parameters: Sequence[Parameter], covariance: Array | None, budget: Sequence[SourceContributions] = ()
 ) -> dict[str, Array]:
     """Change (m,) of parameters, as far as their covariance (m, m) has it, where what a prior is of is one standard
@@ -58,7 +62,7 @@ def by_priors(
     The squares over a group are together what its prior contributes by the uncertainty budget, where there is one."""
     if covariance is None:
         return {}
-    priors = {i: p.prior for i, p in enumerate(parameters) if p.prior is not None and is_of_device(p.name)}
+    priors = {i: p.prior for i, p in enumerate(parameters) if p.prior is not None and is_device_property(p.name)}
     if not priors:
         return {}
     places, s = list(priors), np.array(list(priors.values()))
@@ -74,12 +78,12 @@ def by_priors(
     return changes
 
 
-def is_of_device(parameter: str) -> bool:
+def is_device_property(parameter: str) -> bool:
     """Whether a parameter or group is a property of the device and not of one session."""
     return variable_of(parameter) != "time"  # which is another in every session
 
 
-def of_time_base(calibration: Calibration) -> Array:
+def time_base_sensitivity(calibration: Calibration) -> Array:
     """What one standard uncertainty of the time base changes in the parameters (m,) of a calibration."""
     increments = dict.fromkeys(("accel", "gyro"), False)
     increments |= {kind: readings.increments for kind, readings in calibration.provenance.readings.items()}

@@ -39,7 +39,7 @@ class Range:
         return f"{self.low:.1f} to {self.high:.1f} °C"
 
 
-def warm_rests(calibration: CalibrationData) -> list[RestResult]:
+def rests_with_temperature(calibration: CalibrationData) -> list[RestResult]:
     """The rests of all launches that have a temperature."""
     rests = chain(calibration.evidence.rests, *(launch.rests for launch in calibration.evidence.launches))
     return [rest for rest in rests if rest.temperature is not None]
@@ -52,7 +52,7 @@ def temperature_of(rest: RestResult, kind: str) -> float:
     return math.nan if rest.temperature is None else float(np.mean(celsius or rest.temperature))
 
 
-def own_thermometers(calibration: CalibrationData) -> list[str]:
+def thermometer_notes(calibration: CalibrationData) -> list[str]:
     """Which thermometer the temperature of each sensor is that of, where there are several."""
     if len(set(chain(*calibration.temperature.thermometers.values()))) < 2:
         return []
@@ -73,7 +73,7 @@ def measured_range(calibration: CalibrationData) -> Range | None:
     return Range(low=span[0], high=span[1])
 
 
-def changing(calibration: CalibrationData) -> tuple[str, ...]:
+def thermal_parameters(calibration: CalibrationData) -> tuple[str, ...]:
     """Names of the parameters that change with temperature, in the order of the file."""
     bases = (name.rpartition(".") for name in calibration)
     changed = dict.fromkeys(base for base, _, ending in bases if ending in OVER_TEMPERATURE)
@@ -93,7 +93,7 @@ class Curve:
     degrees: Array | None = None
 
 
-def curve(calibration: CalibrationData, name: str, temperature: Array) -> Curve:
+def temperature_curve(calibration: CalibrationData, name: str, temperature: Array) -> Curve:
     """A parameter over temperatures (N,), °C: value and U = k u with u² = pᵀ Σ p, p = (1, T − T₀, …), and k by the
     effective degrees of freedom of the sum."""
     places = {p.name: i for i, p in enumerate(calibration.parameters)}

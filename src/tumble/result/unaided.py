@@ -31,7 +31,7 @@ import numpy as np
 
 from tumble.result.accepted import accepted_kinds
 from tumble.result.calibration import Calibration
-from tumble.result.correction import errors_left
+from tumble.result.correction import correction_errors
 from tumble.rotation import left_inverse
 from tumble.sensors.model import SensorKind
 from tumble.sensors.parameters import beyond_linear, group_name
@@ -133,5 +133,5 @@ def _off_by(calibration: Calibration, kind: SensorKind, u: float) -> tuple[float
     block, _ = calibration.compensator.sensors(kind)
     assert block is not None
     nominal = left_inverse(block.axes)
-    off = errors_left(calibration, kind, lambda readings: readings @ nominal.T)
+    off = correction_errors(calibration, kind, lambda readings: readings @ nominal.T)
     return float(np.sqrt(np.mean(off**2))), u * float(np.linalg.norm(nominal))

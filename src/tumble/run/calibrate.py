@@ -38,9 +38,9 @@ from tumble.result.accepted import accepted_kinds
 from tumble.result.calibration import Calibration, calibration_from, read_calibration
 from tumble.result.parts import Provenance
 from tumble.rotation import UP
-from tumble.run.from_estimate import bridged_in, reference_of, result_of, without_result
+from tumble.run.from_estimate import build_calibration, gap_notes, mean_temperature, refused_calibration
 from tumble.run.observed import Progress, inspected, observations_for_calibration
-from tumble.run.warming import calibrate_warming, lies_still
+from tumble.run.warming import calibrate_warming, is_still
 from tumble.sensors.frames import Convention, Frame
 from tumble.sensors.grades import GRADES, guessed_grade
 from tumble.sensors.grades import grade as grade_named
@@ -199,39 +199,43 @@ def _calibrated(
 ) -> Calibration:
     """The calibration from what a session does not leave out; made anew with the `clock` by the Earth's rate where this
     contradicts that of the log."""
-    systematic = systematic_of(session)
+    systematic = passport_values(session)
     with ThreadPoolExecutor(max_workers=1) as beside:
         observed = inspected(session, progress, beside)
         observations = observations_for_calibration(observed, joint=method == "joint")
-        if base is not None or (method == "joint" and lies_still(observed)):
-            return calibrate_warming(observed, base, provenance_of(observed.sha256))
+        if base is not None or (method == "joint" and is_still(observed)):
+            return calibrate_warming(observed, base, new_provenance(observed.sha256))
         options = (estimator, systematic, terms, prior, clock)
-        estimate = observations if isinstance(observations, Outcome) else estimated(session, observations, *options)
+        estimate = (
+            observations
+            if isinstance(observations, Outcome)
+            else estimate_observations(session, observations, *options)
+        )
     if clock is None and not isinstance(estimate, Outcome) and (clock := clock_by_earth(estimate[0])) is not None:
         log = replace(session.log, clock_rate=session.log.clock_rate * clock.rate, clock_u=clock.u)
         made = _calibrated(replace(session, log=log), method, estimator, frame, terms, progress, prior, base, clock)
         sentence = clock.sentence(" and ".join(clocked(clock.u, log.increments)) or "no parameter")
         contradicted = abs(clock.rate - 1.0) > CLOCK_CONTRADICTED * session.log.time_base_u
         return _with(made, remarks={sentence: ()}) if contradicted else _with(made, notes=(sentence,))
-    bridged = (*bridged_in(observed.gaps), *observed.segmentation.unused())
+    bridged = (*gap_notes(observed.gaps), *observed.segmentation.unused())
     provenance = replace(
-        provenance_of(observed.sha256),
+        new_provenance(observed.sha256),
         sample_rate=observed.rate,
         circumstances=observed.circumstances,
         assumptions=assumptions(session),
     )
     if isinstance(estimate, Outcome):
-        calibration = without_result(session, method, estimate, provenance, bridged)
+        calibration = refused_calibration(session, method, estimate, provenance, bridged)
     else:
-        calibration = result_of(session, *estimate, systematic, frame, provenance, bridged)
+        calibration = build_calibration(session, *estimate, systematic, frame, provenance, bridged)
         faults = (*observed.gyro_faults, *observed.gyro_bias_faults)
         at_fault = [calibration.outcome.concerns.get(reason, ("",))[0] for reason in calibration.outcome.accel.reasons]
         by_gyros = bool(at_fault) and all(part.startswith("gyro") for part in at_fault)
         # the accelerometers are better off alone
         if by_gyros and method == "joint" and not isinstance(observations, Outcome):
-            alone = estimated(session, observations.of_accelerometers(), *options)
+            alone = estimate_observations(session, observations.of_accelerometers(), *options)
             if not isinstance(alone, Outcome):
-                of_accel = result_of(session, *alone, systematic, frame, provenance, bridged)
+                of_accel = build_calibration(session, *alone, systematic, frame, provenance, bridged)
                 missing = any(name.startswith("accel") for name in of_accel.outcome.unobservable)
                 if of_accel.outcome.accel.accepted and not missing:
                     of_gyros = calibration.outcome.gyro.reasons
@@ -282,7 +286,7 @@ def _with(
     )
 
 
-def systematic_of(session: Session) -> Mapping[str, float]:
+def passport_values(session: Session) -> Mapping[str, float]:
     """Values of the systematic (passport) calibration a session names, by parameter name."""
     if session.device.systematic is None:
         return {}
@@ -339,7 +343,7 @@ def grade_of(session: Session, observations: Observations) -> tuple[str, str]:
     return (guess, because) if poorer and (noisier or because != "the noise") else (stated, "")
 
 
-def estimated(
+def estimate_observations(
     session: Session,
     observations: Observations,
     method: Estimator,
@@ -368,7 +372,7 @@ def estimated(
             notes += linear_model.taken_as_nothing(estimate)
             estimate = linear_model.linear_part(estimate) if terms == "linear" else estimate
         elif prior is not None:
-            estimate, of_type = with_prior(estimate, observations, prior, reference_of(observations))
+            estimate, of_type = with_prior(estimate, observations, prior, mean_temperature(observations))
             notes += of_type
         grade, guessed_from = grade_of(session, observations)
         if session.device.grade is not None and guessed_from:
@@ -409,7 +413,7 @@ def assumptions(session: Session) -> tuple[str, ...]:
     return tuple(out)
 
 
-def provenance_of(log_sha256: str) -> Provenance:
+def new_provenance(log_sha256: str) -> Provenance:
     """Log, program and time of a calibration that is made now."""
     created = datetime.now(UTC).isoformat(timespec="seconds")
     return Provenance(log_sha256=log_sha256, software=f"tumble {__version__}", created=created)

@@ -50,7 +50,7 @@ ONE_RATE = 1.3
 scale factors that change with the square of the rate would be known seven times worse than at it."""
 
 
-def result_of(
+def build_calibration(
     session: Session,
     estimate: Estimate,
     observations: Observations,
@@ -64,7 +64,7 @@ def result_of(
     rests, turns = rest_results(estimate, observations), turn_results(estimate, observations)
     blocks = {b.kind: b for b in (observations.accel_block, observations.gyro_block) if b is not None}
     complete = bool(estimate.observable[: len(observations.accel_block.names)].all())
-    learned, limited = learned_in(estimate), tuple(over_temperature(estimate, observations))
+    learned, limited = prior_fields(estimate), tuple(temperature_notes(estimate, observations))
     case = None
     if frame != "accelerometer":  # in which alone the systematic calibration is
         systematic = {}
@@ -80,7 +80,7 @@ def result_of(
         device=device_of(session),
         method=estimate.method,
         frame=frame if complete else "accelerometer",
-        parameters=with_degrees(parameters_of(estimate, determined, systematic, learned), estimate.fits),
+        parameters=with_degrees(build_parameters(estimate, determined, systematic, learned), estimate.fits),
         covariance=estimate.covariance[np.ix_(determined, determined)],
         accel=None if "accel" in missing else estimate.accel,
         gyro=None if missing else estimate.gyro,
@@ -89,9 +89,9 @@ def result_of(
         prediction=estimate.prediction,
         axes={kind: tuple(map(tuple, block.axes.tolist())) for kind, block in blocks.items()},
         temperature=CalibratedTemperature(
-            reference=reference_of(observations),
+            reference=mean_temperature(observations),
             thermometers={} if thermometers is None else {kind: thermometers.names(kind) for kind in blocks},
-            references=references_of(observations),
+            references=sensor_temperatures(observations),
         ),
         evidence=Evidence(
             rests=rests,
@@ -120,7 +120,7 @@ def result_of(
     )
 
 
-def without_result(
+def refused_calibration(
     session: Session, method: str, outcome: Outcome, provenance: Provenance, bridged: tuple[str, ...] = ()
 ) -> Calibration:
     """A calibration that says why there is none; `bridged` are notes of the gaps of its log."""
@@ -142,7 +142,7 @@ def device_of(session: Session) -> CalibratedDevice:
     return CalibratedDevice(serial=session.device.serial, model=session.device.model, imu=session.device.imu)
 
 
-def parameters_of(
+def build_parameters(
     estimate: Estimate, seen: IntArray, systematic: Mapping[str, float], learned: Mapping[str, Mapping[str, float]]
 ) -> tuple[Parameter, ...]:
     """The parameters that the data determine, those `seen`, in the order of the estimate."""
@@ -161,7 +161,7 @@ def parameters_of(
     )
 
 
-def learned_in(estimate: Estimate) -> dict[str, dict[str, float]]:
+def prior_fields(estimate: Estimate) -> dict[str, dict[str, float]]:
     """Prior, as widened, and learned fraction of the parameters of groups beyond the linear model, by name, and of all
     of which the type of the device says anything."""
     u = dict(zip(estimate.names, estimate.u.tolist(), strict=True))
@@ -175,13 +175,13 @@ def learned_in(estimate: Estimate) -> dict[str, dict[str, float]]:
     } | of_type
 
 
-def reference_of(observations: Observations) -> float | None:
+def mean_temperature(observations: Observations) -> float | None:
     """The temperature, °C, at which parameters have their values: the mean of the thermometers over the rests."""
     temperature = observations.rests.temperature
     return None if temperature is None else float(temperature.mean()) - ZERO_CELSIUS
 
 
-def references_of(observations: Observations) -> dict[str, tuple[float, ...]]:
+def sensor_temperatures(observations: Observations) -> dict[str, tuple[float, ...]]:
     """The same of each sensor by kind, °C, by its own thermometer."""
     kelvin, blocks = observations.rests.temperatures, (observations.accel_block, observations.gyro_block)
     if kelvin is None:
@@ -299,7 +299,7 @@ def turn_results(estimate: Estimate, observations: Observations) -> tuple[TurnRe
 # -------------------- notes --------------------
 
 
-def bridged_in(gaps: Sequence[Gap]) -> tuple[str, ...]:
+def gap_notes(gaps: Sequence[Gap]) -> tuple[str, ...]:
     """What was bridged or left out in the log: the first of each kind, and how many more."""
     kinds = {
         "bridged": [gap for gap in gaps if gap.samples and gap.integrable],
@@ -346,7 +346,7 @@ def _case_note(case: CaseAlignment) -> str:
     )
 
 
-def over_temperature(estimate: Estimate, observations: Observations) -> Iterator[str]:
+def temperature_notes(estimate: Estimate, observations: Observations) -> Iterator[str]:
     """What the temperatures of several sessions, or of a session over temperature, determine, and what not."""
     kelvin, turns = observations.rests.temperature, observations.turns
     if observations.links is not None:

@@ -40,19 +40,19 @@ from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
 from tumble.result.calibration import Calibration
 from tumble.result.parts import CalibratedDevice, Evidence, Readings
-from tumble.run.calibrate import provenance_of
+from tumble.run.calibrate import new_provenance
 from tumble.run.case import estimate_in
-from tumble.run.from_estimate import learned_in, parameters_of
+from tumble.run.from_estimate import build_parameters, prior_fields
 from tumble.run.readings_table import (
     UNITS,
     Nominal,
     ReadingsTable,
+    fitted_outputs,
     nominal_of,
     positions_of,
     read_table,
-    rests_of,
-    sizes_seen,
     table_of,
+    table_rests,
 )
 from tumble.sensors.frames import Convention, Frame, convert, frame_of
 from tumble.sensors.grades import GRADES
@@ -79,7 +79,7 @@ BAD_CHANCE = 1e-3
 """A position is bad where chance alone makes one of the positions so bad in less than this part of all tables."""
 DOUBT_CHANCE = 1e-2
 """The same where the scatter is more than good instruments have: it is then not that of all positions alike."""
-AT_REST = tuple(
+REST_GROUPS = tuple(
     group.name
     for group in FURTHER
     if group.kind == "accel" and (group.regressors is not None or group.variable == "time")
@@ -194,16 +194,16 @@ def calibrate_readings(
     else:
         refusal = undetermined(nominal.to_si(rows.values), block=TRIAD) or fitted  # counts the rows as they are written
         by_faces = _by_faces(table, nominal, noise, grade, terms) if len(refusal.null) else None
-        misstated = None if len(refusal.null) else _misstated(nominal, sizes_seen(table.values, nominal.gravity))
+        misstated = None if len(refusal.null) else _misstated(nominal, fitted_outputs(table.values, nominal.gravity))
         outcome = Outcome(reasons=(misstated or refusal.reason,), unobservable=TRIAD.names)
         if by_faces is not None:
             estimate, outcome, notes = by_faces
     frame = "accelerometer" if fit is None else frame
-    has_u, learned = fit is None or fit.covariance is not None, {} if estimate is None else learned_in(estimate)
+    has_u, learned = fit is None or fit.covariance is not None, {} if estimate is None else prior_fields(estimate)
     if estimate is not None and frame != "accelerometer":
         estimate, _ = estimate_in(frame, estimate, _rests(table, nominal, np.zeros((3, 3))))
     determined = np.flatnonzero([] if estimate is None else estimate.observable)
-    parameters = () if estimate is None else parameters_of(estimate, determined, {}, learned)
+    parameters = () if estimate is None else build_parameters(estimate, determined, {}, learned)
     # where the scatter is that of all there is, a row has no uncertainty beside it
     row_known = fit is not None and (table.covariance is not None or fit.scatter == 0.0)
     meaning = Readings(
@@ -227,7 +227,7 @@ def calibrate_readings(
         prediction=None if estimate is None else estimate.prediction,
         evidence=Evidence(fits={} if fit is None else {"accelerometers": fit.fit("m/s^2")}),
         provenance=replace(
-            provenance_of(table.sha256),
+            new_provenance(table.sha256),
             site=replace(_site(nominal), gravity_is_unit=nominal.gravity_u is None),
             readings={"accel": meaning},
             notes=(*table.left_out, *_notes(table, nominal, fit), *notes),
@@ -255,7 +255,7 @@ def _site(nominal: Nominal) -> Site:
 
 def _rests(table: ReadingsTable, nominal: Nominal, noise: Array) -> Observations:
     """The readings as the mean readings of rests, with the covariance `noise` (3, 3) of each."""
-    return rests_of(nominal.to_si(table.values), noise, TRIAD, _site(nominal))
+    return table_rests(nominal.to_si(table.values), noise, TRIAD, _site(nominal))
 
 
 def _fitted(table: ReadingsTable, nominal: Nominal, bad: float) -> tuple[EllipsoidFit | Refusal, Array]:
@@ -286,7 +286,7 @@ def _estimated(
     if terms == "linear" or fit.covariance is None:
         return fit, estimate_of(fit, rests), ()
     every = [prior_sizes(name) for name in (GRADES if grade is None else [grade])]
-    grades = [{name: size for name, size in each.items() if name in AT_REST} for each in every]
+    grades = [{name: size for name, size in each.items() if name in REST_GROUPS} for each in every]
     sizes = f"usual for the grade {grade}" if grade is not None else "usual for any grade (--grade states one)"
     note = (
         f"quadratic and cubic terms and asymmetry and drift of the sizes {sizes} are in u, as far as the residuals "

@@ -30,15 +30,15 @@ from tumble.result.calibration import Calibration
 from tumble.result.parts import Evidence, Parameter
 from tumble.result.uncertainty_budget import contributions_of
 from tumble.rotation import UP, rotation_matrix, rotation_vector
-from tumble.run.calibrate import provenance_of
-from tumble.run.from_estimate import readings_of_session, without_result
+from tumble.run.calibrate import new_provenance
+from tumble.run.from_estimate import readings_of_session, refused_calibration
 from tumble.run.observed import Progress
 from tumble.sensors.grades import GRADES
 from tumble.sensors.model import Block, SensorModel
 from tumble.sensors.parameters import usual_sizes
 from tumble.units import G_STANDARD, Array
 
-MORE = (
+WHAT_TO_RECORD = (
     "record the accelerometers beside them, put the device down in nine or more positions (`tumble programme` shows "
     "them), and calibrate that log"
 )
@@ -127,7 +127,7 @@ def calibrate_gyros(found: GyroRests) -> Calibration:
     budget = UncertaintyBudget(sources=tuple(parts), covariances=np.array([np.diag(each) for each in parts.values()]))
     names, covariance, bias = block.names[:3], budget.covariances.sum(axis=0), found.mean.mean(axis=0)
     absent = "gyro.scale, gyro.axis: not shown by gyros alone, taken as 0"
-    nothing = without_result(session, "rest", Outcome(unobservable=block.names[3:]), provenance_of(found.sha256))
+    nothing = refused_calibration(session, "rest", Outcome(unobservable=block.names[3:]), new_provenance(found.sha256))
     return replace(
         nothing,
         parameters=tuple(
@@ -145,7 +145,7 @@ def calibrate_gyros(found: GyroRests) -> Calibration:
             readings={"gyro": readings_of_session(session)["accel"]},
             absent=(absent,),
             assumptions=(
-                f"{absent}; to have them {MORE}",
+                f"{absent}; to have them {WHAT_TO_RECORD}",
                 "the directions of the Earth's rate and of gravity are not known: either, gravity by the g-sensitivity "
                 f"that is usual for the grade {grade}, is in the u of gyro.bias",
                 *([f"doubt: {session.log.doubt}"] if session.log.doubt else []),

@@ -29,13 +29,19 @@ from tumble.recording.log import Log
 from tumble.recording.session import AirConditions, Circumstances, Session
 from tumble.recording.session_file import session_from
 from tumble.result.calibration import Calibration
-from tumble.result.coverage import by_gravity, degrees_of_mean, shared_gravity, welch_satterthwaite
-from tumble.result.launch_variances import LaunchVariances, at_temperature, own_variance, pooled, variance_of_type
+from tumble.result.coverage import degrees_of_mean, gravity_sensitivity, shared_gravity, welch_satterthwaite
+from tumble.result.launch_variances import (
+    LaunchVariances,
+    at_temperature,
+    estimate_variance,
+    pool_with_type,
+    variance_of_type,
+)
 from tumble.result.parts import CalibratedTemperature, Evidence, Parameter, SourceContributions, learned_fraction
-from tumble.result.shared_errors import by_priors, is_of_device
+from tumble.result.shared_errors import is_device_property, prior_sensitivities
 from tumble.result.uncertainty_budget import contributions_of
-from tumble.run.calibrate import DEFAULT_METHOD, Method, calibrate, provenance_of
-from tumble.run.magnetometer import NAMES
+from tumble.run.calibrate import DEFAULT_METHOD, Method, calibrate, new_provenance
+from tumble.run.magnetometer import PARAMETER_NAMES
 from tumble.run.observed import Progress
 from tumble.sensors.frames import Convention, Frame, frame_of
 from tumble.sensors.instrument import Instrument
@@ -47,7 +53,7 @@ _Any = TypeVar("_Any")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Run:
+class LaunchRun:
     """A session and its calibration."""
 
     session: Session
@@ -109,13 +115,13 @@ def calibrate_launches(
         raise InputError(f"prior: expected one session with it, found {len(sessions)}")
     words: dict[str, Any] = {"iterations": iterations, "frame": frame, "terms": terms, "prior": prior}
     runs = [
-        Run(session=session, calibration=calibrate(session, method=method, progress=progress, **words))
+        LaunchRun(session=session, calibration=calibrate(session, method=method, progress=progress, **words))
         for session in map(session_from, sessions)
     ]
     return mean_of_launches(runs, alike=alike) if len(runs) > 1 else runs[0].calibration
 
 
-def mean_of_launches(runs: Sequence[Run], *, alike: Sequence[LaunchVariances] = ()) -> Calibration:
+def mean_of_launches(runs: Sequence[LaunchRun], *, alike: Sequence[LaunchVariances] = ()) -> Calibration:
     """Mean of the calibrations of several sessions of one device by the same method, see `calibrate_launches`."""
     launches = [run.calibration for run in runs]
     first, session, count = launches[0], runs[0].session, len(runs)
@@ -181,11 +187,11 @@ def mean_of_launches(runs: Sequence[Run], *, alike: Sequence[LaunchVariances] = 
             launches=tuple(run.calibration.as_launch(run.name) for run in runs),
         ),
         provenance=replace(
-            provenance_of(digest_of_all(digests)),
+            new_provenance(joint_digest(digests)),
             site=_common([each.site for each in sources]),
             sample_rate=_mean_where_known([each.sample_rate for each in sources]),
             clock_u=clock_u,
-            circumstances=circumstances_of_all([each.circumstances for each in sources]),
+            circumstances=joint_circumstances([each.circumstances for each in sources]),
             programme=_common([each.programme for each in sources]),
             readings=_common_items([each.readings for each in sources]),
             notes=(*_notes(runs, names), *pooled_with),
@@ -205,7 +211,7 @@ def _shared_covariances(
     site, members = launches[0].provenance.site, [[launch[n] for n in names] for launch in launches]
     gravity = np.zeros(len(names))
     if all(shared_gravity(site, launch.provenance.site) for launch in launches):
-        gravity = np.mean([by_gravity(p, C, site) for p, C in zip(members, covariances, strict=True)], axis=0)
+        gravity = np.mean([gravity_sensitivity(p, C, site) for p, C in zip(members, covariances, strict=True)], axis=0)
     shared = {
         "gravity": np.broadcast_to(np.outer(gravity, gravity), covariances.shape),
         "clock": np.broadcast_to(np.outer(by_clock, by_clock), covariances.shape),
@@ -213,12 +219,12 @@ def _shared_covariances(
     for i, (parameters, C, launch) in enumerate(zip(members, covariances, launches, strict=True)):
         changes = [
             (f"prior.{group_name(name)}", np.outer(each, each))
-            for name, each in by_priors(parameters, C, launch.evidence.budget).items()
+            for name, each in prior_sensitivities(parameters, C, launch.evidence.budget).items()
         ]
         known = {prior for prior, _ in changes}
         for each in launch.evidence.budget:  # of groups that are in u alone, as with linear terms
             prior, _, group = each.name.partition(".")
-            if prior == "prior" and beyond_linear(group) and each.name not in known and is_of_device(group):
+            if prior == "prior" and beyond_linear(group) and each.name not in known and is_device_property(group):
                 changes.append((each.name, np.diag([each.contributions.get(name, 0.0) ** 2 for name in names])))
         for prior, square in changes:
             shared.setdefault(prior, np.zeros_like(covariances))[i] += square
@@ -237,8 +243,8 @@ def _instability(
     others, degrees = [each for each in alike if not each.logs & set(digests)], len(launches) - 1.0
     instability, unlike, model = [], [], launches[0].model
     for name, s2 in zip(names, np.var(values, axis=0, ddof=1).tolist(), strict=True):
-        noise = float(np.mean([own_variance(launch, name) for launch in launches]))
-        both = pooled(s2, degrees, variance_of_type(others, name, noise))
+        noise = float(np.mean([estimate_variance(launch, name) for launch in launches]))
+        both = pool_with_type(s2, degrees, variance_of_type(others, name, noise))
         unlike += [name] if both is None else []
         instability.append(both or (s2, degrees))
     if not alike:
@@ -334,12 +340,12 @@ def check_recordings(sessions: Sequence[Session], digests: Sequence[str]) -> Non
             raise InputError(f"{other.name}: holds the same recording as {one.name}; name every recording once")
 
 
-def digest_of_all(digests: Iterable[str]) -> str:
+def joint_digest(digests: Iterable[str]) -> str:
     """The SHA-256 of those of several logs."""
     return hashlib.sha256("\n".join(digests).encode()).hexdigest()
 
 
-def circumstances_of_all(each: Sequence[Circumstances]) -> Circumstances:
+def joint_circumstances(each: Sequence[Circumstances]) -> Circumstances:
     """What is the same in all launches, all their equipment, and the date of the last."""
     return Circumstances(
         date=max((one.date for one in each if one.date is not None), default=None),
@@ -378,7 +384,7 @@ def _groups(launches: Sequence[Calibration], parameters: Sequence[Parameter]) ->
     )
 
 
-def _notes(runs: Sequence[Run], names: list[str]) -> Iterator[str]:
+def _notes(runs: Sequence[LaunchRun], names: list[str]) -> Iterator[str]:
     """What there is to say of the launches, once, with the launches of which it holds; and which groups of parameters
     some of them have and not all."""
     launches_by_note: dict[str, list[str]] = {}
@@ -392,7 +398,7 @@ def _notes(runs: Sequence[Run], names: list[str]) -> Iterator[str]:
         yield f"left out of the mean, not known of every launch: {', '.join(missing)}"
 
 
-def _prediction(runs: Sequence[Run], names: list[str], values: Array, covariance: Array) -> Prediction | None:
+def _prediction(runs: Sequence[LaunchRun], names: list[str], values: Array, covariance: Array) -> Prediction | None:
     """What readings corrected with the mean are known to; None where the launches do not say, or in another frame."""
     session, predictions = runs[0].session, [run.calibration.prediction for run in runs]
     further = set(positions_by_group(names))
@@ -414,7 +420,11 @@ def _mean_model(frame: Frame, block: Block | None, values: Mapping[str, float]) 
     if block is None:
         return None
     if block.kind == "mag":
-        return block.model(np.array([values[name] for name in NAMES])) if set(NAMES) <= set(values) else None
+        return (
+            block.model(np.array([values[name] for name in PARAMETER_NAMES]))
+            if set(PARAMETER_NAMES) <= set(values)
+            else None
+        )
     convention = Convention(frame=frame, block=block)
     if not set(convention.names) <= set(values):
         return None

@@ -26,7 +26,7 @@ from tumble.result.uncertainty_budget import contributions_of
 from tumble.sensors.model import Block
 from tumble.units import DEGREE, Array
 
-NAMES = Block(kind="mag", axes=np.eye(3)).names
+PARAMETER_NAMES = Block(kind="mag", axes=np.eye(3)).names
 """The parameters of a magnetometer."""
 MOST_NAMED = 6
 """Stretches of nodes that are named of those left out."""
@@ -42,7 +42,7 @@ def with_magnetometer(
         why = magnetometer if isinstance(magnetometer, str) else magnetometer.refused if magnetometer else ""
         why = why or "it is calibrated with the other sensors by the method joint: take that"
         note = f"magnetometer: {why}, or leave [log.magnetometer] out; the rest of the session is calibrated without it"
-        missing = replace(calibration.outcome, unobservable=calibration.outcome.unobservable + NAMES)
+        missing = replace(calibration.outcome, unobservable=calibration.outcome.unobservable + PARAMETER_NAMES)
         provenance = replace(calibration.provenance, notes=(*calibration.provenance.notes, note))
         return replace(calibration, outcome=missing, provenance=provenance)
     whole = _with_covariance(calibration, magnetometer, estimate.names, covariance)

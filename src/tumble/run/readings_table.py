@@ -209,7 +209,7 @@ def positions_of(table: ReadingsTable, rows_per_position: int = 1) -> ReadingsTa
     )
 
 
-def rests_of(readings: Array, covariance: Array, block: Block, site: Site) -> Observations:
+def table_rests(readings: Array, covariance: Array, block: Block, site: Site) -> Observations:
     """Mean readings (N, 3), m/s², with the covariance (3, 3) of each, as rests in the order and at the pace of an
     operator's sheet."""
     N = len(readings)
@@ -277,7 +277,7 @@ def nominal_of(
     # the output per unit: 1, as stated, or from the readings to three digits
     sizes, estimated = np.ones(3), unit in RAW and scale is None
     if estimated:
-        outputs = sizes_seen(table.values, g / UNITS[per])
+        outputs = fitted_outputs(table.values, g / UNITS[per])
         outputs = 0.5 * np.ptp(table.values, axis=0) / (g / UNITS[per]) if outputs is None else outputs
         sizes = np.array([float(f"{s:.3g}") if s > 0.0 else 1.0 for s in outputs])
     elif scale is not None:
@@ -300,7 +300,7 @@ def nominal_of(
     )
 
 
-def sizes_seen(values: Array, length: float) -> Array | None:
+def fitted_outputs(values: Array, length: float) -> Array | None:
     """The output (3,) of the channels per unit of a vector of this length, from the ellipsoid through the readings
     (N, 3); None where they lie on none."""
     from tumble.methods.quadric import fit_many

@@ -26,9 +26,9 @@ from tumble.reduction.observations import Observations
 from tumble.reduction.together import joined
 from tumble.result.calibration import Calibration
 from tumble.result.parts import Member, Parameter, learned_fraction
-from tumble.run.calibrate import assumptions, estimated, provenance_of, systematic_of
-from tumble.run.from_estimate import result_of, without_result
-from tumble.run.launches import check_recordings, circumstances_of_all, digest_of_all
+from tumble.run.calibrate import assumptions, estimate_observations, new_provenance, passport_values
+from tumble.run.from_estimate import build_calibration, refused_calibration
+from tumble.run.launches import check_recordings, joint_circumstances, joint_digest
 from tumble.run.observed import Progress, inspect_session, observations_in_parts
 from tumble.sensors.frames import Frame
 from tumble.units import DEGREE, ZERO_CELSIUS
@@ -80,7 +80,7 @@ def calibrate_together(
         raise InputError("frame: expected accelerometer, paper or symmetric of several sessions, found 'case'")
     described = [session_from(session).of_known_scales() for session in sessions]
     _check_alike(described)
-    first, systematic = described[0], systematic_of(described[0])
+    first, systematic = described[0], passport_values(described[0])
     members, observations, numbers = list[Member](), list[Observations](), []
     circumstances, faults = [], []
     for session in described:
@@ -104,9 +104,9 @@ def calibrate_together(
                 date=observed.circumstances.date,
             )
         )
-    provenance = provenance_of(digest_of_all(member.log_sha256 for member in members))
+    provenance = new_provenance(joint_digest(member.log_sha256 for member in members))
     if faults:
-        return without_result(first, "joint", Outcome(reasons=tuple(faults)), provenance)
+        return refused_calibration(first, "joint", Outcome(reasons=tuple(faults)), provenance)
     check_recordings(described, [member.log_sha256 for member in members])
     for session, each in zip(described, observations, strict=True):
         if each.rests.temperature is None:
@@ -119,10 +119,10 @@ def calibrate_together(
     if any(session.log.magnetometer is not None for session in described):
         note = "magnetometer: several sessions in one estimate leave it out; calibrate one alone for hard and soft iron"
         joint_observations = replace(joint_observations, notes=(*joint_observations.notes, note))
-    estimate = estimated(first, joint_observations, joint, systematic, "full")
+    estimate = estimate_observations(first, joint_observations, joint, systematic, "full")
     if isinstance(estimate, Outcome):
-        return without_result(first, "joint", estimate, provenance)
-    calibration, of_sessions = result_of(first, *estimate, systematic, frame, provenance), estimate[0].own
+        return refused_calibration(first, "joint", estimate, provenance)
+    calibration, of_sessions = build_calibration(first, *estimate, systematic, frame, provenance), estimate[0].own
     if of_sessions is not None:
         by_session = zip(of_sessions.values.tolist(), of_sessions.u.tolist(), strict=True)
         named = list(zip(of_sessions.names, of_sessions.units, of_sessions.priors.tolist(), strict=True))
@@ -141,7 +141,7 @@ def calibrate_together(
         evidence=replace(calibration.evidence, together=tuple(members)),
         provenance=replace(
             calibration.provenance,
-            circumstances=circumstances_of_all(circumstances),
+            circumstances=joint_circumstances(circumstances),
             assumptions=assumptions(first),
             notes=(
                 *calibration.provenance.notes,

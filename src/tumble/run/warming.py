@@ -64,10 +64,10 @@ from tumble.result.uncertainty_budget import contributions_of
 from tumble.run.from_estimate import (
     LAGS,
     check_sensors,
-    reference_of,
-    references_of,
+    mean_temperature,
+    refused_calibration,
     rest_results,
-    without_result,
+    sensor_temperatures,
 )
 from tumble.run.observed import Observed, observations_in_parts
 from tumble.sensors.model import Block, SensorModel
@@ -97,7 +97,7 @@ CREEP = 1e-6
 """rad/√s: the random walk of the attitude of what lies on a table, 12″ in an hour."""
 
 
-def lies_still(observed: Observed) -> bool:
+def is_still(observed: Observed) -> bool:
     """Whether a device lay in one attitude while its temperature changed."""
     records = [file.temperature for file in observed.reduction.files if file.temperature is not None]
     if observed.faults or max((np.ptp(each, axis=0).max() for each in records), default=0.0) < LEAST_CHANGE:
@@ -116,7 +116,7 @@ def calibrate_warming(observed: Observed, base: Calibration | None, provenance: 
     session = observed.session
     taken = observations_in_parts(_at_rest(observed), PARTS)
     if isinstance(taken, Outcome):
-        return without_result(session, "joint", taken, provenance)
+        return refused_calibration(session, "joint", taken, provenance)
     observations = taken[0].of_accelerometers() if observed.gyro_faults else taken[0]
     if observations.thermometers is None or observations.rests.temperatures is None:
         raise InputError(
@@ -134,9 +134,9 @@ def calibrate_warming(observed: Observed, base: Calibration | None, provenance: 
     made = _with_coefficients(base or _nominal(session, estimate, observations), estimate, observations, session)
     own, digest = made.provenance, provenance.log_sha256
     if base is not None:
-        from tumble.run.launches import digest_of_all
+        from tumble.run.launches import joint_digest
 
-        digest = digest_of_all([own.log_sha256 or "", digest or ""])
+        digest = joint_digest([own.log_sha256 or "", digest or ""])
     return replace(
         made,
         provenance=replace(
@@ -229,7 +229,7 @@ def _nominal(session: Session, estimate: Estimate, observations: Observations) -
         absent=(absent,),
         assumptions=(f"{absent}; tumble calibrate LOG --base FILE.json takes them from a calibration",),
     )
-    nothing = without_result(session, "joint", Outcome(unobservable=missing), provenance)
+    nothing = refused_calibration(session, "joint", Outcome(unobservable=missing), provenance)
     return replace(
         nothing,
         parameters=tuple(
@@ -359,9 +359,9 @@ def _temperature(session: Session, observations: Observations) -> CalibratedTemp
     channels = session.log.temperature
     assert channels is not None
     return CalibratedTemperature(
-        reference=reference_of(observations),
+        reference=mean_temperature(observations),
         thermometers={block.kind: channels.names(block.kind) for block in _blocks(observations)},
-        references=references_of(observations),
+        references=sensor_temperatures(observations),
     )
 
 

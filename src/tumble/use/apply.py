@@ -102,7 +102,7 @@ def apply_to_session(
     return {**content, "log": {"file": str(path.resolve()), **({"header": False} if nameless else {}), **table}}
 
 
-def applied(calibration: Calibration | FilePath, session: Session | FilePath) -> tuple[str, ...]:
+def correction_notes(calibration: Calibration | FilePath, session: Session | FilePath) -> tuple[str, ...]:
     """Sentences on the parameters beyond the linear model that `apply_to_session` corrects, and that it does not."""
     calibration, session = accepted_part(calibration_from(calibration)), session_from(session)
     compensator = calibration.compensator

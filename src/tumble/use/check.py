@@ -54,18 +54,18 @@ from tumble.recording.session_file import session_from
 from tumble.reduction.observations import Observations
 from tumble.result.accepted import accepted_part
 from tumble.result.calibration import Calibration, calibration_from
-from tumble.result.coverage import by_gravity, shared_gravity
+from tumble.result.coverage import gravity_sensitivity, shared_gravity
 from tumble.result.launch_variances import LaunchVariances, launch_variances
 from tumble.result.record import to_references
 from tumble.run.calibrate import grade_of
-from tumble.run.from_estimate import check_sensors, reference_of, references_of
+from tumble.run.from_estimate import check_sensors, mean_temperature, sensor_temperatures
 from tumble.run.observed import inspect_session, observations_for_calibration
 from tumble.sensors.grades import GRADES, TURN_ON, spread_of
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import group_name, group_of, shown_in, usual_sizes, variable_of
 from tumble.units import ZERO_CELSIUS, engineering
 from tumble.use.apply import check_device
-from tumble.use.positions import PositionResiduals, residuals_in, table_observations
+from tumble.use.positions import PositionResiduals, position_residuals, table_observations
 
 _FITS = {"accel": "accelerometers", "gyro": "gyro rests", "turn": "gyro turns", "velocity": "velocities of turns"}
 
@@ -152,7 +152,7 @@ class FieldCheck(Judged):
         )
 
 
-def tested(result: CheckResult) -> dict[str, Any]:
+def parameter_test_fields(result: CheckResult) -> dict[str, Any]:
     """The fields of a `FieldCheck` that describe the tests of the parameters."""
     same = {name: getattr(result, name) for name in ("changes", "largest", "limit", "unseen", "misfit")}
     return same | {"parameters": tuple(result.tests.values())}
@@ -227,7 +227,7 @@ def check_calibration(
     if not isinstance(readings, Session) and not Path(readings).is_dir():
         rows, table = table_observations(accepted, Path(readings))
         labels = [f"position {i} (line {line})" for i, line in enumerate(table.lines, 1)]
-        return _by_gravity(str(readings), residuals_in(accepted, rows, table.sha256), label=labels)
+        return _by_gravity(str(readings), position_residuals(accepted, rows, table.sha256), label=labels)
     session = session_from(readings)
     check_session(accepted, session)
     observed = inspect_session(replace(session, programme=None))
@@ -241,7 +241,7 @@ def check_calibration(
     start, stop = rests.start.tolist(), rests.stop.tolist()
     by_rests = _by_gravity(
         session.name,
-        residuals_in(accepted, observations, observed.sha256),
+        position_residuals(accepted, observations, observed.sha256),
         label=[f"rest {i} ({t:z.1f}–{end:z.1f} s)" for i, (t, end) in enumerate(zip(start, stop, strict=True), 1)],
         start=start,
         stop=stop,
@@ -265,9 +265,12 @@ def check_calibration(
     return replace(
         by_rests,
         turns=0 if observations.turns is None else len(observations.turns),
-        **tested(result),
+        **parameter_test_fields(result),
         rests_agree=rests_agree,
-        notes=(*by_rests.notes, *_assumptions(converted, reference_of(observations), grade, guessed_from, launches)),
+        notes=(
+            *by_rests.notes,
+            *_assumptions(converted, mean_temperature(observations), grade, guessed_from, launches),
+        ),
     )
 
 
@@ -355,12 +358,12 @@ def prior_at_check(
     places = 1 + np.flatnonzero([name in calibrated for name in names])
     with_gravity[np.ix_(places, places)] = calibration.covariance_of([names[i - 1] for i in places])
     if shared_gravity(calibration.provenance.site, observations.site):
-        change = by_gravity(calibration.parameters, calibration.covariance, calibration.provenance.site)
+        change = gravity_sensitivity(calibration.parameters, calibration.covariance, calibration.provenance.site)
         by_name = dict(zip(calibration, change.tolist(), strict=True))
         with_gravity[0, 1:] = with_gravity[1:, 0] = gravity * np.array([by_name.get(name, 0.0) for name in names])
 
     # at the temperature of the check
-    now, J = references_of(observations), np.eye(len(with_gravity))
+    now, J = sensor_temperatures(observations), np.eye(len(with_gravity))
     if calibration.reference_temperature is not None and now:
         J[1:, 1:] = to_references(calibration, names, replace(calibration.temperature, references=now))
     # s² and 1/ν_s of another power-on, Eq. (2)

@@ -30,7 +30,7 @@ from tumble.brief import Judged
 from tumble.errors import InputError
 from tumble.files import FilePath
 from tumble.result.calibration import Calibration, calibration_from
-from tumble.result.coverage import UNLEARNED, apart, expanded_of, welch_satterthwaite
+from tumble.result.coverage import UNLEARNED, expanded_of, unshared_variance, welch_satterthwaite
 from tumble.result.further import remarks as remarks_of
 from tumble.result.parts import Estimated
 from tumble.result.shared_errors import shared_errors
@@ -63,8 +63,8 @@ class Difference:
         second; `others` are the other fields."""
         parts: list[tuple[float, float | None]] = [
             (float(((g - h) ** 2).sum()), None),
-            apart(first.u, first.dof, g.tolist()),
-            apart(second.u, second.dof, h.tolist()),
+            unshared_variance(first.u, first.dof, g.tolist()),
+            unshared_variance(second.u, second.dof, h.tolist()),
         ]
         variance = sum(variance for variance, _ in parts)
         if variance < UNLEARNED * ((first.u or 0.0) ** 2 + (second.u or 0.0) ** 2):

@@ -32,7 +32,7 @@ from tumble.inference.variables import sensors_at
 from tumble.reduction.observations import Observations
 from tumble.result.calibration import Calibration
 from tumble.rotation import unit_vector
-from tumble.run.readings_table import ReadingsTable, read_table, rests_of
+from tumble.run.readings_table import ReadingsTable, read_table, table_rests
 from tumble.sensors.frames import Convention, frame_of, triad_axes
 from tumble.sensors.instrument import Instrument, functions
 from tumble.sensors.model import Block
@@ -82,7 +82,7 @@ def table_observations(calibration: Calibration, path: Path) -> tuple[Observatio
         )
     readings = (table.values - np.array(meaning.offset)) / np.array(meaning.scale)
     block = Block(kind="accel", axes=triad_axes(calibration.accel.matrix))
-    return rests_of(readings, np.diag(variance), block, calibration.provenance.site), table
+    return table_rests(readings, np.diag(variance), block, calibration.provenance.site), table
 
 
 def _accelerometer_fit(calibration: Calibration) -> Fit:
@@ -90,7 +90,7 @@ def _accelerometer_fit(calibration: Calibration) -> Fit:
     return calibration.evidence.fits.get("accelerometers", nothing)
 
 
-def residuals_in(calibration: Calibration, observations: Observations, sha256: str) -> PositionResiduals:
+def position_residuals(calibration: Calibration, observations: Observations, sha256: str) -> PositionResiduals:
     """Return the differences from gravity, Eq. (1) and (2), in check positions whose log or table has this SHA-256.
 
     Raises CalibrationError for a calibration without all parameters of its accelerometers, and InputError for positions

@@ -30,10 +30,17 @@ from tumble.reduction.rest_stream import RestStream
 from tumble.result.calibration import Calibration, calibration_from
 from tumble.rotation import unit_vector
 from tumble.run.calibrate import grade_of
-from tumble.run.from_estimate import reference_of
+from tumble.run.from_estimate import mean_temperature
 from tumble.sensors.parameters import usual_sizes
 from tumble.units import ZERO_CELSIUS, Array
-from tumble.use.check import CheckedRest, FieldCheck, accepted_for_check, check_session, prior_at_check, tested
+from tumble.use.check import (
+    CheckedRest,
+    FieldCheck,
+    accepted_for_check,
+    check_session,
+    parameter_test_fields,
+    prior_at_check,
+)
 from tumble.use.corrector import LATEST, Ranges, Stream
 
 SHAKEN = 10.0
@@ -158,7 +165,7 @@ class StreamCheck:
             difference=self.session.site.gravity - size,
             start=start,
             stop=stop,
-            celsius=reference_of(observations),
+            celsius=mean_temperature(observations),
             outside=tuple(name for name, beyond in outside.items() if beyond),
         )
         noise = {"accel": rests.accel_noise[0], "gyro": rests.gyro_noise[0]}
@@ -202,7 +209,7 @@ class StreamCheck:
         return FieldCheck(
             source=self.session.name,
             rests=tuple(self.rests),
-            **tested(self._chain.result(self.moved)),
+            **parameter_test_fields(self._chain.result(self.moved)),
             notes=(*self.calibration.provenance.absent, note),
         )
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from tumble.result.calibration import Calibration
 from tumble.result.correction import Example, examples, linear_example
-from tumble.result.further import SENSORS, further_parameters, left_by_matrix
+from tumble.result.further import SENSORS, further_parameters, linear_errors_text
 from tumble.sensors.model import SensorKind
 from tumble.sensors.parameters import group_name, variable_of
 from tumble.units import Array
@@ -66,7 +66,7 @@ def application(calibration: Calibration) -> Section:
         which = f"One of more sensors {least}" if triads else f"{meant}. A reading is corrected {least}"
         blocks += [which, Formula(name="apply_redundant")]
     blocks += _what_a_reading_is(calibration, present or models)
-    left_over = left_by_matrix(calibration)
+    left_over = linear_errors_text(calibration)
     if left_over:
         linear = f"This is the linear model, {left_over}; the whole correction is at the end of the section."
         blocks.append(linear)
