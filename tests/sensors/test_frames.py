@@ -15,7 +15,7 @@ from scipy.linalg import sqrtm
 
 from tests.support.shared import calibrated, session
 from tumble.cli import main
-from tumble.commands.ask import FRAMES as OFFERED
+from tumble.commands.params import FRAMES as OFFERED
 from tumble.errors import InputError
 from tumble.planning.setup import Setup
 from tumble.recording.session_file import read_session
