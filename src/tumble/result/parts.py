@@ -21,14 +21,7 @@ from pydantic_core import core_schema
 from tumble.documents import shown
 from tumble.inference.estimate import Fit, HyperparameterEstimate, Integral, Outcome, ProcessBias
 from tumble.inference.sources import Source
-from tumble.recording.session import (
-    UNKNOWN,
-    AutopilotSensor,
-    Circumstances,
-    IsoDate,
-    Site,
-    sensors_from,
-)
+from tumble.recording.session import UNKNOWN, AutopilotSensor, Circumstances, IsoDate, Site, sensors_from
 from tumble.recording.session.document import ImuTable
 from tumble.recording.session.table import name_of
 from tumble.sensors.model import SensorModel
