@@ -197,23 +197,22 @@ def _calibrated(
 
     If the Earth's rate contradicts the clock of the log, the estimate is repeated with the `clock` that it shows."""
     systematic = passport_values(session)
-    with ThreadPoolExecutor(max_workers=1) as beside:
-        observed = inspected(session, progress, beside)
+    options = (estimator, systematic, terms, prior, clock)
+    with ThreadPoolExecutor(max_workers=1) as executor:
+        observed = inspected(session, progress, executor)
         observations = observations_for_calibration(observed, joint=method == "joint")
         if base is not None or (method == "joint" and is_still(observed)):
             return calibrate_warming(observed, base, new_provenance(observed.sha256))
-        options = (estimator, systematic, terms, prior, clock)
-        estimate = (
-            observations
-            if isinstance(observations, Outcome)
-            else estimate_observations(session, observations, *options)
-        )
-    if clock is None and not isinstance(estimate, Outcome) and (clock := clock_by_earth(estimate[0])) is not None:
+        if isinstance(observations, Outcome):
+            result: tuple[Estimate, Observations] | Outcome = observations
+        else:
+            result = estimate_observations(session, observations, *options)
+    if clock is None and not isinstance(result, Outcome) and (clock := clock_by_earth(result[0])) is not None:
         log = replace(session.log, clock_rate=session.log.clock_rate * clock.rate, clock_u=clock.u)
-        made = _calibrated(replace(session, log=log), method, estimator, frame, terms, progress, prior, base, clock)
+        repeated = _calibrated(replace(session, log=log), method, estimator, frame, terms, progress, prior, base, clock)
         sentence = clock.sentence(" and ".join(clocked(clock.u, log.increments)) or "no parameter")
         contradicted = abs(clock.rate - 1.0) > CLOCK_CONTRADICTED * session.log.time_base_u
-        return _with(made, remarks={sentence: ()}) if contradicted else _with(made, notes=(sentence,))
+        return _with(repeated, remarks={sentence: ()}) if contradicted else _with(repeated, notes=(sentence,))
     bridged = (*gap_notes(observed.gaps), *observed.segmentation.unused())
     provenance = replace(
         new_provenance(observed.sha256),
@@ -221,37 +220,38 @@ def _calibrated(
         circumstances=observed.circumstances,
         assumptions=assumptions(session),
     )
-    if isinstance(estimate, Outcome):
-        calibration = refused_calibration(session, method, estimate, provenance, bridged)
+    if isinstance(result, Outcome):
+        calibration = refused_calibration(session, method, result, provenance, bridged)
     else:
-        calibration = build_calibration(session, *estimate, systematic, frame, provenance, bridged)
+        calibration = build_calibration(session, *result, systematic, frame, provenance, bridged)
         faults = (*observed.gyro_faults, *observed.gyro_bias_faults)
-        at_fault = [calibration.outcome.concerns.get(reason, ("",))[0] for reason in calibration.outcome.accel.reasons]
-        by_gyros = bool(at_fault) and all(part.startswith("gyro") for part in at_fault)
+        concerned = [calibration.outcome.concerns.get(reason, ("",))[0] for reason in calibration.outcome.accel.reasons]
+        by_gyros = bool(concerned) and all(part.startswith("gyro") for part in concerned)
         if by_gyros and method == "joint" and not isinstance(observations, Outcome):
-            accel_estimate = estimate_observations(session, observations.of_accelerometers(), *options)
-            if not isinstance(accel_estimate, Outcome):
-                accel_only = build_calibration(session, *accel_estimate, systematic, frame, provenance, bridged)
+            accel_result = estimate_observations(session, observations.of_accelerometers(), *options)
+            if not isinstance(accel_result, Outcome):
+                accel_only = build_calibration(session, *accel_result, systematic, frame, provenance, bridged)
                 missing = any(name.startswith("accel") for name in accel_only.outcome.unobservable)
                 if accel_only.outcome.accel.accepted and not missing:
                     reasons = calibration.outcome.gyro.reasons
                     because = (f"{reason}; the accelerometers are estimated alone" for reason in reasons)
-                    estimate, calibration, faults = accel_estimate, accel_only, (*because, *faults)
-        little = little_used(observed.segmentation, in_motion=estimate[1].links is not None)
+                    result, calibration, faults = accel_result, accel_only, (*because, *faults)
+        estimate, used = result
+        little = little_used(observed.segmentation, in_motion=used.links is not None)
         remarks: dict[str, tuple[str, ...]] = dict.fromkeys(little, ())
-        if estimate[0].gyro is not None and not session.log.increments["gyro"]:
-            grade, _ = grade_of(session, estimate[1])
-            remarks |= dict.fromkeys(time_base_doubted(estimate[0], grade_named(grade).gyro.scale), ("gyro.scale",))
-        notes = motion_note(estimate[0], estimate[1]) if accepted_kinds(calibration) else ()
+        if estimate.gyro is not None and not session.log.increments["gyro"]:
+            grade, _ = grade_of(session, used)
+            remarks |= dict.fromkeys(time_base_doubted(estimate, grade_named(grade).gyro.scale), ("gyro.scale",))
+        notes = motion_note(estimate, used) if accepted_kinds(calibration) else ()
         calibration = _with(calibration, notes=notes, remarks=remarks)
         if session.log.magnetometer is not None:
             from tumble.run.magnetometer import with_magnetometer
 
-            calibration = with_magnetometer(calibration, estimate[0], session.log.magnetometer, estimate[1])
-        if prior is not None and estimate[0].of_type:
+            calibration = with_magnetometer(calibration, estimate, session.log.magnetometer, used)
+        if prior is not None and estimate.of_type:
             calibration = replace(calibration, provenance=replace(calibration.provenance, prior=prior.words))
         if faults:
-            lost = () if session.gyro_block is None or estimate[0].gyro is not None else session.gyro_block.names
+            lost = () if session.gyro_block is None or estimate.gyro is not None else session.gyro_block.names
             part, outcome = "gyro" if lost else "gyro.bias", calibration.outcome
             outcome = replace(
                 outcome,
