@@ -106,16 +106,16 @@ def calibrate(
         raise InputError(
             f"--together: expected the method {params.METHOD_NAMES[0]!r} with all terms and no iterations, found others"
         )
-    true, known = None, None
+    truth_by_name, true_values = None, None
     if truth is not None:
         from tumble.simulation.session import read_truth
 
-        true = read_truth(truth)
+        truth_by_name = read_truth(truth)
     if base is not None and (len(sessions) > 1 or together or methods != ("joint",)):
         raise InputError("--base: expected one recording and the method joint, found others")
     estimation |= {} if base is None else {"base": base}
-    made = session_folders(sessions, dict(options), every=shown["every"])
-    with _of_gyros(sessions, options, out, force=force), made as folders, console.estimating() as progress:
+    folders_made = session_folders(sessions, dict(options), every=shown["every"])
+    with _of_gyros(sessions, options, out, force=force), folders_made as folders, console.estimating() as progress:
         described = [read_session(folder).without(without or ()) for folder in folders]
         if together:
             from tumble.run.together import calibrate_together
@@ -133,14 +133,14 @@ def calibrate(
         result, *others = results
         target = out or Path(described[0].name) / "calibration.json"
         result.write(target, force=force)
-    if true is not None:
+    if truth_by_name is not None:
         from tumble.result.record import reference_of_parameter
         from tumble.simulation.temperature_profile import truth_at
 
-        known = truth_at(true, result.reference_temperature, partial(reference_of_parameter, result))
+        true_values = truth_at(truth_by_name, result.reference_temperature, partial(reference_of_parameter, result))
     console.show(
         result.content() | ({"others": [other.content() for other in others]} if others else {}),
-        lambda: calibration_blocks(result, known, others, file=target, session=described[0].name, **shown),
+        lambda: calibration_blocks(result, true_values, others, file=target, session=described[0].name, **shown),
         width=None if shown["every"] else WIDTH,
     )
     console.say(f"written to {target}")

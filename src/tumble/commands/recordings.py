@@ -69,8 +69,8 @@ def session_folders(
         )
     from tumble.drafting.made_session import session_of_log
 
-    with session_of_log(first, params.given_of(options), console.with_progress) as (folder, state, said, faults):
-        for sentence in said if every else ():
+    with session_of_log(first, params.given_of(options), console.with_progress) as (folder, state, sentences, faults):
+        for sentence in sentences if every else ():
             console.say(sentence)
         for fault in faults:
             console.warn(f"look at this: {fault}")

@@ -84,8 +84,8 @@ def best_linear_model(calibration: CalibrationData, kind: SensorKind, held: Cont
     at_rest = fitted.compensator.gyro_coefficients[:, CONSTANT]  # Eq. (3)
     rates = session_rate(calibration) * np.concatenate([UP / 3.0, UP / 1.5, UP])[:, [1, 2, 0]]
     force = G_STANDARD * np.tile(UP, (3, 1))
-    both = 0.5 * (readings_at(fitted, kind, force, rates) + readings_at(fitted, kind, -force, rates))
-    matrix = np.asarray(np.linalg.lstsq(rates, both - at_rest)[0], dtype=float).T
+    mean_readings = 0.5 * (readings_at(fitted, kind, force, rates) + readings_at(fitted, kind, -force, rates))
+    matrix = np.asarray(np.linalg.lstsq(rates, mean_readings - at_rest)[0], dtype=float).T
     return SensorModel(matrix=matrix, bias=at_rest)
 
 

@@ -159,12 +159,12 @@ def _check_replaceable(new: CalibrationData, path: Path, force: bool) -> None:
     try:
         old = json_of(text_of_document(path))
         same = old["method"] == new.method and old["provenance"]["log_sha256"] == new.provenance.log_sha256
-        of_use = any(not old["outcome"][kind]["reasons"] and old[kind] is not None for kind in ("accel", "gyro"))
+        is_usable = any(not old["outcome"][kind]["reasons"] and old[kind] is not None for kind in ("accel", "gyro"))
     except (ValueError, KeyError, TypeError, InputError) as error:
         raise CalibrationError(
             f"{path}: expected a calibration to replace, found another file; remove it, or choose another --out"
         ) from error
-    if of_use and not same and not force:
+    if is_usable and not same and not force:
         raise CalibrationError(
             f"{path}: holds a calibration from another log or by another method; give --force to replace it, or "
             "--out for another file"

@@ -150,8 +150,8 @@ def verdicts(calibration: Calibration) -> tuple[str, ...]:
     """Return the verdict, after those of accelerometers and gyros if these differ."""
     outcome = calibration.outcome
     names = (*(p.name for p in calibration.parameters), *outcome.unobservable)
-    both = {"accel", "gyro"} <= {sensor_kind(name) for name in names}
-    if not both or outcome.accel.verdict == outcome.gyro.verdict:
+    has_both = {"accel", "gyro"} <= {sensor_kind(name) for name in names}
+    if not has_both or outcome.accel.verdict == outcome.gyro.verdict:
         return (outcome.verdict,)
     return f"accelerometers: {outcome.accel.verdict}", f"gyros: {outcome.gyro.verdict}", outcome.verdict
 

@@ -92,24 +92,24 @@ def improvement(calibration: Calibration) -> tuple[str, ...]:
     After calibration the error of a reading is its standard uncertainty; before it also the correction, as root mean
     square over all attitudes at rest, or over all axes at the rate of the session's turns. Sensors that are not
     accepted are left out."""
-    prediction, accepted, parts = calibration.prediction, accepted_kinds(calibration), list[str]()
+    prediction, accepted, clauses = calibration.prediction, accepted_kinds(calibration), list[str]()
     if prediction is not None and "accel" in accepted:
         before, after = _off_by(calibration, "accel", prediction.force_u)
         open_angles = any(group_name(name) == "accel.axis" for name in calibration.outcome.unobservable)
         why = " (these rests do not determine the axis angles)" if open_angles else ""
-        parts.append(f"at rest off by {_change(before, after, _FORCES, 0.01)}{why}")
+        clauses.append(f"at rest off by {_change(before, after, _FORCES, 0.01)}{why}")
     if prediction is not None and prediction.rate_u is not None and prediction.at_rate and "gyro" in accepted:
         before, after = _off_by(calibration, "gyro", prediction.rate_u)
         rate = prediction.at_rate
-        parts.append(
+        clauses.append(
             f"rates off by {_change(before / rate, after / rate, _PARTS, 0.01)} of {two_digits(rate / DEGREE)} °/s"
         )
-    lines = ["; ".join(parts)] if parts else []
-    if (both := unaided(calibration)) is not None and len(accepted) == len(both):
-        changes = (("tilt", _ANGLES), ("heading", _ANGLES), ("position", _LENGTHS))
-        first, last = both
-        clauses = (f"{name} {_change(getattr(first, name), getattr(last, name), units)}" for name, units in changes)
-        lines.append(f"after {SECONDS:.0f} s without aid: {', '.join(clauses)}")
+    lines = ["; ".join(clauses)] if clauses else []
+    if (before_and_after := unaided(calibration)) is not None and len(accepted) == len(before_and_after):
+        errors = (("tilt", _ANGLES), ("heading", _ANGLES), ("position", _LENGTHS))
+        first, last = before_and_after
+        changes = (f"{name} {_change(getattr(first, name), getattr(last, name), units)}" for name, units in errors)
+        lines.append(f"after {SECONDS:.0f} s without aid: {', '.join(changes)}")
     return tuple(lines)
 
 

@@ -301,15 +301,15 @@ def with_grade(session: Session, observations: Observations) -> Observations:
     device."""
     grade, guessed_from = grade_of(session, observations)
     sheet, noise = session.device.prior, grade_named(grade).noise
-    usual = prior_sizes(grade, sheet)
+    sizes = prior_sizes(grade, sheet)
     note = f"what is not bias, scale or axis angle is taken to be of the size usual for the grade {grade}"
     origin = f", guessed from {guessed_from}; state another as [device] grade" if guessed_from else ""
-    of_grade = f"{'guessed' if guessed_from else 'stated'} grade {grade}"
+    basis = f"{'guessed' if guessed_from else 'stated'} grade {grade}"
     return replace(
         observations,
-        usual=usual,
-        size_basis={name: "data sheet" if name in sheet else of_grade for name in usual},
-        too_small=size_factors(grade, usual, sheet, guessed=bool(guessed_from)),
+        usual=sizes,
+        size_basis={name: "data sheet" if name in sheet else basis for name in sizes},
+        too_small=size_factors(grade, sizes, sheet, guessed=bool(guessed_from)),
         in_run={"accel": noise.accel_instability, "gyro": noise.gyro_instability},
         notes=(*observations.notes, note + origin),
     )

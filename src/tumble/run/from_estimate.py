@@ -165,14 +165,14 @@ def prior_fields(estimate: Estimate) -> dict[str, dict[str, float]]:
 
     Parameters of groups beyond the linear model have them, and all for which the type of the device has a prior."""
     u = dict(zip(estimate.names, estimate.u.tolist(), strict=True))
-    of_type = {name: {"prior": s, "learned": learned_fraction(u[name], s)} for name, s in estimate.of_type.items()}
+    type_priors = {name: {"prior": s, "learned": learned_fraction(u[name], s)} for name, s in estimate.of_type.items()}
     if estimate.instrument is None:
-        return of_type
+        return type_priors
     return {
         name: {"prior": group.prior * group.prior_widened, "learned": learned}
         for group in estimate.groups
         for name, learned in zip(estimate.names[estimate.instrument.members[group.name]], group.learned, strict=True)
-    } | of_type
+    } | type_priors
 
 
 def mean_temperature(observations: Observations) -> float | None:
@@ -209,19 +209,21 @@ def readings_of_session(session: Session) -> dict[str, Readings]:
 def check_sensors(calibration: Calibration, session: Session) -> None:
     """Raise InputError if the sensors of a session, or the scales of its counts or volts, are not those of a
     calibration."""
-    for kind, now in readings_of_session(session).items():
-        model, then = getattr(calibration, kind), calibration.provenance.readings.get(kind)
-        if model is not None and len(model.bias) != len(now.columns):
+    for kind, readings in readings_of_session(session).items():
+        model, expected = getattr(calibration, kind), calibration.provenance.readings.get(kind)
+        if model is not None and len(model.bias) != len(readings.columns):
             raise InputError(
                 f"{session.name}: log.{kind}: expected the {len(model.bias)} sensors of the calibration of "
-                f"{calibration.serial!r}, found {len(now.columns)}"
+                f"{calibration.serial!r}, found {len(readings.columns)}"
             )
-        raw = then is not None and {now.unit, then.unit} & {"count", "V"}
-        if then is not None and raw and (now.unit, now.scale, now.offset) != (then.unit, then.scale, then.offset):
+        if expected is None or not {readings.unit, expected.unit} & {"count", "V"}:
+            continue
+        here, then = ((each.unit, each.scale, each.offset) for each in (readings, expected))
+        if here != then:
             raise InputError(
                 f"{session.name}: log.{kind}: expected the unit, scale and offset of the calibration of "
-                f"{calibration.serial!r}, {then.unit}, {then.scale}, {then.offset}, found {now.unit}, {now.scale}, "
-                f"{now.offset}; state them as they were"
+                f"{calibration.serial!r}, {', '.join(map(str, then))}, found {', '.join(map(str, here))}; state them as "
+                "they were"
             )
 
 

@@ -105,31 +105,33 @@ def gyro_rests(session: Session, progress: Progress = Log.chunks) -> GyroRests:
     )
 
 
-def calibrate_gyros(found: GyroRests) -> Calibration:
+def calibrate_gyros(rests: GyroRests) -> Calibration:
     """Return a calibration with the biases of gyros, Eq. (1). Raises InputError for counts of unknown scale."""
-    session, N = found.session, len(found.mean)
+    session, N = rests.session, len(rests.mean)
     if not session.log.accel.scale_stated:
         raise InputError(
             f"{session.device.serial}: expected the unit of the gyros, found none, and nothing tells it without "
             "accelerometers; state --gyro-unit deg/s or another; `tumble noise` tells the noise of counts as it is"
         )
     block = replace(session.accel_block, kind="gyro")
-    seconds = np.array([rest.stop - rest.start for rest in found.segmentation.rests])
-    white = float(np.median(found.noise * np.sqrt(seconds)[:, None]))
+    seconds = np.array([rest.stop - rest.start for rest in rests.segmentation.rests])
+    white = float(np.median(rests.noise * np.sqrt(seconds)[:, None]))
     grade = min(GRADES, key=lambda name: abs(math.log(max(white, 1e-15) / GRADES[name].noise.gyro_white)))
     by_force = usual_sizes(grade)["gyro.g_sensitivity"]
-    noise_variance = (found.noise**2).mean(axis=0)
-    scatter = np.maximum(found.mean.var(axis=0, ddof=1) - noise_variance, 0.0) if N > 1 else np.zeros(3)
-    parts = {  # Eq. (1)
+    noise_variance = (rests.noise**2).mean(axis=0)
+    scatter = np.maximum(rests.mean.var(axis=0, ddof=1) - noise_variance, 0.0) if N > 1 else np.zeros(3)
+    variances = {  # Eq. (1)
         source("gyro.noise"): noise_variance / N,
         source("gyro.scatter", dof=None if N < 2 else N - 1.0): scatter / N,
         source("earth", EARTH_RATE / math.sqrt(3.0), "rad/s"): np.full(3, EARTH_RATE**2 / 3.0),
         source("prior.gyro.g_sensitivity", by_force, "rad*s/m"): np.full(3, (by_force * G_STANDARD) ** 2),
     }
-    budget = UncertaintyBudget(sources=tuple(parts), covariances=np.array([np.diag(each) for each in parts.values()]))
-    names, covariance, bias = block.names[:3], budget.covariances.sum(axis=0), found.mean.mean(axis=0)
+    budget = UncertaintyBudget(
+        sources=tuple(variances), covariances=np.array([np.diag(each) for each in variances.values()])
+    )
+    names, covariance, bias = block.names[:3], budget.covariances.sum(axis=0), rests.mean.mean(axis=0)
     absent = "gyro.scale, gyro.axis: not shown by gyros alone, taken as 0"
-    empty = refused_calibration(session, "rest", Outcome(unobservable=block.names[3:]), new_provenance(found.sha256))
+    empty = refused_calibration(session, "rest", Outcome(unobservable=block.names[3:]), new_provenance(rests.sha256))
     return replace(
         empty,
         parameters=tuple(
@@ -143,7 +145,7 @@ def calibrate_gyros(found: GyroRests) -> Calibration:
         provenance=replace(
             empty.provenance,
             site=None,
-            sample_rate=found.reduction.rate,
+            sample_rate=rests.reduction.rate,
             readings={"gyro": readings_of_session(session)["accel"]},
             absent=(absent,),
             assumptions=(

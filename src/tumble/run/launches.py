@@ -112,9 +112,9 @@ def calibrate_launches(
         raise InputError("sessions: expected at least one, found none")
     if prior is not None and len(sessions) > 1:
         raise InputError(f"prior: expected one session with it, found {len(sessions)}")
-    words: dict[str, Any] = {"iterations": iterations, "frame": frame, "terms": terms, "prior": prior}
+    options: dict[str, Any] = {"iterations": iterations, "frame": frame, "terms": terms, "prior": prior}
     runs = [
-        LaunchRun(session=session, calibration=calibrate(session, method=method, progress=progress, **words))
+        LaunchRun(session=session, calibration=calibrate(session, method=method, progress=progress, **options))
         for session in map(session_from, sessions)
     ]
     return mean_of_launches(runs, alike=alike) if len(runs) > 1 else runs[0].calibration
@@ -255,8 +255,8 @@ def _instability(
         f"instability from launch to launch: by all launches of {'its type' if model is None else f'the type {model}'} "
         f"in the registry, {sum(each.degrees for each in alike)} degrees of freedom"
     )
-    apart = (f"more unstable than the type, and by these launches alone: {', '.join(unlike)}",) if unlike else ()
-    return instability, (note, *apart)
+    unlike_note = (f"more unstable than the type, and by these launches alone: {', '.join(unlike)}",) if unlike else ()
+    return instability, (note, *unlike_note)
 
 
 def _mean_parameters(
@@ -348,13 +348,13 @@ def joint_digest(digests: Iterable[str]) -> str:
     return hashlib.sha256("\n".join(digests).encode()).hexdigest()
 
 
-def joint_circumstances(each: Sequence[Circumstances]) -> Circumstances:
+def joint_circumstances(circumstances: Sequence[Circumstances]) -> Circumstances:
     """Return what is the same in all launches, all their equipment, and the date of the last."""
     return Circumstances(
-        date=max((one.date for one in each if one.date is not None), default=None),
-        operator=_common([one.operator for one in each]),
-        conditions=_common([one.conditions for one in each]) or AirConditions(),
-        equipment=tuple(dict.fromkeys(item for one in each for item in one.equipment)),
+        date=max((one.date for one in circumstances if one.date is not None), default=None),
+        operator=_common([one.operator for one in circumstances]),
+        conditions=_common([one.conditions for one in circumstances]) or AirConditions(),
+        equipment=tuple(dict.fromkeys(item for one in circumstances for item in one.equipment)),
     )
 
 

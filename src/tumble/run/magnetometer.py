@@ -41,18 +41,20 @@ def with_magnetometer(
         missing = replace(calibration.outcome, unobservable=calibration.outcome.unobservable + PARAMETER_NAMES)
         provenance = replace(calibration.provenance, notes=(*calibration.provenance.notes, note))
         return replace(calibration, outcome=missing, provenance=provenance)
-    whole = _with_covariance(calibration, magnetometer, estimate.names, covariance)
-    own, unit = whole[len(covariance) :, len(covariance) :], spec.unit_name
-    numbers = zip(magnetometer.names, magnetometer.values.tolist(), np.sqrt(own.diagonal()).tolist(), strict=True)
+    joint_covariance = _with_covariance(calibration, magnetometer, estimate.names, covariance)
+    mag_covariance, unit = joint_covariance[len(covariance) :, len(covariance) :], spec.unit_name
+    numbers = zip(
+        magnetometer.names, magnetometer.values.tolist(), np.sqrt(mag_covariance.diagonal()).tolist(), strict=True
+    )
     units = (unit,) * 3 + ("1",) * 3 + ("rad",) * 6
-    by_fit = UncertaintyBudget(sources=(source("mag.fit"),), covariances=own[None])
+    by_fit = UncertaintyBudget(sources=(source("mag.fit"),), covariances=mag_covariance[None])
     notes = calibration.provenance.notes + tuple(_notes(magnetometer, observations, spec))
     evidence = calibration.evidence
     return replace(
         calibration,
         parameters=calibration.parameters
         + tuple(Parameter(name=n, value=x, u=u, unit=w) for (n, x, u), w in zip(numbers, units, strict=True)),
-        covariance=whole,
+        covariance=joint_covariance,
         mag=magnetometer.model,
         evidence=replace(
             evidence,

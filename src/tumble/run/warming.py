@@ -108,10 +108,10 @@ def calibrate_warming(observed: Observed, base: Calibration | None, provenance: 
     has the coefficients and the biases of the gyros. Raises InputError for a log without thermometer, and for a
     calibration of other sensors."""
     session = observed.session
-    taken = observations_in_parts(_at_rest(observed), PARTS)
-    if isinstance(taken, Outcome):
-        return refused_calibration(session, "joint", taken, provenance)
-    observations = taken[0].of_accelerometers() if observed.gyro_faults else taken[0]
+    matched = observations_in_parts(_at_rest(observed), PARTS)
+    if isinstance(matched, Outcome):
+        return refused_calibration(session, "joint", matched, provenance)
+    observations = matched[0].of_accelerometers() if observed.gyro_faults else matched[0]
     if observations.thermometers is None or observations.rests.temperatures is None:
         raise InputError(
             f"{session.name}: expected the temperature beside the readings, with which biases change, found none; name "
@@ -125,22 +125,22 @@ def calibrate_warming(observed: Observed, base: Calibration | None, provenance: 
             raise InputError(f"calibration of {base.serial!r}: expected one with uncertainties, found none")
     readings = {f.file: (f.edges[1:], f.temperature) for f in observed.reduction.files if f.temperature is not None}
     estimate, observations = _estimated(session, observations, base, readings)
-    made = _with_coefficients(base or _nominal(session, estimate, observations), estimate, observations, session)
-    own, digest = made.provenance, provenance.log_sha256
+    calibration = _with_coefficients(base or _nominal(session, estimate, observations), estimate, observations, session)
+    base_provenance, digest = calibration.provenance, provenance.log_sha256
     if base is not None:
         from tumble.run.launches import joint_digest
 
-        digest = joint_digest([own.log_sha256 or "", digest or ""])
+        digest = joint_digest([base_provenance.log_sha256 or "", digest or ""])
     return replace(
-        made,
+        calibration,
         provenance=replace(
-            own,
+            base_provenance,
             log_sha256=digest,
             software=provenance.software,
             created=provenance.created,
-            sample_rate=own.sample_rate or observed.rate,
-            notes=(*own.notes, *notes, *_notes(estimate, observations)),
-            assumptions=(*own.assumptions, *_assumptions(observations, base)),
+            sample_rate=base_provenance.sample_rate or observed.rate,
+            notes=(*base_provenance.notes, *notes, *_notes(estimate, observations)),
+            assumptions=(*base_provenance.assumptions, *_assumptions(observations, base)),
         ),
     )
 
@@ -214,8 +214,8 @@ def _nominal(session: Session, estimate: Estimate, observations: Observations) -
     assert budget is not None
     if gyro is not None:
         names = list(gyro.names[: gyro.size])
-        at = [estimate.names.index(name) for name in names]
-        values, budget = estimate.values[at], budget.carried(np.eye(len(estimate.names))[at])
+        indices = [estimate.names.index(name) for name in names]
+        values, budget = estimate.values[indices], budget.carried(np.eye(len(estimate.names))[indices])
         covariance = budget.covariances.sum(axis=0)
         bias = np.zeros(gyro.size)
         bias[gyro.channels] = values

@@ -281,21 +281,22 @@ def _gravity_check(source: str, residuals: PositionResiduals, **columns: Sequenc
 
 
 def _assumptions(
-    calibration: Calibration, now: float | None, grade: str, guessed_from: str, launches: Sequence[LaunchVariances]
+    calibration: Calibration, celsius: float | None, grade: str, guessed_from: str, launches: Sequence[LaunchVariances]
 ) -> Iterator[str]:
     """Return notes on changes from one power-on to the next, and on the temperature of the check, `now` in °C."""
     origin = f", guessed from {guessed_from}; [device] grade states another" if guessed_from else ""
     count = sum(each.degrees + 1 for each in launches)
-    of_device = f", or as from launch to launch of {count} launches of the device" if launches else ""
+    by_launches = f", or as from launch to launch of {count} launches of the device" if launches else ""
     yield (
-        f"what turning on again changes: as usual of the grade {grade}{of_device}{origin}; it is allowed for in the "
+        f"what turning on again changes: as usual of the grade {grade}{by_launches}{origin}; it is allowed for in the "
         "tests of the parameters, and not in u of g − |f|"
     )
-    then = calibration.reference_temperature
-    if then is None or now is None:
+    reference = calibration.reference_temperature
+    if reference is None or celsius is None:
         yield "the temperatures of calibration and check are not both known: no difference is allowed for"
-    elif abs(now - then) > 1.0:
-        yield f"calibrated at {then:.1f} °C, checked at {now:.1f} °C: parameters by their slopes and curvatures"
+    elif abs(celsius - reference) > 1.0:
+        temperatures = f"calibrated at {reference:.1f} °C, checked at {celsius:.1f} °C"
+        yield f"{temperatures}: parameters by their slopes and curvatures"
 
 
 def accepted_for_check(calibration: Calibration | FilePath) -> Calibration:
@@ -318,10 +319,10 @@ def check_session(calibration: Calibration, session: Session) -> None:
     check_sensors(calibration, session)
 
 
-def _launches(calibration: Calibration, others: Sequence[LaunchVariances]) -> Sequence[LaunchVariances]:
+def _launches(calibration: Calibration, further: Sequence[LaunchVariances]) -> Sequence[LaunchVariances]:
     """Return the launches behind a calibration and behind others of its device, each once."""
     behind = launch_variances(calibration)
-    return others if behind is None else (behind, *(each for each in others if not each.logs & behind.logs))
+    return further if behind is None else (behind, *(each for each in further if not each.logs & behind.logs))
 
 
 # -------------------- the prior --------------------
@@ -338,9 +339,9 @@ def prior_at_check(
 
     The data sheet has standard deviations by group, SI, in place of those of the grade; `launches` are those behind
     other calibrations of the device."""
-    usual = usual_sizes(grade, data_sheet)
+    sizes = usual_sizes(grade, data_sheet)
     instrument = Instrument.of(
-        observations.accel_block, observations.gyro_block, set(usual), variables_of(observations)
+        observations.accel_block, observations.gyro_block, set(sizes), variables_of(observations)
     )
     names, linear = instrument.names, instrument.names[: instrument.linear_count]
 
@@ -353,22 +354,22 @@ def prior_at_check(
             f"{', '.join(missing)}; check with recordings of the same device"
         )
     gravity, values = observations.site.gravity_u, np.array([calibrated.get(name, 0.0) for name in names])
-    with_gravity = np.diag([gravity**2, *(usual.get(group_name(name), 0.0) ** 2 for name in names)])
+    covariance = np.diag([gravity**2, *(sizes.get(group_name(name), 0.0) ** 2 for name in names)])
     indices = 1 + np.flatnonzero([name in calibrated for name in names])
-    with_gravity[np.ix_(indices, indices)] = calibration.covariance_of([names[i - 1] for i in indices])
+    covariance[np.ix_(indices, indices)] = calibration.covariance_of([names[i - 1] for i in indices])
     if shared_gravity(calibration.provenance.site, observations.site):
         change = gravity_sensitivity(calibration.parameters, calibration.covariance, calibration.provenance.site)
         by_name = dict(zip(calibration, change.tolist(), strict=True))
-        with_gravity[0, 1:] = with_gravity[1:, 0] = gravity * np.array([by_name.get(name, 0.0) for name in names])
+        covariance[0, 1:] = covariance[1:, 0] = gravity * np.array([by_name.get(name, 0.0) for name in names])
 
     # at the temperature of the check
-    now, J = sensor_temperatures(observations), np.eye(len(with_gravity))
-    if calibration.reference_temperature is not None and now:
-        J[1:, 1:] = to_references(calibration, names, replace(calibration.temperature, references=now))
+    references, J = sensor_temperatures(observations), np.eye(len(covariance))
+    if calibration.reference_temperature is not None and references:
+        J[1:, 1:] = to_references(calibration, names, replace(calibration.temperature, references=references))
     # s² and 1/ν_s of another power-on, Eq. (2)
     single = len(calibration.evidence.launches) < 2 and not calibration.evidence.together
     others = _launches(calibration, launches)
-    turned_on, inverse_degrees = np.zeros((2, len(with_gravity)))
+    turned_on, inverse_degrees = np.zeros((2, len(covariance)))
     for i, name in enumerate(linear, 1):
         variances = [(each.degrees, each.variances[name][0]) for each in others if name in each.variances]
         degrees = sum(count for count, _ in variances)
@@ -384,7 +385,7 @@ def prior_at_check(
     return CheckPrior(
         instrument=instrument,
         values=J[1:, 1:] @ values,
-        calibrated=J @ with_gravity @ J.T,
+        calibrated=J @ covariance @ J.T,
         turned_on=turned_on,
         inverse_degrees=np.array([0.0, *(inverse.get(name, 0.0) for name in names)]),
         turned_on_inverse_degrees=inverse_degrees,
