@@ -222,8 +222,8 @@ def check_sensors(calibration: Calibration, session: Session) -> None:
         if here != then:
             raise InputError(
                 f"{session.name}: log.{kind}: expected the unit, scale and offset of the calibration of "
-                f"{calibration.serial!r}, {', '.join(map(str, then))}, found {', '.join(map(str, here))}; state them as "
-                "they were"
+                f"{calibration.serial!r}, {', '.join(map(str, then))}, found {', '.join(map(str, here))}; state them "
+                "as they were"
             )
 
 
