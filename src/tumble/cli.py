@@ -112,7 +112,6 @@ class _Commands(click.Group):
                     formatter.write_dl([(name, self._sentence(ctx, name)) for name in names])
 
     def _sentence(self, ctx: click.Context, name: str) -> str:
-        """Return the first sentence of the help of a command."""
         try:
             command = self.get_command(ctx, name)
         except TumbleError:  # its package is broken or missing

@@ -115,7 +115,7 @@ def calibrate(
         raise InputError("--base: expected one recording and the method joint, found others")
     estimation |= {} if base is None else {"base": base}
     folders_made = session_folders(sessions, dict(options), every=shown["every"])
-    with _of_gyros(sessions, options, out, force=force), folders_made as folders, console.estimating() as progress:
+    with _gyros_alone(sessions, options, out, force=force), folders_made as folders, console.estimating() as progress:
         described = [read_session(folder).without(without or ()) for folder in folders]
         if together:
             from tumble.run.together import calibrate_together
@@ -123,7 +123,7 @@ def calibrate(
             results = [calibrate_together(described, frame=frame, progress=progress)]
         else:
             if registry is not None:
-                estimation |= _known_in(registry, described[0], frame, several=len(described) > 1)
+                estimation |= _from_registry(registry, described[0], frame, several=len(described) > 1)
             calibrated: Callable[..., Calibration] = partial(calibrate_session, described[0])
             if len(described) > 1:
                 from tumble.run.launches import calibrate_launches
@@ -151,11 +151,10 @@ def calibrate(
 
 
 def _taken(options: dict[str, Any], *names: str) -> dict[str, Any]:
-    """Take the options of these names out of all options."""
     return {name: options.pop(name) for name in names}
 
 
-def _known_in(registry: str, session: Session, frame: Frame, *, several: bool) -> dict[str, Any]:
+def _from_registry(registry: str, session: Session, frame: Frame, *, several: bool) -> dict[str, Any]:
     """Return the prior or the launches of the type of a device in a registry, as an argument of a calibration."""
     if session.device.model is None:
         raise InputError("--registry: expected the type of the device, `model` under [device], found none")
@@ -166,7 +165,7 @@ def _known_in(registry: str, session: Session, frame: Frame, *, several: bool) -
 
 
 @contextmanager
-def _of_gyros(logs: Sequence[Path], stated: dict[str, Any], out: Path | None, *, force: bool) -> Iterator[None]:
+def _gyros_alone(logs: Sequence[Path], stated: dict[str, Any], out: Path | None, *, force: bool) -> Iterator[None]:
     """If a log turns out to have gyros alone, calibrate their biases, write the file beside it, and exit."""
     try:
         yield
@@ -205,13 +204,7 @@ def _of_gyros(logs: Sequence[Path], stated: dict[str, Any], out: Path | None, *,
 @params.out("Calibration file; default: READINGS.calibration.json beside the table.")
 @params.force("Replace a calibration file that came from another table or method.")
 @params.JSON
-def ellipsoid(
-    readings: Path,
-    positions: tuple[str, ...],
-    out: Path | None,
-    force: bool,
-    **options: Any,
-) -> None:
+def ellipsoid(readings: Path, positions: tuple[str, ...], out: Path | None, force: bool, **options: Any) -> None:
     """Calibrate three accelerometers from READINGS.csv, their mean readings in nine or more positions.
 
     The table has a header with the names of three columns, one per channel, and a row per position.

@@ -91,7 +91,6 @@ def _first_clauses(reason: str) -> str:
 
 
 def _quiet() -> bool:
-    """Return True if `tumble -q` was given."""
     context = click.get_current_context(silent=True)
     return context is not None and bool(context.find_root().params.get("quiet"))
 

@@ -93,7 +93,6 @@ def option(name: str, says: str, default: Any = None, **settings: Any) -> _Optio
 
 
 def _group(*options: _Option) -> _Option:
-    """Return several options as one decorator."""
     return lambda command: reduce(lambda wrapped, each: each(wrapped), reversed(options), command)
 
 
@@ -105,7 +104,6 @@ def programmes_like(_context: click.Context, _parameter: click.Parameter, typed:
 
 
 def _grades_like(_context: click.Context, _parameter: click.Parameter, typed: str) -> list[str]:
-    """Return the grades that begin with the typed text, for completion."""
     from tumble.sensors.grades import GRADES
 
     return [name for name in GRADES if name.startswith(typed)]

@@ -159,11 +159,7 @@ def inspect(recording: Path, picture: Path | None, **options: Any) -> None:
 @params.option("--plot/picture", "Draw the Allan deviations into this .svg, .png or .pdf.", type=params.FILE)
 @params.COLUMNS
 @params.JSON
-def noise(
-    recordings: tuple[Path, ...],
-    picture: Path | None,
-    **options: Any,
-) -> None:
+def noise(recordings: tuple[Path, ...], picture: Path | None, **options: Any) -> None:
     """Allan deviation: the noise of every sensor, from the longest rest of SESSION or from all of a LOG at rest.
 
     LOG is a log in any dialect, of gyros alone too, or a folder of files: its columns, units and times are found as

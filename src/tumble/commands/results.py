@@ -31,11 +31,7 @@ if TYPE_CHECKING:
 @params.registry("Judge by how much the device changes from launch to launch, by its calibrations in a registry.")
 @params.JSON
 def check(
-    calibration: Path,
-    readings: Path | None,
-    listen: str | None,
-    session: Path | None,
-    registry: str | None,
+    calibration: Path, readings: Path | None, listen: str | None, session: Path | None, registry: str | None
 ) -> None:
     """Test whether CALIBRATION still holds for its device, and what has changed.
 
@@ -77,7 +73,6 @@ def check(
 
 
 def _show(event: Event) -> None:
-    """Print a rest or a notice of a stream."""
     from tumble.documents import as_json
     from tumble.use.check import CheckedRest
     from tumble.views.checks import event_line, moved_line

@@ -253,7 +253,6 @@ def text_and_name(given: Calibration | FilePath) -> tuple[str, str]:
 
 
 def _views() -> Any:
-    """Return the module that shows calibrations, a layer above this one."""
     return import_module("tumble.views.calibration")
 
 
@@ -288,7 +287,6 @@ def calibration_of(text: str, name: str) -> Calibration:
 
 @cache
 def _file_record() -> type:
-    """Return the flat record of a calibration file."""
     return file_record(Calibration, Evidence, Provenance)
 
 
@@ -298,7 +296,6 @@ def json_schema() -> dict[str, Any]:
 
 
 def _calibration_of_record(read: Any) -> Calibration:
-    """Return the calibration from the record of a file. Raises ValueError if its parts contradict each other."""
     _check_sensors(check_result(read))
     flat = {key: getattr(read, key) for key in KEYS}
     flat["parameters"] = with_degrees(read.parameters, read.fits)

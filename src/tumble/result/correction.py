@@ -103,7 +103,6 @@ def correction_errors(
 
 
 def _without(calibration: CalibrationData, held: Container[str]) -> CalibrationData:
-    """Return the calibration without the parameters of some groups."""
     return replace(calibration, parameters=tuple(p for p in calibration.parameters if group_name(p.name) not in held))
 
 

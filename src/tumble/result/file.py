@@ -106,14 +106,12 @@ def content_of(calibration: CalibrationData) -> dict[str, Any]:
 
 
 def _parameter_content(parameter: Parameter) -> dict[str, Any]:
-    """Return the content of a parameter, without optional keys that are None."""
     always = {key: getattr(parameter, key) for key in ("name", "value", "u", "unit", "prior", "k")}
     others = {key: getattr(parameter, key) for key in ("deviation", "run_to_run", "learned", "dof")}
     return always | {key: value for key, value in others.items() if value is not None}
 
 
 def _known_content(circumstances: Circumstances) -> dict[str, Any]:
-    """Return the circumstances that are known."""
     content = asdict(circumstances) | {"equipment": list(circumstances.equipment)}
     content["conditions"] = {key: value for key, value in content["conditions"].items() if value is not None}
     return {key: value for key, value in content.items() if value}
@@ -233,5 +231,4 @@ def _is_no_text(value: Any, top: int | str) -> bool:
 
 
 def _no_calibration(name: str, found: object) -> CalibrationError:
-    """Return the error for a file that is no calibration."""
     return CalibrationError(f"{name}: expected a calibration file of tumble, found {found}")

@@ -308,8 +308,7 @@ Increments = Annotated[
     FromTable(table=IterationTable, read=lambda step: {p.name: p.increment for p in step.parameters}),
 ]
 Imu = Annotated[
-    Mapping[str, AutopilotSensor],
-    FromTable(table=RecordedImu, read=lambda table: sensors_from(table.model_dump())),
+    Mapping[str, AutopilotSensor], FromTable(table=RecordedImu, read=lambda table: sensors_from(table.model_dump()))
 ]
 Covariance = Annotated[Array, FromTable(table=Matrix, read=_square)]
 Place = Annotated[Site, checked_sizes("gravity_u"), AfterValidator(_check_site)]

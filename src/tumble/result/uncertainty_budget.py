@@ -27,11 +27,7 @@ from tumble.sensors.parameters import beyond_linear, group_name, sensor_kind
 from tumble.units import Array
 
 ROUNDING = 1e-15  # of a variance: a smaller contribution is zero
-REFERENCES: Mapping[str, tuple[str, ...]] = {
-    "accel": ("gravity",),
-    "gyro": ("gravity", "earth", "clock"),
-    "mag": (),
-}
+REFERENCES: Mapping[str, tuple[str, ...]] = {"accel": ("gravity",), "gyro": ("gravity", "earth", "clock"), "mag": ()}
 """Reference standards of each kind of sensor."""
 
 

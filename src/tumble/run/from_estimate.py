@@ -339,7 +339,6 @@ def _fit_notes(estimate: Estimate, observations: Observations) -> Iterator[str]:
 
 
 def _case_note(case: CaseAlignment) -> str:
-    """Return how the case was found, in a sentence."""
     u = np.sqrt(np.diag(case.alignment.covariance)) / DEGREE
     return (
         f"case: from {case.placements} rests on its six faces, which scatter by {case.scatter / DEGREE:.2g}° an axis; "

@@ -235,7 +235,6 @@ def _check_lengths(table: ReadingsTable, nominal: Nominal) -> None:
 
 
 def _site(nominal: Nominal) -> Site:
-    """Return the place of the readings, of which only gravity is known."""
     return Site(latitude=None, height=0.0, gravity=nominal.gravity, gravity_u=nominal.gravity_u or 0.0)
 
 
@@ -328,7 +327,6 @@ def _by_faces(
 
 
 def _reasons(table: ReadingsTable, nominal: Nominal, fit: EllipsoidFit) -> Iterator[str]:
-    """Return the reasons for which a fit is not accepted."""
     misstated = _misstated(nominal, np.abs(nominal.scale) * (1.0 + fit.values[3:6]))
     if misstated is not None:
         yield misstated
@@ -382,7 +380,6 @@ def _sigmas(probability: float, table: ReadingsTable) -> float:
 
 
 def _named(table: ReadingsTable, positions: Iterable[int]) -> str:
-    """Return positions by number and line."""
     return " or ".join(f"{i + 1} (line {table.lines[i]})" for i in positions)
 
 

@@ -364,7 +364,6 @@ def _common(values: Sequence[_Any]) -> _Any | None:
 
 
 def _common_items(values: Sequence[Mapping[str, _Any]]) -> dict[str, _Any]:
-    """Return the entries that are equal in all."""
     return {key: value for key, value in values[0].items() if all(each.get(key) == value for each in values)}
 
 

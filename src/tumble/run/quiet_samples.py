@@ -172,7 +172,6 @@ def whole_log(file: Path, layout: Mapping[str, Any]) -> QuietRecord:
 
 
 def _samples(chunk: Chunk) -> Array:
-    """Return the samples of accelerometers and gyros side by side."""
     return chunk.accel if chunk.gyro is None else np.hstack([chunk.accel, chunk.gyro])
 
 

@@ -104,7 +104,6 @@ def read_table(path: Path) -> ReadingsTable:
 
 
 def _parsed(path: Path, text: str) -> ReadingsTable:
-    """Read a table of readings from CSV text."""
     reader = csv.reader(text.splitlines(), strict=True)
     try:
         rows = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]

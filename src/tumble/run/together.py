@@ -39,10 +39,7 @@ SAME_LATITUDE = 1e-9  # rad
 
 @checked
 def calibrate_together(
-    sessions: Sequence[Session | FilePath],
-    *,
-    frame: Frame = "accelerometer",
-    progress: Progress = Log.chunks,
+    sessions: Sequence[Session | FilePath], *, frame: Frame = "accelerometer", progress: Progress = Log.chunks
 ) -> Calibration:
     """Calibrate a device over temperature from several sessions in one estimate, by the method joint.
 

@@ -161,7 +161,6 @@ def _at_rest(observed: Observed) -> Observed:
 
 
 def _blocks(observations: Observations) -> list[Block]:
-    """Return accelerometers and, if there are any, gyros."""
     return [block for block in (observations.accel_block, observations.gyro_block) if block is not None]
 
 
@@ -357,7 +356,6 @@ def _lag_degrees(estimate: Estimate, kind: str) -> float | None:
 
 
 def _temperature(session: Session, observations: Observations) -> CalibratedTemperature:
-    """Return the thermometers of a session, with their means as references."""
     channels = session.log.temperature
     assert channels is not None
     return CalibratedTemperature(
@@ -368,7 +366,6 @@ def _temperature(session: Session, observations: Observations) -> CalibratedTemp
 
 
 def _kelvin(observations: Observations) -> Array:
-    """Return the temperatures (N, T) of the rests, K."""
     assert observations.rests.temperatures is not None
     return observations.rests.temperatures
 
@@ -384,7 +381,6 @@ def _covariance_over_span(observations: Observations, names: list[str], values: 
 
 
 def _notes(estimate: Estimate, observations: Observations) -> Iterator[str]:
-    """Return notes on what the temperatures show."""
     celsius = _kelvin(observations) - ZERO_CELSIUS
     yield f"over temperature: {celsius.min():z.1f} to {celsius.max():z.1f} °C; beyond them nothing was measured"
     for name, sensors in LAGS.items():
@@ -404,7 +400,6 @@ def _notes(estimate: Estimate, observations: Observations) -> Iterator[str]:
 
 
 def _assumptions(observations: Observations, base: Calibration | None) -> Iterator[str]:
-    """Return the assumptions of the result."""
     span = float(np.ptp(_kelvin(observations), axis=0).max())
     if span < WIDE:
         yield (

@@ -174,7 +174,6 @@ def _output_channels(kind: str, channels: Channels) -> Channels:
 
 
 def _vector_columns(kind: str, channels: Channels) -> list[str]:
-    """Return the names of the columns for the vector of a redundant block."""
     return [f"{kind}_{axis}" for axis in "xyz"] if len(channels.columns) > 3 else []
 
 
@@ -191,7 +190,6 @@ def _corrected_tables(
     outputs: Mapping[str, Channels],
     interval: float,
 ) -> Iterator[pl.DataFrame]:
-    """Return the corrected rows of all files, in tables of bounded size."""
     names: list[str] | None = None
     layout = session.log
     numbers = [column for channels in inputs.values() for column in channels.columns]
@@ -280,10 +278,7 @@ def _corrected_vectors(
         while waiting and len(ready["accel"]) >= waiting[0][0].height:
             table, intervals = waiting.pop(0)
             N = table.height
-            yield (
-                table,
-                {kind: true[:N] * (intervals if kind in increments else 1.0) for kind, true in ready.items()},
-            )
+            yield (table, {kind: true[:N] * (intervals if kind in increments else 1.0) for kind, true in ready.items()})
             ready = {kind: true[N:] for kind, true in ready.items()}
 
 

@@ -180,10 +180,7 @@ def _rests_beyond(rests: Sequence[CheckedRest], limit: float | None) -> tuple[st
 
 @checked
 def check_calibration(
-    calibration: Calibration | FilePath,
-    readings: Session | FilePath,
-    *,
-    launches: Sequence[LaunchVariances] = (),
+    calibration: Calibration | FilePath, readings: Session | FilePath, *, launches: Sequence[LaunchVariances] = ()
 ) -> FieldCheck:
     """Check whether a calibration still holds.
 
@@ -265,10 +262,7 @@ def check_calibration(
         turns=0 if observations.turns is None else len(observations.turns),
         **parameter_test_fields(result),
         rests_agree=rests_agree,
-        notes=(
-            *check.notes,
-            *_assumptions(converted, mean_temperature(observations), grade, guessed_from, launches),
-        ),
+        notes=(*check.notes, *_assumptions(converted, mean_temperature(observations), grade, guessed_from, launches)),
     )
 
 
@@ -283,7 +277,7 @@ def _gravity_check(source: str, residuals: PositionResiduals, **columns: Sequenc
 def _assumptions(
     calibration: Calibration, celsius: float | None, grade: str, guessed_from: str, launches: Sequence[LaunchVariances]
 ) -> Iterator[str]:
-    """Return notes on changes from one power-on to the next, and on the temperature of the check, `now` in °C."""
+    """Return notes on changes from one power-on to the next, and on the temperature of the check, °C."""
     origin = f", guessed from {guessed_from}; [device] grade states another" if guessed_from else ""
     count = sum(each.degrees + 1 for each in launches)
     by_launches = f", or as from launch to launch of {count} launches of the device" if launches else ""

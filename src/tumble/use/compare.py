@@ -236,7 +236,6 @@ def _chi_square(
 
 
 def _remarks(first: Calibration, second: Calibration, frame: str) -> Iterator[str]:
-    """Return remarks on the two calibrations."""
     if first.serial != second.serial:
         yield f"different devices: {first.serial} and {second.serial}"
     for which, calibration in (("first", first), ("second", second)):
