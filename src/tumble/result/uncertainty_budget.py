@@ -41,6 +41,11 @@ class BudgetLine(Source):
     contribution: float
     share: float
 
+    @staticmethod
+    def of(each: Source, **others: Any) -> BudgetLine:
+        """Return the line of a source with the other fields."""
+        return BudgetLine(**_as_source(each), **others)
+
 
 def contributions_of(
     budget: UncertaintyBudget | None, names: Sequence[str], basis: Mapping[str, str] | None = None
@@ -83,9 +88,8 @@ def uncertainty_budget(calibration: CalibrationData, name: str) -> tuple[BudgetL
         contribution = each.contributions.get(name, 0.0)
         if contribution == 0.0 and each.name not in REFERENCES[sensor_kind(name)]:
             continue
-        entry = replace(each, u=contribution, unit=parameter.unit) if each.u is None else each
-        line = BudgetLine(
-            **_as_source(entry),
+        line = BudgetLine.of(
+            replace(each, u=contribution, unit=parameter.unit) if each.u is None else each,
             estimate=0.0 if each.u is None else estimates.get(each.name, 0.0),
             sensitivity=contribution / each.u if each.u else float(each.u is None),
             contribution=contribution,

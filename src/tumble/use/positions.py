@@ -114,11 +114,11 @@ def position_residuals(calibration: Calibration, observations: Observations, sha
     u = np.sqrt(variance + np.maximum(by_parameters + by_gravity, 0.0))
     scatter_share = float(np.max(fit.scatter**2 * (across[:, 0] ** 2).sum(axis=1) / u**2))
     tail = 1.0 - 0.5 * CHANCE / len(force)
-    limit = scipy.special.ndtri(tail)
+    limit = float(scipy.special.ndtri(tail))
     if scatter_share > 0.0:
-        limit = scipy.special.stdtrit(fit.degrees / scatter_share**2, tail)  # Welch–Satterthwaite
+        limit = float(scipy.special.stdtrit(fit.degrees / scatter_share**2, tail))  # Welch–Satterthwaite
     difference = site_of_check.gravity - np.linalg.norm(force, axis=1)
-    return PositionResiduals(difference=difference, u=u, limit=float(limit))
+    return PositionResiduals(difference=difference, u=u, limit=limit)
 
 
 def _force_and_derivative(calibration: Calibration, observations: Observations) -> tuple[Array, Array, Array]:
