@@ -246,10 +246,8 @@ class Knowledge(Protocol):
         """Return the prior from the units of a type, without one serial number."""
         ...
 
-    def launches(
-        self, *, serial: str | None = None, model: str | None = None, frame: str = "accelerometer"
-    ) -> tuple[LaunchVariances, ...]:
-        """Return the launches behind all calibrations of a device or a type."""
+    def launches(self, serial: str) -> tuple[LaunchVariances, ...]:
+        """Return the variances between the launches of a device."""
         ...
 
 

@@ -46,16 +46,21 @@ def report(calibrations: tuple[Path, ...], out: Path, limits: Path | None, certi
     console.end(reasons, "not accepted: ")
 
 
+class _ExportCommand(click.Command):
+    """A command whose help lists the export targets with a few words on each."""
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        from tumble.export import described_targets
+
+        super().format_options(ctx, formatter)
+        with formatter.section("Targets"):
+            formatter.write_dl([*described_targets()])
+
+
 class _Target(click.ParamType[str]):
-    """The name of an export target, also of another package."""
+    """Name of an export target."""
 
     name = "target"
-
-    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
-        from tumble.export import targets
-
-        del param, ctx
-        return f"[{'|'.join(targets())}]"
 
     def shell_complete(
         self, ctx: click.Context, param: click.Parameter, incomplete: str
@@ -67,13 +72,14 @@ class _Target(click.ParamType[str]):
 
 
 @click.command(
+    cls=_ExportCommand,
     epilog=params.examples(
         "tumble export imu-7/calibration.json --to px4 -o imu-7.params",
         "tumble export imu-7/calibration.json --template slowfly.tmpl -o imu-7.cfg",
-    )
+    ),
 )
 @click.argument("calibration", type=params.FILE)
-@params.option("--to", "What to write.", type=_Target())
+@params.option("--to", "Format of the file, see below.", type=_Target())
 @params.option("--template", "A template of your own instead.", type=params.FILE)
 @params.out("File to write.", required=True)
 @params.option("--noise", "kalibr: noise from this session's longest rest.", metavar="SESSION", type=params.PATH)

@@ -21,7 +21,7 @@ from tumble.diagnosis.in_motion import motion_note
 from tumble.diagnosis.level_faces import with_common_tilt
 from tumble.diagnosis.misfit import ClockByEarth, clock_by_earth
 from tumble.diagnosis.undetermined import one_attitude
-from tumble.diagnosis.verdict import little_used, time_base_doubted
+from tumble.diagnosis.verdict import doubtful_time_base, unused_quiet_time
 from tumble.errors import CalibrationError, InputError
 from tumble.files import FilePath
 from tumble.inference.estimate import Estimate, Outcome
@@ -237,11 +237,11 @@ def _calibrated(
                     because = (f"{reason}; the accelerometers are estimated alone" for reason in reasons)
                     result, calibration, faults = accel_result, accel_only, (*because, *faults)
         estimate, used = result
-        little = little_used(observed.segmentation, in_motion=used.links is not None)
+        little = unused_quiet_time(observed.segmentation, in_motion=used.links is not None)
         remarks: dict[str, tuple[str, ...]] = dict.fromkeys(little, ())
         if estimate.gyro is not None and not session.log.increments["gyro"]:
             grade, _ = grade_of(session, used)
-            remarks |= dict.fromkeys(time_base_doubted(estimate, grade_named(grade).gyro.scale), ("gyro.scale",))
+            remarks |= dict.fromkeys(doubtful_time_base(estimate, grade_named(grade).gyro.scale), ("gyro.scale",))
         notes = motion_note(estimate, used) if accepted_kinds(calibration) else ()
         calibration = _with(calibration, notes=notes, remarks=remarks)
         if session.log.magnetometer is not None:
@@ -365,7 +365,7 @@ def estimate_observations(
             budget = None if budget is None else budget.beside(source("clock", relative, "1"), clock_covariance)
             estimate = replace(estimate, covariance=estimate.covariance + clock_covariance, budget=budget)
         if linear_joint or estimate.method != "joint":
-            notes += linear_model.taken_as_nothing(estimate)
+            notes += linear_model.omitted_groups_note(estimate)
             estimate = linear_model.linear_part(estimate) if terms == "linear" else estimate
         elif prior is not None:
             estimate, prior_notes = with_prior(estimate, observations, prior, mean_temperature(observations))

@@ -23,7 +23,7 @@ import scipy
 from tumble.arguments import checked
 from tumble.brief import Brief
 from tumble.diagnosis.level_faces import UPRIGHT, with_common_tilt
-from tumble.diagnosis.linear_model import left_out_by_rests, left_out_sizes
+from tumble.diagnosis.linear_model import omitted_by_rests, omitted_sizes
 from tumble.diagnosis.observability import Refusal, rough_directions, undetermined
 from tumble.diagnosis.verdict import verdict
 from tumble.errors import InputError
@@ -286,8 +286,8 @@ def _estimated(
     is_outlier[list(fit.doubtful)] = True
     if is_outlier.any():
         largest = {name: max(sizes.get(name, 0.0) for sizes in grades) for sizes in grades for name in sizes}
-        problem, _, leaves = left_out_by_rests(replace(rests, usual=largest), fit.values)
-        explained = np.linalg.norm(leaves * left_out_sizes(problem, None), axis=1)
+        problem, _, leaves = omitted_by_rests(replace(rests, usual=largest), fit.values)
+        explained = np.linalg.norm(leaves * omitted_sizes(problem, None), axis=1)
         limit = np.where(is_outlier, _sigmas(OUTLIER_PROBABILITY, table) * explained, np.inf)
         fit_to_all, noise = _fitted(table, nominal, np.inf)
         if isinstance(fit_to_all, EllipsoidFit) and np.all(np.abs(fit_to_all.residual) <= limit):
