@@ -17,8 +17,6 @@ from tumble.errors import InputError
 from tumble.planning.setup import Setup
 from tumble.recording.session_file import read_session
 from tumble.result.calibration import read_calibration
-from tumble.result.coverage import expanded
-from tumble.result.launch_variances import LaunchVariances, estimate_variance
 from tumble.result.parts import CalibratedTemperature, Parameter
 from tumble.run.calibrate import calibrate
 from tumble.run.launches import LaunchRun, mean_of_launches
@@ -71,15 +69,6 @@ def test_the_uncertainty_of_gravity_does_not_average_out(runs: list[LaunchRun]) 
         u = mean[f"accel.scale.{axis}"].u
         assert u is not None
         assert u == pytest.approx(1e-3 / runs[0].session.site.gravity, rel=0.02)
-
-
-def test_what_launches_have_in_common_is_no_scatter_of_a_launch(runs: list[LaunchRun]) -> None:
-    """Of a variance that priors have, little is left: what noise and scatter contribute."""
-    made = runs[0].calibration
-    u, own = made["accel.bias.x"].u, estimate_variance(made, "accel.bias.x")
-    of_noise = {line.name: line.contribution for line in made.uncertainty_budget("accel.bias.x")}
-    assert u is not None
-    assert of_noise["accel.noise"] ** 2 < own < 0.1 * u**2
 
 
 def test_launches_of_another_device_or_the_same_log_twice_are_refused(runs: list[LaunchRun], tmp_path: Path) -> None:
@@ -164,24 +153,6 @@ def test_launches_at_other_temperatures_meet_at_their_mean(runs: list[LaunchRun]
     assert warm["accel.bias.x"].value == pytest.approx(np.mean(biases))
     spread = np.std([biases[0] + 1e-2, biases[1] - 1e-2], ddof=1)
     assert warm["accel.bias.x"].run_to_run == pytest.approx(spread)
-
-
-def test_launches_of_the_type_make_two_launches_better_known(runs: list[LaunchRun]) -> None:
-    """By themselves two launches have one degree of freedom; a log that is one of them counts once."""
-    alone = mean_of_launches(runs[:2])
-    noise = {
-        n: np.mean([(run.calibration[n].u or 0.0) ** 2 for run in runs[:2]]) for n in (p.name for p in alone.parameters)
-    }
-    variances = {p.name: ((p.run_to_run or 0.0) ** 2, float(noise[p.name])) for p in alone.parameters}
-    known = LaunchVariances(serial="other", logs=frozenset({"a", "b"}), degrees=50, variances=variances)
-    own = replace(known, logs=frozenset({runs[0].calibration.provenance.log_sha256 or ""}))
-    better = mean_of_launches(runs[:2], alike=(known,))
-    same = mean_of_launches(runs[:2], alike=(own,))
-    for p, q, unchanged in zip(alone.parameters, better.parameters, same.parameters, strict=True):
-        assert (q.value, q.run_to_run) == (p.value, p.run_to_run)
-        assert (expanded(q) or 0.0) <= (expanded(p) or 0.0) * (1.0 + 1e-9)
-        assert (unchanged.u, unchanged.dof) == (p.u, p.dof)
-    assert "by all launches of its type in the registry, 50 degrees of freedom" in better.provenance.notes[-1]
 
 
 def test_a_registry_is_for_one_session(folders: list[Path]) -> None:

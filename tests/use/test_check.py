@@ -298,9 +298,7 @@ def test_a_calibration_of_few_degrees_of_freedom_is_believed_less() -> None:
 
 def of_bias(degrees: int, size: float, *logs: str) -> LaunchVariances:
     """Launches whose standard deviation of the X bias is this, m/s²."""
-    return LaunchVariances(
-        serial="x", logs=frozenset(logs), degrees=degrees, variances={"accel.bias.x": (size**2, 0.0)}
-    )
+    return LaunchVariances(serial="x", logs=frozenset(logs), degrees=degrees, variances={"accel.bias.x": size**2})
 
 
 def test_launches_of_other_calibrations_of_the_device_count_and_those_of_this_one_once() -> None:

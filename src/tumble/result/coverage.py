@@ -15,8 +15,7 @@ with s the standard deviation from launch to launch, n² the mean variance of a 
 g the uncertainty that is common to all launches, such as that of gravity. t(L − 1) s/√L covers as stated for any
 instability, and no other function of s and n does so (s² is complete); but two launches that agree by chance are known
 no better than each of them. The larger of both never covers less: up to 99 % without instability, 96 % if it is three
-times n. With the launches of other devices of the type s has more than L − 1 degrees of freedom
-(`tumble.result.launch_variances`).
+times n.
 
 Source: JCGM 100:2008 (GUM), annex G.
 """
@@ -104,7 +103,7 @@ def degrees_through(jacobian: Array, u: Array, degrees: Iterable[float | None]) 
 
 
 def degrees_of_mean(
-    launches: Iterable[tuple[float, float | None]], run_to_run: float, common: float, *, degrees: float | None = None
+    launches: Iterable[tuple[float, float | None]], run_to_run: float, common: float
 ) -> tuple[float, float | None]:
     """Return u and degrees of freedom of the mean of launches (module docstring).
 
@@ -116,15 +115,12 @@ def degrees_of_mean(
         Standard deviation from launch to launch.
     common
         Standard uncertainty that all launches share.
-    degrees
-        Degrees of freedom of `run_to_run` if other devices of the type show it too; by default L − 1.
     """
     parts = list(launches)
     L = len(parts)
     between, within = run_to_run**2 / L, sum(variance for variance, _ in parts) / L**2
     within_degrees = welch_satterthwaite((variance / L**2, degrees) for variance, degrees in parts)
-    both_degrees = L - 1.0 if degrees is None else degrees, within_degrees
-    factors = (coverage_factor(inf if d is None else d) for d in both_degrees)
+    factors = (coverage_factor(inf if d is None else d) for d in (L - 1.0, within_degrees))
     U = max(k * sqrt(variance) for k, variance in zip(factors, (between, within), strict=True))
     variance = max(between, within)
     variance_degrees, factor = None, U / sqrt(variance) if variance > 0.0 else 0.0

@@ -29,13 +29,7 @@ from tumble.recording.session import AirConditions, Circumstances, Session
 from tumble.recording.session_file import session_from
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import degrees_of_mean, gravity_sensitivity, shared_gravity, welch_satterthwaite
-from tumble.result.launch_variances import (
-    LaunchVariances,
-    at_temperature,
-    estimate_variance,
-    pool_with_type,
-    variance_of_type,
-)
+from tumble.result.launch_variances import at_temperature
 from tumble.result.parts import CalibratedTemperature, Evidence, Parameter, SourceContributions, learned_fraction
 from tumble.result.shared_errors import is_device_property, prior_sensitivities
 from tumble.result.uncertainty_budget import contributions_of
@@ -72,7 +66,6 @@ def calibrate_launches(
     iterations: int | None = None,
     frame: Frame = "accelerometer",
     terms: Terms = "full",
-    alike: Sequence[LaunchVariances] = (),
     prior: DevicePrior | None = None,
     progress: Progress = Log.chunks,
 ) -> Calibration:
@@ -84,8 +77,6 @@ def calibrate_launches(
         Sessions or the paths of their folders.
     method, iterations, frame, terms, progress
         See `calibrate`.
-    alike
-        Launches of other devices of the type, which also show the instability from launch to launch.
     prior
         See `calibrate`; for one session alone, since the mean of several would contain it several times.
 
@@ -117,10 +108,10 @@ def calibrate_launches(
         LaunchRun(session=session, calibration=calibrate(session, method=method, progress=progress, **options))
         for session in map(session_from, sessions)
     ]
-    return mean_of_launches(runs, alike=alike) if len(runs) > 1 else runs[0].calibration
+    return mean_of_launches(runs) if len(runs) > 1 else runs[0].calibration
 
 
-def mean_of_launches(runs: Sequence[LaunchRun], *, alike: Sequence[LaunchVariances] = ()) -> Calibration:
+def mean_of_launches(runs: Sequence[LaunchRun]) -> Calibration:
     """Return the mean of calibrations of one device by the same method, see `calibrate_launches`."""
     launches = [run.calibration for run in runs]
     first, session, count = launches[0], runs[0].session, len(runs)
@@ -145,13 +136,12 @@ def mean_of_launches(runs: Sequence[LaunchRun], *, alike: Sequence[LaunchVarianc
     clock_u = min(run.session.log.time_base_u for run in runs)
     by_clock = by_time_base(names, clocked(clock_u, session.log.increments))
     shared = _shared_covariances(launches, names, covariances, by_clock)
-    instability, pooled_with = _instability(launches, names, values, digests, alike)
-    parameters, covariance, within = _mean_parameters(launches, names, values, covariances, shared, instability)
+    parameters, covariance, within = _mean_parameters(launches, names, values, covariances, shared)
     mean, shared_mean = values.mean(axis=0), sum(each.mean(axis=0) for each in shared.values())
     budget = _mean_budget(launches, names, shared, within)
     site = first.provenance.site
     for each, part in (
-        (source("launches", dof=None if alike else count - 1.0), covariance - within - shared_mean),
+        (source("launches", dof=count - 1.0), covariance - within - shared_mean),
         (source("gravity", None if site is None else site.gravity_u, "m/s^2"), shared["gravity"][0]),
         (source("clock", clock_u, "1"), shared["clock"][0]),
     ):
@@ -193,7 +183,7 @@ def mean_of_launches(runs: Sequence[LaunchRun], *, alike: Sequence[LaunchVarianc
             circumstances=joint_circumstances([each.circumstances for each in sources]),
             programme=_common([each.programme for each in sources]),
             readings=_common_items([each.readings for each in sources]),
-            notes=(*_notes(runs, names), *pooled_with),
+            notes=tuple(_notes(runs, names)),
             assumptions=tuple(dict.fromkeys(chain(*(each.assumptions for each in sources)))),
         ),
     )
@@ -232,40 +222,12 @@ def _shared_covariances(
     return shared
 
 
-def _instability(
-    launches: Sequence[Calibration],
-    names: Sequence[str],
-    values: Array,
-    digests: Sequence[str],
-    alike: Sequence[LaunchVariances],
-) -> tuple[list[tuple[float, float]], tuple[str, ...]]:
-    """Return the variance of every parameter from launch to launch with its degrees of freedom, and notes.
-
-    It is pooled with that of other devices of the type, unless the device is more unstable than these."""
-    others, degrees = [each for each in alike if not each.logs & set(digests)], len(launches) - 1.0
-    instability, unlike, model = [], [], launches[0].model
-    for name, s2 in zip(names, np.var(values, axis=0, ddof=1).tolist(), strict=True):
-        noise = float(np.mean([estimate_variance(launch, name) for launch in launches]))
-        pooled = pool_with_type(s2, degrees, variance_of_type(others, name, noise))
-        unlike += [name] if pooled is None else []
-        instability.append(pooled or (s2, degrees))
-    if not alike:
-        return instability, ()
-    note = (
-        f"instability from launch to launch: by all launches of {'its type' if model is None else f'the type {model}'} "
-        f"in the registry, {sum(each.degrees for each in alike)} degrees of freedom"
-    )
-    unlike_note = (f"more unstable than the type, and by these launches alone: {', '.join(unlike)}",) if unlike else ()
-    return instability, (note, *unlike_note)
-
-
 def _mean_parameters(
     launches: Sequence[Calibration],
     names: Sequence[str],
     values: Array,
     covariances: Array,
     shared: Mapping[str, Array],
-    instability: Sequence[tuple[float, float]],
 ) -> tuple[tuple[Parameter, ...], Array, Array]:
     """Return the parameters of the mean, their covariance (m, m), and its part (m, m) from within the launches."""
     count, shared_mean = len(launches), np.sum([each.mean(axis=0) for each in shared.values()], axis=0)
@@ -281,8 +243,8 @@ def _mean_parameters(
         for p, C, variance in zip(each, covariances, variances, strict=True):
             dof = None if p.dof is None or C[i, i] == 0.0 else p.dof * float(variance[i] / C[i, i]) ** 2
             parts.append((float(variance[i]), dof))
-        s2, degrees = instability[i]
-        u, dof = degrees_of_mean(parts, float(np.sqrt(s2)), float(np.sqrt(shared_mean[i, i])), degrees=degrees)
+        run_to_run = float(np.std(values[:, i], ddof=1))
+        u, dof = degrees_of_mean(parts, run_to_run, float(np.sqrt(shared_mean[i, i])))
         covariance[i, i] = u**2
         prior = max((p.prior for p in each if p.prior is not None), default=None)
         parameters.append(
@@ -292,7 +254,7 @@ def _mean_parameters(
                 u=float(np.sqrt(covariance[i, i])),
                 unit=each[0].unit,
                 deviation=_mean_where_known([p.deviation for p in each]),
-                run_to_run=float(np.std(values[:, i], ddof=1)),
+                run_to_run=run_to_run,
                 dof=dof,
                 prior=prior,
                 learned=None if prior is None else learned_fraction(u, prior),

@@ -365,7 +365,7 @@ def prior_at_check(
     others = _launches(calibration, launches)
     turned_on, inverse_degrees = np.zeros((2, len(covariance)))
     for i, name in enumerate(linear, 1):
-        variances = [(each.degrees, each.variances[name][0]) for each in others if name in each.variances]
+        variances = [(each.degrees, each.variances[name]) for each in others if name in each.variances]
         degrees = sum(count for count, _ in variances)
         between = sum(count * variance for count, variance in variances) / max(degrees, 1)
         total = GRADE_DEGREES + degrees
