@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from tumble.diagnosis.turn_likelihood import WIDTHS, Widths, columns_said
+from tumble.diagnosis.turn_likelihood import WIDTHS, Widths, columns_text
 from tumble.drafting.draft import Draft
 from tumble.drafting.hypotheses import Evidence, Hypothesis, gather_evidence, ranked_hypotheses
 from tumble.errors import InputError, TumbleError
@@ -53,7 +53,7 @@ def complete_draft(draft: Draft, progress: Progress, widths: Widths = WIDTHS) ->
     if best.profile is None or best.gyro is None:
         return out, faults
     if best.profile.exchanged:
-        faults = [f"the gyros carry the vertical from rest to rest only where {columns_said(best.profile.exchange)}"]
+        faults = [f"the gyros carry the vertical from rest to rest only where {columns_text(best.profile.exchange)}"]
     if not (best.gyro.listed or best.accel.unit is None or draft.whole[GYRO]):
         written = f"; column {best.times.keys['time']!r} is taken as it is written" if best.times.stamped else ""
         faults.append(

@@ -30,7 +30,7 @@ from tumble.diagnosis.turn_likelihood import (
     WIDTHS,
     TurnLikelihood,
     Widths,
-    cost_of_any,
+    cost_of_free_scale,
     ends_tilted,
     turn_likelihoods,
 )
@@ -267,8 +267,8 @@ def ranked_hypotheses(evidence: Evidence, draft: Draft, widths: Widths = WIDTHS)
     """Return all hypotheses about a log in the order of their cost."""
     deviation = math.hypot(widths.scale, evidence.length_u)
     has_accel = ACCEL in draft.triads
-    accels = list(_assumed_scales(ACCEL, draft, cost_of_any(deviation))) if has_accel else [(COUNTS, 0.0)]
-    gyros = list(_assumed_scales(GYRO, draft, cost_of_any(widths.scale))) if GYRO in draft.triads else []
+    accels = list(_assumed_scales(ACCEL, draft, cost_of_free_scale(deviation))) if has_accel else [(COUNTS, 0.0)]
+    gyros = list(_assumed_scales(GYRO, draft, cost_of_free_scale(widths.scale))) if GYRO in draft.triads else []
     if not evidence.profiles:  # nothing shows the worth of counts
         listed = sum(math.exp(-0.5 * cost) for gyro, cost in gyros if gyro.unit is None and gyro.listed)
         in_units = [(gyro, cost) for gyro, cost in gyros if gyro.unit is not None]
@@ -321,7 +321,7 @@ def _gyro_trials(
         if profile is not None and free_rate is not None and gyro.unit is not None and not gyro.increment:
             rate = profile.found() * DEGREE / gyro.value
             if RATE_LIMITS[0] <= rate <= RATE_LIMITS[1]:
-                cost = free_rate - 2.0 * math.log(UNUSUAL_SHARE) + cost_of_any(widths.scale, _LN_RATE_RANGE)
+                cost = free_rate - 2.0 * math.log(UNUSUAL_SHARE) + cost_of_free_scale(widths.scale, _LN_RATE_RANGE)
                 trials = (*assumed_times, at_rate(float(f"{rate:.4g}"), cost))
         for times in trials:
             scale, cost = gyro, assumption
