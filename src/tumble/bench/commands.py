@@ -1,4 +1,4 @@
-"""The command `bench`, which the entry point group `tumble.commands` brings in."""
+"""The command `bench`, registered in the entry point group `tumble.commands`."""
 
 from __future__ import annotations
 
