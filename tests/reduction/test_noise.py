@@ -22,7 +22,6 @@ from tests.support import ROOT, naive, study
 from tumble.errors import InputError, MissingExtraError
 from tumble.reduction import kernels as _kernels
 from tumble.reduction.noise.allan_deviation import AllanDeviation, allan_deviation, pooled
-from tumble.reduction.noise.densities import densities
 from tumble.reduction.noise.wavelet_moments import (
     FLICKER,
     Coefficient,
@@ -30,6 +29,7 @@ from tumble.reduction.noise.wavelet_moments import (
     NoiseParameters,
     Panel,
     _Moments,
+    filter_densities,
     identify,
 )
 from tumble.units import DEGREE_PER_HOUR, G_STANDARD, Array
@@ -254,11 +254,11 @@ def test_filters_get_a_walk_as_large_as_the_processes() -> None:
     wandering = NoiseParameters(white_noise=c(1e-4), gauss_markov=(GaussMarkov(sigma=c(1e-4), time=c(50.0)),))
     deviation = allan_deviation(1e-3 * np.random.default_rng(17).standard_normal((4096, 1)), RATE)
     panel = Panel(title="gyros", unit="rad/s", channels=("gx",), deviation=deviation, parameters=(wandering,))
-    found = densities(panel, RATE)
+    found = filter_densities(panel, RATE)
     assert found.white == pytest.approx(1e-4)
     assert found.walk == pytest.approx(1e-4 * np.sqrt(2.0 / 50.0))
     white = replace(panel, parameters=(NoiseParameters(white_noise=c(1e-4)),))
-    bounded = densities(white, RATE)
+    bounded = filter_densities(white, RATE)
     assert bounded.walk > 0.0
     assert "random walk of the gyros: not seen" in bounded.bounds[0]
 

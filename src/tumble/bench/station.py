@@ -346,5 +346,4 @@ def station_of(
         return Station(folder, None, **options)
     if not known:
         session_folder.begin_for(folder, listen, serial, site, programme)
-    source = listen.removesuffix(":motioncal")
-    return Station(folder, lambda: source_of(source), **options)
+    return Station(folder, lambda: source_of(listen), **options)

@@ -34,7 +34,7 @@ from tumble.export.templates import render_layout
 from tumble.files import FilePath
 from tumble.recording.session import Session
 from tumble.recording.session_file import session_from
-from tumble.reduction.noise.densities import Densities, densities
+from tumble.reduction.noise.wavelet_moments import FilterDensities, filter_densities
 from tumble.result.calibration import Calibration
 from tumble.result.correction import linear_example
 from tumble.result.parts import SensorsAtRest
@@ -47,8 +47,8 @@ from tumble.units import Array
 class NoiseDensities:
     """Noise densities of both kinds of sensors, the sample rate, Hz, None if it is not known, and their source."""
 
-    accel: Densities
-    gyro: Densities
+    accel: FilterDensities
+    gyro: FilterDensities
     rate: float | None
     source: str
 
@@ -61,7 +61,7 @@ def noise_densities(session: Session) -> NoiseDensities:
     panels = noise_panels([record])
     if len(panels) != 2:
         raise InputError(f"{session.name}: expected accelerometers and gyros to take the noise from, found no gyros")
-    accel, gyro = (densities(panel, record.rate) for panel in panels)
+    accel, gyro = (filter_densities(panel, record.rate) for panel in panels)
     return NoiseDensities(accel=accel, gyro=gyro, rate=record.rate, source=record.source)
 
 
@@ -90,7 +90,7 @@ def _noise_of_rests(calibration: Calibration) -> NoiseDensities:
             "with --noise"
         )
         walk = float(np.sqrt(walks.mean(axis=0).max()))
-        densities.append(Densities(white=float(white), walk=walk, bounds=(bound,)))
+        densities.append(FilterDensities(white=float(white), walk=walk, bounds=(bound,)))
     source = f"{len(calibration.evidence.rests)} rests of the calibration"
     return NoiseDensities(accel=densities[0], gyro=densities[1], rate=calibration.provenance.sample_rate, source=source)
 

@@ -67,7 +67,7 @@ from tumble.inference.normal_equations import (
 )
 from tumble.inference.problem import Problem
 from tumble.inference.variables import at_two_temperatures, both_ways
-from tumble.sensors.parameters import group_of, poorer, prior_sizes, variable_of
+from tumble.sensors.parameters import group_of, next_poorer_grade, prior_sizes, variable_of
 from tumble.units import Array, BoolArray, IntArray
 
 IN_RUN_WITHIN = float(np.log(30.0) / 1.645)
@@ -295,7 +295,7 @@ def size_factors(
 ) -> dict[str, float]:
     """Factors by which the sizes of groups in instruments of a grade may be too small, by where each is from: a data
     `sheet`, or a grade that is stated or guessed. A guess between grades of equal sizes cannot be wrong by it."""
-    worse = poorer(grade) if guessed else None
+    worse = next_poorer_grade(grade) if guessed else None
     in_worse = {} if worse is None else prior_sizes(worse)
     return {
         name: SHEET if name in sheet else GUESSED if in_worse.get(name, 0.0) > size else STATED

@@ -36,7 +36,7 @@ from tumble.result.accepted import accepted_kinds, accepted_part
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import expanded_of
 from tumble.result.parts import Parameter
-from tumble.sensors.parameters import group_of, meant_by
+from tumble.sensors.parameters import group_of, name_covers
 from tumble.units import two_digits
 
 DECISION_RULE = (
@@ -138,7 +138,7 @@ def judge_parameters(
         return None
     determined = {p.name: p for p in parameters}
     names = [*determined, *unobservable]
-    names += [key for key in by_key if not any(meant_by(key, name) for name in names)]
+    names += [key for key in by_key if not any(name_covers(key, name) for name in names)]
     judgements = []
     for name in names:
         interval = limits.of(name, occasion)

@@ -20,7 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from tumble.documents import text_of_document, toml_of, validated
 from tumble.errors import did_you_mean
 from tumble.sensors.frames import FRAMES, Frame
-from tumble.sensors.parameters import group_of, groups, meant_by, quantity_of
+from tumble.sensors.parameters import group_of, groups, name_covers, quantity_of
 
 Occasion = Literal["incoming", "periodic"]
 OCCASIONS: tuple[Occasion, ...] = get_args(Occasion)
@@ -44,7 +44,7 @@ class Limits:
     def of(self, name: str, occasion: Occasion) -> tuple[float, float] | None:
         """Return the lowest and the highest value (SI) of a parameter, None without a limit."""
         by_key = self.checks.get(occasion, {})
-        longest = max((key for key in by_key if meant_by(key, name)), key=len, default=None)
+        longest = max((key for key in by_key if name_covers(key, name)), key=len, default=None)
         return None if longest is None else by_key[longest]
 
 

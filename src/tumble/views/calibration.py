@@ -15,7 +15,7 @@ from itertools import chain
 import numpy as np
 
 from tumble.diagnosis.in_motion import IN_MOTION
-from tumble.diagnosis.verdict import gravity_said
+from tumble.diagnosis.verdict import gravity_text
 from tumble.files import FilePath
 from tumble.result.accepted import accepted_kinds
 from tumble.result.calibration import Calibration
@@ -154,7 +154,7 @@ def calibration_blocks(
         lines += [rests_said(evidence)] if evidence.rests and not several else []
         lines += [f"remark: {remark}" for remark in remarks_of(calibration)]
         site = calibration.provenance.site
-        lines += [gravity_said(site)] if site is not None and not site.gravity_is_unit else []
+        lines += [gravity_text(site)] if site is not None and not site.gravity_is_unit else []
         return [*blocks, Items(items=(*lines, *without_expanded(parameters), *calibration.provenance.notes))]
     units, spreads = shown_units(parameters), list[str]()
     for name, members in by_group(parameters).items() if several else ():

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from tumble.reduction.noise.wavelet_moments import LINEAR, MISFIT, Coefficient, NoiseParameters, Panel
+from tumble.reduction.noise.wavelet_moments import LINEAR, MISFIT_PROBABILITY, Coefficient, NoiseParameters, Panel
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, G_STANDARD, engineering, rounded
 from tumble.views.blocks import Block, table
 from tumble.views.render.pictures import write_picture
@@ -77,7 +77,7 @@ def noise_blocks(noise: RecordedNoise) -> list[Block]:
         for channel, p in zip(panel.channels, panel.parameters, strict=True):
             if p.runner_up and p.margin < CLOSE:
                 blocks.append(f"{channel}: {p.runner_up} would do nearly as well; a longer record tells.")
-            if p.probability < MISFIT:
+            if p.probability < MISFIT_PROBABILITY:
                 none = "no sum of processes fits (vibration, a filter?); u is enlarged by what is left."
                 blocks.append(f"{channel}: {none}")
     if noise.doubt:

@@ -15,7 +15,7 @@ from tumble.programme.positions import Programme
 from tumble.recording.session import Session
 from tumble.reduction.blocks.reducer import Reduction
 from tumble.reduction.rest_stream import mean_so_far
-from tumble.reduction.rests.matching import POSITION_LIMIT, SAME_ATTITUDE, freed_verticals
+from tumble.reduction.rests.matching import POSITION_LIMIT, SAME_ATTITUDE, bias_free_verticals
 from tumble.reduction.rests.segmentation import Segmentation
 from tumble.rotation import onto_body, rotation_matrix, rotation_vector, unit_vector
 from tumble.units import Array
@@ -222,7 +222,7 @@ def verticals(rests: list[Rest], programme: Programme, gravity: float) -> Array:
     """Return the verticals (N, 3) of rests in the body frame, corrected for the bias by the positions of a
     programme."""
     expected = np.array([position.vertical_b for position in programme.positions])
-    return freed_verticals(np.array([rest.force for rest in rests]).reshape(-1, 3), expected, gravity)
+    return bias_free_verticals(np.array([rest.force for rest in rests]).reshape(-1, 3), expected, gravity)
 
 
 def nearest_positions(programme: Programme, units: Array) -> list[int | None]:

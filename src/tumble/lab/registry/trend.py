@@ -40,7 +40,7 @@ import scipy
 
 from tumble.lab.limits import Limits
 from tumble.lab.registry.records import Record, State
-from tumble.methods.least_squares import scatter_of
+from tumble.methods.least_squares import fit_scatter
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import apart, by_gravity
 from tumble.result.shared_errors import by_priors, of_time_base
@@ -280,7 +280,7 @@ def _instability_and_drift(points: Sequence[Point]) -> tuple[float | None, Drift
     degrees, tau = len(points) - X.shape[1] + int((count - 1).sum()), None
     if degrees > 0:
         start = float(np.median(np.sqrt(variance)))
-        tau = scatter_of(lambda s: fit_line(s)[2] + float(np.sum(squares / (within + s**2))) - degrees, start)
+        tau = fit_scatter(lambda s: fit_line(s)[2] + float(np.sum(squares / (within + s**2))) - degrees, start)
     if not has_drift:
         return tau, None
     z, R, _ = fit_line(tau or 0.0)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tumble.diagnosis.verdict import against_normal
+from tumble.diagnosis.verdict import anomaly_text
 from tumble.errors import ProgrammeError
 from tumble.inference.estimate import Fit
 from tumble.programme.positions import Position, from_attitudes
@@ -75,7 +75,7 @@ def site_facts(site: Site | None) -> tuple[tuple[str, str], ...]:
         gravity = f"not stated: g at the place is the unit, {fixed(site.gravity, 5)} m/s² stands for it"
     elif site.gravity_u == 0.0:
         gravity = f"{fixed(site.gravity, 7)} m/s², taken as exact: no uncertainty of it was stated"
-    against = None if site.gravity_is_unit else against_normal(site)
+    against = None if site.gravity_is_unit else anomaly_text(site)
     gravity += f"; {against}" if against is not None else ""
     if site.latitude is None:
         return (("latitude", NONE), ("gravity", gravity))
