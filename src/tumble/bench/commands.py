@@ -24,7 +24,7 @@ from tumble.commands import ask, tell
 @ask.GRAVITY
 @ask.programme("Of a new session; default: free positions.")
 @ask.WANT
-@ask.grade("mems", ": where the other wishes come from")
+@ask.grade("mems", ": for uncertainties that are not stated")
 @ask.REGISTRY
 @ask.option("--host", "Address to listen on; beyond the loopback a token is asked for.", "127.0.0.1")
 @ask.option("--port", "0: any that is free.", 8422, type=click.IntRange(0, 65535))
