@@ -87,21 +87,24 @@ def targets() -> tuple[str, ...]:
 def described_targets() -> Iterator[tuple[str, str]]:
     """Yield the names of all targets with a few words on each: those of a template are its `about`."""
     for name in targets():
-        target_or_file = _find(name)
-        if isinstance(target_or_file, Path):
-            yield name, split_template(text_of_document(target_or_file), name)[0].get("about", "")
-        else:
-            yield name, "" if target_or_file is None else target_or_file.about
+        try:
+            found = _find(name)
+            if isinstance(found, Path):
+                yield name, split_template(text_of_document(found), name)[0].get("about", "")
+            else:
+                yield name, "" if found is None else found.about
+        except InputError:
+            yield name, "cannot be loaded"
 
 
 def target(name: str) -> Target:
     """Return the target with a name. Raises InputError for any other name."""
-    target_or_file = _find(name)
-    if target_or_file is None:
+    found = _find(name)
+    if found is None:
         longer = next((each for each in targets() if name and each.startswith(name)), "")
         advice = did_you_mean(longer or name, targets())
         raise InputError(f"export: expected one of {', '.join(targets())}, found {name!r}{advice}")
-    return target_or_file if isinstance(target_or_file, Target) else _template_target(target_or_file, name)
+    return found if isinstance(found, Target) else _template_target(found, name)
 
 
 def _find(name: str) -> Target | Path | None:
