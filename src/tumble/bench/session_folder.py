@@ -25,6 +25,8 @@ from tumble.recording.session_file import SESSION_FILE, read_session, write_sess
 from tumble.recording.text.dialect import DIALECT_KEYS
 from tumble.units import ACCEL_UNITS, GYRO_UNITS, Unit
 
+MOTIONCAL = Path(__file__).with_name("motioncal.toml")
+"""Table [log] of the output of MotionCal's sketches."""
 _FILE = re.compile(r"^file *= *(\[[^\]]*\]|.*)$", re.MULTILINE)
 
 
@@ -39,8 +41,8 @@ def begin(folder: Path, *, log: Mapping[str, Any], serial: str, site: Mapping[st
 def begin_for(folder: Path, listen: str, serial: str | None, site: Mapping[str, Any], programme: str | None) -> None:
     """Create a session folder for a source, named as by --listen.
 
-    For a replay it is a copy of the replayed session with a CSV log; otherwise the log is in SI. Raises InputError if
-    --serial or --latitude is missing."""
+    For a replay it is a copy of the replayed session with a CSV log; otherwise the log is in SI, or that of MotionCal.
+    Raises InputError if --serial or --latitude is missing."""
     kind, _, rest = listen.partition(":")
     if kind == "replay":
         original = Path(rest.rpartition("@")[0] if "@" in rest else rest)
@@ -54,6 +56,7 @@ def begin_for(folder: Path, listen: str, serial: str | None, site: Mapping[str, 
         content |= {} if programme is None else {"programme": {"name": programme}}
         write_session(folder, content)
         return
+    is_motioncal = kind == "serial" and rest.endswith(":motioncal")
     needed = {"--serial": serial, "--latitude": site.get("latitude_deg")}
     missing = [option for option, given in needed.items() if given is None]
     if serial is None or missing:
@@ -61,7 +64,8 @@ def begin_for(folder: Path, listen: str, serial: str | None, site: Mapping[str, 
             f"{folder}: expected --serial (of the unit) and --latitude (of the place) for a new session, found no "
             f"{' and no '.join(missing)}"
         )
-    begin(folder, log=SI_LOG, serial=serial, site=site, programme=programme)
+    described = toml_of(text_of_document(MOTIONCAL), MOTIONCAL.name) if is_motioncal else SI_LOG
+    begin(folder, log=described, serial=serial, site=site, programme=programme)
 
 
 def session_to_record(folder: Path) -> Session:

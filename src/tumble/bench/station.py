@@ -346,4 +346,5 @@ def station_of(
         return Station(folder, None, **options)
     if not known:
         session_folder.begin_for(folder, listen, serial, site, programme)
-    return Station(folder, lambda: source_of(listen), **options)
+    source = listen.removesuffix(":motioncal")
+    return Station(folder, lambda: source_of(source), **options)

@@ -31,7 +31,7 @@ from tumble.recording.session import (
     sensors_from,
 )
 from tumble.recording.session.document import ImuTable
-from tumble.recording.session.table import name_of
+from tumble.recording.session.table import check_name
 from tumble.sensors.model import SensorModel
 from tumble.sensors.parameters import is_parameter
 from tumble.units import Array
@@ -76,7 +76,7 @@ def is_size(number: float) -> float:
     return number
 
 
-Name = Annotated[str, AfterValidator(name_of)]
+Name = Annotated[str, AfterValidator(check_name)]
 Size = Annotated[float, AfterValidator(is_size)]
 Positive = Annotated[float, Field(gt=0.0), AfterValidator(is_size)]
 Count = Annotated[int, Field(ge=0, le=10**9)]
