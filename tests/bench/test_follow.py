@@ -15,7 +15,7 @@ from tests.support.browser import eventually
 from tumble import calibrate
 from tumble.bench import screens
 from tumble.bench.follow.faults import SampleWatch
-from tumble.bench.follow.wishes import wishes
+from tumble.bench.follow.task import wanted_by_group
 from tumble.bench.record.recorder import NOTHING_RECEIVED
 from tumble.bench.station import Station
 from tumble.errors import InputError
@@ -61,7 +61,7 @@ def test_every_screen_of_a_programme_in_its_turn(opened: Callable[..., Bench], m
     assert (rest["number"], rest["of"]) == (1, 9)
     while bench.screen == "rest":  # no time is given that is not known: of a rest of seconds, none of hours
         left, seconds = (bench.state["rest"][key] for key in ("left", "seconds"))
-        assert left is None or left <= screens.FORESEEN * seconds
+        assert left is None or left <= screens.MAX_FORECAST * seconds
         bench.run(0.2)
     begun = bench.state["to_go"]
     bench.run(10.0)
@@ -377,8 +377,8 @@ def test_noise_of_coarse_resolution_is_not_stuck() -> None:
 
 
 def test_wishes_are_those_that_are_stated_and_else_the_grades() -> None:
-    found = wishes(("gyro.scale=2ppm",), "tactical")
+    found = wanted_by_group(("gyro.scale=2ppm",), "tactical")
     assert found["gyro.scale"] == pytest.approx(2e-6)
     assert set(found) == {f"{kind}.{what}" for kind in ("accel", "gyro") for what in ("bias", "scale", "axis")}
     with pytest.raises(InputError, match="want"):
-        wishes(("gyro.scal=2ppm",), "tactical")
+        wanted_by_group(("gyro.scal=2ppm",), "tactical")

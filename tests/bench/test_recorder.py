@@ -16,7 +16,7 @@ import pytest
 
 from tests.support.browser import eventually
 from tumble.bench.record.recorder import Intake, Recorder
-from tumble.bench.session_folder import begin, begin_next, leave_out, session_to_record
+from tumble.bench.session_folder import begin, begin_next, session_to_record, write_exclusion
 from tumble.errors import InputError
 from tumble.recording.live.samples import SI_LOG, StreamedSamples
 from tumble.recording.live.sources import GrowingFile, Replay, StandardInput, Udp
@@ -279,13 +279,13 @@ def test_what_is_left_out_is_added_to_a_file_that_stays_as_it_is(folder: Path) -
     path.write_text("# a comment\n" + path.read_text())
     before = path.read_text()
     first = Exclusion(start=1.25, stop=2.5, reason='a "knock" \n[[x]]')
-    leave_out(folder, first)
+    write_exclusion(folder, first)
     longer = Exclusion(start=1.25, stop=7.5, reason="a knock")
-    leave_out(folder, longer, instead_of=first)
-    leave_out(folder, Exclusion(rest=3, reason="<script>"))
+    write_exclusion(folder, longer, instead_of=first)
+    write_exclusion(folder, Exclusion(rest=3, reason="<script>"))
     assert read_session(folder).excluded == (longer, Exclusion(rest=3, reason="<script>"))
     assert path.read_text().startswith(before.rstrip("\n"))
-    leave_out(folder, None, instead_of=Exclusion(rest=3, reason="<script>"))
+    write_exclusion(folder, None, instead_of=Exclusion(rest=3, reason="<script>"))
     assert read_session(folder).excluded == (longer,)
 
 

@@ -209,7 +209,7 @@ def test_no_module_of_the_working_folder_is_run(bench: Bench, tmp_path: Path, mo
         (hostile / f"{name}.py").write_text(f"open({str(tmp_path / 'run')!r}, 'w').close()\nraise SystemExit(0)\n")
     monkeypatch.chdir(hostile)
     with pytest.raises(CalibrationError, match=r"log\.csv"):
-        results.calibrated(bench.station.folder, NOT_STOPPED)
+        results.calibrate_folder(bench.station.folder, NOT_STOPPED)
     assert not (tmp_path / "run").exists()
 
 
@@ -218,14 +218,14 @@ def test_a_calibration_ends_with_the_bench(child: Path, bench: Bench) -> None:
     stopped = threading.Event()
     threading.Timer(0.3, stopped.set).start()
     with pytest.raises(CalibrationError, match="ended with the status -15"):
-        results.calibrated(bench.station.folder, stopped)
+        results.calibrate_folder(bench.station.folder, stopped)
 
 
 # -------------------- errors, stops, units --------------------
 
 
 def test_an_error_of_the_program_is_said_and_the_page_goes_on(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(results, "calibrated", lambda *_: [][1])
+    monkeypatch.setattr(results, "calibrate_folder", lambda *_: [][1])
     said = bench.station.command("calibrate")
     assert said == "calibrate: not done (IndexError: list index out of range)"
     assert bench.station.command("go_on") == "going on"

@@ -120,7 +120,7 @@ def test_other_names_are_not_answered_to(page: Page) -> None:
         "localhost.evil.example:8422",
     )  # fmt: skip
     assert not any(near.answers_to(name) for name in wrong)
-    assert not any(near.knows(token) for token in (None, "ttttttttttttttttttté"))
+    assert not any(near.is_token(token) for token in (None, "ttttttttttttttttttté"))
     far = Access(host="0.0.0.0", port=8422, token="t" * 20)
     assert far.answers_to("192.168.0.7:8422")
     assert not far.answers_to("evil.example:8422")
@@ -159,7 +159,7 @@ def test_buttons_answer_while_a_calibration_is_made(bench: Bench, page: Page, mo
         ends.wait(60.0)
         raise CalibrationError("ended")
 
-    monkeypatch.setattr(results, "calibrated", calibrated)
+    monkeypatch.setattr(results, "calibrate_folder", calibrated)
     with ThreadPoolExecutor(1) as asking, ExitStack() as streams:
         for _ in range(12):
             streams.enter_context(page.connected()).sendall(page.head("GET", "/events"))
@@ -185,7 +185,7 @@ def test_a_body_that_is_too_long_or_does_not_come_is_given_up_without_a_word(
 def test_idle_connections_give_way_to_a_page(
     page: Page, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(connections, "most_connections", lambda: 6)
+    monkeypatch.setattr(connections, "max_connections", lambda: 6)
     with ExitStack() as opened:
         idle = [opened.enter_context(page.connected()) for _ in range(40)]
         idle[-1].sendall(b"GET / HTT")
@@ -200,7 +200,7 @@ def test_idle_connections_give_way_to_a_page(
 
 
 def test_streams_without_the_token_leave_room_for_those_with_it(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(connections, "most_connections", lambda: 8)
+    monkeypatch.setattr(connections, "max_connections", lambda: 8)
 
     def streams(count: int, head: bytes) -> list[bytes]:
         begun = [opened.enter_context(page.connected()) for _ in range(count)]

@@ -1,4 +1,4 @@
-"""The command `bench`, which the entry point group `tumble.commands` brings in."""
+"""The command `bench`, registered in the entry point group `tumble.commands`."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from tumble.commands import params as ask
 @ask.GRAVITY
 @ask.programme("Of a new session; default: free positions.")
 @ask.WANT
-@ask.grade("mems", ": where the other wishes come from")
+@ask.grade("mems", ": for uncertainties that are not stated")
 @ask.REGISTRY
 @ask.option("--host", "Address to listen on; beyond the loopback a token is asked for.", "127.0.0.1")
 @ask.option("--port", "0: any that is free.", 8422, type=click.IntRange(0, 65535))

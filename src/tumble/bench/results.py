@@ -1,4 +1,4 @@
-"""The end of a session: its calibration, and what is made of that."""
+"""Calibration at the end of a session, with report, export and registration."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ if TYPE_CHECKING:
 
 CALIBRATION_FILE = "calibration.json"
 REPORT_FILE = "report.html"
-_LOOK_SECONDS = 0.05
+_POLL_SECONDS = 0.05
 
 
-def shown(calibration: Calibration) -> dict[str, Any]:
-    """A calibration as the page shows it: the verdict with its reasons, the parameters in the units of `tumble
-    calibrate`, the files that can be fetched, the formats for export, and the answer of the registry, empty as yet."""
+def page_content(calibration: Calibration) -> dict[str, Any]:
+    """Return a calibration for the page: verdict with reasons, parameters in the units of `tumble calibrate`, files,
+    export formats, and the answer of the registry, empty at first."""
     from tumble.result.unaided import improvement
     from tumble.views.numbers import shown_units
 
     units, rows = shown_units(calibration.parameters), []
-    for each in calibration.parameters:
-        size, unit = units[each.name]
-        value, u = rounded(each.value / size, (each.u or 0.0) / size)
-        row = {"name": each.name, "group": group_name(each.name), "value": value, "u": u, "unit": unit}
-        rows.append(row | {"size": size, "u_si": each.u})
+    for p in calibration.parameters:
+        size, unit = units[p.name]
+        value, u = rounded(p.value / size, (p.u or 0.0) / size)
+        row = {"name": p.name, "group": group_name(p.name), "value": value, "u": u, "unit": unit}
+        rows.append(row | {"size": size, "u_si": p.u})
     return {
         "accepted": calibration.outcome.accepted,
         "reasons": list(calibration.outcome.reasons),
@@ -46,15 +46,15 @@ def shown(calibration: Calibration) -> dict[str, Any]:
     }
 
 
-def calibrated(folder: Path, stopped: threading.Event) -> Calibration:
+def calibrate_folder(folder: Path, stopped: threading.Event) -> Calibration:
     """Calibrate a session folder by `tumble calibrate`, which writes into it.
 
-    Raises CalibrationError if that fails, or if its exit status does not agree with the verdict in the file. The file
-    of an earlier calibration then stays as it is."""
+    Raises CalibrationError if that fails, or if its exit status contradicts the verdict in the file. The file of an
+    earlier calibration is then kept."""
     from tumble.result.calibration import read_calibration
 
     with whole_file(folder / CALIBRATION_FILE) as fresh:
-        accepted = _made(fresh, "calibrate", "--force", "--out", str(fresh), "--", str(folder), stopped=stopped)
+        accepted = _run_writing(fresh, "calibrate", "--force", "--out", str(fresh), "--", str(folder), stopped=stopped)
         calibration = read_calibration(fresh)
         if calibration.outcome.accepted is not accepted:
             raise CalibrationError(
@@ -63,12 +63,12 @@ def calibrated(folder: Path, stopped: threading.Event) -> Calibration:
     return calibration
 
 
-def _made(fresh: Path, *words: str, stopped: threading.Event) -> bool:
-    """Run a command of tumble that writes the file `fresh`, and return whether its exit status is 0.
+def _run_writing(fresh: Path, *words: str, stopped: threading.Event) -> bool:
+    """Run a command of tumble that writes the file `fresh`, and return True for exit status 0.
 
     Raises CalibrationError, with the last line of its standard error, for a status above 1 and for an empty file."""
-    status, said = _ended(*words, stopped=stopped)
-    last = said[-1] if said else ""
+    status, messages = _run(*words, stopped=stopped)
+    last = messages[-1] if messages else ""
     if status not in (0, 1):
         raise CalibrationError(last or f"{words[0]}: it was ended with the status {status}")
     if not fresh.stat().st_size:
@@ -76,45 +76,45 @@ def _made(fresh: Path, *words: str, stopped: threading.Event) -> bool:
     return status == 0
 
 
-def _ended(*words: str, stopped: threading.Event) -> tuple[int, list[str]]:
-    """Run a command of tumble in a process of its own; its exit status and the lines of its standard error.
+def _run(*words: str, stopped: threading.Event) -> tuple[int, list[str]]:
+    """Run a command of tumble as a process, and return its exit status and the lines of its standard error.
 
-    The process is ended when the bench is `stopped`. It takes no module from the folder it runs in (-P)."""
+    The process is ended when the bench is `stopped`. It imports no module from the working folder (-P)."""
     command = [sys.executable, "-P", "-m", "tumble", *words]
-    nowhere = subprocess.DEVNULL
+    null = subprocess.DEVNULL
     with (
-        tempfile.TemporaryFile() as said,
-        subprocess.Popen(command, stdin=nowhere, stdout=nowhere, stderr=said) as process,
+        tempfile.TemporaryFile() as stderr,
+        subprocess.Popen(command, stdin=null, stdout=null, stderr=stderr) as process,
     ):
         while process.poll() is None:
-            if stopped.wait(_LOOK_SECONDS):
+            if stopped.wait(_POLL_SECONDS):
                 process.terminate()
                 process.wait()
-        said.seek(0)
-        lines = said.read().decode("utf-8", errors="replace").strip().splitlines()
+        stderr.seek(0)
+        lines = stderr.read().decode("utf-8", errors="replace").strip().splitlines()
     return process.returncode, [line.removeprefix("tumble: ") for line in lines]
 
 
-def report_of(folder: Path, stopped: threading.Event) -> str:
-    """Write the report of a calibration beside it, and return the name of its file."""
+def write_report(folder: Path, stopped: threading.Event) -> str:
+    """Write the report of a calibration beside it, and return the name of the file."""
     with whole_file(folder / REPORT_FILE) as fresh:
-        _made(fresh, "report", "--out", str(fresh), "--", str(folder / CALIBRATION_FILE), stopped=stopped)
+        _run_writing(fresh, "report", "--out", str(fresh), "--", str(folder / CALIBRATION_FILE), stopped=stopped)
     return REPORT_FILE
 
 
-def exported(folder: Path, to: str) -> tuple[str, str]:
-    """Export a calibration into a file beside it, and return the name of that and the worst that it cannot hold."""
-    made = export_calibration(folder / CALIBRATION_FILE, to)
+def write_export(folder: Path, to: str) -> tuple[str, str]:
+    """Export a calibration into a file beside it, and return its name and the most important loss."""
+    exported = export_calibration(folder / CALIBRATION_FILE, to)
     name = f"export-{to}{target(to).ending}"
     with whole_file(folder / name) as temporary:
-        temporary.write_bytes(made.content)
-    return name, next(iter(made.losses), "")
+        temporary.write_bytes(exported.content)
+    return name, next(iter(exported.losses), "")
 
 
-def registered(folder: Path, place: str | None, stopped: threading.Event) -> str:
-    """Add a calibration to a registry by `tumble registry add`, and return its messages. `place` None: the user's."""
+def register(folder: Path, place: str | None, stopped: threading.Event) -> str:
+    """Add a calibration to a registry (None: the user's) by `tumble registry add`, and return its messages."""
     where = [] if place is None else ["--registry", place]
-    status, said = _ended("registry", "add", *where, "--", str(folder / CALIBRATION_FILE), stopped=stopped)
+    status, messages = _run("registry", "add", *where, "--", str(folder / CALIBRATION_FILE), stopped=stopped)
     if status not in (0, 1):
-        raise CalibrationError(said[-1] if said else f"registry: it was ended with the status {status}")
-    return "; ".join(said)
+        raise CalibrationError(messages[-1] if messages else f"registry: it was ended with the status {status}")
+    return "; ".join(messages)

@@ -1,5 +1,4 @@
-"""The screens of the page: what is shown, as a function of the task, the progress, what is wrong, and the estimate
-(`tumble.bench.follow.estimates`), None before the first."""
+"""Screens of the page as a function of the task, the progress, the fault, and the estimate (None before the first)."""
 
 from __future__ import annotations
 
@@ -15,7 +14,7 @@ import numpy as np
 
 from tumble.bench.follow.faults import Fault
 from tumble.bench.follow.progress import SHORTEST_REST, Blocks, Progress, attitude_now, nearest_positions, verticals
-from tumble.bench.follow.wishes import Task
+from tumble.bench.follow.task import Task
 from tumble.bench.state import Answer, EstimateShown, PositionShown, RestShown, Screen, State, Trace
 from tumble.programme.positions import ANY_MOVE
 from tumble.programme.sheet_pictures import ghost
@@ -24,53 +23,52 @@ from tumble.reduction.rests.rests import drift
 from tumble.units import DEGREE, G_STANDARD, ZERO_CELSIUS
 from tumble.usual_setup import MOVE
 
-STILL_TURNING = 3.0 * DEGREE
-"""s⁻¹: a turn that is nearly done and goes on more slowly is a unit put down with movement."""
-NEARLY = 10.0 * DEGREE
-_SETTLING = 20.0
-"""Of u: a drift over a rest that is no noise; that of white noise is √12 u."""
-_TRACE = 600
-FORESEEN = 9.0
-"""Times as long as a rest has lasted: u is known to some 20 % from its beginning, and its square, which is what it will
-take, to half of that time; further ahead no time is told."""
-_MORE = 5
-"""Rests of which it is said how much better they would make the estimate: by the root of their number."""
+SETTLING_RATE = 3.0 * DEGREE  # rad/s; a slower turn that is nearly complete is a unit put down that still moves
+NEARLY_DONE = 10.0 * DEGREE  # rad, from the end of a turn
+_SETTLING_DRIFT = 20.0  # in units of u, drift over a rest that is not noise; that of white noise is √12
+_TRACE_BLOCKS = 600
+MAX_FORECAST = 9.0
+"""Longest forecast of the end of a rest, in units of its duration. u is known to about 20 % from its beginning, so the
+time that it needs, in proportion to u², only to about half."""
+_FURTHER_RESTS = 5  # for which the improvement of the estimate is shown, by the root of the number of rests
 
 WAITING: Screen = {"screen": "waiting", "headline": "Waiting for data", "fault": None}
-"""The screen while there is too little to see rests in."""
+"""Screen before there are enough data to find rests."""
 
 
 def screen(
     task: Task, progress: Progress, fault: Fault | None, estimate: EstimateShown | None, *, go_on: bool
 ) -> Screen:
-    """The screen, and what every screen shows. `go_on`: although all that is wanted is reached."""
+    """Return the screen with the content common to all. With `go_on` recording continues though all wanted u are
+    reached."""
     blocks, groups, current = progress.blocks, progress.groups, progress.current
     complete = task.positions is not None and len(groups) >= task.positions
-    shown: Screen
+    specific: Screen
     if fault is not None:
-        shown = {"screen": "fault", "headline": "Not good", **_where(task, progress, fault.place)}
-        shown["fault"] = asdict(fault)
+        specific = {"screen": "fault", "headline": "Not good", **_position_content(task, progress, fault.place)}
+        specific["fault"] = asdict(fault)
     elif not groups:
-        shown = {"screen": "waiting", "headline": "Waiting for rest", **_where(task, progress)}
+        specific = {"screen": "waiting", "headline": "Waiting for rest", **_position_content(task, progress)}
     elif current is not None and not progress.judged[-1].enough:
-        shown = _at_rest(task, progress)
+        specific = _at_rest(task, progress)
     elif complete or (current is not None and estimate is not None and estimate["enough"] and not go_on):
-        shown = _done(task, len(groups), estimate, complete=complete)
+        specific = _done(task, len(groups), estimate, complete=complete)
     else:
-        shown = _turn(task, progress)
+        specific = _turn(task, progress)
 
-    # the time, s, that the positions of the programme still take. One takes the rest and the move that the programme
-    # allows for or, as soon as they outvote that, what those before took: the median of all, of the first rest, which
-    # may be a warm-up, no more than is allowed for. What goes beyond that now shortens nothing
+    # remaining time of the programme, s: a position takes the median of the planned time (rest and move) and of those
+    # that the positions before took, the first rest, which may be a warm-up, counting as planned at most
     to_go = None
     if task.positions is not None and groups:
         rest = max(task.wanted.rest, SHORTEST_REST)
-        begun = [group[0].start for group in groups]
-        begun[0] = max(begun[0], groups[0][-1].stop - rest)
-        each = float(np.median([rest + MOVE, *np.diff(begun)]))
-        further, since = max(0, task.positions - len(groups)), progress.now - groups[-1][0].start
-        to_go = max(0.0, each - since) + (further - 1) * each + rest if further else max(0.0, rest - since)
-    always: Screen = {
+        starts = [group[0].start for group in groups]
+        starts[0] = max(starts[0], groups[0][-1].stop - rest)
+        per_position = float(np.median([rest + MOVE, *np.diff(starts)]))
+        remaining, since = max(0, task.positions - len(groups)), progress.now - groups[-1][0].start
+        to_go = max(0.0, rest - since)
+        if remaining:
+            to_go = max(0.0, per_position - since) + (remaining - 1) * per_position + rest
+    common: Screen = {
         "seconds": progress.now,
         "scatter": {
             "now": float(np.sqrt(blocks.force[-10:].var(axis=0).sum())),
@@ -84,13 +82,13 @@ def screen(
         "to_go": to_go,
         "fault": None,
     }
-    return always | shown
+    return common | specific
 
 
-def _where(task: Task, progress: Progress, place: int | None = None) -> Screen:
-    """Which position the unit is in, or is to be in: that of this place in the course, from 0, or the present one."""
+def _position_content(task: Task, progress: Progress, place: int | None = None) -> Screen:
+    """Return rest number and position of the unit at a place in the course, from 0, by default the present one."""
     at = len(progress.groups) - (1 if progress.current is not None else 0) if place is None else place
-    index = _index(task, progress, at)
+    index = _position_index(task, progress, at)
     rest: RestShown = {"number": at + 1, "of": task.positions}
     if task.programme is None or index is None:
         return {"rest": rest, "position": None}
@@ -109,79 +107,80 @@ def _where(task: Task, progress: Progress, place: int | None = None) -> Screen:
     return {"rest": rest, "position": shown}
 
 
-def _index(task: Task, progress: Progress, at: int) -> int | None:
-    """The position of the programme that group `at` is, or is to be."""
+def _position_index(task: Task, progress: Progress, at: int) -> int | None:
+    """Return the index of the programme's position for group `at` of rests."""
     programme, rests = task.programme, [group[-1] for group in progress.groups]
     if programme is None or (programme.ordered and at >= len(programme.positions)):
         return None
     if programme.ordered:
         return at
-    seen: list[int | None] = []
+    taken: list[int | None] = []
     if rests:
-        seen = nearest_positions(programme, verticals(rests, programme, task.session.site.gravity))
-    return seen[at] if at < len(seen) else next((k for k in range(len(programme.positions)) if k not in seen), None)
+        taken = nearest_positions(programme, verticals(rests, programme, task.session.site.gravity))
+    return taken[at] if at < len(taken) else next((k for k in range(len(programme.positions)) if k not in taken), None)
 
 
 def _at_rest(task: Task, progress: Progress) -> Screen:
     current, judged, wanted = progress.groups[-1][-1], progress.judged[-1], task.wanted
-    where, seconds = _where(task, progress), current.stop - current.start
+    content, seconds = _position_content(task, progress), current.stop - current.start
     drifted = float(np.abs(drift([progress.blocks.force[current.first : current.last]])).max())
-    foreseen = judged.left is not None and judged.left <= FORESEEN * seconds
-    where["rest"] |= {
+    has_forecast = judged.left is not None and judged.left <= MAX_FORECAST * seconds
+    content["rest"] |= {
         "seconds": seconds,
-        "left": judged.left if foreseen else None,
+        "left": judged.left if has_forecast else None,
         "u": None if judged.accel is None else judged.accel / G_STANDARD * 1e6,
         "wanted": wanted.accel / G_STANDARD * 1e6,
         "gyro_u": None if judged.gyro is None else judged.gyro / DEGREE * 3600.0,
         "gyro_wanted": wanted.gyro / DEGREE * 3600.0,
         "drift": drifted / G_STANDARD * 1e6,
-        "settling": judged.accel is not None and drifted > _SETTLING * judged.accel,
+        "settling": judged.accel is not None and drifted > _SETTLING_DRIFT * judged.accel,
         "nothing_more": judged.nothing_more,
     }
-    of = f" of {task.positions}" if task.positions else ""
-    return {"screen": "rest", "headline": f"At rest {where['rest']['number']}{of}: hold still", **where}
+    total = f" of {task.positions}" if task.positions else ""
+    return {"screen": "rest", "headline": f"At rest {content['rest']['number']}{total}: hold still", **content}
 
 
 def _turn(task: Task, progress: Progress) -> Screen:
-    """Under way: how far the turn has gone, rad, about the axis of the programme's turn where there is one."""
+    """Return the screen of a turn, with its angle about the axis of the programme's turn, if there is one."""
     blocks, last, at = progress.blocks, progress.groups[-1][-1], len(progress.groups)
-    index = _index(task, progress, at)
+    index = _position_index(task, progress, at)
     turn, turned, rate = task.turn_b(index), progress.turned, None
     done = None if turned is None else float(np.linalg.norm(turned) if turn is None else turned @ turn[0])
     angle = None if turn is None else turn[1]
     if blocks.rate is not None and last.rate is not None:
         rate = float(np.linalg.norm(blocks.rate[-3:].mean(axis=0) - last.rate))
     arrived = False
-    if done is not None and rate is not None and rate < STILL_TURNING and not progress.still:
-        arrived = abs(done - angle) < NEARLY if angle is not None else done > 2.0 * NEARLY
+    if done is not None and rate is not None and rate < SETTLING_RATE and not progress.still:
+        arrived = abs(done - angle) < NEARLY_DONE if angle is not None else done > 2.0 * NEARLY_DONE
     label = "to any new position, the long way round" if index is None else f"to position {index + 1}"
     full = None if task.session.log.gyro is None else task.session.log.gyro.range
     degrees = [None if value is None else value / DEGREE for value in (done, angle, rate, full)]
     return {
         "screen": "turn",
         "headline": "Hold still: the unit is not yet at rest" if arrived else f"Turn now {label}",
-        **_where(task, progress, at),
+        **_position_content(task, progress, at),
         "early": "" if progress.judged[-1].enough else f"rest {at} was left before its mean was known well enough",
         "turn": {"done": degrees[0], "angle": degrees[1], "rate": degrees[2], "full_scale": degrees[3]},
     }
 
 
 def _done(task: Task, taken: int, estimate: EstimateShown | None, *, complete: bool) -> Screen:
-    """`complete`: all positions of the programme are taken. `missed` are the groups whose wanted u is not reached, None
-    where no estimate has all the rests."""
+    """Return the last screen; `complete` if all positions of the programme are taken.
+
+    `missed` are the groups whose wanted u is not reached, None while no estimate has all rests."""
     missed = None
     if estimate is not None and estimate["rests"] >= taken:
         missed = [group["group"] for group in estimate["groups"] if not group["enough"]]
     if estimate is not None and estimate["enough"]:
-        better = math.sqrt((taken + _MORE) / taken)
-        said = f"All that is wanted is reached at rest {taken}; five more would make it {better:.1f} times better"
+        better = math.sqrt((taken + _FURTHER_RESTS) / taken)
+        headline = f"All that is wanted is reached at rest {taken}; five more would make it {better:.1f} times better"
     elif missed:
-        said = f"All {taken} positions taken; not reached: {', '.join(missed)}"
+        headline = f"All {taken} positions taken; not reached: {', '.join(missed)}"
     else:
-        said = f"All {taken} positions taken; the estimate is being made"
+        headline = f"All {taken} positions taken; the estimate is being made"
     return {
         "screen": "done",
-        "headline": said,
+        "headline": headline,
         "rest": {"number": taken, "of": task.positions},
         "position": None,
         "complete": complete,
@@ -189,66 +188,66 @@ def _done(task: Task, taken: int, estimate: EstimateShown | None, *, complete: b
     }
 
 
-# -------------------- what can be answered --------------------
+# -------------------- buttons --------------------
 
 _ANEW = "Record this unit anew", "in a folder of its own beside this one"
 _WORDS: Mapping[str, Any] = tomllib.loads((Path(__file__).parent / "answers.toml").read_text(encoding="utf-8"))
-"""What the buttons say that answer a fault."""
+"""Texts of the buttons that answer a fault."""
 
 
 def answers(state: State) -> list[Answer]:
-    """The buttons of a state: what each does, and what comes of it; one at most is what is usual now, the `primary`."""
+    """Return the buttons of a state with their effects; at most one, the usual answer, is `primary`."""
     if state["calibrating"]:
         return []
-    named: dict[str, tuple[str, str]] = {}
+    offered: dict[str, tuple[str, str]] = {}
     fault, ended, usual = state["fault"], state["received"]["ended"], ""
     if state["result"] is not None:
         if state["can_record"] and not ended:
-            named["resume"] = "Record on", "in the same folder; this result is dropped"
+            offered["resume"] = "Record on", "in the same folder; this result is dropped"
         if state["can_record"] and not state["result"]["accepted"]:
-            named["anew"] = _ANEW
+            offered["anew"] = _ANEW
     elif state["can_record"] and not state["listening"] and not ended:
-        named["resume"] = "Record on", "in the same folder, where it stopped"
-        named["calibrate"] = "Calibrate", "what is recorded so far"
+        offered["resume"] = "Record on", "in the same folder, where it stopped"
+        offered["calibrate"] = "Calibrate", "what is recorded so far"
         usual = "resume"
     elif fault is not None:
         position = state.get("position")
         label, says = _WORDS["left_out"].get(fault["kind"], ("Leave this out", ""))
         wanted = f"position {position['number']}" if position else "a new position"
-        each = {
+        buttons = {
             "again": (label, says.format(wanted=wanted)),
             "unit": (f"Yes, in {fault['unit']}", "the session is changed, and what is recorded is read anew"),
             "keep_first": ("Keep the first part", "the rest ends at the knock; go on to the next position"),
             "anew": _ANEW,
             "go_on": ("Go on", _WORDS["going_on"].get(fault["kind"], "nothing is left out: where the page is wrong")),
         }
-        named = {name: each[name] for name in fault["choices"]}
+        offered = {name: buttons[name] for name in fault["choices"]}
         usual = _WORDS["usual"].get(fault["kind"], fault["choices"][0])
     elif state["screen"] == "done":
-        named["calibrate"] = "Stop and calibrate", "recording ends"
+        offered["calibrate"] = "Stop and calibrate", "recording ends"
         if not state["complete"]:
-            named["go_on"] = "Go on", "for more positions"
+            offered["go_on"] = "Go on", "for more positions"
         usual = "calibrate"
     elif ended:
-        named["calibrate"] = "Calibrate", "the source has ended"
+        offered["calibrate"] = "Calibrate", "the source has ended"
         usual = "calibrate"
-    if state["result"] is None and state["estimate"] and "calibrate" not in named:
+    if state["result"] is None and state["estimate"] and "calibrate" not in offered:
         rest = state.get("rest") or {"number": 0, "of": None}
-        of, number = rest["of"], rest["number"]
-        short = f"; {of - number + 1} of {of} positions are not taken" if of and number <= of else ""
-        named["calibrate"] = "Stop and calibrate", f"recording ends{short}"
-    return [{"do": do, "label": label, "says": says, "primary": do == usual} for do, (label, says) in named.items()]
+        total, number = rest["of"], rest["number"]
+        short = f"; {total - number + 1} of {total} positions are not taken" if total and number <= total else ""
+        offered["calibrate"] = "Stop and calibrate", f"recording ends{short}"
+    return [{"do": do, "label": label, "says": says, "primary": do == usual} for do, (label, says) in offered.items()]
 
 
-# -------------------- beside the state --------------------
+# -------------------- trace --------------------
 
 
 def trace(blocks: Blocks | None, since: int) -> Trace:
-    """Block means from number `since` on, at most the last minute: s, m/s² and °/s."""
+    """Return block means from number `since` on, at most the last minute: s, m/s² and °/s."""
     if blocks is None:
         return {"next": 0, "anew": True, "t": [], "a": [], "g": []}
     anew = since == 0 or since > len(blocks)
-    first = max(0 if anew else since, len(blocks) - _TRACE)
+    first = max(0 if anew else since, len(blocks) - _TRACE_BLOCKS)
     rate = blocks.rate
     return {
         "next": len(blocks),

@@ -1,6 +1,6 @@
-"""Types of the state that the server sends to the page and `page/bench.js` shows.
+"""Types of the state that the server sends to the page, shown by `page/bench.js`.
 
-Numbers are in the unit that is shown, times in s.
+Numbers are in display units, times in s.
 """
 
 from __future__ import annotations
@@ -9,8 +9,8 @@ from typing import Any, Literal, TypedDict
 
 
 class Received(TypedDict):
-    """Lines that were `refused` and `why` the last one was; whether the source has `ended`, and whether it is `silent`
-    although it has not; its troubles, in words."""
+    """Input: the number of `refused` lines, `why` the last one was, whether the source has `ended` or is `silent`, and
+    its troubles."""
 
     refused: int
     why: str
@@ -29,7 +29,7 @@ class Recorded(Received):
 
 
 class GroupShown(TypedDict):
-    """A group of parameters: the largest uncertainty and the wanted one, and whether the data determine all of it."""
+    """A group of parameters: its largest u, the wanted one, and whether the data determine all of it."""
 
     group: str
     unit: str
@@ -40,9 +40,11 @@ class GroupShown(TypedDict):
 
 
 class EstimateShown(TypedDict):
-    """The estimate from the rests so far: groups of parameters, residuals of the rests (σ, µg), the part of the
-    uncertainty that a rest in each of 26 directions would leave (`gains`) and the best direction in words (`next`), the
-    likely `cause` of a misfit, the number of unknowns, and the processor time, s."""
+    """The estimate from the rests so far.
+
+    It has groups of parameters, residuals of the rests (σ, µg), the fraction of u that a further rest in each of 26
+    directions would leave (`gains`), the best direction (`next`), the likely `cause` of a misfit, the number of
+    unknowns, and the processor time, s."""
 
     rests: int
     groups: list[GroupShown]
@@ -56,7 +58,7 @@ class EstimateShown(TypedDict):
 
 
 class Answer(TypedDict):
-    """A button: its command, its label, what it leads to, and whether it is the usual answer."""
+    """A button: command, label, effect, and whether it is the usual answer."""
 
     do: str
     label: str
@@ -65,8 +67,8 @@ class Answer(TypedDict):
 
 
 class PositionShown(TypedDict):
-    """A position of the programme: where the body axes point, the move into it, its picture, and the unit as it is now
-    (`ghost`), in lines over that picture."""
+    """A position of the programme: directions of the body axes, the move into it, its picture, and the present attitude
+    as lines over the picture (`ghost`)."""
 
     number: int
     label: str
@@ -78,8 +80,8 @@ class PositionShown(TypedDict):
 
 
 class RestShown(TypedDict, total=False):
-    """The number of a rest, and of how many. Of a rest that lasts: its duration, the time left, uncertainty of its mean
-    and the wanted one (µg, °/h), its drift (µg)."""
+    """A rest by its number of `of`; while it lasts also its duration, the time left, u of its mean and the wanted one
+    (µg, °/h), and its drift (µg)."""
 
     number: int
     of: int | None
@@ -104,8 +106,8 @@ class TurnShown(TypedDict):
 
 
 class Screen(TypedDict, total=False):
-    """One of the screens. `fault` has the fields of a `follow.faults.Fault`. The keys from `seconds` to `to_go` are on
-    every screen as soon as there are blocks."""
+    """A screen. `fault` has the fields of `follow.faults.Fault`; the keys from `seconds` to `to_go` are present as soon
+    as there are blocks."""
 
     screen: Literal["waiting", "rest", "turn", "done", "fault"]
     headline: str
@@ -124,7 +126,7 @@ class Screen(TypedDict, total=False):
 
 
 class State(Screen, total=False):
-    """All that the page shows of a bench; the `result` as `results.shown` makes it."""
+    """The whole state of the page; `result` is from `results.page_content`."""
 
     unit: dict[str, str | None]
     session: str
@@ -144,8 +146,8 @@ class State(Screen, total=False):
 
 
 class Trace(TypedDict):
-    """Means of the blocks before number `next`: times, s, specific force, m/s², and rate, °/s. `anew`: the page forgets
-    the earlier ones."""
+    """Means of the blocks before number `next`: times, s, specific force, m/s², rate, °/s. With `anew` the page drops
+    earlier ones."""
 
     next: int
     anew: bool

@@ -1,9 +1,9 @@
-"""One bench: a unit that is recorded, what the page shows of it, and what the operator answers.
+"""A bench: it records one unit, makes the state of the page, and carries out the operator's commands.
 
-The state follows from the log on disk and from session.toml, so that the page and this process may each be started
-again at any time: `follow` reads the log and gives progress, faults and the estimate, `session_folder` keeps the
-operator's answers, and `screens` makes the state that the page shows. This module has the threads, the lock and the
-buttons. `state` is replaced as a whole, several times a second, by one thread; another makes the estimates.
+The state follows from the log on disk and session.toml alone, so that page and process can be restarted at any time.
+`follow` reads the log and gives progress, faults and the estimate, `session_folder` keeps the operator's answers, and
+`screens` makes the state. This module has the threads, the lock and the commands. One thread replaces `state` several
+times a second; another computes estimates.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from typing import Any
 
 from tumble.bench import results, screens, session_folder
 from tumble.bench.follow.estimates import Estimates
-from tumble.bench.follow.faults import Fault, another_unit, faults_of_rests, is_over
+from tumble.bench.follow.faults import Fault, faults_of_rests, is_over, wrong_unit
 from tumble.bench.follow.live import Live
 from tumble.bench.follow.progress import Progress
-from tumble.bench.follow.wishes import Task, Wanted
+from tumble.bench.follow.task import Task, Wanted
 from tumble.bench.record.recorder import NOTHING_RECEIVED, Intake
 from tumble.bench.state import Received, State, Trace
 from tumble.errors import InputError, TumbleError
@@ -31,20 +31,21 @@ from tumble.recording.session_file import SESSION_FILE
 log = logging.getLogger(__name__)
 
 STEP_SECONDS = 0.2
-_LONG = {
+_LONG_COMMANDS = {
     "calibrate": "calibrating",
     "report": "writing the report",
     "export": "exporting",
     "register": "registering",
 }
-"""Buttons whose work takes long: the page goes on meanwhile. All but the first are about a result."""
+"""Commands that take long, during which the page goes on. All but the first need a result."""
 
 
 class Station:
-    """A bench that records one unit into a session folder and shows its page. `listen` opens the source that is
-    recorded, None where another program writes the log; `wanted` are uncertainties that are wanted, such as
-    "gyro.scale=2ppm"; `grade` is that of the unit where its session gives none; calibrations are registered in the
-    `registry`, None for the user's."""
+    """A bench that records one unit into a session folder.
+
+    `listen` opens the source to be recorded, None if another program writes the log. `wanted` are wanted uncertainties
+    such as "gyro.scale=2ppm"; `grade` is that of the unit if its session gives none; `registry` is where calibrations
+    are registered, None for the user's."""
 
     def __init__(
         self,
@@ -73,8 +74,8 @@ class Station:
             "stop": lambda _: self._stop_recording(),
             "resume": lambda _: self._resume(),
             "calibrate": lambda _: self._calibrate(),
-            "report": lambda _: self._written(results.report_of(self.folder, self._stop)),
-            "export": lambda to: self._written(*results.exported(self.folder, to)),
+            "report": lambda _: self._add_result_file(results.write_report(self.folder, self._stop)),
+            "export": lambda to: self._add_result_file(*results.write_export(self.folder, to)),
             "register": lambda _: self._register(),
             "next_unit": self._next_unit,
         }
@@ -90,7 +91,7 @@ class Station:
         self._estimates = Estimates(self.task, self._worker)
         self._result: dict[str, Any] | None = None
         self._busy = self._message = ""
-        self._wrong: Fault | None = None
+        self._last_fault: Fault | None = None
         self._taken = self._outdated = 0
 
     # -------------------- running --------------------
@@ -116,11 +117,11 @@ class Station:
             except OSError as error:
                 self.state = {**self.state, "message": f"{self.folder}: cannot be read: {error.strerror}"}
             except Exception as error:
-                said = _said_of(error, "the page stands still; what is received is recorded")
-                self.state = {**self.state, "message": said}
+                message = _log_error(error, "the page stands still; what is received is recorded")
+                self.state = {**self.state, "message": message}
 
     def _add_files(self) -> None:
-        """Name in session.toml the files that were begun where the clock started anew."""
+        """Add the files that were begun after a restart of the clock to session.toml."""
         for file in [] if self.intake is None else self.intake.files[len(self._live.files) :]:
             session_folder.add_file(self.folder, file)
             self._live.files.append(file)
@@ -135,17 +136,17 @@ class Station:
         self._worker.shutdown(wait=True)
 
     def step(self) -> None:
-        """Read what has come and make the state anew."""
+        """Read new data and update the state."""
         with self._guard:
             self._add_files()
             self._live.read(self._answers.excluded)
             self._estimates.take()
             self.state = self._state()
 
-    # -------------------- the state --------------------
+    # -------------------- state --------------------
 
     def _state(self) -> State:
-        progress, shown = self._live.now, screens.WAITING
+        progress, screen = self._live.now, screens.WAITING
         if progress is not None and progress.so_far is not None:
             if not progress.still:
                 self._answers.moved(progress)
@@ -154,38 +155,34 @@ class Station:
                 self._message = self._answers.passed(fault, progress)
                 fault, _ = self._present_fault()
             self._estimates.ask(progress, self._answers.excluded)
-            shown = screens.screen(self.task, progress, fault, self._estimates.shown, go_on=self._answers.go_on)
-            another = fault is not None and (self._wrong is None or not fault.is_like(self._wrong))
-            if another or len(progress.groups) > self._taken > 0:
-                self._message = ""  # which was of what was wrong before, or of the position before
-            self._wrong, self._taken = fault, max(self._taken, len(progress.groups))
+            screen = screens.screen(self.task, progress, fault, self._estimates.shown, go_on=self._answers.go_on)
+            is_new = fault is not None and (self._last_fault is None or not fault.is_like(self._last_fault))
+            if is_new or len(progress.groups) > self._taken > 0:
+                self._message = ""  # about the fault or the position before
+            self._last_fault, self._taken = fault, max(self._taken, len(progress.groups))
         intake, live, device, programme = self.intake, self._live, self.task.session.device, self.task.programme
         source = "recording has stopped" if self._listen is not None else "the log of another program"
         received: Received = NOTHING_RECEIVED if intake is None else intake.received
-        if live.samples and shown is screens.WAITING:
-            shown = {**shown, "headline": "Waiting for rest"}
+        if live.samples and screen is screens.WAITING:
+            screen = {**screen, "headline": "Waiting for rest"}
         if received["silent"]:
-            shown = {**shown, "headline": "Nothing comes from the sensor: is it plugged in?"}
-        if received["ended"] and shown["fault"] is None and shown["screen"] != "done":
-            shown = {**shown, "headline": "The recording has ended"}
-        following = [live.trouble] if live.trouble else []
+            screen = {**screen, "headline": "Nothing comes from the sensor: is it plugged in?"}
+        if received["ended"] and screen["fault"] is None and screen["screen"] != "done":
+            screen = {**screen, "headline": "The recording has ended"}
         state: State = {
-            **shown,
+            **screen,
             "answers": [],
             "unit": {"serial": device.serial, "model": device.model},
             "session": self.folder.name,
             "listening": intake is not None and not intake.ended,
             "can_record": self._listen is not None,
             "received": {
+                **received,
                 "source": source if intake is None else intake.source.name,
                 "samples": live.samples,
                 "rate": None if live.interval is None else 1.0 / live.interval,
                 "lost": live.lost,
-                "refused": received["refused"],
-                "why": received["why"],
-                "ended": received["ended"],
-                "silent": received["silent"],
-                "trouble": [*received["trouble"], *following],
+                "trouble": [*received["trouble"], *filter(None, [live.trouble])],
             },
             "programme": None if programme is None else programme.name,
             "positions": self.task.positions,
@@ -193,7 +190,7 @@ class Station:
             "estimate": self._estimates.shown,
             "estimating": self._estimates.under_way,
             "result": self._result,
-            "calibrating": self._busy == _LONG["calibrate"],
+            "calibrating": self._busy == _LONG_COMMANDS["calibrate"],
             "excluded": len(self._answers.excluded),
             "message": self._message,
         }
@@ -201,48 +198,48 @@ class Station:
         return state
 
     def _present_fault(self) -> tuple[Fault | None, Progress | None]:
-        """The first fault of the log as it was read last that is not answered, and how far the log is."""
+        """Return the first fault that is not answered, and the progress of the log."""
         progress = self._live.now
         if progress is None:
             return None, None
-        of_rests = faults_of_rests(self.task, progress)
-        faults = (*another_unit(self.task, progress), *self._live.faults, *of_rests)
+        rest_faults = faults_of_rests(self.task, progress)
+        faults = (*wrong_unit(self.task, progress), *self._live.faults, *rest_faults)
         return next((fault for fault in faults if not self._answers.has_answered(fault)), None), progress
 
-    # -------------------- the buttons --------------------
+    # -------------------- commands --------------------
 
     def command(self, name: str, value: str = "") -> str:
-        """Do what a button asks for; what came of it, in a sentence."""
+        """Carry out the command of a button, and return the outcome as a sentence."""
         with self._guard:
             if name not in self._buttons:
                 return "no such command"
             if self._busy:
                 return f"{self._busy}: wait until it is done"
-            if name not in _LONG:
+            if name not in _LONG_COMMANDS:
                 excluded = self._answers.excluded
-                self._message = self._answered(name, value)
+                self._message = self._carry_out(name, value)
                 if self._answers.excluded != excluded:
-                    self._result = None  # which was of what was left out before
+                    self._result = None  # was made with other exclusions
                 return self._message
             if name != "calibrate" and self._result is None:
                 return "nothing is calibrated yet"
-            self._busy = _LONG[name]
+            self._busy = _LONG_COMMANDS[name]
             self._message = f"{self._busy} …"
-        said = self._answered(name, value)
+        message = self._carry_out(name, value)
         with self._guard:
-            self._busy, self._message = "", said
-        return said
+            self._busy, self._message = "", message
+        return message
 
-    def _answered(self, name: str, value: str) -> str:
+    def _carry_out(self, name: str, value: str) -> str:
         try:
             return self._buttons[name](value)
         except (TumbleError, OSError) as error:
             return " ".join(str(error).split())
         except Exception as error:
-            return _said_of(error, f"{name}: not done")
+            return _log_error(error, f"{name}: not done")
 
     def _set_unit(self) -> str:
-        """State the unit that is asked about, and read the log anew by it."""
+        """Change the unit of the accelerometers to the suggested one, and read the log again."""
         fault, _ = self._present_fault()
         if fault is None or not fault.unit:
             return "no unit is asked about"
@@ -253,7 +250,7 @@ class Station:
         return f"the accelerometers are in {fault.unit}; what is recorded is read anew"
 
     def _stop_recording(self) -> str:
-        """Stop recording; that it is so, and what of it the disk has not taken."""
+        """Stop recording, and return a sentence with the samples that could not be written."""
         trouble = None
         if self.intake is not None:
             self.intake.stop()
@@ -267,10 +264,11 @@ class Station:
             self._result = None
         return "recording goes on"
 
-    def _next_unit(self, given: str) -> str:
-        """Begin the unit of a serial number, typed or scanned; separators in a bar code, which no text shows, become
-        spaces. What is recorded goes on until the folder of the next unit is there."""
-        serial = " ".join("".join(c if c.isprintable() else " " for c in given).split())
+    def _next_unit(self, text: str) -> str:
+        """Begin the unit with a serial number, typed or scanned, whose unprintable separators become spaces.
+
+        Recording goes on until the folder of the next unit exists."""
+        serial = " ".join("".join(c if c.isprintable() else " " for c in text).split())
         if not serial:
             return "expected the serial number of the next unit"
         folder = session_folder.begin_next(self.folder, serial)
@@ -280,48 +278,48 @@ class Station:
         return f"next unit: {serial}"
 
     def _calibrate(self) -> str:
-        """Stop recording and calibrate. Whatever comes of it, an earlier result is none of this."""
+        """Stop recording and calibrate; an earlier result is dropped even if that fails."""
         with self._guard:
             stopped, self._result = self._stop_recording(), None
-        self._result = results.shown(results.calibrated(self.folder, self._stop))
-        said = "calibrated: accepted" if self._result["accepted"] else "calibrated: not accepted"
-        return f"{said}; {stopped}" if ":" in stopped else said
+        self._result = results.page_content(results.calibrate_folder(self.folder, self._stop))
+        message = "calibrated: accepted" if self._result["accepted"] else "calibrated: not accepted"
+        return f"{message}; {stopped}" if ":" in stopped else message
 
     def _register(self) -> str:
-        said = results.registered(self.folder, self._registry, self._stop)
+        message = results.register(self.folder, self._registry, self._stop)
         if self._result is not None:
-            self._result = {**self._result, "registered": said}
-        return said
+            self._result = {**self._result, "registered": message}
+        return message
 
-    def _written(self, name: str, loss: str = "") -> str:
+    def _add_result_file(self, name: str, loss: str = "") -> str:
         if self._result is not None:
             self._result = {**self._result, "files": list(dict.fromkeys([*self._result["files"], name]))}
         return f"written: {name}" + (f"; {loss}" if loss else "")
 
-    # -------------------- what is fetched beside the state --------------------
+    # -------------------- trace and files --------------------
 
     @property
     def followed(self) -> int:
-        """Bytes of the log that are in the state."""
+        """Bytes of the log that the state includes."""
         return self._live.at
 
     def trace(self, since: int) -> Trace:
-        """Block means from number `since` on, at most the last minute; all of it where those before are outdated."""
+        """Return block means from number `since` on, at most the last minute, or all if earlier ones are outdated."""
         now = self._live.now
         return screens.trace(None if now is None else now.blocks, since if since > self._outdated else 0)
 
     def file(self, name: str) -> Path | None:
-        """A result that can be fetched."""
+        """Return the path of a file of the result, None if there is no such file."""
         return self.folder / name if self._result is not None and name in self._result["files"] else None
 
 
-def _said_of(error: Exception, what: str) -> str:
-    """What is said of an error of the program, which the log of the process has in full."""
-    log.error(what, exc_info=error)
-    return " ".join(f"{what} ({type(error).__name__}: {error})".split())
+def _log_error(error: Exception, message: str) -> str:
+    """Log an error of the program, and return it as a message of one line."""
+    log.error(message, exc_info=error)
+    return " ".join(f"{message} ({type(error).__name__}: {error})".split())
 
 
-# -------------------- from the words of the command line --------------------
+# -------------------- command line --------------------
 
 
 def station_of(
@@ -331,12 +329,12 @@ def station_of(
     serial: str | None = None,
     site: Mapping[str, Any],
     programme: str | None = None,
-    **wishes: Any,
+    **options: Any,
 ) -> Station:
-    """Open the bench of a session folder, which is made where it is new.
+    """Open the bench of a session folder, which is created if it is new.
 
-    `listen` names the source as --listen does; it is opened anew each time recording begins. `wishes` are further
-    arguments of `Station`. Raises InputError."""
+    `listen` names the source as by --listen; it is opened each time recording begins. `options` are further arguments
+    of `Station`. Raises InputError."""
     if programme is not None:
         built_in(programme)
     known = (folder / SESSION_FILE).exists()
@@ -345,8 +343,8 @@ def station_of(
             raise InputError(
                 f"{folder}: expected a session folder, or --listen with what to record into it, found neither"
             )
-        return Station(folder, None, **wishes)
+        return Station(folder, None, **options)
     if not known:
         session_folder.begin_for(folder, listen, serial, site, programme)
     source = listen.removesuffix(":motioncal")
-    return Station(folder, lambda: source_of(source), **wishes)
+    return Station(folder, lambda: source_of(source), **options)

@@ -1,7 +1,6 @@
 """Fleets: recalibration of many recorded sessions by one method, with a row for each.
 
-Sessions are folders that every process can open. They are given by a glob or by a manifest, a text file with one folder
-a line; relative paths start at the folder of the manifest.
+Sessions are folders that every process can open, given by a glob.
 """
 
 from __future__ import annotations
@@ -19,7 +18,6 @@ from tumble.arguments import checked
 from tumble.brief import Brief
 from tumble.campaigns.cluster import Place, executor_for
 from tumble.campaigns.engine import Job, Progress, Row, run
-from tumble.documents import text_of_document
 from tumble.errors import InputError
 from tumble.files import FilePath
 from tumble.recording.session_file import SESSION_FILE, read_session
@@ -72,7 +70,7 @@ def fleet(
     Parameters
     ----------
     sessions
-        Glob of session folders, or a manifest (.txt) with a folder in each line.
+        Glob of session folders.
     out
         Folder of the results; finished sessions are not computed again.
     method
@@ -90,7 +88,7 @@ def fleet(
     Raises
     ------
     InputError
-        Without sessions, for one that is listed twice, and if the folder has other content.
+        Without sessions, and if the folder has other content.
 
     Examples
     --------
@@ -123,24 +121,12 @@ def fleet(
 
 
 def find_sessions(pattern: str) -> list[str]:
-    """Return the session folders of a manifest (.txt), or those that a glob matches, sorted.
-
-    Raises InputError if there is none, or one is listed twice."""
-    if pattern.lower().endswith(".txt"):
-        manifest = Path(pattern)
-        lines = (line.strip() for line in text_of_document(manifest).splitlines())
-        sessions = [str(manifest.absolute().parent / line) for line in lines if line and not line.startswith("#")]
-        expected = "a session in each line"
-    else:
-        matches = {Path(match) for match in glob.glob(pattern, recursive=True)}  # noqa: PTH207 — absolute ones too
-        folders = {path.parent if path.name == SESSION_FILE else path for path in matches}
-        sessions = sorted(str(folder.absolute()) for folder in folders if (folder / SESSION_FILE).is_file())
-        expected = "a glob that matches folders with a session.toml"
+    """Return the session folders that a glob matches, sorted. Raises InputError if there is none."""
+    matches = {Path(match) for match in glob.glob(pattern, recursive=True)}  # noqa: PTH207 — absolute ones too
+    folders = {path.parent if path.name == SESSION_FILE else path for path in matches}
+    sessions = sorted(str(folder.absolute()) for folder in folders if (folder / SESSION_FILE).is_file())
     if not sessions:
-        raise InputError(f"{pattern}: expected {expected}, found none")
-    if len(set(sessions)) < len(sessions):
-        twice = next(session for session in sessions if sessions.count(session) > 1)
-        raise InputError(f"{pattern}: expected every session once, found {twice} twice")
+        raise InputError(f"{pattern}: expected a glob that matches folders with a session.toml, found none")
     return sessions
 
 

@@ -41,12 +41,12 @@ def campaign(file: Path, out: Path, **place: Any) -> None:
 
 
 @click.command(epilog=params.examples("tumble fleet 'sessions/*' -o results"))
-@click.argument("sessions", metavar="GLOB|MANIFEST")
+@click.argument("sessions", metavar="GLOB")
 @params.method(params.METHOD_NAMES, params.METHOD_NAMES[0], "How to estimate.")
 @params.JSON
 @params.CLUSTER
 def fleet(sessions: str, method: Method, out: Path, **place: Any) -> None:
-    """Calibrate all sessions that GLOB matches or MANIFEST lists, with a row for each.
+    """Calibrate all sessions that GLOB matches, with a row for each.
 
     A session that cannot be calibrated does not stop the others: its row says why. A run that was interrupted goes on
     where it was when the same command is given again.

@@ -87,11 +87,14 @@ def targets() -> tuple[str, ...]:
 def described_targets() -> Iterator[tuple[str, str]]:
     """Yield the names of all targets with a few words on each: those of a template are its `about`."""
     for name in targets():
-        found = _find(name)
-        if isinstance(found, Path):
-            yield name, split_template(text_of_document(found), name)[0].get("about", "")
-        else:
-            yield name, "" if found is None else found.about
+        try:
+            found = _find(name)
+            if isinstance(found, Path):
+                yield name, split_template(text_of_document(found), name)[0].get("about", "")
+            else:
+                yield name, "" if found is None else found.about
+        except InputError:
+            yield name, "cannot be loaded"
 
 
 def target(name: str) -> Target:

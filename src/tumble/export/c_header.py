@@ -122,16 +122,16 @@ def _function(
     temperature of the sensors, if `at` is a calibration."""
     number, n, beyond = "float" if single else "double", len(model.bias), nonlinear_tables(compensator, kind)
     tables = {"bias": model.bias, "inverse": model.inverse()} | beyond
-    by_force, apart, reference = "by_force" in beyond, False, ""
+    by_force, several, reference = "by_force" in beyond, False, ""
     needs = " and the true specific force, m/s^2" if by_force else ""
     argument = f"const {number} force[3], " if by_force else ""
     if at is not None:
-        apart = len(set(at.temperature.thermometers.get(kind, ()))) > 1
+        several = len(set(at.temperature.thermometers.get(kind, ()))) > 1
         warm = thermal_tables(compensator, kind)
-        reference = "reference[j]" if apart else f"({number}){float(warm['reference'][0])!r}"
-        tables |= {name: table for name, table in warm.items() if apart or name != "reference"}
-        needs += " and their temperatures, degC" if apart else " and a temperature, degC"
-        argument += f"const {number} celsius[{n}], " if apart else f"{number} celsius, "
+        reference = "reference[j]" if several else f"({number}){float(warm['reference'][0])!r}"
+        tables |= {name: table for name, table in warm.items() if several or name != "reference"}
+        needs += " and their temperatures, degC" if several else " and a temperature, degC"
+        argument += f"const {number} celsius[{n}], " if several else f"{number} celsius, "
     return {
         "what": TRUE_QUANTITY[kind],
         "unit": UNITS[kind],
@@ -144,7 +144,7 @@ def _function(
         "constants": "".join(_constant(number, name, values) for name, values in tables.items()),
         "warm": at is not None,
         "cube": "bias_cube" in tables,
-        "apart": apart,
+        "apart": several,
         "reference": reference,
         "linear": not beyond,
         "by_force": by_force,

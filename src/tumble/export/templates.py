@@ -46,7 +46,7 @@ import json
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -131,19 +131,6 @@ class Front(_Table):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Correction:
-    """Correction by a target, `matrix` (3, 3) @ reading + `offset` (3,), and the numbers of the file that define it."""
-
-    numbers: Mapping[str, Array]
-    matrix: Array
-    offset: Array
-
-    def apply(self, reading: Array) -> Array:
-        """Return the vectors (..., 3) that the target computes from readings (..., 3), SI."""
-        return np.asarray(reading @ self.matrix.T + self.offset)
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Template:
     """A template: its name in messages, front matter, body, and the number of the line before the body."""
 
@@ -170,17 +157,17 @@ class Template:
             if sensors is None or sensors.zeroed:
                 remarks.append(f"{words}: not in this file" if sensors is None else sensors.zeroed)
                 bias = np.zeros(3) if sensors is None else model.bias
-                corrections[kind] = Correction(numbers={}, matrix=np.eye(3), offset=-bias).apply
+                corrections[kind] = partial(np.add, -bias)
                 continue
             per_si = 1.0
             if front.counts is not None:
                 per_si, source = counts_per_si(calibration, kind, front.counts, counts)
                 comments.append(source)
-            correction = self.correction(kind, model, per_si, g_sensitivity(calibration))
-            numbers[kind] = {name: value.tolist() for name, value in correction.numbers.items()}
+            values, correct = self.correction(kind, model, per_si, g_sensitivity(calibration))
+            numbers[kind] = {name: value.tolist() for name, value in values.items()}
             worked = linear_example(kind, model)
-            comments.append(example_line(kind, worked.reading, worked.true, correction.apply(worked.reading)))
-            corrections[kind] = correction.apply
+            comments.append(example_line(kind, worked.reading, worked.true, correct(worked.reading)))
+            corrections[kind] = correct
         losses = notes_of(calibration, corrections=corrections, left=remarks, held=front.holds, see_to=front.notes)
         text = self._render(
             comments=[*comments, *losses],
@@ -191,8 +178,13 @@ class Template:
         )
         return Exported(content=text.encode(), losses=losses)
 
-    def correction(self, kind: SensorKind, model: SensorModel, counts: float, sensitivity: Array) -> Correction:
-        """Return the correction of readings by the target, for `counts` per SI unit and a g-sensitivity (3, 3)."""
+    def correction(
+        self, kind: SensorKind, model: SensorModel, counts: float, sensitivity: Array
+    ) -> tuple[dict[str, Array], Correct]:
+        """Return the numbers of the file by name, and the correction of readings by the target.
+
+        `counts` are those per SI unit, `sensitivity` is the g-sensitivity (3, 3). Raises InputError for numbers beyond
+        their limits, and for a correction that is not affine."""
         sensors = self.front.sensors(kind)
         if sensors is None:
             raise InputError(f"{self.name}: [test.{kind}]: expected a table [{kind}] too, found none")
@@ -223,14 +215,15 @@ class Template:
         matrix = np.column_stack([corrected(axis) - offset for axis in np.eye(3)])
         if not np.allclose(corrected(probe), matrix @ probe + offset, rtol=1e-9, atol=1e-9):
             raise InputError(f"{self.name}: [{kind}] corrected: expected A reading + b, found what is not linear")
-        return Correction(numbers=numbers, matrix=matrix, offset=offset)
+        return numbers, lambda reading: np.asarray(reading @ matrix.T + offset)
 
     def check(self) -> None:
         """Raise InputError unless the formulas reproduce the test vectors."""
         for kind, test in self.front.test.items():
             model = SensorModel(matrix=np.array(test.matrix), bias=np.array(test.bias))
             counts = 1.0 if self.front.counts is None else _usual_counts(kind, self.front.counts)
-            result = self.correction(kind, model, counts, np.zeros((3, 3))).apply(np.array(test.reading))
+            _, correct = self.correction(kind, model, counts, np.zeros((3, 3)))
+            result = correct(np.array(test.reading))
             if np.abs(result - test.corrected).max() > _TEST_TOLERANCE:
                 raise InputError(
                     f"{self.name}: [test.{kind}] corrected: expected what the formula gives, "

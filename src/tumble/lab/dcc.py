@@ -15,10 +15,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from functools import cache
 from math import floor, inf, log10
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -44,9 +43,7 @@ from tumble.result.parts import Parameter, stated_factor
 from tumble.sensors.model import UNITS, SensorKind, SensorModel
 from tumble.sensors.parameters import sensor_kind, shown_in
 from tumble.units import Array
-
-if TYPE_CHECKING:
-    from jinja2 import Environment
+from tumble.views.render.pages import escaping_environment
 
 LOSSES = (
     "the file is neither signed nor sealed: sign it with the laboratory's tools",
@@ -91,26 +88,24 @@ def dcc(calibration: Calibration, *, certificate: Certificate | FilePath) -> Exp
     provenance, circumstances = calibration.provenance, calibration.provenance.circumstances
     name, _, release = (provenance.software or "tumble 0").partition(" ")
     same_frame = [verdict for verdict in checks if verdict.frame == calibration.frame]
-    content = (
-        _environment()
-        .get_template("dcc.xml.j2")
-        .render(
-            certificate=certificate,
-            software=(name, release or "unknown"),
-            days=certificate.days(calibration),
-            state=STATES[certificate.state],
-            device=calibration.device,
-            declarations=[SCOPE_STATEMENT, *certificate.remarks],
-            traced="; ".join((*certificate.traceability, *circumstances.equipment)),
-            origin="; ".join(origin(calibration)),
-            method=calibration.method,
-            equipment=circumstances.equipment,
-            conditions=_conditions(calibration),
-            probability=f"{PROBABILITY:g}",
-            parameters=[_parameter(p, same_frame) for p in inertial],
-            models={_TITLES[kind]: _model(kind, model) for kind, model in by_kind.items()},
-            statements=[_conformity(verdict, certificate.agreed) for verdict in checks],
-        )
+    environment = escaping_environment("tumble.lab")
+    environment.filters["line"] = lambda text: " ".join(plain(text).split())
+    content = environment.get_template("dcc.xml.j2").render(
+        certificate=certificate,
+        software=(name, release or "unknown"),
+        days=certificate.days(calibration),
+        state=STATES[certificate.state],
+        device=calibration.device,
+        declarations=[SCOPE_STATEMENT, *certificate.remarks],
+        traced="; ".join((*certificate.traceability, *circumstances.equipment)),
+        origin="; ".join(origin(calibration)),
+        method=calibration.method,
+        equipment=circumstances.equipment,
+        conditions=_conditions(calibration),
+        probability=f"{PROBABILITY:g}",
+        parameters=[_parameter(p, same_frame) for p in inertial],
+        models={_TITLES[kind]: _model(kind, model) for kind, model in by_kind.items()},
+        statements=[_conformity(verdict, certificate.agreed) for verdict in checks],
     )
     lines = (line.strip() for line in content.splitlines())
     return Exported(content="\n".join(filter(None, lines)).encode() + b"\n", losses=losses)
@@ -124,22 +119,6 @@ TARGET = Target(
     ending=".xml",
 )
 """Target of `tumble export --to dcc`."""
-
-
-@cache
-def _environment() -> Environment:
-    """Return the Jinja environment of the document. Text is escaped; the filter `line` makes it a single line."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    environment = Environment(
-        loader=PackageLoader("tumble.lab"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["line"] = lambda text: " ".join(plain(text).split())
-    return environment
 
 
 def _conditions(calibration: Calibration) -> list[dict[str, Any]]:

@@ -47,15 +47,17 @@ def inspection_blocks(observed: Observed) -> list[Block]:
     return blocks
 
 
-def gyro_blocks(found: GyroRests) -> list[Block]:
+def gyro_blocks(gyro_rests: GyroRests) -> list[Block]:
     """Return the rests of a log of gyros alone, with their means and the angle of the turn after each."""
     rows = []
-    for i, rest in enumerate(found.segmentation.rests):
-        means = {f"{axis} °/s": f"{value / DEGREE:z.4f}" for axis, value in zip("xyz", found.mean[i], strict=True)}
-        turned = f"{found.turned[i] / DEGREE:.0f}" if i < len(found.turned) else ""
+    for i, rest in enumerate(gyro_rests.segmentation.rests):
+        means = {f"{axis} °/s": f"{value / DEGREE:z.4f}" for axis, value in zip("xyz", gyro_rests.mean[i], strict=True)}
+        turned = f"{gyro_rests.turned[i] / DEGREE:.0f}" if i < len(gyro_rests.turned) else ""
         times = {"rest": str(i + 1), "from s": f"{rest.start:z.1f}", "to s": f"{rest.stop:z.1f}"}
         rows.append(times | means | {"then turned by °": turned})
-    unknown = "" if found.session.log.accel.scale_stated else "; their unit is not known: state --gyro-unit, for the "
+    unknown = (
+        "" if gyro_rests.session.log.accel.scale_stated else "; their unit is not known: state --gyro-unit, for the "
+    )
     return [
         "gyros alone: the rests are those by their level" + (f"{unknown}numbers are no °/s" if unknown else ""),
         table(rows),

@@ -1,4 +1,4 @@
-"""The estimate after each rest, computed in a thread of its own, as the page shows it."""
+"""Estimates from the rests so far, computed in a thread, for the page."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from tumble.bench.follow.progress import Progress
-from tumble.bench.follow.wishes import Task
+from tumble.bench.follow.task import Task
 from tumble.bench.state import EstimateShown, GroupShown
 from tumble.inference.estimate import FIT_SIGMAS, Estimate
 from tumble.inference.joint import joint
@@ -31,7 +31,7 @@ log = logging.getLogger(__name__)
 
 DIRECTIONS = np.array([d for d in np.ndindex(3, 3, 3) if d != (1, 1, 1)], dtype=float) - 1.0
 DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
-"""The 26 faces, edges and corners of a cube, from its middle."""
+"""Directions of the 26 faces, edges and corners of a cube."""
 
 _NO_ESTIMATE: EstimateShown = {
     "rests": 0, "groups": [], "enough": False, "residuals": [], "gains": None, "cause": "", "next": "", "unknowns": 0,
@@ -40,12 +40,12 @@ _NO_ESTIMATE: EstimateShown = {
 
 
 class Estimates:
-    """Computes estimates of a task with a `worker`, one at a time. `shown` is the latest, None before the first."""
+    """Estimates of a task, computed one at a time by a `worker`. `shown` is the latest, None before the first."""
 
     def __init__(self, task: Task, worker: Executor) -> None:
         self.shown: EstimateShown | None = None
         self._task, self._worker = task, worker
-        self._made_of = 0, 0
+        self._basis = 0, 0  # rests and exclusions of the latest estimate
         self._future: Future[EstimateShown] | None = None
 
     @property
@@ -53,7 +53,7 @@ class Estimates:
         return self._future is not None
 
     def take(self) -> None:
-        """Take over the estimate that was being computed, if it is done. After a failure the page shows the error."""
+        """Take over the estimate that is being computed if it is done; after a failure show the error."""
         if self._future is None or not self._future.done():
             return
         done, self._future = self._future, None
@@ -63,59 +63,64 @@ class Estimates:
             return
         log.error("an estimate has failed", exc_info=error)
         cause = f"the estimate has failed ({type(error).__name__}: {error}); the recording goes on"
-        self.shown = {**_NO_ESTIMATE, "rests": self._made_of[0], "cause": " ".join(cause.split())}
+        self.shown = {**_NO_ESTIMATE, "rests": self._basis[0], "cause": " ".join(cause.split())}
 
     def ask(self, progress: Progress, excluded: tuple[Exclusion, ...]) -> None:
-        """Begin another estimate if there is another rest."""
+        """Start another estimate if there is a new rest or exclusion."""
         if self._future is not None:
             return
         rests = [rest for group in progress.groups for rest in group]
         unfinished = progress.current if progress.current is not None and not progress.judged[-1].enough else None
         settled = rests[:-1] if unfinished is not None else rests
-        made_of = len(settled), len(excluded)
-        if made_of == self._made_of or len(settled) < 2:
+        basis = len(settled), len(excluded)
+        if basis == self._basis or len(settled) < 2:
             return
-        self._made_of = made_of
+        self._basis = basis
         until = math.inf, math.inf
         if unfinished is not None:
             file = progress.blocks.file_of(unfinished.first)
             until = file.number, unfinished.start - file.shift
-        self._future = self._worker.submit(_shown, self._task, progress.reduction, until, excluded)
+        self._future = self._worker.submit(_compute, self._task, progress.reduction, until, excluded)
 
 
 def estimate_so_far(
-    session: Session, grade: str, reduction: Reduction, found: Segmentation, excluded: tuple[Exclusion, ...]
+    session: Session, grade: str, reduction: Reduction, segmentation: Segmentation, excluded: tuple[Exclusion, ...]
 ) -> Estimate | None:
-    """Joint estimate from these rests and the turns between them. None from fewer than two rests."""
-    numbered = tuple(one for one in excluded if one.rest is not None and one.rest <= len(found.rests))
-    _, found = without_numbered(reduction, found, numbered)
-    if len(found.rests) < 2:
+    """Return the joint estimate from these rests and the turns between them; None for fewer than two rests."""
+    numbered = tuple(one for one in excluded if one.rest is not None and one.rest <= len(segmentation.rests))
+    _, segmentation = without_numbered(reduction, segmentation, numbered)
+    if len(segmentation.rests) < 2:
         return None
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        seen = observe(reduction, found.rests, session.accel_block, session.gyro_block, session.site)
-        for usual in (prior_sizes(grade, session.device.prior), {}):  # few rests bear the linear model alone
+        observations = observe(reduction, segmentation.rests, session.accel_block, session.gyro_block, session.site)
+        for usual in (
+            prior_sizes(grade, session.device.prior),
+            {},
+        ):  # with few rests only the linear model can be estimated
             with contextlib.suppress(np.linalg.LinAlgError):
-                return joint(replace(seen, usual=usual), quick=True)
+                return joint(replace(observations, usual=usual), quick=True)
     return None
 
 
-# -------------------- what the page shows of it --------------------
+# -------------------- content for the page --------------------
 
 
-def _shown(
+def _compute(
     task: Task, reduction: Reduction, until: tuple[float, float], excluded: tuple[Exclusion, ...]
 ) -> EstimateShown:
-    """Compute an estimate for the page from the rests that begin before a file and a time in it, s."""
+    """Compute the estimate from the rests that begin before `until` (file, time in it, s), as content for the page."""
     began = time.thread_time()
     session, wanted = task.session, task.wanted
     reduction = without_blemishes(reduction)
-    found = without_times(reduction, find_rests(reduction, session.accel_block, session.gyro_block), excluded)
-    found = replace(found, rests=tuple(rest for rest in found.rests if (rest.file, rest.start) < until))
-    estimate = estimate_so_far(session, task.grade, reduction, found, excluded)
+    segmentation = without_times(reduction, find_rests(reduction, session.accel_block, session.gyro_block), excluded)
+    segmentation = replace(
+        segmentation, rests=tuple(rest for rest in segmentation.rests if (rest.file, rest.start) < until)
+    )
+    estimate = estimate_so_far(session, task.grade, reduction, segmentation, excluded)
     if estimate is None:
-        return {**_NO_ESTIMATE, "rests": len(found.rests)}
+        return {**_NO_ESTIMATE, "rests": len(segmentation.rests)}
 
-    # groups of which an uncertainty is wanted, in the units of `tumble calibrate`
+    # groups with a wanted uncertainty, in the units of `tumble calibrate`
     groups: list[GroupShown] = []
     for group, rows in positions_by_group(estimate.names).items():
         if (aim := wanted.group.get(group)) is None:
@@ -132,14 +137,14 @@ def _shown(
         }
         groups.append(reached)
 
-    # what does not fit, and what may be the cause
+    # the largest misfit and its likely cause
     rest, turn = np.nan_to_num(estimate.rest_sigmas), np.nan_to_num(estimate.turn_sigmas)
     i, j = int(np.argmax(rest)) if len(rest) else 0, int(np.argmax(turn)) if len(turn) else 0
     cause = ""
     if not estimate.converged:
         cause = "the readings contradict each other: are the axes, their senses and the units right?"
     elif rest.max(initial=0.0) > FIT_SIGMAS:
-        start = f"{found.rests[i].start:.0f} s"
+        start = f"{segmentation.rests[i].start:.0f} s"
         cause = f"rest {i + 1} ({start}) does not fit by {rest[i]:.0f}σ: moved, knocked or still settling"
     elif turn.max(initial=0.0) > FIT_SIGMAS:
         cause = f"turn {j + 1} does not fit by {turn[j]:.0f}σ: clipped, samples lost, or a knock in it"
@@ -148,7 +153,7 @@ def _shown(
     best = int(np.argmin(remaining))
     upwards = [f"{name} {'up' if v > 0 else 'down'}" for name, v in zip("XYZ", DIRECTIONS[best], strict=True) if v]
     return {
-        "rests": len(found.rests),
+        "rests": len(segmentation.rests),
         "groups": groups,
         "enough": all(group["enough"] for group in groups),
         "residuals": [
@@ -165,11 +170,11 @@ def _shown(
 
 
 def _gains(estimate: Estimate, wanted: Mapping[str, float], block: Block, rest_u: float, gravity: float) -> Array:
-    """Part of the accelerometers' uncertainty that a further rest would leave.
+    """Return the fraction of the accelerometers' uncertainty that a further rest along each of DIRECTIONS would leave.
 
-    The vertical is along each of DIRECTIONS (26,), and the uncertainties are relative to the wanted ones (root mean
-    square). The length of the rest's mean is gravity: one scalar observation, by which the covariance of the estimate
-    is updated. What the turn to it would tell of the gyros is left out."""
+    Uncertainties are relative to the wanted ones (root mean square). The length of the mean force of a rest is gravity:
+    one scalar observation, by which the covariance of the estimate is updated. Information on the gyros from the turn
+    into it is neglected."""
     rows = [estimate.names.index(name) for name in block.names]
     C = estimate.covariance[np.ix_(rows, rows)]
     weight = np.array([wanted.get(group_name(name), np.inf) for name in block.names])

@@ -1,4 +1,4 @@
-"""Faults of a recording: stuck and clipped channels, knocks, wrong positions and turns, drift."""
+"""Faults of a recording: stuck and clipped channels, knocks, wrong positions and turns, drift of temperature."""
 
 from __future__ import annotations
 
@@ -8,38 +8,33 @@ from dataclasses import dataclass
 import numpy as np
 
 from tumble.bench.follow.progress import LATEST_BLOCKS, Progress, nearest_positions, verticals
-from tumble.bench.follow.wishes import Task
+from tumble.bench.follow.task import Task
 from tumble.programme.positions import Programme
 from tumble.programme.sheet_words import move_text
 from tumble.reduction.rests.matching import POSITION_LIMIT, TURN_LIMIT
 from tumble.units import ACCEL_UNITS, DEGREE, Array
 
-STUCK_SECONDS = 1.0
-"""A channel that repeats itself for so long, while others of its kind do not, is stuck."""
-FULL = 0.999
-_LEAST_RUN = 20
-_AGAIN_SECONDS = 10.0
-SAME_SECONDS = 1.0
-"""Faults of one kind that begin closer together are one."""
-WRONG_WAY = 30.0 * DEGREE
-"""A turn that has gone so far against its sense is wrong, before it ends."""
-KNOCK_SECONDS = 5.0
-"""A rest that was left for longer has been left for another position, and come back to."""
-LEFT_BY_THE_NEXT = ("wrong position", "wrong way", "wrong turn")
-"""Faults of a rest that is left out once the right position follows it."""
+STUCK_SECONDS = 1.0  # for which a stuck channel repeats itself while others of its kind do not
+CLIPPED_FRACTION = 0.999  # of the full scale
+_MIN_RUN = 20  # samples of a stuck channel
+_REPORT_SECONDS = 10.0  # between two reports of a fault of one channel
+SAME_SECONDS = 1.0  # between the beginnings of two reports of one fault
+WRONG_WAY = 30.0 * DEGREE  # rad, after which a turn in the wrong sense is reported before it ends
+KNOCK_SECONDS = 5.0  # of motion within a rest; after a longer one the unit was in another position
+PASSING = ("wrong position", "wrong way", "wrong turn")
+"""Faults of a rest that pass when the right position follows; the rest is then left out."""
 
-UNIT_FACTOR = 2.0
-"""Accelerometers that read gravity wrong by more are in another unit than the session says."""
-UNIT_SHARE = 0.25
-"""So near to gravity they read in the unit that is asked about."""
+UNIT_FACTOR = 2.0  # error of measured gravity, above which the stated unit is doubted
+UNIT_TOLERANCE = 0.25  # relative error of measured gravity in the suggested unit
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Fault:
-    """A fault of the recording: its `kind`, such as "knock", the sentence `said` that the page shows, and the times
-    between which it is, s. `place` is the position in the course that it concerns, from 0, None the present one;
-    `choices` are the commands that answer it; `unit` is the unit in which the accelerometers would read gravity, where
-    another is stated."""
+    """A fault of the recording.
+
+    It has a `kind`, such as "knock", a sentence for the page (`said`), and times, s. `place` is the position in the
+    course that it concerns, from 0, None for the present one; `choices` are the commands that answer it; `unit` is the
+    suggested unit of the accelerometers."""
 
     kind: str
     said: str
@@ -50,7 +45,7 @@ class Fault:
     unit: str = ""
 
     def is_like(self, other: Fault) -> bool:
-        """Whether this is the same fault as another. The beginning of a rest may change by some blocks as it lasts."""
+        """Return True for the same fault. The beginning of a rest may change by some blocks while it lasts."""
         return self.kind == other.kind and abs(self.start - other.start) < SAME_SECONDS
 
 
@@ -58,20 +53,20 @@ class Fault:
 
 
 class SampleWatch:
-    """Finds stuck and clipped channels among the samples of one kind of sensor. `full_scale` in SI, or None."""
+    """Search for stuck and clipped channels in the samples of one kind of sensor; `full_scale` in SI, or None."""
 
     def __init__(self, columns: tuple[str, ...], full_scale: float | None, interval: float) -> None:
         self._columns, self._full_scale = columns, full_scale
-        self._least = max(_LEAST_RUN, round(STUCK_SECONDS / interval))
+        self._min_run = max(_MIN_RUN, round(STUCK_SECONDS / interval))
         self._last: Array | None = None
         self._since = np.zeros(len(columns))
         self._run = np.zeros(len(columns), dtype=np.int64)
         self._repeats = np.zeros(len(columns), dtype=np.int64)
         self._count = 0
-        self._named: dict[tuple[str, str], float] = {}
+        self._reported: dict[tuple[str, str], float] = {}
 
     def look(self, time: Array, values: Array) -> list[Fault]:
-        """Find the faults of the next samples (m, n), SI; of each column one in ten seconds."""
+        """Return the faults of the next samples (m, n), SI; each fault of a column at most once in ten seconds."""
         before = values[:1] * np.nan if self._last is None else self._last[None]
         equal = values == np.concatenate([before, values[:-1]])
         self._last = values[-1].copy()
@@ -84,21 +79,21 @@ class SampleWatch:
             else:
                 self._run[p] += len(time)
         coarse = 2 * (self._repeats - self._run) > self._count
-        stuck = (self._run >= self._least) & ~coarse & (self._run.min() < 0.5 * self._least)
-        full, faults = FULL * (np.inf if self._full_scale is None else self._full_scale), list[Fault]()
+        stuck = (self._run >= self._min_run) & ~coarse & (self._run.min() < 0.5 * self._min_run)
+        full, faults = CLIPPED_FRACTION * (np.inf if self._full_scale is None else self._full_scale), list[Fault]()
         for p, column in enumerate(self._columns):
             clipped = time[np.abs(values[:, p]) >= full]
             seen = [("clipped", clipped[0], clipped[-1], "turn more slowly")] if len(clipped) else []
             seen += [("stuck", self._since[p], time[-1], "look at the sensor and its cable")] if stuck[p] else []
             for kind, first, last, remedy in seen:
                 start, stop = float(first), float(last)
-                if start < self._named.get((kind, column), -np.inf) + _AGAIN_SECONDS:
+                if start < self._reported.get((kind, column), -np.inf) + _REPORT_SECONDS:
                     continue
-                self._named[kind, column] = start
-                said = (
+                self._reported[kind, column] = start
+                text = (
                     f"{column} is {kind} at {start:.1f} s: {remedy}, and record anew; such a log cannot be calibrated"
                 )
-                faults.append(Fault(kind=kind, said=said, start=start, stop=stop, choices=("anew", "go_on")))
+                faults.append(Fault(kind=kind, said=text, start=start, stop=stop, choices=("anew", "go_on")))
         return faults
 
 
@@ -106,45 +101,45 @@ class SampleWatch:
 
 
 def faults_of_rests(task: Task, progress: Progress) -> Iterator[Fault]:
-    """Find the faults of the rests and of the turns between them."""
+    """Yield the faults of the rests and of the turns between them."""
     blocks, groups, current, programme = progress.blocks, progress.groups, progress.current, task.programme
     if not groups:
         return
 
-    # a rest that was cut in two before it was enough
+    # a rest that was interrupted before it was long enough
     if current is not None and len(groups[-1]) > 1 and not progress.judged[0].enough:
         start, stop = groups[-1][-2].start, groups[-1][-2].stop
         if current.start - stop <= KNOCK_SECONDS:
-            said = f"knock at {stop:.1f} s, {stop - start:.0f} s into this rest"
-            yield Fault(kind="knock", said=said, start=start, stop=stop, choices=("again", "keep_first", "go_on"))
+            text = f"knock at {stop:.1f} s, {stop - start:.0f} s into this rest"
+            yield Fault(kind="knock", said=text, start=start, stop=stop, choices=("again", "keep_first", "go_on"))
 
-    # positions that are none of the programme's
+    # wrong positions and turns
     if programme is not None and programme.ordered:
         yield from _off_course(task, programme, progress)
     elif programme is not None:
         rests = [group[-1] for group in groups]
         units = verticals(rests, programme, task.session.site.gravity)
-        said = f"this is no position of {programme.name}"
+        text = f"this is no position of {programme.name}"
         for rest, k in zip(rests, nearest_positions(programme, units), strict=True):
             if k is None:
-                yield Fault(kind="wrong position", said=said, start=rest.start, stop=rest.stop)
+                yield Fault(kind="wrong position", said=text, start=rest.start, stop=rest.stop)
 
-    # the temperature, which is named again each time that it has changed by as much more
+    # temperature, reported again after each further change by the limit
     if blocks.temperature is not None:
         first, limit = groups[0][0], task.wanted.warming
         change = blocks.temperature - float(blocks.temperature[first.first : first.last].mean())
         now = float(change[-LATEST_BLOCKS:].mean())
         if steps := int(abs(now) / limit):
             since = float(blocks.edges[int(np.argmax(np.abs(change) >= steps * limit))])
-            said = (
+            text = (
                 f"drift of temperature: {abs(now):.2g} K {'warmer' if now > 0.0 else 'colder'} than at the first rest"
             )
-            said += "; wait until it is steady, or go on: the change is then one more unknown"
-            yield Fault(kind="temperature", said=said, start=since, stop=progress.now, choices=("go_on",))
+            text += "; wait until it is steady, or go on: the change is then one more unknown"
+            yield Fault(kind="temperature", said=text, start=since, stop=progress.now, choices=("go_on",))
 
 
-def another_unit(task: Task, progress: Progress) -> Iterator[Fault]:
-    """Ask about the unit of accelerometers that do not read gravity in the first rest."""
+def wrong_unit(task: Task, progress: Progress) -> Iterator[Fault]:
+    """Suggest another unit if the accelerometers do not measure gravity in the first rest."""
     if not progress.groups:
         return
     rest, accel, gravity = progress.groups[0][-1], task.session.log.accel, task.session.site.gravity
@@ -154,22 +149,22 @@ def another_unit(task: Task, progress: Progress) -> Iterator[Fault]:
     stated = "m/s^2" if accel.raw else accel.unit_name
     read = length / ACCEL_UNITS[stated].factor
     rates = ((name, unit.factor) for name, unit in ACCEL_UNITS.items() if unit.kind == "rate")
-    unit = next((name for name, factor in rates if abs(read * factor / gravity - 1.0) < UNIT_SHARE), "")
-    said = f"at rest the accelerometers read {read:.3g} {stated.replace('^2', '²')}"
-    said += f": are they in {unit}?" if unit else ", which is not gravity: state their unit and scale in session.toml"
+    unit = next((name for name, factor in rates if abs(read * factor / gravity - 1.0) < UNIT_TOLERANCE), "")
+    text = f"at rest the accelerometers read {read:.3g} {stated.replace('^2', '²')}"
+    text += f": are they in {unit}?" if unit else ", which is not gravity: state their unit and scale in session.toml"
     choices = ("unit", "go_on") if unit else ("go_on",)
-    yield Fault(kind="unit", said=said, start=rest.start, stop=rest.stop, choices=choices, unit=unit)
+    yield Fault(kind="unit", said=text, start=rest.start, stop=rest.stop, choices=choices, unit=unit)
 
 
 def is_over(fault: Fault, task: Task, progress: Progress) -> bool:
-    """Whether a fault has passed: a good rest follows a gap, or the right position a wrong one."""
+    """Return True for a fault that has passed: a good rest follows a gap, or the right position a wrong one."""
     groups, programme = progress.groups, task.programme
     if fault.kind == "gap":
         last = groups[-1][-1] if groups else None
         return last is not None and last.start > fault.start and progress.judged[-1].enough
     if fault.kind == "restart":
         return True
-    if fault.kind not in LEFT_BY_THE_NEXT or programme is None:
+    if fault.kind not in PASSING or programme is None:
         return False
     later = [group[-1] for group in groups if group[0].start > fault.stop]
     expected = np.array([position.vertical_b for position in programme.positions])
@@ -178,25 +173,25 @@ def is_over(fault: Fault, task: Task, progress: Progress) -> bool:
 
 
 def _off_course(task: Task, programme: Programme, progress: Progress) -> Iterator[Fault]:
-    """Find where a session leaves a programme that has an order.
+    """Yield the first departure from an ordered programme.
 
-    That is the first rest whose vertical is not that of its position, or which was reached by another turn than the
-    programme's, by the gyros; else the turn under way if it goes against its sense."""
+    It is the first rest whose vertical is not that of its position, or which was reached by another turn than the
+    programme's, by the gyros; otherwise a turn under way in the wrong sense."""
     groups, rests = progress.groups, [group[-1] for group in progress.groups]
     expected = np.array([position.vertical_b for position in programme.positions])
     for k, vertical in enumerate(verticals(rests, programme, task.session.site.gravity)):
         start, stop = rests[k].start, rests[k].stop
         if k >= len(expected):
-            said = f"one position more than the programme's {k}"
-            yield Fault(kind="surplus", said=said, start=start, stop=stop)
+            text = f"one position more than the programme's {k}"
+            yield Fault(kind="surplus", said=text, start=start, stop=stop)
             return
         off = np.arccos(np.clip(expected @ vertical, -1.0, 1.0))
         nearest = int(np.argmin(off))
         if off[k] > POSITION_LIMIT:
             like = f"this is {nearest + 1}" if off[nearest] <= POSITION_LIMIT else "this is none of the programme"
             wanted = f"wanted {k + 1} ({programme.positions[k].label})"
-            said = f"wrong position: {like}, {wanted}; it is {off[k] / DEGREE:.0f}° off"
-            yield Fault(kind="wrong position", said=said, start=start, stop=stop, place=k)
+            text = f"wrong position: {like}, {wanted}; it is {off[k] / DEGREE:.0f}° off"
+            yield Fault(kind="wrong position", said=text, start=start, stop=stop, place=k)
             return
         turn, increments = task.turn_b(k), None
         if turn is not None:
@@ -209,18 +204,18 @@ def _off_course(task: Task, programme: Programme, progress: Progress) -> Iterato
         done = float(turned @ axis_b)
         across = float(np.linalg.norm(turned - done * axis_b)) / DEGREE
         kind, about = "wrong turn", f"{_degrees(done)} about its axis and {across:.0f}° across it"
-        said = f"another turn than the programme's: {about}, wanted {_degrees(angle)}"
+        text = f"another turn than the programme's: {about}, wanted {_degrees(angle)}"
         if np.linalg.norm(turned + angle * axis_b) <= TURN_LIMIT:
             kind = "wrong way"
-            said = f"turned the wrong way: {_degrees(done)} instead of {_degrees(angle)}; turn back the way you came"
-        yield Fault(kind=kind, said=said, start=groups[k][0].start, stop=stop, place=k)
+            text = f"turned the wrong way: {_degrees(done)} instead of {_degrees(angle)}; turn back the way you came"
+        yield Fault(kind=kind, said=text, start=groups[k][0].start, stop=stop, place=k)
         return
     turn, turned_now = task.turn_b(len(groups)), progress.turned
     if progress.current is not None or turn is None or turned_now is None:
         return
     if -float(turned_now @ turn[0]) * np.sign(turn[1]) >= WRONG_WAY:
-        said = f"this is the wrong way: wanted {move_text(task.move(len(groups)))}; turn back"
-        yield Fault(kind="turning wrong", said=said, start=rests[-1].stop, stop=rests[-1].stop, choices=("go_on",))
+        text = f"this is the wrong way: wanted {move_text(task.move(len(groups)))}; turn back"
+        yield Fault(kind="turning wrong", said=text, start=rests[-1].stop, stop=rests[-1].stop, choices=("go_on",))
 
 
 def _degrees(angle: float) -> str:

@@ -1,1 +1,1 @@
-"""From a source to the log on disk."""
+"""Recording of a source into the log on disk."""

@@ -1,13 +1,12 @@
-"""From a source to the log of a session: what is received is on disk before anything else is done with it.
+"""Recording of a source: everything received is written to the log before it is processed.
 
-A thread that does nothing else appends rows to the log in the order in which they are received, whatever their times
-are: whoever reads the log decides which of them are wrong (`tumble.recording.rows`). Lines are appended whole, in one
-write without a buffer, so that a process that is killed leaves all it has received, and are forced to the disk once a
-second, so that a machine that loses its power leaves all but the last second. Where the disk takes no more, lines are
-kept in memory and written when it does again; what is lost is whole lines.
+A thread appends rows in the order of their arrival, whatever their times are; the readers of the log decide which times
+are wrong (`tumble.recording.rows`). Whole lines are appended, each batch in one unbuffered write, so that a killed
+process loses nothing, and are synchronised once a second, so that a power failure loses at most the last second. While
+the disk accepts nothing, lines are kept in memory; only whole lines are lost.
 
-Where the clock of the sensor starts anew, since it was reset or unplugged, another file of the log begins: so many rows
-as agree on earlier times are no single wrong ones.
+When the clock of the sensor restarts (reset or unplugged), another file of the log begins. A restart is recognised by
+consecutive rows that agree on earlier times, to distinguish it from single wrong times.
 """
 
 from __future__ import annotations
@@ -37,26 +36,22 @@ READ_SECONDS = 0.05
 SILENT_SECONDS = 2.0
 NOTHING_RECEIVED: Received = {"refused": 0, "why": "", "ended": False, "silent": False, "trouble": []}
 SYNC_SECONDS = 0.9
-KEPT_BYTES = 1 << 26
-"""What is kept in memory while the disk takes nothing, at most."""
-REFUSED_BYTES = 1 << 22
-"""What is kept of what is no row, at most."""
-NEXT_SECONDS = 1.0
-"""A time that is farther from the one before belongs to another clock, or is wrong."""
-AGREEING_ROWS = 20
-"""So many rows whose times follow each other are right, wherever they are."""
+KEPT_BYTES = 1 << 26  # maximum kept in memory while the disk accepts nothing
+REFUSED_BYTES = 1 << 22  # maximum kept of input that is not a row
+NEXT_SECONDS = 1.0  # largest step between consecutive times of one clock
+AGREEING_ROWS = 20  # consecutive rows whose times are trusted
 _WRITE_BYTES = 1 << 20
 _LINE_BYTES = 1 << 16
-_LOCKED = 1 << 40
-"""The byte that a lock is on where locks are of bytes: one that no log has."""
+_LOCKED_BYTE = 1 << 40  # beyond the end of any log, for systems that lock bytes
 
 
 class Recorder:
-    """A log file that grows by whole lines, and the file `refused` beside it of what was received and is no row.
-    `trouble` says what the disk does not do."""
+    """A log file that grows by whole lines, and the file `refused` beside it of input that is not a row.
+
+    `trouble` describes a failure of the disk."""
 
     def __init__(self, path: Path, header: str) -> None:
-        """Go on with a log, or begin one with a header.
+        """Continue a log, or begin one with a header.
 
         Raises InputError if the log has another header, or another process is recording it."""
         self.path, self.refused = path, path.with_name("refused.txt")
@@ -66,11 +61,11 @@ class Recorder:
         self._synced = time.monotonic()
         self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0), 0o666)
         try:
-            try:  # keep other processes from recording the same log, as long as it is open
+            try:  # lock the log against other recorders while it is open
                 if sys.platform == "win32":
                     import msvcrt
 
-                    os.lseek(self._descriptor, _LOCKED, os.SEEK_SET)
+                    os.lseek(self._descriptor, _LOCKED_BYTE, os.SEEK_SET)
                     msvcrt.locking(self._descriptor, msvcrt.LK_NBLCK, 1)
                 else:
                     import fcntl
@@ -80,10 +75,10 @@ class Recorder:
                 raise InputError(
                     f"{path}: expected a log that nobody records, found one that another process does"
                 ) from None
-            if not self._whole_lines(keep_rest=True):
+            if not self._truncate_to_lines(keep_rest=True):
                 self.append(header.encode() + b"\n")
                 return
-            first = self._at(_LINE_BYTES, 0).split(b"\n", 1)[0]
+            first = self._read_at(_LINE_BYTES, 0).split(b"\n", 1)[0]
             found = first.decode("utf-8", errors="replace").strip()
             if found != header:
                 raise InputError(f"{path}: expected the columns {header}, found {found}; record into another folder")
@@ -91,26 +86,26 @@ class Recorder:
             os.close(self._descriptor)
             raise
 
-    def _at(self, count: int, start: int) -> bytes:
-        """So many bytes of the file from a place on; what is appended is at its end all the same."""
+    def _read_at(self, count: int, start: int) -> bytes:
+        """Read bytes of the file from a position on; appending is not affected."""
         os.lseek(self._descriptor, start, os.SEEK_SET)
         return os.read(self._descriptor, count)
 
-    def _whole_lines(self, *, keep_rest: bool) -> int:
-        """Cut a line that was not finished off the file; how many bytes are left of it."""
+    def _truncate_to_lines(self, *, keep_rest: bool) -> int:
+        """Remove an unfinished last line from the file, and return the remaining number of bytes."""
         size = stop = os.fstat(self._descriptor).st_size
         whole = 0
         while stop > 0 and not whole:
             start = max(0, stop - _WRITE_BYTES)
-            whole = self._at(stop - start, start).rfind(b"\n") + 1
+            whole = self._read_at(stop - start, start).rfind(b"\n") + 1
             whole, stop = whole and start + whole, start
         if whole < size and keep_rest:
-            self.refuse(self._at(min(size - whole, _WRITE_BYTES), whole))
+            self.refuse(self._read_at(min(size - whole, _WRITE_BYTES), whole))
         os.ftruncate(self._descriptor, whole)
         return whole
 
     def append(self, lines: bytes) -> None:
-        """Add whole lines to the log; what the disk does not take now is tried again with the next."""
+        """Append whole lines to the log; those that the disk does not accept are tried again with the next."""
         self._pending += lines
         try:
             while self._pending:
@@ -118,7 +113,7 @@ class Recorder:
                 del self._pending[:written]
             self.trouble = f"{self._lost} samples are lost, which the disk did not take" if self._lost else None
         except OSError as error:
-            if len(self._pending) > KEPT_BYTES:  # what is behind the last whole line of so many bytes is given up
+            if len(self._pending) > KEPT_BYTES:  # drop the lines beyond
                 kept_bytes = self._pending.rfind(b"\n", 0, KEPT_BYTES) + 1
                 self._lost += self._pending.count(b"\n", kept_bytes)
                 del self._pending[kept_bytes:]
@@ -127,60 +122,59 @@ class Recorder:
             self.trouble = f"the disk takes nothing: {error.strerror}; {kept}{lost}"
 
     def refuse(self, raw: bytes) -> None:
-        """Keep what was received and is no row of the log."""
-        with self._troubled(), self.refused.open("ab") as file:
+        """Keep input that is not a row of the log."""
+        with self._report_errors(), self.refused.open("ab") as file:
             if file.tell() < REFUSED_BYTES:
                 file.write(raw.rstrip(b"\n") + b"\n")
 
     @contextmanager
-    def _troubled(self) -> Iterator[None]:
-        """What the disk does not do is said, and the recording goes on."""
+    def _report_errors(self) -> Iterator[None]:
+        """Turn errors of the disk into `trouble`."""
         try:
             yield
         except OSError as error:
             self.trouble = f"the disk takes nothing: {error.strerror}"
 
     def take_back(self, lines: bytes) -> None:
-        """Cut the last lines off the log, which were appended as these."""
+        """Remove the last lines from the log, which were appended as these."""
         os.ftruncate(self._descriptor, os.fstat(self._descriptor).st_size - len(lines))
 
     def last_line(self) -> bytes:
-        """The last line of the log as it is now."""
+        """Return the last line of the log."""
         size = os.fstat(self._descriptor).st_size
         start = max(0, size - _LINE_BYTES)
-        return self._at(size - start, start).rstrip(b"\n").rpartition(b"\n")[2]
+        return self._read_at(size - start, start).rstrip(b"\n").rpartition(b"\n")[2]
 
     def sync_if_due(self) -> None:
-        """Force the log to the disk if that was not done for a second."""
+        """Synchronise the log with the disk if that was not done for a second."""
         if time.monotonic() - self._synced >= SYNC_SECONDS:
             if self._pending:
                 self.append(b"")
-            with self._troubled():
+            with self._report_errors():
                 os.fsync(self._descriptor)
             self._synced = time.monotonic()
 
     def close(self) -> None:
-        """End the recording; it may go on later. What the disk does not take now is lost, and the log ends with a whole
-        line."""
+        """End the recording; it can be continued later. Lines that the disk does not accept now are lost."""
         self.append(b"")
         if self._pending:
             self._lost += self._pending.count(b"\n")
             self._pending.clear()
             self.trouble = f"{self._lost} samples are lost, which the disk did not take"
-            with self._troubled():
-                self._whole_lines(keep_rest=False)
-        with self._troubled():
+            with self._report_errors():
+                self._truncate_to_lines(keep_rest=False)
+        with self._report_errors():
             os.fsync(self._descriptor)
         os.close(self._descriptor)
 
 
 def recorded_files(spec: LogSpec) -> list[Path]:
-    """The files of a log, of which the last grows."""
+    """Return the files of a log, the growing one last."""
     return [file for file in spec.files if isinstance(file, Path)]
 
 
-def _rows_of(files: Sequence[Path]) -> Iterator[bytes]:
-    """The rows of a log as it is now, from the first."""
+def _read_rows(files: Sequence[Path]) -> Iterator[bytes]:
+    """Yield the rows of a log."""
     for path in files:
         with path.open("rb") as file:
             file.readline()
@@ -188,8 +182,10 @@ def _rows_of(files: Sequence[Path]) -> Iterator[bytes]:
 
 
 class Intake:
-    """Records a source into the log of a session until it is stopped. Of the `files` of the log those behind the
-    session's own were begun where the clock started anew; `rows` were recorded; `ended` says whether the source has."""
+    """Records a source into the log of a session until it is stopped.
+
+    `files` are those of the session and further ones that were begun after a restart of the clock; `rows` is the number
+    of recorded rows; `ended` is True after the end of the source."""
 
     def __init__(self, source: LineSource, session: Session, *, now: Callable[[], float] = time.monotonic) -> None:
         spec = session.log
@@ -199,10 +195,8 @@ class Intake:
         self.lines = Lines(columns=spec.columns, clock=spec.time, refuse=lambda raw: self.recorder.refuse(raw))
         self._clock = None if spec.time is None or spec.regular else spec.columns.index(spec.time)
         self._second = spec.time_factor
-        self._last: float | None = None
-        """Time of the last row in its place, s."""
-        self._apart = list[tuple[bytes, float]]()
-        """The last rows, with their times, where these follow each other and not that one."""
+        self._last: float | None = None  # time of the last trusted row, s
+        self._apart = list[tuple[bytes, float]]()  # later rows and times that agree with each other, but not with it
         if self._clock is not None:
             with suppress(ValueError, IndexError):
                 self._last = float(self.recorder.last_line().split(b",")[self._clock]) * self._second
@@ -211,14 +205,13 @@ class Intake:
         self._failure = ""
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="intake", daemon=True)
-        self._recorded: Iterator[bytes] | None = None
-        """Rows that are in the log already and that the source, which begins anew, sends again."""
+        self._recorded: Iterator[bytes] | None = None  # rows in the log that a source which restarts sends again
         if source.begins_anew:
-            self._recorded = _rows_of(self.files)
-            source.hurry(sum(1 for _ in _rows_of(self.files)))
+            self._recorded = _read_rows(self.files)
+            source.hurry(sum(1 for _ in _read_rows(self.files)))
 
     def start(self) -> None:
-        """Begin to record."""
+        """Start the recording thread."""
         self._thread.start()
 
     def _run(self) -> None:
@@ -231,7 +224,7 @@ class Intake:
                 except Ended:
                     self._take(b"\n")
                     self.ended = True
-                except Exception as error:  # costs what came with it, which is refused; the recording goes on
+                except Exception as error:  # refuse the data and continue
                     failure = f"an error of the program while receiving ({type(error).__name__}: {error})"
                     if (failure := " ".join(failure.split())) != self._failure:
                         self._failure = failure
@@ -239,14 +232,14 @@ class Intake:
                     self.recorder.refuse(data)
                     self._stop.wait(READ_SECONDS)
             self.source.close()
-        finally:  # with a complete log
+        finally:
             self.recorder.close()
 
     def _take(self, data: bytes) -> None:
-        """Append the rows in what was received."""
+        """Append the rows in received data."""
         whole = self.lines.cut(data)
-        plain = self.lines.in_order and self._recorded is None
-        numbers = numbers_in(whole, len(self.lines.columns)) if plain else None
+        is_plain = self.lines.in_order and self._recorded is None
+        numbers = numbers_in(whole, len(self.lines.columns)) if is_plain else None
         if numbers is not None:
             times = None if self._clock is None else numbers[:, self._clock]
         else:
@@ -259,16 +252,18 @@ class Intake:
             if times is None:
                 self._append(whole)
             else:
-                self._sort(whole, times * self._second)
+                self._append_timed(whole, times * self._second)
         self.recorder.sync_if_due()
 
     def _append(self, rows: bytes) -> None:
         self.recorder.append(rows)
         self.rows += rows.count(b"\n")
 
-    def _sort(self, whole: bytes, times: Array) -> None:
-        """Append rows of these times, s, which may be wrong. Where as many as agree are earlier than those before, the
-        clock has started anew, and they are the first of another file."""
+    def _append_timed(self, whole: bytes, times: Array) -> None:
+        """Append rows with these times, s, some of which may be wrong.
+
+        If AGREEING_ROWS consecutive rows are earlier than those before, the clock has restarted, and they become the
+        first of another file."""
         steps = np.diff(times, prepend=times[0] if self._last is None else self._last)
         if not self._apart and np.abs(steps).max() <= NEXT_SECONDS:
             self._append(whole)
@@ -288,37 +283,37 @@ class Intake:
                 self._last, self._apart = at, []
 
     def _begin_file(self, rows: bytes) -> None:
-        """Go on in another file, log-2.csv behind log.csv, with the last rows of the present one. In that where the
-        disk takes nothing."""
+        """Continue in another file, log-2.csv after log.csv, with the last rows of the present one, unless the disk
+        accepts nothing."""
         first = self.files[0]
         names = (first.with_stem(f"{first.stem}-{number}") for number in count(2))
         path = next(each for each in names if not each.exists())
         if self.recorder.trouble:
             return
         with suppress(OSError, InputError):
-            begun = Recorder(path, ",".join(self.lines.columns))
-            begun.append(rows)
+            following = Recorder(path, ",".join(self.lines.columns))
+            following.append(rows)
             self.recorder.take_back(rows)
             self.recorder.close()
-            self.recorder = begun
+            self.recorder = following
             self.files.append(path)
 
     def _is_new(self, row: bytes) -> bool:
-        """Whether a row is not in the log yet; from the first new one on all are."""
+        """Return True for a row that is not in the log yet, and for all after it."""
         if self._recorded is not None and next(self._recorded, None) == row:
             return False
         self._recorded = None
         return True
 
     def stop(self) -> None:
-        """End the recording."""
+        """Stop the recording."""
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join()
 
     @property
     def received(self) -> Received:
-        """What was wrong with what has come so far."""
+        """State of the input, with its troubles."""
         silent = 0.0 if self.ended else self._now() - self._heard
         trouble = [each for each in (self.recorder.trouble, self.source.trouble, self._failure) if each]
         if silent > SILENT_SECONDS and not self.source.trouble:

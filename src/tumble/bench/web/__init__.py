@@ -1,1 +1,1 @@
-"""The server of the page, and who may command it."""
+"""Server of the page, and access to it."""

@@ -1,8 +1,8 @@
-"""Who may see and who may command: the token, the names the server answers to, and what a page may load.
+"""Access to the page: the token, the host names of the server, and the content that a page may load.
 
-On the loopback anyone on the machine may look. Commands, and everything beyond the loopback, need the token: it comes
-once in the link that is printed, and is then in a cookie that no script and no other site can read. It is the same
-when the server is started again, so that a page goes on.
+On the loopback interface anyone on the machine may look. Commands, and any access over the network, need the token: it
+is in the printed link, and then in a cookie that no script and no other site can read. It stays the same when the
+server is restarted, so that open pages continue.
 """
 
 from __future__ import annotations
@@ -18,9 +18,8 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 TOKEN_VARIABLE = "TUMBLE_BENCH_TOKEN"
-_LEAST = 16
-_OF_OTHERS = 0 if os.name == "nt" else 0o077
-"""Bits of the mode of a file that let others than its owner at it."""
+_MIN_LENGTH = 16  # of a token
+_OTHERS_MODE = 0 if os.name == "nt" else 0o077  # access bits of others than the owner of a file
 
 HEADERS: Mapping[str, str] = {
     "Content-Security-Policy": (
@@ -36,17 +35,18 @@ HEADERS: Mapping[str, str] = {
 
 
 def lasting_token() -> str:
-    """The token of this user: that of the environment, else that of a file only the user can read, made if need be;
-    made anew where others could read the file, who may then know it."""
+    """Return the token of this user: from the environment, or from a file that only the user can read.
+
+    The file is created if it is missing or readable by others, who may know the token."""
     given = os.environ.get(TOKEN_VARIABLE, "")
-    if len(given) >= _LEAST:
+    if len(given) >= _MIN_LENGTH:
         return given
     state = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "tumble"
     path = state / "bench-token"
     try:
-        found = path.read_text(encoding="ascii").strip()
-        if len(found) >= _LEAST and not path.stat().st_mode & _OF_OTHERS:
-            return found
+        stored = path.read_text(encoding="ascii").strip()
+        if len(stored) >= _MIN_LENGTH and not path.stat().st_mode & _OTHERS_MODE:
+            return stored
     except (OSError, UnicodeDecodeError):
         pass
     token = secrets.token_urlsafe(24)
@@ -63,7 +63,7 @@ def lasting_token() -> str:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Access:
-    """Decides about requests to a server at `host`:`port`."""
+    """Decides on requests to a server at `host`:`port`."""
 
     host: str
     port: int
@@ -71,22 +71,23 @@ class Access:
 
     @property
     def loopback(self) -> bool:
-        """Whether only this machine can reach the server."""
+        """Whether the server is reachable from this machine only."""
         address = _address(self.host)
         return address is not None and address.is_loopback
 
     @property
     def cookie(self) -> str:
-        """Name of the cookie; servers on other ports of the machine have their own."""
+        """Name of the cookie; servers on other ports have their own."""
         return f"tumble_bench_{self.port}"
 
-    def knows(self, token: str | None) -> bool:
-        """Whether this is the token, in a time that does not depend on it."""
+    def is_token(self, token: str | None) -> bool:
+        """Return True for the token, in a time that does not depend on it."""
         return hmac.compare_digest((token or "").encode("utf-8", "replace"), self.token.encode())
 
     def answers_to(self, host: str | None) -> bool:
-        """Whether a Host header names this server: by an address, by localhost, or as it was told to be called. Another
-        site's name that leads here is none. Beyond the loopback the port may be that of a proxy before it."""
+        """Return True if a Host header names this server: by an address, localhost, or its configured name.
+
+        Names of other sites that lead here are refused. Over the network the port may be that of a proxy."""
         try:
             parts = urlsplit(f"//{host or ''}")
             name, port = parts.hostname, 80 if parts.port is None else parts.port
@@ -98,12 +99,12 @@ class Access:
         return name == self.host or (address is not None and (address.is_loopback or not self.loopback))
 
     def same_origin(self, origin: str | None, host: str | None) -> bool:
-        """Whether a page of this server sends the request, itself or through a proxy that encrypts."""
+        """Return True if a page of this server sends the request, directly or through an encrypting proxy."""
         return origin is not None and origin in (f"http://{host}", f"https://{host}")
 
 
 def _address(name: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
-    """The address that a name is; None where it is none. That of localhost is this machine's own."""
+    """Return the address in a name, None for other names; localhost is 127.0.0.1."""
     try:
         return ipaddress.ip_address("127.0.0.1" if name == "localhost" else name)
     except ValueError:

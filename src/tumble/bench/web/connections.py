@@ -1,8 +1,7 @@
-"""Connections to the server: as many as the process has room for, and none that only waits.
+"""Connections to the server, limited in number and idle time.
 
-A connection without a request is ended after ten seconds, however slowly its bytes come; where there are too many, the
-one that has been without for longest is, for a new one. So neither sockets that stay open nor slow senders keep a page
-from being served.
+A connection without a complete request is closed after ten seconds, however slowly its bytes arrive; with too many
+connections the one that is idle for longest is closed. So neither open sockets nor slow senders block the page.
 """
 
 from __future__ import annotations
@@ -12,38 +11,33 @@ import sys
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-REQUEST_SECONDS = 10.0
-"""How long a connection may be without a whole head of a request."""
-MOST = 256
-"""Connections at once: forty pages with six connections each, and some."""
-ACCEPTED_AT_ONCE = 4
-"""Connections that are accepted before those that are too many are ended."""
-WAITING = 128
-"""Connections that wait to be accepted."""
+REQUEST_SECONDS = 10.0  # until the head of a request is complete
+MAX_CONNECTIONS = 256  # forty pages with six connections each
+ACCEPTED_AT_ONCE = 4  # before surplus connections are closed
+WAITING = 128  # connections that wait to be accepted
 
 
-def most_connections() -> int:
-    """How many connections at once leave files for the recordings: a quarter of what the process may open."""
+def max_connections() -> int:
+    """Return the number of connections that leaves files for the recordings: a quarter of the process's limit."""
     if sys.platform == "win32":
-        return MOST
+        return MAX_CONNECTIONS
     import resource
 
     allowed = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
-    return MOST if allowed == resource.RLIM_INFINITY else min(MOST, max(4, allowed // 4))
+    return MAX_CONNECTIONS if allowed == resource.RLIM_INFINITY else min(MAX_CONNECTIONS, max(4, allowed // 4))
 
 
 class Connection(H11Protocol):
-    """A connection that is ended when it is idle for too long, or for another one."""
+    """A connection that is closed when it is idle for too long, or in favour of another."""
 
-    idle_since = 0.0
-    """By the clock of the loop, s."""
+    idle_since = 0.0  # time of the loop, s
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as uvicorn has it
         super().connection_made(transport)
         self._wait()
         ours = [each for each in self.connections if isinstance(each, Connection)]
         lasting = [each for each in ours if not each.transport.is_closing()]
-        if len(lasting) > most_connections():
+        if len(lasting) > max_connections():
             min((each for each in lasting if each.idle), key=lambda each: each.idle_since).transport.abort()
 
     def on_response_complete(self) -> None:
@@ -52,7 +46,7 @@ class Connection(H11Protocol):
 
     @property
     def idle(self) -> bool:
-        """Whether there is no request that is not answered."""
+        """Whether all requests are answered."""
         return self.cycle is None or self.cycle.response_complete
 
     def _wait(self) -> None:

@@ -1,4 +1,4 @@
-"""Runs a bench: its server until the process is ended, and the link to it."""
+"""Runs the server of a bench until the process is ended."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ def serve(
 ) -> None:
     """Serve the page of a station until the process is interrupted.
 
-    `station_of` opens the station once the address is bound; of a new `folder` nothing is left if that fails. The link
-    is given to `say`."""
+    `station_of` opens the station once the address is bound; if that fails, a new `folder` is removed. The link is
+    passed to `say`."""
     with needs_extra("the bench page", "bench", "uvicorn", "starlette"):
         import uvicorn
 
@@ -37,12 +37,12 @@ def serve(
     with _listening(host, port) as bound, ExitStack() as running:
         with ExitStack() as new:
             if not folder.exists():
-                begun = new.enter_context(nothing_left(folder))
-                begun.written += [folder / name for name in (SESSION_FILE, "log.csv")]
+                created = new.enter_context(nothing_left(folder))
+                created.written += [folder / name for name in (SESSION_FILE, "log.csv")]
             station = station_of()
             try:
                 station.start()
-            except BaseException:  # before what is new is taken away
+            except BaseException:  # before the new folder is removed
                 station.stop()
                 raise
         running.callback(station.stop)
@@ -51,7 +51,7 @@ def serve(
         app = app_of(station, access)
 
         class Server(uvicorn.Server):
-            """Ends the streams of its pages when it ends, and lets so many connections be waiting."""
+            """Ends the event streams at shutdown, and allows WAITING connections."""
 
             async def startup(self, sockets: list[socket.socket] | None = None) -> None:
                 await super().startup(sockets)
@@ -68,8 +68,8 @@ def serve(
             lifespan="off",
             backlog=ACCEPTED_AT_ONCE,
             log_config=None,
-            log_level="error",  # what strangers send that is no request is none
-            access_log=False,  # a request may have the token
+            log_level="error",  # invalid requests of strangers are not logged
+            access_log=False,  # requests may contain the token
             timeout_graceful_shutdown=3,
         )
         link = f"http://{_reachable(host)}:{port}/?token={access.token}"
@@ -94,24 +94,24 @@ def _listening(host: str, port: int) -> Iterator[socket.socket]:
 
 
 def _reachable(host: str) -> str:
-    """The address of this machine for a link: where all are listened to, that towards the network."""
+    """Return the address of this machine for a link; if all are listened to, that towards the network."""
     if host not in _ANY:
         return f"[{host}]" if ":" in host else host
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
-            probe.connect(("192.0.2.1", 9))  # nothing is sent: only the way is asked for
+            probe.connect(("192.0.2.1", 9))  # sends nothing, only finds the route
         except OSError:
             return LOOPBACK
         return str(probe.getsockname()[0])
 
 
 def _qr(link: str) -> str:
-    """The link as a QR code in characters."""
+    """Return a link as a QR code in characters."""
     with needs_extra("a QR code", "bench", "qrcode"):
         import qrcode
     import io
 
-    made, out = qrcode.QRCode(border=1), io.StringIO()
-    made.add_data(link)
-    made.print_ascii(out=out, invert=True)
+    code, out = qrcode.QRCode(border=1), io.StringIO()
+    code.add_data(link)
+    code.print_ascii(out=out, invert=True)
     return out.getvalue()

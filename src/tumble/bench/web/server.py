@@ -1,4 +1,4 @@
-"""The server of the page: the state as server-sent events, pictures, results, and the commands of the buttons."""
+"""The web application: state as server-sent events, pictures, results, and commands."""
 
 from __future__ import annotations
 
@@ -26,19 +26,17 @@ from tumble.programme.sheet_pictures import picture
 
 PAGE = Path(__file__).parent / "page"
 _KEEP_ALIVE = 1.0
-_LOOK_SECONDS = 0.25 * STEP_SECONDS
+_POLL_SECONDS = 0.25 * STEP_SECONDS
 _YEAR = 365 * 86400
-_WAY_IN = '<meta http-equiv="refresh" content="0; url=/">'
-"""Instead of a redirection: that of a link in another page would come back without the cookie."""
-_LONGEST_COMMAND = 4096
-_COMMAND_SECONDS = 10.0
-"""How long the few bytes of a command may take to come."""
-_COMMANDS_AT_ONCE = 2
-"""One that takes minutes, and one that is refused meanwhile."""
+# not an HTTP redirection, which from a link in another page would return without the cookie
+_ENTRY_PAGE = '<meta http-equiv="refresh" content="0; url=/">'
+_MAX_COMMAND_BYTES = 4096
+_COMMAND_SECONDS = 10.0  # in which the body of a command must arrive
+_COMMANDS_AT_ONCE = 2  # one that takes minutes, and one that is refused meanwhile
 
 
 def app_of(station: Station, access: Access) -> Starlette:
-    """The application that serves the page of a station. Its `state.stopping` ends the streams of events."""
+    """Return the application that serves the page of a station. Its `state.stopping` ends the event streams."""
     workers = ThreadPoolExecutor(_COMMANDS_AT_ONCE, thread_name_prefix="command")
     written: dict[tuple[int, bool], tuple[str, int]] = {}
     written_state: State = {}
@@ -57,8 +55,9 @@ def app_of(station: Station, access: Access) -> Starlette:
         return Response(status_code=204)
 
     def event(state: State, since: int, may_command: bool) -> tuple[str, int]:
-        """A state with the block means from number `since` on, written once for all pages that have got the same
-        before, and the number after the last."""
+        """Return a state with the block means from number `since` on as an event, and the number after the last.
+
+        It is encoded once for all pages that are equally far."""
         nonlocal written, written_state
         if state is not written_state:
             written, written_state = {}, state
@@ -70,21 +69,21 @@ def app_of(station: Station, access: Access) -> Starlette:
 
     async def events(request: Request) -> Response:
         nonlocal onlookers
-        may_command = access.knows(request.cookies.get(access.cookie))
-        if not may_command and onlookers >= connections.most_connections() // 2:
+        may_command = access.is_token(request.cookies.get(access.cookie))
+        if not may_command and onlookers >= connections.max_connections() // 2:
             return _plain(503, "too many look on without the token that the server has printed")
         onlookers += not may_command
 
         async def stream() -> AsyncIterator[str]:
             nonlocal onlookers
             try:
-                async for said in states():
-                    yield said
+                async for message in states():
+                    yield message
             finally:
                 onlookers -= not may_command
 
         async def states() -> AsyncIterator[str]:
-            """States as they change; where none has for a second, a word that the server is here."""
+            """Yield states as they change, and an empty event after a second without a change."""
             yield "retry: 500\n\n"
             before: State = {}
             since, sent = 0, 0.0
@@ -92,12 +91,12 @@ def app_of(station: Station, access: Access) -> Starlette:
                 state = station.state
                 if state is not before:
                     before = state
-                    said, since = event(state, since, may_command)
-                    yield said
+                    message, since = event(state, since, may_command)
+                    yield message
                 elif time.monotonic() - sent > _KEEP_ALIVE:
                     yield "event: here\ndata: \n\n"
                 else:
-                    await asyncio.sleep(_LOOK_SECONDS)
+                    await asyncio.sleep(_POLL_SECONDS)
                     continue
                 sent = time.monotonic()
 
@@ -122,8 +121,8 @@ def app_of(station: Station, access: Access) -> Starlette:
             name, value = str(given["do"]), str(given.get("value", ""))
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
             return _plain(400, "expected a command")
-        said = await asyncio.get_running_loop().run_in_executor(workers, station.command, name, value)
-        return Response(to_json({"said": said}), media_type="application/json")
+        outcome = await asyncio.get_running_loop().run_in_executor(workers, station.command, name, value)
+        return Response(to_json({"said": outcome}), media_type="application/json")
 
     app = Starlette(
         routes=[
@@ -142,13 +141,13 @@ def app_of(station: Station, access: Access) -> Starlette:
 
 
 async def _body(request: Request) -> bytes:
-    """The body of a command; nothing of one that is too long, or does not come."""
+    """Return the body of a command; empty if it is too long or does not arrive."""
     body = b""
     try:
         async with asyncio.timeout(_COMMAND_SECONDS):
             async for piece in request.stream():
                 body += piece
-                if len(body) > _LONGEST_COMMAND:
+                if len(body) > _MAX_COMMAND_BYTES:
                     return b""
     except (TimeoutError, ClientDisconnect):
         return b""
@@ -156,21 +155,21 @@ async def _body(request: Request) -> bytes:
 
 
 def _refusal(request: Request, access: Access) -> Response | None:
-    """Why a request is not answered; the way in with a token is answered here."""
+    """Return the refusal of a request, or the entry page for a link with the token; None to proceed."""
     if not access.answers_to(request.headers.get("host")):
         return _plain(421, "this server does not answer to that name")
     given = request.query_params.get("token")
-    if request.url.path == "/" and given is not None and access.knows(given):
-        response = Response(_WAY_IN, media_type="text/html")
+    if request.url.path == "/" and given is not None and access.is_token(given):
+        response = Response(_ENTRY_PAGE, media_type="text/html")
         response.set_cookie(access.cookie, access.token, max_age=_YEAR, httponly=True, samesite="strict")
         return response
-    holds = access.knows(request.cookies.get(access.cookie))
-    if not holds and (not access.loopback or request.method != "GET" or given is not None):
+    has_token = access.is_token(request.cookies.get(access.cookie))
+    if not has_token and (not access.loopback or request.method != "GET" or given is not None):
         return _plain(403, "open the link with the token that the server has printed")
     if request.method != "GET" and not access.same_origin(request.headers.get("origin"), request.headers.get("host")):
         return _plain(403, "only the page of this server may command")
     return None
 
 
-def _plain(status: int, said: str) -> Response:
-    return Response(said, status_code=status, media_type="text/plain")
+def _plain(status: int, text: str) -> Response:
+    return Response(text, status_code=status, media_type="text/plain")

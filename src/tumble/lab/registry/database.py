@@ -135,20 +135,20 @@ class Database:
     @contextmanager
     def writing(self) -> Iterator[Rows]:
         """Open an exclusive writing transaction, committed when the block ends without an error."""
-        new, made = self.file is not None and not self.file.exists(), False
+        is_new, created = self.file is not None and not self.file.exists(), False
         try:
             with self._transaction(tumble_writes=True) as connection:
-                if made := not _has_tables(connection, self.name, create=True):
+                if created := not _has_tables(connection, self.name, create=True):
                     _make_tables(connection)
                 yield Rows(connection=connection)
         except BaseException:
             self.engine.dispose()
-            if new and self.file is not None and self.file.is_file() and self.file.stat().st_size == 0:
+            if is_new and self.file is not None and self.file.is_file() and self.file.stat().st_size == 0:
                 self.file.unlink()
             raise
         if self.file is not None and not self.file.is_file():
             raise InputError(f"{self.name}: expected the registry, found that it was removed meanwhile; try again")
-        if made and self.file is not None:  # so that readers do not wait for writers; stored in the file
+        if created and self.file is not None:  # so that readers do not wait for writers; stored in the file
             with suppress(sqlite3.OperationalError), closing(self.engine.raw_connection()) as raw:
                 raw.cursor().execute("PRAGMA journal_mode = WAL")  # fails if another process has the file open
 

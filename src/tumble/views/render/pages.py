@@ -25,18 +25,19 @@ from tumble.views.render.characters import drawable, printed, visible
 def page(document: Document) -> str:
     """Return the HTML of a document. All text is escaped, in CSS every character by its code; only figures, which
     contain no text, are markup, without name spaces."""
-    environment = Environment(
-        loader=PackageLoader("tumble.views.render"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    environment = escaping_environment("tumble.views.render")
     environment.filters["inline"] = lambda svg: Markup(
         re.sub(r' xmlns(:\w+)?="[^"]*"', "", svg).replace(" xlink:href=", " href=")
     )
     environment.filters["css"] = lambda text: Markup("".join(f"\\{ord(character):06x}" for character in text))
     return environment.get_template("page.html").render(document=printed(document, visible)) + "\n"
+
+
+def escaping_environment(package: str) -> Environment:
+    """Return a Jinja environment for the templates of a package, which escapes all text."""
+    return Environment(
+        loader=PackageLoader(package), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
 
 
 def pdf(document: Document) -> bytes:

@@ -37,14 +37,14 @@ def text_of(blocks: Iterable[Block], width: int | None = None) -> str:
 
     Without `width` sentences are not broken."""
     lines: list[str] = []
-    previous_apart = False
+    previous_set_off = False
     for block in blocks:
         block_lines = list(_lines(block, width))
         if not block_lines:
             continue
-        apart = isinstance(block, Table | Items)
-        lines += ["", *block_lines] if lines and (apart or previous_apart) else block_lines
-        previous_apart = apart
+        set_off = isinstance(block, Table | Items)
+        lines += ["", *block_lines] if lines and (set_off or previous_set_off) else block_lines
+        previous_set_off = set_off
     return plain("".join(f"{line}\n" for line in lines))
 
 

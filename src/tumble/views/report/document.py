@@ -183,7 +183,7 @@ def annexes(calibration: Calibration, key: str, *, short: bool = False) -> Itera
     yield result.beyond(calibration, groups=not short)
     yield over_temperature.section(calibration, f"{key}-temperature")
     yield recording.sites(recordings)
-    yield from map(recording.found, recordings)
+    yield from map(recording.rests_and_turns, recordings)
     names = ("" if short else f"{key}-residuals{i}" for i in range(len(recordings)))
     yield from map(recording.residuals, recordings, names)
     yield budget_section(calibration, short=short)

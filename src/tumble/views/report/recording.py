@@ -96,7 +96,7 @@ def sites(recordings: Sequence[RecordedSession]) -> Section | None:
 # -------------------- rests and turns --------------------
 
 
-def found(recording: RecordedSession) -> Section | None:
+def rests_and_turns(recording: RecordedSession) -> Section | None:
     """Return the section on the rests and turns against the programme."""
     if not recording.recorded.rests:
         return None

@@ -1,4 +1,4 @@
-// The page follows the states that the server sends, and sends back what the operator answers.
+// The page shows the states that the server sends, and sends the operator's commands.
 
 import { about, clock, details, ghost, groups, made, missed, number, parameters, points, residuals, sphere, Tones, Trace } from "./parts.js";
 
@@ -18,7 +18,7 @@ function show(element, wanted) {
   element.hidden = !wanted;
 }
 
-// -------------------- what is shown --------------------
+// -------------------- display --------------------
 
 function header() {
   const { unit, received, rest, session } = state;
@@ -60,12 +60,12 @@ function now() {
   figures();
 }
 
-/** Whether nothing is recorded although it could be. */
+/** Return true if recording has stopped and can be resumed. */
 function hasStopped() {
   return state.can_record && !state.listening && !state.received.ended;
 }
 
-/** What the calibration says, and which wishes it leaves; nothing before there is one. */
+/** The verdict of the calibration and the wanted uncertainties that it misses; empty before there is one. */
 function verdict() {
   const { result, wanted } = state;
   if (!result) return "";
@@ -73,12 +73,12 @@ function verdict() {
   return `Calibrated: ${result.accepted ? "accepted" : "not accepted"}${left.length ? `; not reached: ${left.join(", ")}` : ""}`;
 }
 
-/** What is dotted in the picture. */
+/** Legend of the dotted lines in the picture. */
 function dotted() {
   return ["dotted", state.position && state.position.ghost ? "as it lies now" : ""];
 }
 
-/** The number that counts now, and what it is. */
+/** Show the main number and its meaning. */
 function big(text, what = "") {
   say(of("big"), text);
   of("big").dataset.what = what;
@@ -119,7 +119,7 @@ function figures() {
   }
 }
 
-/** The estimate so far. Once there is a calibration its numbers are in its table, and of the estimate the rests are left. */
+/** Show the estimate so far; after a calibration, whose table has the numbers, only its rests. */
 function estimate() {
   const { estimate: found, result } = state;
   const busy = state.estimating ? " …" : "";
@@ -159,7 +159,7 @@ function finish() {
   }));
 }
 
-/** The answers that are possible now: what each does, and what comes of it; the usual one first. */
+/** Show the possible answers with their effects, the usual one first. */
 function buttons() {
   const box = of("buttons");
   const given = new Map(state.answers.map((each) => [each.do, each]));
@@ -187,7 +187,7 @@ function update(next) {
   estimate();
   finish();
   buttons();
-  const repeated = state.result && verdict().toLowerCase().startsWith(state.message); // the headline has it
+  const repeated = state.result && verdict().toLowerCase().startsWith(state.message); // as in the headline
   say(of("message"), Date.now() < noted.until ? noted.text : repeated ? "" : state.message);
   accel.add(state.trace.t, state.trace.a, state.trace.anew);
   gyro.add(state.trace.t, state.trace.g, state.trace.anew);
@@ -197,7 +197,7 @@ function update(next) {
   document.body.dataset.screen = state.screen;
 }
 
-// -------------------- what is answered --------------------
+// -------------------- answers --------------------
 
 async function command(name, value = "") {
   try {
@@ -213,7 +213,7 @@ async function command(name, value = "") {
   }
 }
 
-const SCAN_MS = 60; // keys that follow each other faster are a scanner's
+const SCAN_MS = 60; // between the keys of a scanner, at most
 let typed = "";
 let pause = 0;
 
@@ -226,19 +226,19 @@ document.addEventListener("keydown", (event) => {
   pause = setTimeout(() => { if (typed.length === 1) pressed(typed.toLowerCase()); typed = ""; }, SCAN_MS);
 });
 
-/** A key alone. */
+/** Handle a key. */
 function pressed(key) {
   const button = document.querySelector(`button[data-key="${CSS.escape(key)}"]`);
   if (button && button.offsetParent && !button.disabled) button.click();
 }
 
-/** What a scanner types, with an Enter behind it: the serial number of the next unit. */
+/** Handle the serial number of the next unit, typed by a scanner and ended by Enter. */
 function scanned(text) {
   if (state.result && state.may_command) command("next_unit", text);
   else note(`scanned ${text}: this unit is not calibrated yet`);
 }
 
-/** Say something for a while. */
+/** Show a message for a while. */
 function note(text) {
   noted = { text, until: Date.now() + 5000 };
   say(of("message"), text);
@@ -264,13 +264,13 @@ onSubmit("export", "export", "export-to");
 onSubmit("unit", "next_unit", "unit-serial");
 of("sound").addEventListener("click", () => of("sound").setAttribute("aria-pressed", String(tones.toggle())));
 
-// -------------------- a server that does not answer --------------------
+// -------------------- loss of the server --------------------
 
-const SILENT_MS = 3000; // states come five times a second, or once a second a word that there is none
+const SILENT_MS = 3000; // the server sends a state or an empty event at least once a second
 let heardAt = new Date();
 let silence = 0;
 
-/** The server has said something. */
+/** Handle any event of the server. */
 function alive() {
   heardAt = new Date();
   if (document.body.dataset.dead) {
@@ -282,7 +282,7 @@ function alive() {
   silence = setTimeout(dead, SILENT_MS);
 }
 
-/** What is on the page is old, and its buttons reach nobody. */
+/** Mark the page as out of date. */
 function dead() {
   const since = heardAt.toLocaleTimeString();
   say(of("trouble"), `The server does not answer. What is below is from ${since}; whether it is recording is not known. The page goes on when it answers.`);

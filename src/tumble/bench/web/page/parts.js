@@ -1,8 +1,8 @@
-// Parts of the page: each takes an element and data, and puts text and shapes into it. Nothing is ever markup.
+// Parts of the page: each puts text and shapes for some data into an element. Data are never markup.
 
 const SVG = "http://www.w3.org/2000/svg";
 
-/** A new element of HTML with text in it. */
+/** Create an HTML element with text. */
 export function made(tag, text = "", className = "") {
   const element = document.createElement(tag);
   element.textContent = text;
@@ -16,13 +16,13 @@ function shape(tag, attributes) {
   return element;
 }
 
-/** A number to three digits, or a dash. */
+/** Format a number to three digits, or a dash. */
 export function number(value, digits = 3) {
   if (value === null || value === undefined || !Number.isFinite(value)) return "–";
   return Math.abs(value) >= 10 ** digits ? value.toFixed(0) : String(Number(value.toPrecision(digits)));
 }
 
-/** A time as minutes and seconds, from an hour on with hours. */
+/** Format a time as minutes and seconds, with hours if necessary. */
 export function clock(seconds) {
   const whole = Math.max(0, Math.round(seconds));
   const two = (value) => String(value).padStart(2, "0");
@@ -30,13 +30,13 @@ export function clock(seconds) {
   return whole < 3600 ? `${minutes}:${two(whole % 60)}` : `${Math.floor(minutes / 60)}:${two(minutes % 60)}:${two(whole % 60)}`;
 }
 
-/** A time that is known to minutes. */
+/** Format an approximate time in minutes. */
 export function about(seconds) {
   const minutes = Math.round(seconds / 60);
   return minutes < 1 ? "less than a minute" : minutes < 90 ? `about ${minutes} min` : `about ${(minutes / 60).toFixed(1)} h`;
 }
 
-/** Terms and their values. */
+/** Show terms and their values. */
 export function details(list, pairs) {
   const wanted = pairs.filter(([, value]) => value !== "");
   list.replaceChildren(...wanted.flatMap(([term, value]) => [made("dt", term), made("dd", value)]));
@@ -44,14 +44,14 @@ export function details(list, pairs) {
 
 const TOWARDS = { N: "north", S: "south", E: "east", W: "west", U: "up", D: "down" };
 
-/** A position by its name and by where the body axes point. */
+/** Show a position by its name and the directions of the body axes. */
 export function points(box, position) {
   const words = position ? [position.label, ...Object.entries(position.points).map(([axis, to]) => `${axis} ${TOWARDS[to] || to}`)] : [];
   if (words.join() === [...box.children].map((each) => each.textContent).join()) return;
   box.replaceChildren(...words.map((text, i) => made("span", text, i ? "" : "name")));
 }
 
-/** A bar for every group: the middle is the wanted u, each half a factor of a hundred. */
+/** Show a bar for every group: the middle is the wanted u, each half a factor of 100. */
 export function groups(box, list) {
   box.replaceChildren(...list.map((group) => {
     const row = made("div", "", `group ${!group.determined ? "unknown" : group.enough ? "enough" : ""}`);
@@ -81,17 +81,17 @@ function bar(group, found) {
   return box;
 }
 
-/** Whether the wanted u of a parameter is reached, in a word; none where none is wanted. */
+/** Return whether the wanted u of a parameter is reached, as a word; empty without a wanted u. */
 function reached({ group, u_si: u }, wanted) {
   return !(group in wanted) || u === null ? "" : u <= wanted[group] ? "reached" : "not reached";
 }
 
-/** The groups of what was calibrated whose wanted u is not reached. */
+/** Return the groups of a calibration whose wanted u is not reached. */
 export function missed(rows, wanted) {
   return [...new Set(rows.filter((each) => reached(each, wanted) === "not reached").map((each) => each.group))];
 }
 
-/** What was calibrated, a row a parameter: value and u as `tumble calibrate` prints them, and the u that was wanted. */
+/** Show a calibration, a parameter a row: value and u as in `tumble calibrate`, and the wanted u. */
 export function parameters(table, rows, wanted) {
   const head = made("tr");
   head.append(...["parameter", "value", "uncertainty", "unit", "wanted", ""].map((text) => made("th", text)));
@@ -109,7 +109,7 @@ export function parameters(table, rows, wanted) {
 
 const GHOST = { edges: "#555555", X: "#b5301f", Y: "#1e7145", Z: "#2c5fa8" };
 
-/** The unit as it is now, in broken lines over the picture of the position it is to be in. */
+/** Draw the present attitude in broken lines over the picture of the wanted position. */
 export function ghost(box, lines) {
   const drawn = box.querySelector("svg");
   if (!lines) { if (drawn) drawn.remove(); return; }
@@ -127,7 +127,7 @@ export function ghost(box, lines) {
   if (drawn) drawn.replaceWith(picture); else box.append(picture);
 }
 
-/** How far every rest is from what the estimate expects of it, in sigmas. */
+/** Show the residuals of the rests in sigmas. */
 export function residuals(box, list) {
   const items = list.map((each, i) => {
     const item = made("span", `${i + 1}: ${each.sigmas.toFixed(1)}`, each.sigmas > 5 ? "bad" : "");
@@ -168,7 +168,7 @@ function mark(picture, [dx, dy, dz], side, x, radius, fill, stroke) {
   picture.append(shape("circle", { cx: x + scale * dx, cy: 4 - scale * dy, r: radius, fill, stroke, "stroke-width": 1.5 }));
 }
 
-/** A picture of the last minute of three channels. */
+/** Plot the last minute of three channels. */
 export class Trace {
   constructor(box, title, unit) {
     this.box = box;
@@ -195,7 +195,7 @@ export class Trace {
   }
 }
 
-/** The channels with the line broken where samples did not arrive. */
+/** Return the channels with breaks where samples are missing. */
 function broken([time, ...channels]) {
   const steps = time.slice(1).map((t, i) => t - time[i]);
   const longest = Math.max(1, 5 * [...steps].sort((a, b) => a - b)[Math.floor(steps.length / 2)]);
@@ -204,7 +204,7 @@ function broken([time, ...channels]) {
   return [split(time, (at) => (time[at - 1] + time[at]) / 2), ...channels.map((values) => split(values, () => null))];
 }
 
-/** A short tone: high for good, low for bad. */
+/** Play a short tone: high for good, low for bad. */
 export class Tones {
   constructor() { this.context = null; }
 
