@@ -26,7 +26,7 @@ _COLUMNS, _CELL_WIDTH, _CELL_HEIGHT, _TOP = 4, 230.0, 250.0, 34.0
 
 
 def sheet_drawing(programme: Programme, *, rest: float = REST, rate: float = RATE, move: float = MOVE) -> str:
-    """One SVG with the picture of every position in order, what it is and how to get there, and the directions."""
+    """Return an SVG with the directions and, for every position in order, its picture, its label and the move to it."""
     rows = sheet_rows(programme, rest=rest, rate=rate, move=move)
     title = f"{programme.name}: {pace_of(programme, rows, rate, move)}"
     cells = [_cell(scene_of_directions(), ("", "", _LEGEND))]
@@ -45,7 +45,7 @@ def sheet_drawing(programme: Programme, *, rest: float = REST, rate: float = RAT
 
 
 def _cell(scene: str, lines: tuple[str, str, str]) -> str:
-    """A scene with lines of text below it."""
+    """Return a scene with lines of text below it."""
     middle = 0.5 * _CELL_WIDTH
     texts = [
         text_element("text", line, x=middle, y=2 * HALF + 18 + 16 * i, text_anchor="middle", font_size=12, **style)
@@ -90,9 +90,11 @@ def sheet_page(
     number: str = "",
     revision: str = "",
 ) -> str:
-    """A page of HTML to print on A4 and take to the table: every position with its picture, a box to tick and lines
-    for times and notes, and at the end to sign on. It needs nothing else: no script, no other file. Without a serial
-    number of the device, or number and revision of the sheet, a line is left for it."""
+    """Return an HTML page to print on A4: every position with its picture, a box to tick, and lines for times, notes
+    and signatures.
+
+    It is self-contained, without scripts or other files. A missing serial number of the device, or number and revision
+    of the sheet, leaves an empty line."""
     rows = sheet_rows(programme, rest=rest, rate=rate, move=move)
     title = text_element("title", programme.name)
     head = element("head", element("meta", charset="utf-8"), title, element("style", _STYLE))
@@ -106,7 +108,7 @@ def sheet_page(
         "body",
         text_element("h1", programme.name),
         text_element("p", pace_of(programme, rows, rate, move)),
-        *(_form(asked) for asked in form_of(serial, number, revision)),
+        *(_form(captions) for captions in form_of(serial, number, revision)),
         element("div", legend(), element("div", key, notes), class_="head"),
         element("table", widths, heads, element("tbody", *map(_position, rows))),
         _form(SIGNATURES),
@@ -115,20 +117,19 @@ def sheet_page(
 
 
 SIGNATURES = ("Recorded: name, date, signature", "Checked: name, date, signature")
-"""What is signed at the end of a sheet."""
 
 
 def form_of(serial: str, number: str, revision: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """What stands above the lines to write on, in two rows, with what is known of it."""
+    """Return the captions of the lines to write on, in two rows, with the values that are known."""
     device, sheet, issue = (
-        f"{word} {known}".rstrip()
-        for word, known in (("Device", serial), ("Sheet no.", number), ("Revision", revision))
+        f"{caption} {value}".rstrip()
+        for caption, value in (("Device", serial), ("Sheet no.", number), ("Revision", revision))
     )
     return (device, "Operator", "Date", "Place"), (sheet, issue, "Log", "Conditions, equipment")
 
 
-def _form(asked: Sequence[str]) -> str:
-    return element("div", *(text_element("span", text) for text in asked), class_="form")
+def _form(captions: Sequence[str]) -> str:
+    return element("div", *(text_element("span", text) for text in captions), class_="form")
 
 
 def _position(row: SheetRow) -> str:

@@ -1,11 +1,11 @@
 """A picture of every position of a programme, in SVG.
 
-Pictures are orthographic, from a fixed viewpoint in front of the table: south, a little to the east, above. It is
-chosen so that in no position of a built-in programme two arrows fall together. Picture coordinates are x right,
-y up, z towards the viewer, in units of `SCALE` pixels; `VIEW` takes geographic (N, U, E) to them.
+Pictures are orthographic, from a fixed viewpoint in front of the table: south, a little to the east, above, so that no
+two arrows coincide in any position of a built-in programme. Picture coordinates are x right, y up, z towards the
+viewer, in units of `SCALE` pixels; `VIEW` rotates geographic (N, U, E) to them.
 
-A picture is drawn from back to front. That is exact here: the cube is convex and about the origin, and an arrow
-that starts on one of its faces is in front of it or behind it as that face is.
+A picture is drawn from back to front. This is exact: the cube is convex and centred at the origin, and an arrow that
+starts on one of its faces is in front of it or behind it as that face is.
 """
 
 from __future__ import annotations
@@ -20,11 +20,9 @@ from tumble.programme.sheet_words import direction, move_text, points_of, short_
 from tumble.rotation import tangent_basis
 from tumble.units import DEGREE, Array
 
-# -------------------- markup --------------------
-
 
 def element(tag: str, *content: str, **attributes: object) -> str:
-    """An element of HTML or SVG. Content is markup; values of attributes are escaped. `class_` is class and
+    """Return an HTML or SVG element. Content is markup; attribute values are escaped. `class_` is class and
     `stroke_width` is stroke-width."""
     named = {name.rstrip("_").replace("_", "-"): value for name, value in attributes.items()}
     inside = "".join(f' {name}="{html.escape(str(value))}"' for name, value in named.items())
@@ -32,7 +30,7 @@ def element(tag: str, *content: str, **attributes: object) -> str:
 
 
 def text_element(tag: str, text: str, **attributes: object) -> str:
-    """An element that holds text, escaped."""
+    """Return an element with text, escaped."""
     return element(tag, html.escape(text), **attributes)
 
 
@@ -41,7 +39,7 @@ def _number(value: float) -> str:
 
 
 def _xy(point: Array) -> tuple[str, str]:
-    """Picture coordinates as SVG has them: pixels, y down."""
+    """Return picture coordinates in SVG: pixels, y down."""
     return _number(SCALE * point[0]), _number(-SCALE * point[1])
 
 
@@ -73,7 +71,8 @@ CUBE = 0.43
 
 
 def _view(east_of_south: float, above: float) -> Array:
-    """Geographic → picture for a viewer in this azimuth, rad from south to east, and this far above the horizon."""
+    """Return the rotation geographic → picture for a viewer at this azimuth, rad from south to east, and elevation,
+    rad."""
     s, c = math.sin(east_of_south), math.cos(east_of_south)
     towards = np.array([-c * math.cos(above), math.sin(above), s * math.cos(above)])
     right = np.array([s, 0.0, c])
@@ -95,7 +94,7 @@ _MOST_OF_A_RING = 300.0 * DEGREE
 
 
 def picture(position: Position, move: Move = ANY_MOVE) -> str:
-    """SVG of a position: a cube with the body axes as arrows, and the turn that leads to it as an arrow about its
+    """Return the SVG of a position: a cube with the body axes as arrows, and the turn to it as an arrow about its
     axis."""
     x, y, z = points_of(position)
     title = f"{short_code(position.attitude)}: X → {x}, Y → {y}, Z → {z}; {move_text(move)}"
@@ -107,20 +106,20 @@ def _whole(title: str, scene: str) -> str:
 
 
 def ghost(attitude: Array) -> dict[str, list[list[float]]]:
-    """The cube and its body axes in another attitude (3, 3), body → geographic, in the coordinates of a picture: by
-    name the lines, each x₁, y₁, x₂, y₂, of the "edges" and of the axes "X", "Y" and "Z" with the end at the tip."""
+    """Return the cube and its body axes in an attitude (3, 3), body → geographic, in picture coordinates: by name, the
+    lines (x₁, y₁, x₂, y₂) of the "edges" and of the axes "X", "Y" and "Z", which end at the tip."""
     axes = VIEW @ attitude
     corners = [CUBE * axes @ sign for sign in (2.0 * np.array(list(np.ndindex(2, 2, 2))) - 1.0)]
     edges = [(a, b) for i, a in enumerate(corners) for j, b in enumerate(corners) if i < j and (i ^ j) in (1, 2, 4)]
     lines = {"edges": edges, **{name: [(CUBE * axis, AXIS * axis)] for name, axis in zip("XYZ", axes.T, strict=True)}}
     return {
-        name: [[round(SCALE * v, 1) for v in (a[0], -a[1], b[0], -b[1])] for a, b in each]
-        for name, each in lines.items()
+        name: [[round(SCALE * v, 1) for v in (a[0], -a[1], b[0], -b[1])] for a, b in pairs]
+        for name, pairs in lines.items()
     }
 
 
 def scene_of(position: Position, move: Move) -> str:
-    """What is in a picture, from back to front: (depth, markup) of the turn, the axes and the cube, sorted."""
+    """Return the markup of the turn, the axes and the cube of a picture, from back to front."""
     axes = VIEW @ position.matrix
     parts = _turn(move)
     for name, axis in zip("XYZ", axes.T, strict=True):
@@ -135,12 +134,12 @@ def scene_of(position: Position, move: Move) -> str:
 
 
 def _arrow(name: str, tip: Array, colour: str, *, start: float) -> str:
-    """An arrow with a cone for its head, from `start` (part of its length) to `tip`, with its letter beyond."""
+    """Return an arrow with a conical head, from `start` (fraction of its length) to `tip`, with its letter beyond."""
     length = float(np.linalg.norm(tip))
     along = tip / length
     base = tip - _HEAD * along
     shaft = _line(start * tip, base, stroke=colour, stroke_width=3.5)
-    # the silhouette of a cone less its base, the first corner the tip, and the base, a circle seen as an ellipse
+    # silhouette of the cone without its base, beginning at the tip, and the base, a circle seen as an ellipse
     across = _HEAD_RADIUS * np.array([-along[1], along[0]]) / max(float(np.hypot(along[0], along[1])), 1e-9)
     cone = _polyline("polygon", np.array([tip[:2], base[:2] + across, base[:2] - across]), fill=colour)
     turned = -math.atan2(float(along[1]), float(along[0])) / DEGREE + 90.0
@@ -161,7 +160,7 @@ def _arrow(name: str, tip: Array, colour: str, *, start: float) -> str:
 
 
 def _cube(axes: Array) -> str:
-    """The faces of the cube that are turned to the viewer, tinted by the body axis across them."""
+    """Return the faces of the cube that face the viewer, tinted by the body axis normal to them."""
     faces = []
     for i, name in enumerate("XYZ"):
         for sign in (1.0, -1.0):
@@ -175,13 +174,13 @@ def _cube(axes: Array) -> str:
 
 
 def _mix(colour: str, white: float, shade: float) -> str:
-    """A colour with this part of white, then darkened to `shade` of itself."""
+    """Return a colour with this fraction of white, then darkened to the fraction `shade`."""
     channels = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
     return "#" + "".join(f"{round(shade * (white * 255 + (1.0 - white) * c)):02x}" for c in channels)
 
 
 def _turn(move: Move) -> list[tuple[float, str]]:
-    """(depth, markup) of the two halves of the axis of a turn and of the arrow about it."""
+    """Return (depth, markup) of the two halves of the axis of a turn and of the arrow about it."""
     if move.axis is None or move.angle is None:
         return []
     axis = VIEW @ move.axis
@@ -196,7 +195,7 @@ def _turn(move: Move) -> list[tuple[float, str]]:
 
 
 def _ring(centre: Array, axis: Array, angle: float) -> str:
-    """An arrow about an axis by an angle (a full turn is left open), its middle towards the viewer."""
+    """Return an arrow about an axis by an angle (a full turn is left open), its middle towards the viewer."""
     first, second = tangent_basis(axis)
     shown = math.copysign(min(abs(angle), _MOST_OF_A_RING), angle)
     middle = math.atan2(float(second[2]), float(first[2]))
@@ -217,12 +216,12 @@ def _ring(centre: Array, axis: Array, angle: float) -> str:
 
 
 def legend() -> str:
-    """SVG of north, up and east as the pictures have them."""
+    """Return the SVG of north, up and east in the pictures."""
     return _whole("Directions in the pictures", scene_of_directions())
 
 
 def scene_of_directions() -> str:
-    """North, up and east with the horizon."""
+    """Return north, up and east with the horizon."""
     circle = np.array([VIEW @ [math.cos(t), 0.0, math.sin(t)] for t in np.linspace(0.0, 2.0 * math.pi, 49)])
     ground = _polyline("polygon", circle, fill="#f0f0f0", stroke="#bbbbbb", stroke_width=0.8)
     arrows = [_arrow(name, AXIS * axis, GREY, start=0.0) for name, axis in zip("NUE", VIEW.T, strict=True)]

@@ -10,7 +10,7 @@ from tumble.errors import CalibrationError, InputError
 from tumble.result.coverage import degrees_through
 from tumble.result.parts import Parameter, learned_fraction
 from tumble.result.record import AnyCalibration
-from tumble.sensors.frames import Frame, Framed, carried_further, convert, frame_of, triad_axes
+from tumble.sensors.frames import Frame, Framed, convert, frame_of, further_rotation, triad_axes
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import LINEAR, THERMAL, group_name, sensor_kind
@@ -42,7 +42,7 @@ def turned(
     further = instrument.names[instrument.linear_count :]
     at = [names.index(name) for name in further if name in names]
     if len(at) == len(further):
-        carry[np.ix_(at, at)] = carried_further(instrument, framed.rotation)
+        carry[np.ix_(at, at)] = further_rotation(instrument, framed.rotation)
     jacobian = np.zeros((count + len(rest), len(parameters)))
     jacobian[:count, :own], jacobian[count:, own:] = framed.jacobian, carry
     before = np.array([p.u or 0.0 for p in parameters])
