@@ -237,28 +237,22 @@ def convert(
         accel_jacobian = np.linalg.solve(derivative, change + phi_columns @ phi)
     else:
         accel_jacobian, phi = np.split(np.linalg.solve(np.hstack([derivative, -phi_columns]), change), [len(new.names)])
-    jacobian, blocks = (
-        np.hstack([accel_jacobian, np.zeros((len(accel_jacobian), len(values) - count))]),
-        [(derivative, phi_columns)],
-    )
+    jacobian = np.hstack([accel_jacobian, np.zeros((len(accel_jacobian), len(values) - count))])
+    blocks = [(derivative, phi_columns)]
     names, framed_values, gyro_after = new.names, accel_values, None
     if gyro is not None:
         gyro_after = _rotated(gyro.model(values[count:]), Q)
         gyro_values, phi_columns = gyro.parameters(gyro_after), _rotation_columns(gyro_after)
         derivative = gyro.jacobian(gyro_values).reshape(4 * gyro.size, -1)
         change = np.hstack([phi_columns @ phi, _rotated_change(gyro.jacobian(values[count:]), Q)])
-        jacobian, blocks = (
-            np.vstack([jacobian, np.linalg.solve(derivative, change)]),
-            [*blocks, (derivative, phi_columns)],
-        )
+        jacobian = np.vstack([jacobian, np.linalg.solve(derivative, change)])
+        blocks.append((derivative, phi_columns))
         names, framed_values = (*names, *gyro.names), np.concatenate([accel_values, gyro_values])
     if covariance is not None:
         covariance = jacobian @ covariance @ jacobian.T
         if alignment is not None and target == "case" and source != "case":
-            rotation_effect = np.concatenate(
-                [np.linalg.solve(derivative, phi_columns) for derivative, phi_columns in blocks]
-            )
-            covariance = covariance + rotation_effect @ alignment.covariance @ rotation_effect.T
+            by_alignment = np.concatenate([np.linalg.solve(*block) for block in blocks])
+            covariance = covariance + by_alignment @ alignment.covariance @ by_alignment.T
     return Framed(
         frame=target,
         names=names,
