@@ -74,14 +74,11 @@ def svg_picture(left: float, top: float, width: float, height: float, *content: 
 
 # -------------------- pictures --------------------
 
-SCALE = 50.0
-"""Pixels of SVG in a unit of length."""
+SCALE = 50.0  # pixels of SVG in a unit of length
 
-AXIS = 1.4
-"""Length of the arrow of a body axis, from the middle of the cube to its tip."""
+AXIS = 1.4  # length of the arrow of a body axis, from the middle of the cube to its tip
 
-CUBE = 0.43
-"""Half an edge of the cube."""
+CUBE = 0.43  # half an edge of the cube
 
 
 def _view(east_of_south: float, above: float) -> Array:
@@ -93,8 +90,7 @@ def _view(east_of_south: float, above: float) -> Array:
     return np.stack([right, np.cross(towards, right), towards])
 
 
-VIEW = _view(22.0 * DEGREE, 42.0 * DEGREE)
-"""Geographic (N, U, E) → picture (right, up, towards the viewer), a rotation."""
+VIEW = _view(22.0 * DEGREE, 42.0 * DEGREE)  # geographic (N, U, E) → picture (right, up, towards the viewer), a rotation
 
 BODY_COLOURS = {"X": "#c0392b", "Y": "#2e8b57", "Z": "#2c5fa8"}
 _TURN_COLOUR = "#7d3c98"

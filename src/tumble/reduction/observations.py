@@ -100,35 +100,21 @@ class Observations(Brief):
     turns: Turns | None = None
     turn_samples: TurnSamples | None = None
     programme: Programme | None = None
-    position: IntArray | None = None
-    """Position of each rest in the programme (N,), if there is one."""
-    start: Mapping[str, float] = field(default_factory=dict)
-    """Start values of parameters, by name; zero for the others."""
-    turn_readings: TurnReadings | None = None
-    """Only for more than three gyros."""
-    rounding: Mapping[str, Rounding] = field(default_factory=dict)
-    """Resolution of the readings of "accel" and "gyro"."""
-    notes: tuple[str, ...] = ()
-    """Notes on the log for the user."""
+    position: IntArray | None = None  # position of each rest in the programme (N,), if there is one
+    start: Mapping[str, float] = field(default_factory=dict)  # start values of parameters, by name; zero for the others
+    turn_readings: TurnReadings | None = None  # only for more than three gyros
+    rounding: Mapping[str, Rounding] = field(default_factory=dict)  # resolution of the readings of "accel" and "gyro"
+    notes: tuple[str, ...] = ()  # notes on the log for the user
     thermometers: Thermometers | None = None
-    together: Together | None = None
-    """The sessions, if there are several."""
-    arrays: tuple[ArrayMoments, ...] = ()
-    """For every session, the moments of an accelerometer array in motion."""
-    by_clock: Mapping[str, float] = field(default_factory=dict)
-    """Change of parameters, by group, by one standard uncertainty of the time base."""
-    unstamped: bool = False
-    """Whether the log has no time stamps, which would show missing samples."""
-    usual: Mapping[str, float] = field(default_factory=dict)
-    """Standard deviations over instruments of this type, SI, by group of parameters beyond the linear model."""
-    size_basis: Mapping[str, str] = field(default_factory=dict)
-    """Source of the usual size, in words, by group."""
-    too_small: Mapping[str, float] = field(default_factory=dict)
-    """Factor by which the usual size may be too small, given its source, by group."""
-    links: Links | None = None
-    """Motion from node to node that is no turn between rests."""
-    in_run: Mapping[str, float] = field(default_factory=dict)
-    """Usual standard deviation of the in-run bias, SI, of "accel" and "gyro"."""
+    together: Together | None = None  # the sessions, if there are several
+    arrays: tuple[ArrayMoments, ...] = ()  # for every session, the moments of an accelerometer array in motion
+    by_clock: Mapping[str, float] = field(default_factory=dict)  # change by 1 u of the time base, by parameter group
+    unstamped: bool = False  # whether the log has no time stamps, which would show missing samples
+    usual: Mapping[str, float] = field(default_factory=dict)  # standard deviation over instruments, SI, by group
+    size_basis: Mapping[str, str] = field(default_factory=dict)  # source of the usual size, in words, by group
+    too_small: Mapping[str, float] = field(default_factory=dict)  # by which factor the usual size may be too small
+    links: Links | None = None  # motion from node to node that is no turn between rests
+    in_run: Mapping[str, float] = field(default_factory=dict)  # usual in-run bias, standard deviation, SI, by kind
 
     @property
     def session(self) -> IntArray | None:
@@ -319,9 +305,9 @@ def observe(
     )
 
 
-# Several sessions as one, and rests that warm up divided into parts: a rest is its mean reading at its mean temperature,
-# so that it shows a temperature dependence only if it is divided. The parts are joined by turns of duration 0, which
-# leave the attitude unchanged to PART_ROTATION.
+# Several sessions as one, and rests that warm up divided into parts: a rest is its mean reading at its mean
+# temperature, so that it shows a temperature dependence only if it is divided. The parts are joined by turns of
+# duration 0, which leave the attitude unchanged to PART_ROTATION.
 
 
 def split_warming_rests(reduction: Reduction, whole: Segmentation, least: int = 1) -> tuple[Segmentation, IntArray]:

@@ -57,8 +57,7 @@ Variable = Literal["time", "temperature", "temperature²", "temperature³", "hys
 from the reference, K, its square and cube; the direction of temperature change, −1 … 1; the session. A lag shifts the
 temperatures."""
 THERMAL: tuple[Variable, ...] = ("temperature", "temperature²", "temperature³")  # in the order of their powers
-Regressors = Callable[[Block], Array]
-"""∂K/∂θ (n, 15, m) of a block for a group's parameters."""
+Regressors = Callable[[Block], Array]  # ∂K/∂θ (n, 15, m) of a block for a group's parameters
 
 MICRO_G = 1e-6 * G_STANDARD
 DATA_SHEETS = "data sheets of the class"

@@ -104,8 +104,8 @@ def _bad_samples(samples: MotionSamples, f: FileBlocks, blocks: slice, side: int
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class BadSamples:
-    """Bad samples of turns: `at`, their indices (m,) among the stored samples, ascending; `turn`, the turn of each
-    (m,); `values`, the rates, rad/s, and forces, m/s², that replace them (m, 6)."""
+    """Bad samples of turns: their indices `at` (m,) among the stored samples, ascending, the `turn` of each (m,), and
+    the rates, rad/s, and forces, m/s², that replace them, `values` (m, 6)."""
 
     at: IntArray
     turn: IntArray
@@ -124,22 +124,8 @@ def bad_samples_of_turns(
     least: Array,
     tuning: Tuning = USUAL,
 ) -> BadSamples:
-    """Find the bad samples of turns.
-
-    Parameters
-    ----------
-    samples
-        The stored samples.
-    start, stop
-        Turn k is samples start[k] … stop[k] − 1 (K,).
-    within
-        First and last sample, exclusive, of the file of each turn (K,).
-    rate
-        Samples per second.
-    least
-        Smallest distance of a bad sample (6,), rates in rad/s and forces in m/s².
-    tuning
-        Thresholds."""
+    """Find the bad samples of turns, samples start[k] … stop[k] − 1 in files that are `within` two samples (K,), at a
+    sample rate, Hz. `least`: smallest distance of a bad sample (6,), rates in rad/s and forces in m/s²."""
     beside, bad = max(tuning.band_samples, round(tuning.band * rate)), list[tuple[int, int, Array]]()
     for turn, (begin, end, low, high) in enumerate(zip(start, stop, *within, strict=True)):
         for first in range(int(begin), int(end), BATCH_SAMPLES):

@@ -189,26 +189,9 @@ def reduced_turns(
 ) -> tuple[Turns, TurnSamples]:
     """Integrate the completely recorded turns between consecutive rests, with nominal gyros.
 
-    Parameters
-    ----------
-    reduction
-        The blocks of the log.
-    stored
-        Its samples.
-    spans, rests
-        The rests as stretches of blocks, and their means.
-    accel_noise, gyro_noise
-        The sensors of each kind, and the noise of the means of their blocks.
-    rounded
-        The resolution of "accel" and "gyro".
-    sway
-        Sway of the device, if it sways: turns are then from mean attitude to mean attitude.
-
-    Returns
-    -------
-    tuple of Turns and TurnSamples
-        The K turns and their samples.
-    """
+    `spans`, `rests`: the rests as stretches of blocks, and their means. `accel_noise`, `gyro_noise`: sensors of each
+    kind, and noise of their block means. `rounded`: resolution of "accel" and "gyro". `sway`: of a device that sways,
+    whose turns are then from mean attitude to mean attitude."""
     pairs = [
         (i, reduction.by_file[before.file], before, after)
         for i, (before, after) in enumerate(pairwise(spans))
