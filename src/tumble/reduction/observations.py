@@ -335,39 +335,39 @@ def split_warming_rests(reduction: Reduction, whole: Segmentation, least: int = 
 def join_sessions(sessions: Sequence[Observations], names: Sequence[str], numbers: Sequence[IntArray]) -> Observations:
     """Join the observations of sessions of one device at one place; `numbers` are for each session the numbers (N,) of
     its rests, which parts of a rest share."""
-    counts = [len(each.rests) for each in sessions]
+    counts = [len(session.rests) for session in sessions]
     rests, turns, readings = list[Rests](), list[Turns](), list[TurnReadings]()
     samples, records = list[tuple[int, TurnSamples]](), dict[int, tuple[float, Array]]()
     rounding = dict[str, Rounding]()  # by kind of sensor, from the first session which has it
     files_before = rests_before = turns_before = 0
-    for each, count in zip(sessions, counts, strict=True):
-        files = each.thermometers.files if each.thermometers is not None else {}
-        rests.append(replace(each.rests, file=each.rests.file + files_before))
+    for session, count in zip(sessions, counts, strict=True):
+        files = session.thermometers.files if session.thermometers is not None else {}
+        rests.append(replace(session.rests, file=session.rests.file + files_before))
         records |= {file + files_before: record for file, record in files.items()}
-        rounding = dict(each.rounding) | rounding
-        if each.turns is not None:
-            first, last = each.turns.first + rests_before, each.turns.last + rests_before
-            turns.append(replace(each.turns, first=first, last=last))
-            if each.turn_samples is not None:
-                samples.append((turns_before, each.turn_samples))
-                turns_before += len(each.turns)
-        if each.turn_readings is not None:
-            readings.append(each.turn_readings)
-        files_before += 1 + max([int(each.rests.file.max()), *files])
+        rounding = dict(session.rounding) | rounding
+        if session.turns is not None:
+            first, last = session.turns.first + rests_before, session.turns.last + rests_before
+            turns.append(replace(session.turns, first=first, last=last))
+            if session.turn_samples is not None:
+                samples.append((turns_before, session.turn_samples))
+                turns_before += len(session.turns)
+        if session.turn_readings is not None:
+            readings.append(session.turn_readings)
+        files_before += 1 + max([int(session.rests.file.max()), *files])
         rests_before += count
-    thermometers = all(each.thermometers is not None for each in sessions)
+    thermometers = all(session.thermometers is not None for session in sessions)
     return replace(
         sessions[0],
         rests=replace(_stacked(rests), magnetometer=None, magnetometer_covariance=None),
         turns=_stacked(turns) if turns else None,
         turn_samples=replace(samples[0][1], others=tuple(samples[1:])) if samples else None,
         turn_readings=_stacked(readings) if readings else None,
-        arrays=tuple(moments for each in sessions for moments in each.arrays),
+        arrays=tuple(moments for session in sessions for moments in session.arrays),
         programme=None,
         position=None,
         rounding=rounding,
         thermometers=Thermometers(files=records) if thermometers else None,
-        notes=tuple(f"{name}: {note}" for name, each in zip(names, sessions, strict=True) for note in each.notes),
+        notes=tuple(f"{name}: {note}" for name, session in zip(names, sessions, strict=True) for note in session.notes),
         together=Together(
             names=tuple(names), session=np.repeat(np.arange(len(sessions)), counts), number=np.concatenate(numbers)
         ),

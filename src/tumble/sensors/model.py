@@ -130,8 +130,8 @@ class Block:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Parameter names as in the calibration file: biases, scale-factor errors, axis angles."""
-        of_sensors = (f"{what}.{sensor}" for what in ("bias", "scale") for sensor in self.sensors)
-        return tuple(f"{self.kind}.{part}" for part in (*of_sensors, *(f"axis.{angle}" for angle in self.angles)))
+        per_sensor = (f"{what}.{sensor}" for what in ("bias", "scale") for sensor in self.sensors)
+        return tuple(f"{self.kind}.{part}" for part in (*per_sensor, *(f"axis.{angle}" for angle in self.angles)))
 
     @property
     def sensors(self) -> tuple[str, ...]:

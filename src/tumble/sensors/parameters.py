@@ -302,7 +302,7 @@ def group_name(parameter: str) -> str:
     "accel.single_delay" for "accel.delay.x"."""
     parts = parameter.split(".")
     stem = ".".join(parts[:2])
-    by_stem = {group.stem: group.name for group in further_groups() if group.stem is not None}
+    by_stem = {group.stem: group.name for group in reversed(further_groups()) if group.stem is not None}
     if len(parts) > 2 and stem in by_stem:
         return by_stem[stem]
     return ".".join([stem, *(parts[-1:] if parts[-1] in _ENDINGS.values() else [])])
@@ -461,10 +461,10 @@ def prior_of(key: str, text: str) -> tuple[str, float]:
     The key is, for example, "accel_quadratic" or "accel_temperature.bias"; the text "20 ug/g^2", or for quadratic and
     cubic terms "0.5 % of 16 g", the nonlinearity of a data sheet. Raises ValueError, one line, for an unknown group or
     unit."""
-    stem, _, of = key.partition(".")
+    stem, _, changed = key.partition(".")
     kind, _, what = stem.partition("_")
     ending = {"temperature": "t1", "curvature": "t2"}.get(what, what)
-    name = f"{kind}.{of}.{ending}" if of else f"{kind}.{what}"
+    name = f"{kind}.{changed}.{ending}" if changed else f"{kind}.{what}"
     group = named_group(name)
     if group is None or group.linear:
         names = ", ".join(g.name.replace(".", "_") for g in further_groups() if g.variable is None)
@@ -491,8 +491,8 @@ def _nonlinearity(group: ParameterGroup, text: str) -> float | None:
     Over −R … R the best line misses K xⁿ by K Rⁿ/2ⁿ⁻¹ (Chebyshev), which the sheet states to be at most p R: K ≤ 2ⁿ⁻¹
     p/Rⁿ⁻¹."""
     power = {"quadratic": 2, "cubic": 3}.get(group.name.rpartition(".")[2])
-    share, of, full_scale = text.partition(" of ")
-    if power is None or not of:
+    share, separator, full_scale = text.partition(" of ")
+    if power is None or not separator:
         return None
     p = quantity(share, READ["1"])
     R = quantity(full_scale, READ["m/s^2" if group.kind == "accel" else "rad/s"])

@@ -134,8 +134,8 @@ def links_of(reduction: Reduction, spans: Sequence[Stretch]) -> Links | None:
     field_means = [f.magnetometer.means for f in reduction.files if len(f) > 4 and reduction.magnetometer_channels]
     if field_means:  # from fourth differences of the quieter half: what moves fast, or jumps, adds to the others
         squares = np.concatenate([np.diff(means, n=4, axis=0) for means in field_means]) ** 2
-        of_block = np.median(squares) / (FOURTH_DIFFERENCES * NORMAL_MEDIAN)
-        field_variance = float(of_block * (EDGE_WEIGHTS**2).sum())
+        block_variance = np.median(squares) / (FOURTH_DIFFERENCES * NORMAL_MEDIAN)
+        field_variance = float(block_variance * (EDGE_WEIGHTS**2).sum())
     return Links(
         file=np.array(file),
         time=np.array(time),

@@ -172,7 +172,7 @@ def integrate(
     count, n, m, linear = turns, len(own.gyro), len(own.accel), _kernels.LINEAR
     # regressors: 1, ω, f; own axes of the gyros; f f; ω ω; own axes of the accelerometers
     firsts = np.cumsum([0, linear, 2 * n, 6, 6, 2 * m])
-    one, own_gyro, forces_2, rates_2, own_accel = (slice(a, b) for a, b in pairwise(firsts.tolist()))
+    linears, own_gyro, forces_2, rates_2, own_accel = (slice(a, b) for a, b in pairwise(firsts.tolist()))
     rows, moved_rows = (-(-width // _kernels.BLOCK) * _kernels.BLOCK for width in firsts[[-1, 2]].tolist())
     attitude, jumps = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)), np.zeros(count)
     V, P = np.zeros((count, 3)), np.zeros((count, 3))
@@ -201,14 +201,14 @@ def integrate(
             C=np.eye(3) + 2.0 * (attitude[:, 0, None, None] * cross + cross @ cross),
             V=V,
             P=P,
-            Phi=np.concatenate([Phi[..., one], Phi[..., forces_2]], axis=-1),
-            Psi=Psi[..., one],
+            Phi=np.concatenate([Phi[..., linears], Phi[..., forces_2]], axis=-1),
+            Psi=Psi[..., linears],
             W=Phi[..., rates_2],
             sweep=sweep[..., :3].reshape(count, 3, 3, 3),
             Phi_gyro=Phi[..., own_gyro].reshape(count, 3, 3, 2, n),
             Psi_gyro=Psi[..., own_gyro].reshape(count, 3, 3, 2, n),
             Phi_accel=Phi[..., own_accel].reshape(count, 3, 3, 2, m),
-            body=np.hstack([body[:, one], body[:, forces_2]]),
+            body=np.hstack([body[:, linears], body[:, forces_2]]),
             body_rates=body[:, rates_2],
             body_gyro=body[:, own_gyro].reshape(count, 2, n),
             jumps=jumps,
@@ -284,7 +284,7 @@ def lever_columns(moments: Moments, left_inverse: Array, sensitivities: Array, r
     with the rows (1 + k) a_p of `sensitivities` (n, 3) and the columns s_p of their `left_inverse` (3, n). `rates` are
     those of the body at the start and at the end (K, 3), the Earth's rate at rest. Turns of duration 0 have zeros."""
     along = np.einsum("jp,pa->pja", left_inverse, sensitivities)
-    first, second = (skew(np.eye(3)[list(each)]) for each in zip(*PAIRS, strict=True))
+    first, second = (skew(np.eye(3)[list(axes)]) for axes in zip(*PAIRS, strict=True))
     weights = np.zeros((3, len(PAIRS), len(sensitivities), 3))
     for G, H, which in ((first, second, slice(None)), (second, first, [1, 2, 4])):
         kernel = np.einsum("pja,kab,kbr->jkpr", along, G, H) - np.einsum("kja,pab,kbr->jkpr", G, along, H)
