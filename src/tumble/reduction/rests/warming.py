@@ -107,8 +107,7 @@ class _WarmingFit:
         products = np.add.reduceat(columns[:, None] * self.off, self.first, axis=2)
         powers = self._offsets ** np.arange(3)[:, None, None]
         zeroth, first, second = np.einsum("dcn,ijn->dcij", powers, square)
-        upper, lower = np.concatenate([zeroth, first], axis=2), np.concatenate([first, second], axis=2)
-        normal = np.concatenate([upper, lower], axis=1)
+        normal = np.block([[zeroth, first], [first, second]])
         along = np.einsum("dcn,icn->cdi", powers[:2], products).reshape(-1, 4)
         size = np.sqrt(np.maximum(np.diagonal(normal, axis1=1, axis2=2), 1e-300))
         inverse = np.linalg.pinv(normal / (size[:, :, None] * size[:, None, :]), rcond=1e-12, hermitian=True)
