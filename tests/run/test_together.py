@@ -16,7 +16,7 @@ from click.testing import CliRunner
 from tumble.cli import main
 from tumble.diagnosis.linearised_session import LinearisedSession
 from tumble.diagnosis.misfit import misfit
-from tumble.diagnosis.projection import judged_solution, projections
+from tumble.diagnosis.projection import diagnostic_solution, projections
 from tumble.diagnosis.verdict import verdict
 from tumble.errors import InputError
 from tumble.inference.joint import joint
@@ -284,7 +284,7 @@ def test_a_cause_is_named_in_the_session_it_is_in() -> None:
     turns = np.arange(K)[:, None]
     first = part.turns.start + 6
     in_turn = 50.0 * DEGREE_PER_HOUR * np.where(turns > first, 1.0, 0.5 * (turns == first)) * np.ones((K, 3))
-    rest, turn = LinearisedSession(estimate.linearised).biased("gyro", at_rest, in_turn[:, None])
+    rest, turn = LinearisedSession(estimate.linearised).bias_columns("gyro", at_rest, in_turn[:, None])
     jumping = replace(rows, rest=rows.rest.copy(), turn=rows.turn.copy())
     jumping.rest[..., -1] += rest.sum(axis=2)
     jumping.turn[..., -1] += turn.sum(axis=2)
@@ -308,7 +308,7 @@ def test_each_session_with_what_the_others_say_knows_what_all_know_and_a_warm_up
     linear = estimate.instrument.linear_count
     nothing = [np.zeros((*rows.shape[:2], 1)) for rows in (linearised.rest, linearised.turn)]
     known = np.array([each.u[:linear] for each in projections(linearised, linearised.components, *nothing)])
-    whole = np.sqrt(judged_solution(linearised, linearised.components).covariance.diagonal())[1 : 1 + linear]
+    whole = np.sqrt(diagnostic_solution(linearised, linearised.components).covariance.diagonal())[1 : 1 + linear]
     np.testing.assert_allclose(known, np.broadcast_to(whole, (2, linear)), rtol=0.05)
     found = misfit(estimate)
     assert any("accel" in "".join(each.concerns) for each in found if not each.refuses), found

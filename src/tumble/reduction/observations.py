@@ -109,6 +109,7 @@ class Observations(Brief):
     together: Together | None = None  # the sessions, if there are several
     arrays: tuple[ArrayMoments, ...] = ()  # for every session, the moments of an accelerometer array in motion
     by_clock: Mapping[str, float] = field(default_factory=dict)  # change by 1 u of the time base, by parameter group
+    turns_left_out: tuple[str, ...] = ()  # a sentence on each turn that was not recorded completely
     unstamped: bool = False  # whether the log has no time stamps, which would show missing samples
     usual: Mapping[str, float] = field(default_factory=dict)  # standard deviation over instruments, SI, by group
     size_basis: Mapping[str, str] = field(default_factory=dict)  # source of the usual size, in words, by group
@@ -368,6 +369,9 @@ def join_sessions(sessions: Sequence[Observations], names: Sequence[str], number
         rounding=rounding,
         thermometers=Thermometers(files=records) if thermometers else None,
         notes=tuple(f"{name}: {note}" for name, session in zip(names, sessions, strict=True) for note in session.notes),
+        turns_left_out=tuple(
+            f"{name}: {turn}" for name, session in zip(names, sessions, strict=True) for turn in session.turns_left_out
+        ),
         together=Together(
             names=tuple(names), session=np.repeat(np.arange(len(sessions)), counts), number=np.concatenate(numbers)
         ),

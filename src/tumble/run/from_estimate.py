@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tumble.diagnosis.undetermined import faces_alone
-from tumble.diagnosis.verdict import gravity_doubted, verdict
+from tumble.diagnosis.verdict import doubtful_gravity, verdict
 from tumble.errors import InputError
 from tumble.inference.estimate import Estimate, Outcome
 from tumble.inference.variables import RAMP, at_two_temperatures, both_ways, over_a_range
@@ -111,7 +111,7 @@ def result_of(
             readings=readings_of_session(session),
             notes=(
                 *(*bridged, *exclusion_notes(session.excluded)),
-                *(*observations.notes, *gravity_doubted(observations.site)),
+                *(*observations.notes, *doubtful_gravity(observations.site)),
                 *_of_the_fit(estimate, observations),
                 *limited,
                 *_of_the_case(case),

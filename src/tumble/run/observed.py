@@ -17,7 +17,7 @@ import numpy as np
 
 from tumble.arguments import checked
 from tumble.brief import Judged
-from tumble.diagnosis.carried_vertical import sense_faults
+from tumble.diagnosis.carried_vertical import vertical_faults
 from tumble.diagnosis.channels import (
     accelerometer_faults,
     channel_faults,
@@ -175,11 +175,11 @@ def inspected(session: Session, progress: Progress, beside: Executor, tuning: Tu
             trial = _observed(session, reduction, find_rests(reduction, session.accel_block, None).rests)
     of_gyros = list[str]()
     if trial is not None and not faults:
-        faults = sense_faults(trial, session, reduction.rate)
+        faults = vertical_faults(trial, session, reduction.rate)
         if faults or lost:
             of_gyros = high_passed(reduction, segmentation.rests) or ([lost] if lost and not faults else [])
         if of_gyros:
-            faults = sense_faults(trial.of_accelerometers(), session, reduction.rate)
+            faults = vertical_faults(trial.of_accelerometers(), session, reduction.rate)
     if session.log.gyro is not None and not faults and not of_gyros:
         of_gyros = dead_zones(reduction, segmentation.rests, session.log.gyro)
     return Observed(
@@ -275,16 +275,17 @@ def observations_in_parts(observed: Observed, least: int = 1) -> tuple[Observati
 
 
 def _observed_again(
-    observed: Observed, reduction: Reduction, match: Segmentation, notes: tuple[str, ...]
+    observed: Observed, reduction: Reduction, match: Segmentation, torn: tuple[str, ...]
 ) -> Observations:
-    """The observations of these rests and turns, made anew where they are others, with mended samples and further
-    notes."""
+    """The observations of these rests and turns, made anew where they are others, with mended samples and notes
+    of the turns that are left out."""
     session, again = observed.session, observed.observations
     if again is None or match.rests != observed.segmentation.rests or reduction is not observed.reduction:
         arrays = None if again is None or observed.gyro_bias_faults else again.arrays
         again = observe(reduction, match.rests, session.accel_block, session.gyro_block, session.site, arrays)
-    again = replace(again, programme=match.programme, position=match.position)
-    return with_mended_samples(replace(again, notes=(*observed.notes, *again.notes, *notes))).with_blow_variances()
+    notes = (*observed.notes, *again.notes, *torn)
+    again = replace(again, programme=match.programme, position=match.position, notes=notes, turns_left_out=torn)
+    return with_mended_samples(again).with_blow_variances()
 
 
 def _matched(observed: Observed) -> tuple[Reduction, Segmentation, tuple[str, ...]] | Outcome:
