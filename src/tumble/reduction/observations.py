@@ -36,14 +36,7 @@ from tumble.reduction.rests.thermometer import Thermometers
 from tumble.reduction.rests.warming import warming_of
 from tumble.reduction.turns.array_motion import ArrayMoments, array_moments
 from tumble.reduction.turns.links import Links, is_linked
-from tumble.reduction.turns.moments import (
-    NO_OWN_AXES,
-    Compensation,
-    Moments,
-    OwnAxes,
-    growing_moments,
-    integrate,
-)
+from tumble.reduction.turns.moments import NO_OWN_AXES, Compensation, Moments, OwnAxes, growing_moments, integrate
 from tumble.reduction.turns.turns import (
     TurnReadings,
     Turns,
