@@ -103,7 +103,7 @@ def short_code(code: str) -> str:
 
 
 def pace_of(programme: Programme, rows: Sequence[SheetRow], rate: float, move: float) -> str:
-    """ "15 positions, 20:12 in all: rests of 60 s, turns at 10 °/s, 30 s for any other move"."""
+    """Return, for example, "15 positions, 20:12 in all: rests of 60 s, turns at 10 °/s, 30 s for any other move"."""
     parts = [f"rests of {rows[0].stop - rows[0].start:g} s"]
     if any(m.angle is not None for m in programme.moves):
         parts.append(f"turns at {rate / DEGREE:g} °/s")
