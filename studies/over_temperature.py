@@ -31,8 +31,7 @@ from tumble.inference.noise import NO_COMPONENTS
 from tumble.inference.normal_equations import solve
 from tumble.planning.setup import Setup
 from tumble.programme.positions import ANY_MOVE, Programme, programme
-from tumble.reduction.observations import Observations
-from tumble.reduction.together import join_sessions
+from tumble.reduction.observations import Observations, join_sessions
 from tumble.result.calibration import Calibration
 from tumble.run.calibrate import calibrate
 from tumble.run.together import calibrate_together

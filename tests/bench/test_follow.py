@@ -19,7 +19,7 @@ from tumble.bench.follow.task import wanted_by_group
 from tumble.bench.record.recorder import NOTHING_RECEIVED
 from tumble.bench.station import Station
 from tumble.errors import InputError
-from tumble.programme.sheet_pictures import ghost
+from tumble.programme.sheet import ghost
 from tumble.recording.session_file import read_session
 
 

@@ -40,8 +40,7 @@ from tumble.inference.problem import NO_PRIOR, Problem, instruments_of
 from tumble.inference.start import start_of
 from tumble.planning.setup import Setup
 from tumble.programme.positions import from_attitudes, programme
-from tumble.reduction.observations import Observations
-from tumble.reduction.together import join_sessions
+from tumble.reduction.observations import Observations, join_sessions
 from tumble.rotation import unit_vector
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import usual_sizes

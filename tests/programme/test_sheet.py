@@ -29,8 +29,7 @@ from tumble.programme.positions import (
     from_attitudes,
     programme,
 )
-from tumble.programme.sheet import sheet_drawing, sheet_page
-from tumble.programme.sheet_pictures import AXIS, CUBE, SCALE, VIEW, legend, picture
+from tumble.programme.sheet import AXIS, CUBE, SCALE, VIEW, legend, picture, sheet_drawing, sheet_page
 from tumble.programme.sheet_words import clock, direction, move_text, sheet_rows
 from tumble.rotation import rotation_matrix
 from tumble.units import DEGREE, Array

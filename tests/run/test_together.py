@@ -29,8 +29,7 @@ from tumble.planning.setup import Setup
 from tumble.recording.log import open_log
 from tumble.recording.session import Session
 from tumble.recording.session_file import session_of, write_session
-from tumble.reduction.observations import Observations
-from tumble.reduction.together import join_sessions
+from tumble.reduction.observations import Observations, join_sessions
 from tumble.result.calibration import Calibration, read_calibration
 from tumble.run.together import calibrate_together
 from tumble.sensors.instrument import Instrument

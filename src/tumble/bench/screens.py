@@ -17,7 +17,7 @@ from tumble.bench.follow.progress import SHORTEST_REST, Blocks, Progress, attitu
 from tumble.bench.follow.task import Task
 from tumble.bench.state import Answer, EstimateShown, PositionShown, RestShown, Screen, State, Trace
 from tumble.programme.positions import ANY_MOVE
-from tumble.programme.sheet_pictures import ghost
+from tumble.programme.sheet import ghost
 from tumble.programme.sheet_words import move_text, points_of, signed_angle
 from tumble.reduction.rests.rests import drift
 from tumble.units import DEGREE, G_STANDARD, ZERO_CELSIUS

@@ -8,8 +8,7 @@ import numpy as np
 
 from tumble.inference.linearisation import Linearisation
 from tumble.inference.problem import SessionSpan
-from tumble.reduction.observations import Observations
-from tumble.reduction.together import extract_session
+from tumble.reduction.observations import Observations, extract_session
 from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.sensors.model import Block, SensorKind
 from tumble.units import Array

@@ -1,14 +1,14 @@
-"""Programmes: the nominal attitudes an IMU is put into, and the turns between them.
+"""Programmes: the nominal attitudes into which an IMU is put, and the turns between them.
 
-An attitude code says where body X, Y, Z point, as three of N S E W U D, and then how the body is turned from
-there: "NUE N+45" is X north, Y up, Z east, turned by +45° about north. Turns are about the geographic axes N,
-U, E by the right-hand rule (N × U = E) and are applied in order. A block on its corner is "corner +X-Y+Z", the body
-axes above (+) and below (−) the horizon by 35.26° each; in which azimuth, turns may say: "corner +X-Y+Z U+120".
+An attitude code gives the directions of body X, Y, Z, as three of N S E W U D, and then turns from there: "NUE N+45" is
+X north, Y up, Z east, turned by +45° about north. Turns are about the geographic axes N, U, E by the right-hand rule
+(N × U = E) and are applied in order. A block on its corner is "corner +X-Y+Z", with the body axes above (+) and below
+(−) the horizon by 35.26° each; turns may state its azimuth: "corner +X-Y+Z U+120".
 
-The rough-table programme is programme "A" of the turntable paper (index of equations); its directions of rotation are
-not in the paper. They matter: with (+N, +U, −N) the accelerometer biases cancel in the gyro scale factors. The body
-turns in one sense about each of its horizontal axes there, the turn about U having reversed it; with +N once more at
-the end of a series in both, which shows whether gyros have the same scale factor in both.
+The rough-table programme is programme "A" of the turntable paper (index of equations), which does not state its
+directions of rotation. They matter: with (+N, +U, −N) the accelerometer biases cancel in the gyro scale factors. The
+body then turns in one sense about each of its horizontal axes, since the turn about U reverses it; with another +N at
+the end of a series it turns in both senses, which shows whether the gyro scale factors differ between them.
 """
 
 from __future__ import annotations
@@ -34,14 +34,13 @@ _AXES = {"N": np.array([1.0, 0.0, 0.0]), "U": np.array([0.0, 1.0, 0.0]), "E": np
 _DIRECTIONS = _AXES | {"S": -_AXES["N"], "D": -_AXES["U"], "W": -_AXES["E"]}
 _OPPOSITE = dict(zip("NSUDEW", "SNDUWE", strict=True))
 _TURN = re.compile(r"([NUE])([+-](?:[0-9]+\.?[0-9]*|\.[0-9]+))")
-CORNER = "corner"
-"""What the code of a block on its corner begins with."""
+CORNER = "corner"  # first word of the code of a block on its corner
 _SIGNS = re.compile(r"[+-]X[+-]Y[+-]Z")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Position:
-    """A nominal attitude: its code, the matrix body → geographic (N, U, E), and a short name ("X up")."""
+    """A nominal attitude: its code, the matrix body → geographic (N, U, E), and a short label ("X up")."""
 
     attitude: str
     matrix: Array = field(repr=False, compare=False)
@@ -55,8 +54,8 @@ class Position:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Move:
-    """How the next position is reached: a turn by `angle` (rad, signed) about the geographic unit vector
-    `axis`; None and None where any movement will do."""
+    """A turn to the next position by `angle` (rad, signed) about the geographic unit vector `axis`; None and None for
+    any movement."""
 
     axis: Array | None
     angle: float | None
@@ -64,8 +63,10 @@ class Move:
 
 @dataclass(frozen=True, kw_only=True, slots=True, repr=False)
 class Programme(Brief):
-    """Positions and the moves between them, one fewer. If not `ordered`, the positions may come in any order
-    and each may be turned about the vertical in any way: only `vertical_b` counts."""
+    """Positions and the moves between them, one fewer.
+
+    If it is not `ordered`, positions may be taken in any order and turned about the vertical in any way: only
+    `vertical_b` counts."""
 
     name: str
     positions: tuple[Position, ...]
@@ -77,9 +78,9 @@ ANY_MOVE = Move(axis=None, angle=None)
 
 
 def attitude(code: str) -> Array:
-    """The rotation matrix body → geographic (N, U, E), shape (3, 3), of an attitude code.
+    """Return the rotation matrix body → geographic (N, U, E), shape (3, 3), of an attitude code.
 
-    Raises ProgrammeError if the letters are not a right-handed triple or a turn is not like N+45."""
+    Raises ProgrammeError for letters that are no right-handed triple, and for a turn that is not like N+45."""
     code = " ".join(code.split())
     letters, *turns = code.split(" ")
     if letters == CORNER:
@@ -89,10 +90,10 @@ def attitude(code: str) -> Array:
                 f'attitude "{code}": expected the axes above (+) and below (-) the horizon, such as corner +X-Y+Z, '
                 f'found "{signs}"'
             )
-        every = _standing(_ON_CORNER)[tuple(int(f"{sign}1") for sign in signs[::2])]
-        if " ".join(turns) in _AZIMUTHS:  # to the last digit the same as a triple lifted
-            return attitude(every[_AZIMUTHS.index(" ".join(turns))])
-        matrix = attitude(every[0])
+        lifted = _lifted_codes(_ON_CORNER)[tuple(int(f"{sign}1") for sign in signs[::2])]
+        if " ".join(turns) in _AZIMUTHS:  # identical to a lifted triple, without rounding errors
+            return attitude(lifted[_AZIMUTHS.index(" ".join(turns))])
+        matrix = attitude(lifted[0])
     else:
         if len(letters) != 3 or not set(letters) <= set(_DIRECTIONS):
             raise ProgrammeError(
@@ -118,31 +119,31 @@ def attitude(code: str) -> Array:
 
 
 def code_of_vertical(vertical: Array) -> str:
-    """Code of an attitude with a vertical (3,) in the body, to 1e-4 degrees: "NUE U+a N+b", in which the vertical is
-    (sin b sin a, cos b, −sin b cos a)."""
+    """Return the code of an attitude with this vertical (3,) in the body, to 1e-4 degrees: "NUE U+a N+b", in which the
+    vertical is (sin b sin a, cos b, −sin b cos a)."""
     x, y, z = np.asarray(vertical) / np.linalg.norm(vertical)
     turns = {"U": math.atan2(x, -z) if math.hypot(x, z) > 1e-9 else 0.0, "N": math.atan2(math.hypot(x, z), y)}
     return " ".join(["NUE", *(f"{axis}{angle / DEGREE:+.4f}" for axis, angle in turns.items())])
 
 
 def _turn(code: str, turn: str) -> tuple[Array, float]:
-    """Geographic axis and signed angle, rad, of a turn like "E-90.5"."""
-    found = _TURN.fullmatch(turn)
-    if found is None or abs(float(found[2])) > 360.0:
+    """Return the geographic axis and signed angle, rad, of a turn like "E-90.5"."""
+    match = _TURN.fullmatch(turn)
+    if match is None or abs(float(match[2])) > 360.0:
         raise ProgrammeError(
             f'attitude "{code}": expected a turn about N, U or E by up to 360 degrees with a sign, '
             f'such as N+45 or E-90.5, found "{turn}"'
         )
-    return _AXES[found[1]], float(found[2]) * DEGREE
+    return _AXES[match[1]], float(match[2]) * DEGREE
 
 
 def programmes() -> tuple[str, ...]:
-    """Names of all programmes: the built-in ones, and those of other packages."""
+    """Return the names of all programmes, built in and of other packages."""
     return (*dict.fromkeys([*BUILT_IN, *entry_points_of("programmes")]),)
 
 
 def programme(name: str) -> Programme:
-    """The programme of this name, built in or of another package. Raises ProgrammeError for any other name."""
+    """Return the programme of this name, built in or of another package. Raises ProgrammeError for an unknown name."""
     if name in BUILT_IN:
         return BUILT_IN[name]()
     codes: Sequence[str] | None = load("programmes", name, (list, tuple))
@@ -154,8 +155,9 @@ def programme(name: str) -> Programme:
 
 @checked
 def programme_of(given: str | Sequence[str]) -> Programme:
-    """The built-in programme of a name, or that of positions listed by their attitude codes. Raises ProgrammeError for
-    a name or a code that is not known.
+    """Return the programme of a name, or of positions listed by their attitude codes.
+
+    Raises ProgrammeError for an unknown name or code.
 
     >>> import tumble
     >>> [len(tumble.programme_of(given).positions) for given in ("rough-table", ["NUE", "NUE N+45"])]
@@ -165,10 +167,10 @@ def programme_of(given: str | Sequence[str]) -> Programme:
 
 
 def from_attitudes(codes: Sequence[str], name: str = "listed", *, ordered: bool = True) -> Programme:
-    """The programme of positions listed by their codes, in this order unless it is not `ordered`, with any movement
-    between them.
+    """Return the programme of positions listed by their codes, in this order if `ordered`, with any movement between
+    them.
 
-    Raises ProgrammeError for an empty list or a bad code."""
+    Raises ProgrammeError for an empty list or an invalid code."""
     if not codes:
         raise ProgrammeError("programme: expected at least one position, found none")
     moves = (ANY_MOVE,) * (len(codes) - 1)
@@ -176,30 +178,29 @@ def from_attitudes(codes: Sequence[str], name: str = "listed", *, ordered: bool 
 
 
 def timetable(programme: Programme, *, rest: float, rate: float, move: float) -> Array:
-    """Start and stop of every rest (N, 2), s, from the start of the first: rests of `rest` s, programmed turns at
-    `rate` rad/s, and `move` s for each other move.
+    """Return start and stop of every rest (N, 2), s, from the start of the first.
 
-    Raises ProgrammeError unless rest and rate are positive and move is not negative."""
-    for what, found, expected, good in (
+    Rests last `rest` s, programmed turns have `rate` rad/s, and each other move takes `move` s. Raises ProgrammeError
+    unless rest and rate are positive and move is not negative."""
+    for what, value, expected, valid in (
         ("rest", rest, "a positive number of seconds", 0.0 < rest < math.inf),
         ("rate", rate / DEGREE, "a positive number of deg/s", 0.0 < rate < math.inf),
         ("move", move, "a number of seconds, not negative", 0.0 <= move < math.inf),
     ):
-        if not good:
-            raise ProgrammeError(f"{what}: expected {expected}, found {found:g}")
-    moved = [move if m.angle is None else abs(m.angle) / rate for m in programme.moves]
-    starts = np.concatenate([[0.0], np.cumsum(np.array(moved) + rest)])
+        if not valid:
+            raise ProgrammeError(f"{what}: expected {expected}, found {value:g}")
+    durations = [move if m.angle is None else abs(m.angle) / rate for m in programme.moves]
+    starts = np.concatenate([[0.0], np.cumsum(np.array(durations) + rest)])
     return np.column_stack([starts, starts + rest])
 
 
 def duration(programme: Programme, *, rest: float, rate: float, move: float) -> float:
-    """How long a programme takes, s: to the end of its last rest, see `timetable`."""
+    """Return the duration of a programme, s, to the end of its last rest, see `timetable`."""
     return float(timetable(programme, rest=rest, rate=rate, move=move)[-1, 1])
 
 
 def _position(code: str) -> Position:
-    """An attitude with its label, which body axes are above and below the horizon, by how much: "X up", "X 45° up, Y
-    45° down"."""
+    """Return an attitude with its label, the body axes above and below the horizon: "X up", "X 45° up, Y 45° down"."""
     matrix, label = attitude(code), list[str]()
     for name, sine in zip("XYZ", matrix[1], strict=True):
         elevation = round(math.degrees(math.asin(max(-1.0, min(1.0, sine)))))
@@ -212,13 +213,12 @@ def _position(code: str) -> Position:
     return Position(attitude=code, matrix=matrix, label=", ".join(label))
 
 
-_OBLIQUE = ("UEN N+45", "UNW N-45", "NUE N+45")
-"""X, X, Y 45° above and Y, Z, Z 45° below the horizon, the third axis north."""
+_OBLIQUE = ("UEN N+45", "UNW N-45", "NUE N+45")  # X, X, Y 45° above and Y, Z, Z 45° below the horizon
 
 
 def _rough_table(name: str, *turns: str) -> Programme:
-    """Three series of turns by 180°, then three oblique rests: with three turns a series 15 rests, nine programmed
-    turns; with four 18 and twelve."""
+    """Return three series of turns by 180°, then three oblique rests: with three turns a series 15 rests and nine
+    programmed turns, with four 18 and twelve."""
     codes: list[str] = []
     moves: list[Move] = []
     for start in ("NUE", "ENU", "UEN"):
@@ -233,29 +233,32 @@ def _rough_table(name: str, *turns: str) -> Programme:
 
 
 def _cube(name: str, *kinds: int) -> Programme:
-    """Positions of a cube on faces (1), edges (2), vertices (3): so many body axes are off the horizon. The azimuth
-    changes from each to the next: the turns between them, taken as listed, then depend on every gyro parameter."""
+    """Return positions of a cube on faces (1), edges (2), vertices (3): the numbers of body axes off the horizon.
+
+    The azimuth changes from each position to the next, so that the turns, in the listed order, depend on every gyro
+    parameter."""
     codes: list[str] = []
     for kind in kinds:
         for signs in product((1, 0, -1), repeat=3):
             if np.count_nonzero(signs) != kind:
                 continue
-            every, k = _standing(("", _ON_EDGE, _ON_CORNER)[kind - 1])[signs], len(codes)
+            lifted, k = _lifted_codes(("", _ON_EDGE, _ON_CORNER)[kind - 1])[signs], len(codes)
             axes = "".join(f"{'+' if sign > 0 else '-'}{axis}" for sign, axis in zip(signs, "XYZ", strict=True))
-            codes.append(f"{CORNER} {axes} {_AZIMUTHS[k % 3]}".rstrip() if kind == 3 else every[k % len(every)])
+            codes.append(f"{CORNER} {axes} {_AZIMUTHS[k % 3]}".rstrip() if kind == 3 else lifted[k % len(lifted)])
     return from_attitudes(codes, name, ordered=False)
 
 
 _ON_EDGE, _ON_CORNER = " N+45", f" N+45 E+{math.degrees(math.atan(math.sqrt(0.5)))}"
-_AZIMUTHS = ("", "U-120", "U+120")
-"""Of a block on a corner, in the order of the triples."""
+_AZIMUTHS = ("", "U-120", "U+120")  # of a block on a corner, in the order of the triples
 
 
 @cache
-def _standing(lift: str) -> dict[tuple[int, ...], list[str]]:
-    """The codes of right-handed triples lifted on an edge or a corner, which differ in azimuth, by which body axes they
-    have above (1), on (0) and below (−1) the horizon: from a triple, +45° about N lifts the axes that pointed U and W,
-    and atan(1/√2) about E lifts the one that pointed N."""
+def _lifted_codes(lift: str) -> dict[tuple[int, ...], list[str]]:
+    """Return the codes of right-handed triples lifted on an edge or a corner, by the body axes above (1), on (0) and
+    below (−1) the horizon; those of one entry differ in azimuth.
+
+    From a triple, +45° about N lifts the axes that pointed U and W, and atan(1/√2) about E lifts the one that pointed
+    N."""
     codes: dict[tuple[int, ...], list[str]] = {}
     for code in (letters + lift for letters in TRIPLES):
         codes.setdefault(tuple(np.sign(attitude(code)[1].round(9)).astype(int).tolist()), []).append(code)

@@ -1,4 +1,4 @@
-"""Positions and moves of a programme in words, with their times, as the operator's sheet has them."""
+"""Positions and moves of a programme in words, with their times, for the operator's sheet."""
 
 from __future__ import annotations
 
@@ -13,16 +13,15 @@ from tumble.programme.positions import ANY_MOVE, Move, Position, Programme, time
 from tumble.units import DEGREE, Array
 from tumble.usual_setup import MOVE, ON_TABLE
 
-REST, RATE = ON_TABLE.rest, ON_TABLE.rate_deg_s * DEGREE
-"""Duration of a rest, s, and rate of programmed turns, rad/s, where nothing else is asked for."""
+REST, RATE = ON_TABLE.rest, ON_TABLE.rate_deg_s * DEGREE  # default duration of a rest, s, and rate of turns, rad/s
 
-_OFF_THE_HORIZON = 0.1
+_OFF_THE_HORIZON = 0.1  # sine of the elevation
 _COMPASS = ("N", "NE", "E", "SE", "S", "SW", "W", "NW")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SheetRow:
-    """A position as the sheet says it. `points` is where body X, Y, Z point; start and stop of the rest in s."""
+    """A position on the sheet. `points`: directions of body X, Y, Z. `start`, `stop`: of the rest, s."""
 
     number: int
     position: Position
@@ -42,13 +41,12 @@ class SheetRow:
 def sheet_rows(
     programme: Programme, *, rest: float = REST, rate: float = RATE, move: float = MOVE
 ) -> tuple[SheetRow, ...]:
-    """Every position of a programme in words, with its time: rests of `rest` s, turns at `rate` rad/s, and `move` s
-    for each other move. Raises ProgrammeError as `programme.timetable`."""
+    """Return every position of a programme in words, with its time; arguments as for `timetable`."""
     times = timetable(programme, rest=rest, rate=rate, move=move).tolist()
     rows = list[SheetRow]()
     for position, reached, (start, stop) in zip(programme.positions, (ANY_MOVE, *programme.moves), times, strict=True):
         how = move_text(reached) if rows else "start"
-        if not programme.ordered:  # what the block is stood on: so many axes are off the horizon
+        if not programme.ordered:  # the number of axes off the horizon shows what the block stands on
             upright = np.count_nonzero(np.abs(position.vertical_b) > _OFF_THE_HORIZON)
             how = ("on a face", "on an edge", "on a corner")[upright - 1]
         points, code = points_of(position), short_code(position.attitude)
@@ -62,15 +60,15 @@ def sheet_rows(
 
 
 def move_text(move: Move) -> str:
-    """A move in words: "turn +180° about N" or "any move"."""
+    """Return a move in words: "turn +180° about N" or "any move"."""
     if move.axis is None or move.angle is None:
         return "any move"
     return f"turn {signed_angle(move.angle)} about {direction(move.axis)}"
 
 
 def direction(vector_n: Array) -> str:
-    """Where a unit vector (N, U, E) points: N S E W U D, "NE", "45° up to E", or by the bearing, clockwise from
-    north: "120°", "35° down to 120°". To the degree."""
+    """Return the direction of a unit vector (N, U, E), to the degree: N S E W U D, "NE", "45° up to E", or the bearing,
+    clockwise from north: "120°", "35° down to 120°"."""
     elevation = round(math.asin(max(-1.0, min(1.0, float(vector_n[1])))) / DEGREE)
     if abs(elevation) == 90:
         return "U" if elevation > 0 else "D"
@@ -82,30 +80,30 @@ def direction(vector_n: Array) -> str:
 
 
 def clock(seconds: float) -> str:
-    """A time as minutes and seconds, "20:12", or from an hour on "1:02:05"."""
+    """Return a time as minutes and seconds, "20:12", or with hours, "1:02:05"."""
     minutes, second = divmod(round(seconds), 60)
     hours, minute = divmod(minutes, 60)
     return f"{hours}:{minute:02d}:{second:02d}" if hours else f"{minute}:{second:02d}"
 
 
 def points_of(position: Position) -> tuple[str, str, str]:
-    """Where body X, Y, Z point."""
+    """Return the directions of body X, Y, Z."""
     x, y, z = (direction(axis) for axis in position.matrix.T)
     return x, y, z
 
 
 def signed_angle(angle: float) -> str:
-    """An angle in degrees with its sign: "+180°", "−90.5°"."""
+    """Return an angle in degrees with its sign: "+180°", "−90.5°"."""
     return f"{angle / DEGREE:+.6g}°".replace("-", "−")
 
 
 def short_code(code: str) -> str:
-    """An attitude code with angles to a ten-thousandth of a degree or six digits."""
-    return re.sub(r"\d+\.\d+", lambda found: f"{float(found[0]):.6g}", code)
+    """Return an attitude code with angles to six digits."""
+    return re.sub(r"\d+\.\d+", lambda match: f"{float(match[0]):.6g}", code)
 
 
 def pace_of(programme: Programme, rows: Sequence[SheetRow], rate: float, move: float) -> str:
-    """ "15 positions, 20:12 in all: rests of 60 s, turns at 10 °/s, 30 s for any other move"."""
+    """Return, for example, "15 positions, 20:12 in all: rests of 60 s, turns at 10 °/s, 30 s for any other move"."""
     parts = [f"rests of {rows[0].stop - rows[0].start:g} s"]
     if any(m.angle is not None for m in programme.moves):
         parts.append(f"turns at {rate / DEGREE:g} °/s")
@@ -136,6 +134,6 @@ _CARE = (
 
 
 def notes_of(programme: Programme) -> list[str]:
-    """What the operator must know, in sentences."""
+    """Return notes for the operator, in sentences."""
     turns = [_TURNS] if any(m.angle is not None for m in programme.moves) else []
     return [_IN_ORDER if programme.ordered else _ANY_ORDER, *turns, _CODES, _CARE]

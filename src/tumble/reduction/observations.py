@@ -16,9 +16,9 @@ Forster et al. 2017) with body-frame sensors and the two-sample coning term.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
-from typing import ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
@@ -30,19 +30,13 @@ from tumble.reduction.noise.coloured_noise import fit_coloured_noise
 from tumble.reduction.noise.rounding import Rounding, rounding_notes
 from tumble.reduction.rests.blemishes import BadSamples, bad_sample_notes, blemish_notes
 from tumble.reduction.rests.rests import Rests, reduced_rests, rows_of, thermometers_of
-from tumble.reduction.rests.segmentation import Stretch, gap_between
+from tumble.reduction.rests.segmentation import Segmentation, Stretch, gap_between
 from tumble.reduction.rests.sway import sway_notes, sway_of
 from tumble.reduction.rests.thermometer import Thermometers
+from tumble.reduction.rests.warming import warming_of
 from tumble.reduction.turns.array_motion import ArrayMoments, array_moments
 from tumble.reduction.turns.links import Links, is_linked
-from tumble.reduction.turns.moments import (
-    NO_OWN_AXES,
-    Compensation,
-    Moments,
-    OwnAxes,
-    growing_moments,
-    integrate,
-)
+from tumble.reduction.turns.moments import NO_OWN_AXES, Compensation, Moments, OwnAxes, growing_moments, integrate
 from tumble.reduction.turns.turns import (
     TurnReadings,
     Turns,
@@ -59,6 +53,13 @@ from tumble.sensors.model import Block, SensorModel
 from tumble.units import DEGREE, Array, IntArray
 
 COSINE_ALIKE = np.cos(10.0 * DEGREE)  # of the angle between two verticals, or of a turn, up to which attitudes are one
+
+
+WARMED = 1.0  # K: temperature change of a rest from which it is divided
+SHORTEST_PART = 20.0  # s: a shorter part has too few blocks for the noise of its mean
+MAX_PARTS = 60
+PART_ROTATION = 1e-6  # rad per axis: motion of a support from one part of a rest to the next
+_Arrays = TypeVar("_Arrays", Rests, Turns, TurnReadings)
 
 
 def one_direction(vectors: Array) -> bool:
@@ -92,37 +93,22 @@ class Observations(Brief):
     turns: Turns | None = None
     turn_samples: TurnSamples | None = None
     programme: Programme | None = None
-    position: IntArray | None = None
-    """Position of each rest in the programme (N,), if there is one."""
-    start: Mapping[str, float] = field(default_factory=dict)
-    """Start values of parameters, by name; zero for the others."""
-    turn_readings: TurnReadings | None = None
-    """Only for more than three gyros."""
-    rounding: Mapping[str, Rounding] = field(default_factory=dict)
-    """Resolution of the readings of "accel" and "gyro"."""
-    notes: tuple[str, ...] = ()
-    """Notes on the log for the user."""
+    position: IntArray | None = None  # position of each rest in the programme (N,), if there is one
+    start: Mapping[str, float] = field(default_factory=dict)  # start values of parameters, by name; zero for the others
+    turn_readings: TurnReadings | None = None  # only for more than three gyros
+    rounding: Mapping[str, Rounding] = field(default_factory=dict)  # resolution of the readings of "accel" and "gyro"
+    notes: tuple[str, ...] = ()  # notes on the log for the user
     thermometers: Thermometers | None = None
-    together: Together | None = None
-    """The sessions, if there are several."""
-    arrays: tuple[ArrayMoments, ...] = ()
-    """For every session, the moments of an accelerometer array in motion."""
-    by_clock: Mapping[str, float] = field(default_factory=dict)
-    """Change of parameters, by group, by one standard uncertainty of the time base."""
-    turns_left_out: tuple[str, ...] = ()
-    """A sentence on each turn that was left out because it was not recorded as a whole."""
-    unstamped: bool = False
-    """Whether the log has no time stamps, which would show missing samples."""
-    usual: Mapping[str, float] = field(default_factory=dict)
-    """Standard deviations over instruments of this type, SI, by group of parameters beyond the linear model."""
-    size_basis: Mapping[str, str] = field(default_factory=dict)
-    """Source of the usual size, in words, by group."""
-    too_small: Mapping[str, float] = field(default_factory=dict)
-    """Factor by which the usual size may be too small, given its source, by group."""
-    links: Links | None = None
-    """Motion from node to node that is no turn between rests."""
-    in_run: Mapping[str, float] = field(default_factory=dict)
-    """Usual standard deviation of the in-run bias, SI, of "accel" and "gyro"."""
+    together: Together | None = None  # the sessions, if there are several
+    arrays: tuple[ArrayMoments, ...] = ()  # for every session, the moments of an accelerometer array in motion
+    by_clock: Mapping[str, float] = field(default_factory=dict)  # change by 1 u of the time base, by parameter group
+    turns_left_out: tuple[str, ...] = ()  # a sentence on each turn that was not recorded completely
+    unstamped: bool = False  # whether the log has no time stamps, which would show missing samples
+    usual: Mapping[str, float] = field(default_factory=dict)  # standard deviation over instruments, SI, by group
+    size_basis: Mapping[str, str] = field(default_factory=dict)  # source of the usual size, in words, by group
+    too_small: Mapping[str, float] = field(default_factory=dict)  # by which factor the usual size may be too small
+    links: Links | None = None  # motion from node to node that is no turn between rests
+    in_run: Mapping[str, float] = field(default_factory=dict)  # usual in-run bias, standard deviation, SI, by kind
 
     @property
     def session(self) -> IntArray | None:
@@ -311,3 +297,112 @@ def observe(
         notes=(*notes, *rounding_notes(rounded)),
         thermometers=None if rests.temperatures is None else thermometers_of(reduction),
     )
+
+
+# Several sessions as one, and rests that warm up divided into parts: a rest is its mean reading at its mean
+# temperature, so that it shows a temperature dependence only if it is divided. The parts are joined by turns of
+# duration 0, which leave the attitude unchanged to PART_ROTATION.
+
+
+def split_warming_rests(reduction: Reduction, whole: Segmentation, least: int = 1) -> tuple[Segmentation, IntArray]:
+    """Divide each rest into one part per WARMED of temperature change, at least `least` if it is long enough. Return
+    the parts in place of the rests, and the number (N,) of the rest that each part belongs to."""
+    by_file, spans, number = reduction.by_file, list[Stretch](), list[int]()
+    for i, span in enumerate(whole.rests):
+        file = by_file[span.file]
+        kelvin = None if file.temperature is None else file.temperature[span.first : span.last]
+        parts = 1
+        if kelvin is not None:
+            tenths = [part.mean(axis=0) for part in np.array_split(kelvin, min(10, len(kelvin)))]
+            change = max(warming_of(kelvin), float(np.ptp(tenths, axis=0).max()))
+            most = min(MAX_PARTS, int((span.stop - span.start) / SHORTEST_PART))
+            parts = max(1, min(max(int(np.ceil(change / WARMED)), least), most))
+        for first, last in pairwise(np.linspace(span.first, span.last, parts + 1).round().astype(int).tolist()):
+            edges = span.start if first == span.first else file.edges[first], file.edges[last]
+            stop = span.stop if last == span.last else float(edges[1])
+            spans.append(replace(span, first=first, last=last, start=float(edges[0]), stop=stop))
+            number.append(i)
+    position = None if whole.position is None else whole.position[number]
+    return replace(whole, rests=tuple(spans), position=position), np.array(number, dtype=np.int64)
+
+
+def join_sessions(sessions: Sequence[Observations], names: Sequence[str], numbers: Sequence[IntArray]) -> Observations:
+    """Join the observations of sessions of one device at one place; `numbers` are for each session the numbers (N,) of
+    its rests, which parts of a rest share."""
+    counts = [len(session.rests) for session in sessions]
+    rests, turns, readings = list[Rests](), list[Turns](), list[TurnReadings]()
+    samples, records = list[tuple[int, TurnSamples]](), dict[int, tuple[float, Array]]()
+    rounding = dict[str, Rounding]()  # by kind of sensor, from the first session which has it
+    files_before = rests_before = turns_before = 0
+    for session, count in zip(sessions, counts, strict=True):
+        files = session.thermometers.files if session.thermometers is not None else {}
+        rests.append(replace(session.rests, file=session.rests.file + files_before))
+        records |= {file + files_before: record for file, record in files.items()}
+        rounding = dict(session.rounding) | rounding
+        if session.turns is not None:
+            first, last = session.turns.first + rests_before, session.turns.last + rests_before
+            turns.append(replace(session.turns, first=first, last=last))
+            if session.turn_samples is not None:
+                samples.append((turns_before, session.turn_samples))
+                turns_before += len(session.turns)
+        if session.turn_readings is not None:
+            readings.append(session.turn_readings)
+        files_before += 1 + max([int(session.rests.file.max()), *files])
+        rests_before += count
+    thermometers = all(session.thermometers is not None for session in sessions)
+    return replace(
+        sessions[0],
+        rests=replace(_stacked(rests), magnetometer=None, magnetometer_covariance=None),
+        turns=_stacked(turns) if turns else None,
+        turn_samples=replace(samples[0][1], others=tuple(samples[1:])) if samples else None,
+        turn_readings=_stacked(readings) if readings else None,
+        arrays=tuple(moments for session in sessions for moments in session.arrays),
+        programme=None,
+        position=None,
+        rounding=rounding,
+        thermometers=Thermometers(files=records) if thermometers else None,
+        notes=tuple(f"{name}: {note}" for name, session in zip(names, sessions, strict=True) for note in session.notes),
+        turns_left_out=tuple(
+            f"{name}: {turn}" for name, session in zip(names, sessions, strict=True) for turn in session.turns_left_out
+        ),
+        together=Together(
+            names=tuple(names), session=np.repeat(np.arange(len(sessions)), counts), number=np.concatenate(numbers)
+        ),
+    )
+
+
+def _stacked(parts: Sequence[_Arrays]) -> _Arrays:
+    """Concatenate the rows of all parts; None for a field that is None in one of them."""
+    columns = {field.name: [getattr(part, field.name) for part in parts] for field in fields(parts[0])}
+    whole: dict[str, Any] = {k: None if any(v is None for v in c) else np.concatenate(c) for k, c in columns.items()}
+    return replace(parts[0], **whole)
+
+
+def extract_session(observations: Observations, rests: slice, turns: slice) -> Observations:
+    """Return the observations of one session, with these rests and turns, out of several that were joined."""
+    together, samples, readings = observations.together, observations.turn_samples, observations.turn_readings
+    assert together is not None
+    its_turns = None
+    if observations.turns is not None and turns.stop > turns.start:
+        its_turns = rows_of(observations.turns, turns)
+        its_turns = replace(its_turns, first=its_turns.first - rests.start, last=its_turns.last - rests.start)
+    if samples is not None:  # sessions are identified by their first turn
+        samples = ({0: replace(samples, others=())} | dict(samples.others)).get(turns.start)
+    return replace(
+        observations,
+        rests=rows_of(observations.rests, rests),
+        turns=its_turns,
+        turn_samples=None if its_turns is None else samples,
+        turn_readings=None if its_turns is None or readings is None else rows_of(readings, turns),
+        together=replace(together, session=together.session[rests], number=together.number[rests]),
+    )
+
+
+def hold_attitude(observations: Observations) -> Observations:
+    """Return observations whose turns of duration 0 leave the attitude unchanged to PART_ROTATION."""
+    turns = observations.turns
+    if turns is None:
+        return observations
+    covariance = turns.covariance.copy()
+    covariance[turns.duration == 0.0] = PART_ROTATION**2 * np.eye(3)
+    return replace(observations, turns=replace(turns, covariance=covariance))

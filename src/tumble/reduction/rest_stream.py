@@ -42,23 +42,10 @@ LONGEST = 300.0  # s: what lasts longer is several rests
 def rests_so_far(
     reduction: Reduction, accel: Block, gyro: Block | None, excluded: tuple[Exclusion, ...] = ()
 ) -> Segmentation | None:
-    """Find the rests of a log so far.
+    """Return the rests of a log so far, outside of the excluded times; the longest part of a rest remains.
 
-    Parameters
-    ----------
-    reduction
-        The reduction of the log so far, `Reducer.now()`.
-    accel, gyro
-        Sensors of the session.
-    excluded
-        Excluded times. The longest part of a rest remains.
-
-    Returns
-    -------
-    Segmentation or None
-        The ended rests that are long enough for a calibration, followed by the ongoing rest, if there is one. None
-        while the log is shorter than FEWEST blocks.
-    """
+    They are the ended rests that are long enough for a calibration, followed by the ongoing rest, if there is one. The
+    result is None while the log is shorter than FEWEST blocks."""
     if sum(map(len, reduction.files)) < FEWEST:
         return None
     usual = reduction.tuning
@@ -73,21 +60,11 @@ def rests_so_far(
 
 
 def mean_so_far(file: FileBlocks, first: int, last: int) -> dict[str, tuple[float, float]]:
-    """Return the standard uncertainties of the mean of a rest, from the noise in this rest alone.
+    """Return the standard uncertainties of the mean of a rest, blocks first … last − 1 of a file, from the noise in
+    this rest alone.
 
-    Parameters
-    ----------
-    file
-        The blocks of its file so far.
-    first, last
-        The rest: blocks first … last − 1.
-
-    Returns
-    -------
-    dict
-        For "accel" and "gyro" the standard uncertainty of the mean, m/s² or rad/s, the largest of the channels, and the
-        same after twice the time. Empty while the rest is shorter than FEWEST_OF_MEAN.
-    """
+    For "accel" and "gyro", m/s² or rad/s, the largest of the channels now and after twice the time. Empty while the
+    rest is shorter than FEWEST_OF_MEAN."""
     out = dict[str, tuple[float, float]]()
     for kind, series in (("accel", file.accel), ("gyro", file.gyro)):
         means = series.means[first:last]

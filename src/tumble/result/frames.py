@@ -10,7 +10,7 @@ from tumble.errors import CalibrationError, InputError
 from tumble.result.coverage import degrees_through
 from tumble.result.parts import Parameter, learned_fraction
 from tumble.result.record import AnyCalibration
-from tumble.sensors.frames import Frame, Framed, carried_further, convert, frame_of, triad_axes
+from tumble.sensors.frames import Frame, Framed, convert, frame_of, further_rotation, triad_axes
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import LINEAR, THERMAL, group_name, sensor_kind
@@ -44,7 +44,7 @@ def _converted(
     further = instrument.names[instrument.linear_count :]
     indices = [names.index(name) for name in further if name in names]
     if len(indices) == len(further):
-        carry[np.ix_(indices, indices)] = carried_further(instrument, framed.rotation)
+        carry[np.ix_(indices, indices)] = further_rotation(instrument, framed.rotation)
     jacobian = np.zeros((count + len(rest), len(parameters)))
     jacobian[:count, :linear], jacobian[count:, linear:] = framed.jacobian, carry
     old_u = np.array([p.u or 0.0 for p in parameters])

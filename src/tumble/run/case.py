@@ -24,7 +24,7 @@ from tumble.inference.sources import source
 from tumble.reduction.observations import Observations
 from tumble.rotation import unit_vector
 from tumble.sensors.compensation import specific_force
-from tumble.sensors.frames import Alignment, Frame, carried_further, convert
+from tumble.sensors.frames import Alignment, Frame, convert, further_rotation
 from tumble.sensors.instrument import Instrument, functions
 from tumble.sensors.model import SensorModel
 from tumble.units import DEGREE, Array
@@ -148,7 +148,7 @@ def estimate_in(frame: Frame, estimate: Estimate, observations: Observations) ->
     names = framed.names + estimate.names[linear:]
     further = np.eye(len(estimate.names) - linear)
     if estimate.instrument is not None:
-        further = carried_further(estimate.instrument, framed.rotation)
+        further = further_rotation(estimate.instrument, framed.rotation)
     jacobian = block_diag(framed.jacobian, further)
     covariance = jacobian @ estimate.covariance @ jacobian.T
     covariance[: len(framed.names), : len(framed.names)] = framed.covariance

@@ -35,12 +35,11 @@ from tumble.recording.session import Circumstances, Session
 from tumble.recording.session_file import session_from
 from tumble.reduction.blocks.reducer import Reduction, reduce_log
 from tumble.reduction.blocks.tuning import USUAL, Tuning
-from tumble.reduction.observations import Observations, observe
+from tumble.reduction.observations import Observations, hold_attitude, observe, split_warming_rests
 from tumble.reduction.rests.blemishes import without_blemishes
 from tumble.reduction.rests.matching import match_rests, without_jump, without_numbered, without_times
 from tumble.reduction.rests.rests import thermometers_of
 from tumble.reduction.rests.segmentation import Segmentation, Stretch, find_rests
-from tumble.reduction.together import hold_attitude, split_warming_rests
 from tumble.reduction.turns.links import links_of
 from tumble.reduction.turns.turns import torn_turns, without_ambiguous_turns
 from tumble.rotation import onto_body

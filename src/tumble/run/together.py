@@ -22,8 +22,7 @@ from tumble.inference.joint import joint
 from tumble.recording.log import Log
 from tumble.recording.session import Session, Site
 from tumble.recording.session_file import session_from
-from tumble.reduction.observations import Observations
-from tumble.reduction.together import join_sessions
+from tumble.reduction.observations import Observations, join_sessions
 from tumble.result.calibration import Calibration
 from tumble.result.parts import Member, Parameter, learned_fraction
 from tumble.run.calibrate import assumptions, estimate_observations, new_provenance, passport_values

@@ -1,4 +1,4 @@
-"""The inverse of the model: true specific force and rate of the body from the readings of an instrument."""
+"""Inverse of the instrument model: specific force and rate of the body from readings."""
 
 from __future__ import annotations
 
@@ -37,26 +37,28 @@ from tumble.sensors.parameters import (
 )
 from tumble.units import Array
 
-FIXED_POINT_STEPS = 5
-"""Steps after the linear one: each leaves the part of 1e-3 to 1e-2 that the nonlinear terms are of the reading."""
+FIXED_POINT_STEPS = 5  # after the linear one; each reduces the error by 1e-3 to 1e-2, the relative nonlinearity
 
 
 def specific_force(instrument: Instrument, values: Array, readings: Array) -> Array:
-    """Specific force (N, 3), m/s², in the body from readings (N, n) of the accelerometers, SI."""
+    """Return the specific force (N, 3), m/s², in the body from accelerometer readings (N, n), SI."""
     return Solver.of(instrument.accel, instrument.coefficients(instrument.accel, values)).solved(readings)
 
 
 def angular_rate(instrument: Instrument, values: Array, readings: Array, force: Array) -> Array:
-    """Angular rate (N, 3), rad/s, in the body from readings (N, n) of the gyros, SI, and the specific force (N, 3)."""
+    """Return the angular rate (N, 3), rad/s, in the body from gyro readings (N, n), SI, and the specific force (N,
+    3)."""
     assert instrument.gyro is not None
     return Solver.of(instrument.gyro, instrument.coefficients(instrument.gyro, values)).solved(readings, force)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Solver:
-    """A block of sensors as the compiled loops solve it: the `sheet` (n, WIDTH) of its sensors, the number of
-    fixed-point `steps` x ← S⁻¹ ((ŷ − b − what is not linear in x) / s), one where nothing is, whether x is the specific
-    force, and whether the sensors feel the other vector, which may be lost where they do not."""
+    """A block of sensors as the compiled loops solve it.
+
+    `sheet`: coefficients of its sensors (n, WIDTH). `steps`: number of fixed-point steps x ← S⁻¹ ((ŷ − b − nonlinear
+    terms) / s), one for linear sensors. `of_force`: whether x is the specific force. `feels`: whether the sensors
+    respond to the other vector, which may be missing if they do not."""
 
     sheet: Array
     steps: int
@@ -65,8 +67,10 @@ class Solver:
 
     @staticmethod
     def of(block: Block, K: Array, thermal: Array | None = None, levers: Array | None = None) -> Solver:
-        """The solver of a block with coefficients K (n, 15). `thermal` (n, 7) are reference temperatures, °C, and the
-        changes of biases and of scale factors per K, K² and K³, `levers` (n, 3) lever arms, m."""
+        """Return the solver of a block with coefficients K (n, 15).
+
+        `thermal` (n, 7): reference temperatures, °C, and changes of biases and of scale factors per K, K² and K³.
+        `levers` (n, 3): lever arms, m."""
         of_force, measured = block.kind == "accel", measured_by(block)
         sheet = np.zeros((block.size, WIDTH))
         sheet[:, :FUNCTIONS] = K
@@ -85,26 +89,27 @@ class Solver:
         return Solver(sheet=sheet, steps=1 if linear else 1 + FIXED_POINT_STEPS, of_force=of_force, feels=feels)
 
     def solved(self, readings: Array, other: Array | None = None, temperature: Array | None = None) -> Array:
-        """The measured vector (N, 3) of readings (N, n) with the other one, (N, 3) or (3,), at temperatures (N, n) or
-        (N, 1), °C, those of the reference where None."""
+        """Return the measured vector (N, 3) from readings (N, n), the other vector, (N, 3) or (3,), and temperatures,
+        (N, n) or (N, 1), °C, by default the reference."""
         sheet, (count, n) = self.sheet, readings.shape
         if temperature is None and self.steps == 1 and not self.feels:
             return np.asarray((readings - sheet[:, CONSTANT]) @ sheet[:, INVERSE:AXIS])
         celsius = sheet[:, REFERENCE] if temperature is None else temperature
         celsius = np.broadcast_to(celsius, (count, n))
-        felt = np.broadcast_to(np.zeros(3) if other is None else other, (count, 3))
+        other_vector = np.broadcast_to(np.zeros(3) if other is None else other, (count, 3))
         return fixed_point(
-            readings, celsius, np.arange(n), felt, sheet, self.steps, of_force=self.of_force, feels=self.feels
+            readings, celsius, np.arange(n), other_vector, sheet, self.steps, of_force=self.of_force, feels=self.feels
         )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Compensator:
-    """An instrument as what corrects its readings: blocks of sensors and the coefficients K (n, 15) of each, and what
-    biases and scale factors change by per K, K² and K³ of temperature, `polynomials` (n, 3), about the
-    `references` (n,), °C, by kind, where there are such; the sensors of a kind follow their thermometers with a time
-    constant, s, that stands in `lags`. Lever arms (n, 3), m, need the motion: `tumble.use.corrector`. The `delays` (n,)
-    of the accelerometers, s, are not undone."""
+    """An instrument as a corrector of its readings.
+
+    `accel_coefficients`, `gyro_coefficients`: K (n, 15) of each block. `polynomials`: changes (n, 3) of "accel.bias",
+    "gyro.scale" and so on per K, K² and K³ of temperature, about the `references` (n,), °C, by kind; empty without any.
+    `lags`: time constants, s, with which the sensors of a kind follow their thermometers. `levers` (n, 3), m, need the
+    motion: `tumble.use.corrector`. `delays`: of the accelerometers (n,), s, which are not corrected."""
 
     accel: Block
     gyro: Block | None
@@ -123,7 +128,7 @@ class Compensator:
         values: Mapping[str, float],
         references: Mapping[str, Array],
     ) -> Compensator:
-        """The compensator of the models of accelerometers and gyros and of further parameters by name."""
+        """Return the compensator of the models of accelerometers and gyros, and of further parameters by name."""
         accel, gyro = blocks
         instrument = Instrument.of(accel, gyro, {group_name(name) for name in values}, variables=())
         further = np.array([values.get(name, 0.0) for name in instrument.names])
@@ -149,7 +154,7 @@ class Compensator:
 
     @property
     def linear(self) -> bool:
-        """Whether matrix and bias of each kind are all there is, whatever the temperature."""
+        """Whether matrix and bias of each kind are the whole model, at any temperature."""
         return not self.warm and all(
             block is None or is_linear(block, K) for block, K in map(self.sensors, ("accel", "gyro"))
         )
@@ -161,17 +166,17 @@ class Compensator:
 
     @property
     def several_thermometers(self) -> bool:
-        """Whether not all sensors have the same thermometer."""
+        """Whether the sensors have different thermometers."""
         blocks = (self.accel, self.gyro)
         return len({int(t) for block in blocks if block is not None for t in block.thermometer}) > 1
 
     def sensors(self, kind: str) -> tuple[Block | None, Array]:
-        """The sensors of a kind, None where there are none, and their coefficients (n, 15)."""
+        """Return the sensors of a kind, None without any, and their coefficients (n, 15)."""
         return (self.accel, self.accel_coefficients) if kind == "accel" else (self.gyro, self.gyro_coefficients)
 
     def model(self, kind: str, celsius: float | None = None) -> SensorModel:
-        """Matrix and bias of a kind of sensors at a temperature by all its thermometers, that of the reference where
-        None, without what is beyond them. A scale factor that changes changes the length of its row."""
+        """Return matrix and bias of a kind of sensors at a temperature of all its thermometers, °C, by default the
+        reference. A change of scale factor changes the length of its row."""
         block, K = self.sensors(kind)
         assert block is not None
         matrix, bias = K[:, measured_by(block)], K[:, CONSTANT]
@@ -184,41 +189,42 @@ class Compensator:
         return SensorModel(matrix=longer[:, None] * matrix, bias=bias + bias_change)
 
     def reference(self, kind: str) -> Array:
-        """Reference temperatures (n,), °C, of the channels of a kind of sensors; zero where nothing changes with
+        """Return the reference temperatures (n,), °C, of a kind of sensors; zero if nothing changes with
         temperature."""
         return np.asarray(self.references.get(kind, np.zeros(len(self.sensors(kind)[1]))))
 
     def changes(self, kind: str, what: str) -> Array:
-        """Changes (n, 3) of "bias" or "scale" of the channels of a kind of sensors, per K, K² and K³."""
+        """Return the changes (n, 3) of "bias" or "scale" of a kind of sensors, per K, K² and K³."""
         nothing = np.zeros((len(self.sensors(kind)[1]), len(OVER_TEMPERATURE)))
         return np.asarray(self.polynomials.get(f"{kind}.{what}", nothing))
 
     @cached_property
     def accelerometers(self) -> Solver:
-        """What solves the accelerometers for the specific force."""
+        """Solver of the accelerometers for the specific force."""
         return Solver.of(self.accel, self.accel_coefficients, self._thermal(self.accel), self.levers)
 
     @cached_property
     def gyros(self) -> Solver:
-        """What solves the gyros for the rate."""
+        """Solver of the gyros for the rate."""
         assert self.gyro is not None
         return Solver.of(self.gyro, self.gyro_coefficients, self._thermal(self.gyro))
 
     def force(self, readings: Array, temperature: Array | None = None) -> Array:
-        """Specific force (N, 3), m/s², of readings (N, n), SI, at temperatures (N, n) or (N, 1), °C, of the sensors."""
-        return self.accelerometers.solved(readings, None, self._known(self.accel, temperature))
+        """Return the specific force (N, 3), m/s², from readings (N, n), SI, at temperatures (N, n) or (N, 1), °C."""
+        return self.accelerometers.solved(readings, None, self._temperature_of(self.accel, temperature))
 
     def rate(self, readings: Array, force: Array, temperature: Array | None = None) -> Array:
-        """Angular rate (N, 3), rad/s, of readings (N, n), SI, in a specific force (N, 3), at temperatures likewise."""
+        """Return the rate (N, 3), rad/s, from readings (N, n), SI, in a specific force (N, 3), at temperatures
+        likewise."""
         assert self.gyro is not None
-        return self.gyros.solved(readings, force, self._known(self.gyro, temperature))
+        return self.gyros.solved(readings, force, self._temperature_of(self.gyro, temperature))
 
-    def _known(self, block: Block, temperature: Array | None) -> Array | None:
-        """Temperatures, where they count: what does not may be lost."""
+    def _temperature_of(self, block: Block, temperature: Array | None) -> Array | None:
+        """Return temperatures, None if they have no effect: then they may be missing."""
         return temperature if self.warm and block.kind in self.references else None
 
     def _thermal(self, block: Block) -> Array | None:
-        """Reference temperature, °C, and changes of biases and sensitivities per K, K² and K³ (n, 7)."""
+        """Return reference temperatures, °C, and changes of biases and scale factors per K, K² and K³ (n, 7)."""
         if not self.warm or block.kind not in self.references:
             return None
         changes = (self.changes(block.kind, what) for what in ("bias", "scale"))
@@ -226,7 +232,7 @@ class Compensator:
 
 
 def _changes(blocks: tuple[Block, Block | None], values: Mapping[str, float]) -> dict[str, Array]:
-    """Changes (n, 3) by channel of biases and scale factors, per K, K² and K³, where the values have some."""
+    """Return the changes (n, 3) by channel of biases and scale factors per K, K² and K³, empty without any."""
     out = {}
     for block in filter(None, blocks):
         for what in ("bias", "scale"):

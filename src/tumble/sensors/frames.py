@@ -1,31 +1,31 @@
-"""Frames: one set of sensors seen in the frames of the accelerometers, the paper, the symmetric matrix and the case.
+"""Frames: one set of sensors in the frames of the accelerometers, the paper, the symmetric matrix and the case.
 
-Whatever the frame, `reading = matrix @ true + bias`. A rotation of the frame changes the matrix alone, and the same Q
-serves accelerometers and gyros, so that both stay in one common frame:
+In every frame `reading = matrix @ true + bias`. A rotation of the frame changes only the matrix, and the same Q applies
+to accelerometers and gyros, which stay in one common frame:
 
     M′ = M Q,   true′ = Qᵀ true
 
-What fixes the frame, and what the nine numbers of three accelerometers are called in it (rows and columns x, y, z):
+The definition of each frame, and the nine numbers of three accelerometers in it (rows and columns x, y, z):
 
     accelerometer   M = diag(1+k) A(γ), Eq. (1), with xy = xz = yz = 0: lower triangular; angles yx, zx, zy
-    paper           M = diag(1+k) [[1, xy, xz], [0, 1, yz], [0, 0, 1]]: upper triangular; k is the diagonal here,
-                    not the sensitivity along the sensor's axis, and the angles are quotients, as in Eq. (5) of the
-                    ellipsoid paper
+    paper           M = diag(1+k) [[1, xy, xz], [0, 1, yz], [0, 0, 1]]: upper triangular; k is the diagonal, not the
+                    sensitivity along the sensor's axis, and the angles are quotients, as in Eq. (5) of the ellipsoid
+                    paper
     symmetric       M = Mᵀ, positive definite (the polar factor): k as in Eq. (1), angles xy, xz, yz of Eq. (1); the
                     other three follow from the symmetry
-    case            the mounting faces: nothing of M is zero, all six angles of Eq. (1): three more parameters, which
-                    are the alignment of the accelerometers with the case and as uncertain
+    case            the mounting faces: no element of M is zero, all six angles of Eq. (1): the three additional
+                    parameters are the alignment of the accelerometers with the case, and as uncertain
 
-For channels in another order or of the other sign, rows and columns are those of the body axes: Dᵀ M is meant, D the
-nominal axes. Gyros have all six angles of Eq. (1) in every frame. The parameters of `accelerometer` and `case` exist
-for more than three sensors too; `paper` and `symmetric` are for triads.
+For channels in another order or of the other sign, rows and columns are those of the body axes: M stands for Dᵀ M, D
+the nominal axes. Gyros have all six angles of Eq. (1) in every frame. The frames `accelerometer` and `case` exist for
+more than three sensors too; `paper` and `symmetric` are for triads.
 
-The Jacobian of a change of frame: with δQ = Q [φ×] and D′ = ∂M′/∂θ′, which the accelerometers have three columns too
-few of for any change of M′,
+The Jacobian of a change of frame: with δQ = Q [φ×] and D′ = ∂M′/∂θ′, which for accelerometers has three columns too few
+for an arbitrary change of M′,
 
     D′ δθ′ = δM′ = δM Q + M′[φ×]
 
-determines δθ′ and φ together; in the case φ is that of the alignment, and for gyros D′ is square.
+determines δθ′ and φ together; in the case, φ is that of the alignment, and for gyros D′ is square.
 
 Source of Eq. (1): the turntable paper (docs/reference/equations.md).
 """
@@ -52,7 +52,7 @@ _UPPER_PAIRS = ("xy", "xz", "yz")
 
 
 def frame_of(name: str) -> Frame:
-    """The frame of this name, as a calibration file has it. Raises InputError for any other."""
+    """Return the frame of this name in a calibration file. Raises InputError for an unknown name."""
     if name not in FRAMES:
         raise InputError(f"frame: expected one of {', '.join(FRAMES)}, found {name!r}")
     return name
@@ -60,9 +60,11 @@ def frame_of(name: str) -> Frame:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Alignment:
-    """The case seen from a frame b: `mat_cb` (3, 3), the covariance (3, 3), rad², of its error ψ (the true one is
-    exp([ψ×]) mat_cb) that does not come from the accelerometer parameters, and `by_parameters` (3, m), the change of
-    the rotation, likewise resolved in the case, with these."""
+    """Alignment of the case with a frame b.
+
+    `mat_cb`: rotation (3, 3). `covariance`: of its error ψ (3, 3), rad², as far as it does not come from the
+    accelerometer parameters; the true rotation is exp([ψ×]) mat_cb. `by_parameters`: derivative of the rotation,
+    resolved in the case, by these (3, m)."""
 
     mat_cb: Array
     covariance: Array
@@ -71,8 +73,9 @@ class Alignment:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Framed:
-    """Parameters of accelerometers, then gyros, in a frame, with covariance, and the sensor models they make.
-    `jacobian` is their derivative with respect to those they came from, `rotation` the Q of M′ = M Q."""
+    """Parameters of accelerometers, then gyros, in a frame, with covariance and sensor models.
+
+    `jacobian`: derivative by the parameters they were converted from. `rotation`: the Q of M′ = M Q."""
 
     frame: Frame
     names: tuple[str, ...]
@@ -87,7 +90,7 @@ class Framed:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Convention:
-    """What the parameters of a block are in a frame. Raises InputError where the frame is none of this block."""
+    """Parameters of a block in a frame. Raises InputError if the block has no such frame."""
 
     frame: Frame
     block: Block
@@ -103,14 +106,14 @@ class Convention:
     @property
     def names(self) -> tuple[str, ...]:
         """Parameter names as in the calibration file: biases, scale-factor errors, axis angles."""
-        if self._of_block:
+        if self._is_native:
             return self.block.names
         angles = self._all_angles.angles if self.frame == "case" else _UPPER_PAIRS
         return (*self.block.names[: 2 * self.block.size], *(f"{self.block.kind}.axis.{angle}" for angle in angles))
 
     def parameters(self, model: SensorModel) -> Array:
-        """Parameter values of a sensor model given in this frame, in the order of `names`."""
-        if self._of_block:
+        """Return the parameter values of a sensor model in this frame, in the order of `names`."""
+        if self._is_native:
             return self.block.parameters(model)
         values = self._all_angles.parameters(model)
         if self.frame == "paper":
@@ -120,8 +123,8 @@ class Convention:
         return np.array([by_name[name.replace("accel", "gyro", 1)] for name in self.names])
 
     def model(self, values: Array) -> SensorModel:
-        """The sensor model of parameter values given in the order of `names`."""
-        if self._of_block:
+        """Return the sensor model of parameter values in the order of `names`."""
+        if self._is_native:
             return self.block.model(values)
         if self.frame == "case":
             return self._all_angles.model(values)
@@ -139,9 +142,8 @@ class Convention:
         return SensorModel(matrix=self.block.axes @ rows, bias=bias)
 
     def jacobian(self, values: Array) -> Array:
-        """Derivative of the matrix (n, 3) and of the bias (as a fourth column) with respect to the parameters:
-        shape (n, 4, m), as `Block.jacobian`."""
-        if self._of_block:
+        """Return the derivative (n, 4, m) of the matrix (n, 3) and, as fourth column, of the bias by the parameters."""
+        if self._is_native:
             return self.block.jacobian(values)
         if self.frame == "case":
             return self._all_angles.jacobian(values)
@@ -152,19 +154,20 @@ class Convention:
         return out
 
     @property
-    def _of_block(self) -> bool:
+    def _is_native(self) -> bool:
         """Whether the parameters are those of the block itself."""
         return self.block.kind == "gyro" or self.frame == "accelerometer"
 
     @property
     def _all_angles(self) -> Block:
-        """The same sensors with every axis angle as a parameter."""
+        """The same sensors with all axis angles as parameters."""
         return Block(kind="gyro", axes=self.block.axes)
 
 
 def rotation_to(frame: Frame, block: Block, accel: SensorModel) -> Array:
-    """Q (3, 3) of M′ = M Q that takes accelerometers from any frame to the one their own axes fix: `accelerometer`,
-    `paper` or `symmetric`. Raises InputError for the case, and for accelerometers of the other handedness."""
+    """Return Q (3, 3) of M′ = M Q from any frame of accelerometers to `accelerometer`, `paper` or `symmetric`.
+
+    Raises InputError for the case, and for accelerometers of the other handedness."""
     from scipy.linalg import polar, rq
 
     Convention(frame=frame, block=block)
@@ -198,20 +201,20 @@ def convert(
     target: Frame,
     alignment: Alignment | None = None,
 ) -> Framed:
-    """Take parameters from one frame to another, with their covariance.
+    """Convert parameters from one frame to another, with their covariance.
 
     Parameters
     ----------
-    accel, gyro : Block, Block or None
+    accel, gyro
         The accelerometers and the gyros.
-    source, target : Frame
-        The frame of `values`, and the one that is wanted.
-    values : Array (m,)
-        Parameters of the accelerometers, then of the gyros, SI.
-    covariance : Array (m, m) or None
-        Their covariance.
-    alignment : Alignment, optional
-        The case seen from `source`, where `target` is the case.
+    source, target
+        Frame of `values`, and the new frame.
+    values
+        Parameters (m,) of the accelerometers, then of the gyros, SI.
+    covariance
+        Their covariance (m, m).
+    alignment
+        Alignment of the case with `source`, if `target` is the case.
 
     Raises
     ------
@@ -224,30 +227,32 @@ def convert(
     Q = np.eye(3)
     if target != source:
         Q = alignment.mat_cb.T if target == "case" and alignment is not None else rotation_to(target, accel, before)
-    after = _turned(before, Q)
-    accel_values, turning = new.parameters(after), _turning(after)
+    after = _rotated(before, Q)
+    accel_values, phi_columns = new.parameters(after), _rotation_columns(after)
     derivative = new.jacobian(accel_values).reshape(4 * accel.size, -1)
-    change, phi = _carried(old.jacobian(values[:count]), Q), np.zeros((3, count))
+    change, phi = _rotated_change(old.jacobian(values[:count]), Q), np.zeros((3, count))
     if target == "case":
         if alignment is not None and source != "case":
             phi = -alignment.by_parameters
-        of_accels = np.linalg.solve(derivative, change + turning @ phi)
+        accel_jacobian = np.linalg.solve(derivative, change + phi_columns @ phi)
     else:
-        of_accels, phi = np.split(np.linalg.solve(np.hstack([derivative, -turning]), change), [len(new.names)])
-    jacobian, blocks = np.hstack([of_accels, np.zeros((len(of_accels), len(values) - count))]), [(derivative, turning)]
+        accel_jacobian, phi = np.split(np.linalg.solve(np.hstack([derivative, -phi_columns]), change), [len(new.names)])
+    jacobian = np.hstack([accel_jacobian, np.zeros((len(accel_jacobian), len(values) - count))])
+    blocks = [(derivative, phi_columns)]
     names, framed_values, gyro_after = new.names, accel_values, None
     if gyro is not None:
-        gyro_after = _turned(gyro.model(values[count:]), Q)
-        gyro_values, turning = gyro.parameters(gyro_after), _turning(gyro_after)
+        gyro_after = _rotated(gyro.model(values[count:]), Q)
+        gyro_values, phi_columns = gyro.parameters(gyro_after), _rotation_columns(gyro_after)
         derivative = gyro.jacobian(gyro_values).reshape(4 * gyro.size, -1)
-        change = np.hstack([turning @ phi, _carried(gyro.jacobian(values[count:]), Q)])
-        jacobian, blocks = np.vstack([jacobian, np.linalg.solve(derivative, change)]), [*blocks, (derivative, turning)]
+        change = np.hstack([phi_columns @ phi, _rotated_change(gyro.jacobian(values[count:]), Q)])
+        jacobian = np.vstack([jacobian, np.linalg.solve(derivative, change)])
+        blocks.append((derivative, phi_columns))
         names, framed_values = (*names, *gyro.names), np.concatenate([accel_values, gyro_values])
     if covariance is not None:
         covariance = jacobian @ covariance @ jacobian.T
         if alignment is not None and target == "case" and source != "case":
-            by_turning = np.concatenate([np.linalg.solve(derivative, turning) for derivative, turning in blocks])
-            covariance = covariance + by_turning @ alignment.covariance @ by_turning.T
+            by_alignment = np.concatenate([np.linalg.solve(*block) for block in blocks])
+            covariance = covariance + by_alignment @ alignment.covariance @ by_alignment.T
     return Framed(
         frame=target,
         names=names,
@@ -261,9 +266,11 @@ def convert(
     )
 
 
-def carried_further(instrument: Instrument, Q: Array) -> Array:
-    """Derivative (q, q) of the parameters beyond the linear model in a frame turned by Q, M′ = M Q, with those before:
-    rows of g-sensitivity turn as those of M, lever arms as vectors. All others belong to the sensors alone."""
+def further_rotation(instrument: Instrument, Q: Array) -> Array:
+    """Return the derivative (q, q) of the parameters beyond the linear model in a rotated frame, M′ = M Q, by the
+    original ones.
+
+    Rows of g-sensitivity rotate like those of M, lever arms like vectors. All others belong to single sensors."""
     out = np.eye(len(instrument.names) - instrument.linear_count)
     for name, members in instrument.members.items():
         if name in ("gyro.g_sensitivity", "accel.lever"):
@@ -273,28 +280,28 @@ def carried_further(instrument: Instrument, Q: Array) -> Array:
     return out
 
 
-def _turned(model: SensorModel, Q: Array) -> SensorModel:
+def _rotated(model: SensorModel, Q: Array) -> SensorModel:
     return SensorModel(matrix=model.matrix @ Q, bias=model.bias)
 
 
-def _carried(change: Array, Q: Array) -> Array:
-    """δM Q of changes (n, 4, m) of matrix and bias, as (4n, m)."""
+def _rotated_change(change: Array, Q: Array) -> Array:
+    """Return δM Q of changes (n, 4, m) of matrix and bias, as (4n, m)."""
     out = np.array(change)
     out[:, :3] = np.einsum("pkm,kq->pqm", change[:, :3], Q)
     return out.reshape(4 * len(change), -1)
 
 
-def _turning(model: SensorModel) -> Array:
-    """The change M [φ×] of matrix and bias with φ, as (4n, 3)."""
+def _rotation_columns(model: SensorModel) -> Array:
+    """Return the change M [φ×] of matrix and bias with φ, as (4n, 3)."""
     out = np.zeros((*model.matrix.shape[:1], 4, 3))
     out[:, :3] = np.einsum("pk,jkq->pqj", model.matrix, skew(np.eye(3)))
     return out.reshape(-1, 3)
 
 
 def triad_axes(matrix: Array) -> Array:
-    """The nominal axes (3, 3) of a triad whose matrix this is: the signed body axis nearest to each sensor.
+    """Return the nominal axes (3, 3) of a triad with this matrix: the signed body axis nearest to each sensor.
 
-    Raises InputError where the sensors are not three, one along each axis."""
+    Raises InputError unless the sensors are three, one along each axis."""
     axes, nearest = np.zeros(matrix.shape), np.argmax(np.abs(matrix), axis=1)
     axes[np.arange(len(matrix)), nearest] = np.sign(matrix[np.arange(len(matrix)), nearest])
     if not Block(kind="accel", axes=axes).triad:

@@ -15,16 +15,17 @@ from tumble.errors import InputError, did_you_mean
 from tumble.sensors.parameters import LINEAR, group_name, sensor_kind, size_of, within_kind
 from tumble.usual_setup import INSTABILITY_TIME
 
-OUTLYING = 100.0
-"""Times the spread of a grade's gyro biases: what no gyro of it has."""
+OUTLYING = 100.0  # gyro bias, in spreads of a grade, that no gyro of the grade has
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class NoiseModel:
-    """Noise of every sensor of a block: density of the white noise, m/s²/√Hz and rad/s/√Hz, and in-run
-    instability, m/s² and rad/s: the standard deviation of what a bias changes by in a session, a stationary
-    Gauss–Markov process with the correlation time `instability_time`, s. With a time of 0 it is drawn anew at every
-    rest and held through the move that follows."""
+    """Noise of every sensor of a block.
+
+    `accel_white`, `gyro_white`: densities of the white noise, m/s²/√Hz and rad/s/√Hz. `accel_instability`,
+    `gyro_instability`: standard deviations of the change of a bias within a session, m/s² and rad/s, a stationary
+    Gauss–Markov process with the correlation time `instability_time`, s. With a time of 0 it is drawn for every rest
+    and kept during the move that follows."""
 
     accel_white: float = 0.0
     gyro_white: float = 0.0
@@ -33,7 +34,7 @@ class NoiseModel:
     instability_time: float = INSTABILITY_TIME
 
     def scaled(self, factor: float) -> NoiseModel:
-        """The same with every noise so many times as large."""
+        """Return the model with all noise multiplied by a factor."""
         white = {"accel_white": factor * self.accel_white, "gyro_white": factor * self.gyro_white}
         in_run = factor * self.accel_instability, factor * self.gyro_instability
         return replace(self, **white, accel_instability=in_run[0], gyro_instability=in_run[1])
@@ -41,7 +42,7 @@ class NoiseModel:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Spread:
-    """Standard deviations of the parameters before calibration, over instruments: bias, m/s² or rad/s; scale-factor
+    """Standard deviations over instruments of the parameters before calibration: bias, m/s² or rad/s; scale-factor
     error; axis angles, rad."""
 
     bias: float
@@ -64,8 +65,8 @@ class Grade(Spreads):
     noise: NoiseModel
 
 
-class _OfInstruments(Protocol):
-    """What has spreads of the parameters: a grade, a set-up, a power-on."""
+class _HasSpreads(Protocol):
+    """A grade, a set-up or a power-on."""
 
     @property
     def accel(self) -> Spread: ...
@@ -74,20 +75,20 @@ class _OfInstruments(Protocol):
     def gyro(self) -> Spread: ...
 
 
-def spread_of(instruments: _OfInstruments, parameter: str) -> float:
-    """Standard deviation, SI, of a parameter or group of bias, scale factor or axis angles, such as
-    "accel.bias.x" or "accel.bias"."""
-    of_kind = getattr(instruments, sensor_kind(parameter))
-    return float(getattr(of_kind, within_kind(group_name(parameter))))
+def spread_of(instruments: _HasSpreads, parameter: str) -> float:
+    """Return the standard deviation, SI, of a parameter or group of the linear model, such as "accel.bias.x" or
+    "accel.bias"."""
+    spread = getattr(instruments, sensor_kind(parameter))
+    return float(getattr(spread, within_kind(group_name(parameter))))
 
 
 def _spreads(sizes: Mapping[str, Mapping[str, float | str]]) -> dict[str, Spread]:
-    """Spreads by kind of sensors from sizes in SI or with a unit."""
-    return {kind: Spread(**{name: size_of(size) for name, size in of_kind.items()}) for kind, of_kind in sizes.items()}
+    """Return spreads by kind of sensors from sizes in SI or with a unit."""
+    return {kind: Spread(**{name: size_of(size) for name, size in row.items()}) for kind, row in sizes.items()}
 
 
 def _over_instruments(grade: str) -> dict[str, Spread]:
-    """Spreads of the linear model in the table of parameters."""
+    """Return the spreads of the linear model in the table of parameters."""
     return _spreads(
         {
             kind: {within_kind(group.name): group.usual[grade] for group in LINEAR if group.kind == kind}
@@ -106,11 +107,11 @@ GRADES: Mapping[str, Grade] = MappingProxyType(
 TURN_ON: Mapping[str, Spreads] = MappingProxyType(
     {name: Spreads(**_spreads(sizes)) for name, sizes in _TABLE["power_on"].items()}
 )
-"""By grade, how far parameters at a power-on are from their mean over many."""
+"""Standard deviation of parameters over power-ons, by grade."""
 
 
 def grade(name: str) -> Grade:
-    """The grade of this name. Raises InputError for any other name."""
+    """Return the grade of this name. Raises InputError for an unknown name."""
     if name not in GRADES:
         advice = did_you_mean(name, GRADES)
         raise InputError(f"grade: expected one of {', '.join(GRADES)}, found {name!r}{advice}")
@@ -118,10 +119,11 @@ def grade(name: str) -> Grade:
 
 
 def guessed_grade(accel_white: float, gyro_white: float | None, gyro_bias: float = 0.0) -> tuple[str, str]:
-    """The grade whose white noise, m/s²/√Hz and rad/s/√Hz (None without gyros), is nearest to what a recording shows,
-    by ratios, among those of which a gyro may read `gyro_bias`, rad/s, at rest; and what it is guessed from in words.
-    Accelerometers say less: those of one grade differ more than their gyros. A quiet instrument whose biases no quiet
-    grade has is no better than its biases."""
+    """Return the grade whose white noise is nearest, by ratios, and the evidence for it in words.
+
+    `accel_white`, `gyro_white`: white noise of a recording, m/s²/√Hz and rad/s/√Hz, None without gyros. Accelerometers
+    have less weight: those of one grade differ more than its gyros. `gyro_bias`: largest gyro reading at rest, rad/s,
+    which excludes grades with smaller biases."""
 
     def distance(name: str) -> float:
         noise = GRADES[name].noise
@@ -130,5 +132,5 @@ def guessed_grade(accel_white: float, gyro_white: float | None, gyro_bias: float
 
     *others, poorest = GRADES
     possible = [name for name in others if gyro_bias < OUTLYING * GRADES[name].gyro.bias + EARTH_RATE]
-    by_noise, found = min(GRADES, key=distance), min([*possible, poorest], key=distance)
-    return found, "the noise" if found == by_noise else "the biases of the gyros"
+    by_noise, nearest = min(GRADES, key=distance), min([*possible, poorest], key=distance)
+    return nearest, "the noise" if nearest == by_noise else "the biases of the gyros"

@@ -1,9 +1,8 @@
-"""An instrument: its blocks of sensors and the groups of parameters that it has, as one vector of values.
+"""An instrument: its blocks of sensors and its groups of parameters, with one vector of values.
 
 The vector holds bias, scale-factor error and axis angles of the accelerometers, then of the gyros, then the further
-groups in the order of the table (`tumble.sensors.parameters`). `coefficients` makes of it the arrays K of both blocks,
-with which a reading is y_p = Σ_b K_pb β_pb(f, ω); `derivatives` their derivatives. Lever arms and delays are in
-neither.
+groups in the order of the table (`tumble.sensors.parameters`). `coefficients` are the arrays K of both blocks for such
+values, with which a reading is y_p = Σ_b K_pb β_pb(f, ω); `derivative` is ∂K/∂θ. Lever arms and delays are in neither.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ _FIRST, _SECOND = np.array(PAIRS).T
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Instrument:
-    """Accelerometers and gyros (None where there are none) with the `further` groups of parameters they have."""
+    """Accelerometers and gyros (None without any) with their `further` groups of parameters."""
 
     accel: Block
     gyro: Block | None
@@ -48,10 +47,10 @@ class Instrument:
     def of(
         accel: Block, gyro: Block | None, names: Container[str] | None = None, variables: Container[str] = ("time",)
     ) -> Instrument:
-        """The instrument with the further groups of these names, all of the table that fit its sensors where None;
-        changes only with `variables` that are known."""
+        """Return the instrument with the further groups of these names (None: all that fit its sensors), and changes
+        with these `variables` only."""
         blocks = {"accel": accel} | ({} if gyro is None else {"gyro": gyro})
-        chosen = [
+        further = tuple(
             group
             for group in groups()
             if not group.linear
@@ -59,8 +58,8 @@ class Instrument:
             and (names is None or group.name in names)
             and (gyro is not None or group.motion is None)
             and (group.variable is None or group.variable in variables)
-        ]
-        return Instrument(accel=accel, gyro=gyro, further=tuple(chosen))
+        )
+        return Instrument(accel=accel, gyro=gyro, further=further)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -75,44 +74,43 @@ class Instrument:
 
     @cached_property
     def thermometers(self) -> IntArray:
-        """The number of the thermometer (m,) that each parameter goes with, where it is the change of another with
-        temperature."""
+        """Thermometer (m,) of each parameter that is a change with temperature."""
         out = np.zeros(len(self.names), dtype=np.int64)
         for group in self.further:
             out[self.members[group.name]] = group.thermometers(self.block(group))
         return out
 
     def block(self, group: ParameterGroup) -> Block:
-        """The sensors that have a group."""
+        """Return the sensors that have a group."""
         block = self.accel if group.kind == "accel" else self.gyro
         assert block is not None
         return block
 
     @cached_property
     def linear_count(self) -> int:
-        """How many parameters belong to the linear model."""
+        """Number of parameters of the linear model."""
         return sum(len(block.names) for block in self.blocks)
 
     @cached_property
     def members(self) -> dict[str, slice]:
-        """Where the parameters of each further group stand, by its name."""
+        """Positions of the parameters of each further group, by name."""
         out, first = {}, self.linear_count
         for group in self.further:
             out[group.name] = slice(first, first := first + len(group.names(self.block(group))))
         return out
 
     def own(self, block: Block) -> slice:
-        """Where the linear parameters of a block stand."""
+        """Return the positions of the linear parameters of a block."""
         n = len(self.accel.names)
         return slice(0, n) if block.kind == "accel" else slice(n, n + len(block.names))
 
     def turn_only(self, motion: Motion) -> slice | None:
-        """Where the parameters stand that a turn alone sees in this way."""
+        """Return the positions of the parameters with this effect on turns, None if there are none."""
         return next((self.members[g.name] for g in self.further if g.motion == motion), None)
 
     @cached_property
     def changes(self) -> list[tuple[slice, slice, Variable]]:
-        """Where the parameters stand that are changes of others, where these stand, and what they go with."""
+        """Positions of parameters that are changes of others, positions of these, and the variable."""
         return [
             (self.members[group.name], self.group_columns[group.base], group.variable)
             for group in self.further
@@ -121,82 +119,82 @@ class Instrument:
 
     @cached_property
     def group_columns(self) -> dict[str, slice]:
-        """Where the parameters of each group stand, by its name."""
-        return {name: slice(own[0], own[-1] + 1) for name, own in positions_by_group(self.names).items()} | self.members
+        """Positions of the parameters of each group, by name."""
+        return {name: slice(at[0], at[-1] + 1) for name, at in positions_by_group(self.names).items()} | self.members
 
     def change(self, block: Block, values: Array, variable: Variable) -> Array:
-        """∂K (n, 15) of a block by a variable, from the parameters that change with it: by time, 1/s."""
+        """Return ∂K (n, 15) of a block by a variable, from the parameters proportional to it: by time, 1/s."""
         out = np.zeros((block.size, FUNCTIONS))
-        for own, base, each in self.changes:
-            if each == variable:
-                out += self.derivative(block, values)[:, :, base] @ values[own]
+        for members, base, changes_with in self.changes:
+            if changes_with == variable:
+                out += self.derivative(block, values)[:, :, base] @ values[members]
         return out
 
     @cached_property
     def in_velocities(self) -> bool:
-        """Whether the velocities of turns can be predicted: lever arms and delays enter them as much as all else."""
+        """Whether the velocities of turns can be predicted, which requires lever arms and delays."""
         return self.gyro is not None and None not in (self.turn_only("lever"), self.turn_only("delay"))
 
     def levers(self, values: Array) -> Array:
-        """Lever arms (n, 3), m, of the accelerometers by channel; zero where there are none."""
-        out, where = np.zeros((self.accel.size, 3)), self.turn_only("lever")
-        if where is not None:
-            out[self.accel.channels[:-1]] = values[where].reshape(-1, 3)
+        """Return the lever arms (n, 3), m, of the accelerometers by channel; zero without this group."""
+        out, at = np.zeros((self.accel.size, 3)), self.turn_only("lever")
+        if at is not None:
+            out[self.accel.channels[:-1]] = values[at].reshape(-1, 3)
         return out
 
     def delay(self, values: Array) -> float:
-        """By how much the last accelerometer is late, s; zero where they have no delay."""
-        where = self.turn_only("delay")
-        return 0.0 if where is None else float(values[where][0])
+        """Return the delay of the last accelerometer, s; zero without this group."""
+        at = self.turn_only("delay")
+        return 0.0 if at is None else float(values[at][0])
 
     def delays(self, values: Array) -> Array:
-        """By how much the accelerometers (n,) are late, s, by channel."""
-        out, where = np.full(self.accel.size, self.delay(values)), self.turn_only("single delay")
-        if where is not None:
-            out[self.accel.channels[:-1]] += values[where]
+        """Return the delays of the accelerometers (n,), s, by channel."""
+        out, at = np.full(self.accel.size, self.delay(values)), self.turn_only("single delay")
+        if at is not None:
+            out[self.accel.channels[:-1]] += values[at]
         return out
 
     @property
     def blocks(self) -> tuple[Block, ...]:
-        """Accelerometers, and gyros where there are some."""
+        """Accelerometers, and gyros if there are any."""
         return (self.accel,) if self.gyro is None else (self.accel, self.gyro)
 
     def model(self, block: Block, values: Array) -> SensorModel:
-        """Sensitivity matrix and bias of a block."""
+        """Return the sensitivity matrix and bias of a block."""
         return block.model(values[self.own(block)])
 
     def coefficients(self, block: Block, values: Array) -> Array:
-        """K (n, 15) of a block; not to be written to."""
+        """Return K (n, 15) of a block, read-only."""
         return self.all_coefficients(values)[self.rows(block)]
 
     def all_coefficients(self, values: Array) -> Array:
-        """K (n, 15) of accelerometers and gyros; not to be written to."""
+        """Return K (n, 15) of accelerometers and gyros, read-only."""
         return self.linearised(values)[0]
 
     def derivative(self, block: Block, values: Array) -> Array:
-        """∂K/∂θ (n, 15, m) of a block with respect to all parameters; not to be written to."""
+        """Return ∂K/∂θ (n, 15, m) of a block by all parameters, read-only."""
         return self.linearised(values)[1][self.rows(block)]
 
     def linearised(self, values: Array) -> tuple[Array, Array]:
-        """K (n, 15) and ∂K/∂θ (n, 15, m) of accelerometers and gyros; not to be written to."""
+        """Return K (n, 15) and ∂K/∂θ (n, 15, m) of accelerometers and gyros, read-only."""
         return _linearised(self, np.asarray(values, dtype=float).tobytes())
 
     def _linearised(self, values: Array) -> tuple[Array, Array]:
         K, D = self._constant @ values, self._constant.copy()
         for block in self.blocks:
-            rows, own, measured = self.rows(block), self.own(block), measured_by(block)
-            model, jacobian = block.linearised(values[own])
+            rows, columns, measured = self.rows(block), self.own(block), measured_by(block)
+            model, jacobian = block.linearised(values[columns])
             K[rows, measured], K[rows, CONSTANT] = model[:, :3], model[:, 3]
-            D[rows, measured, own], D[rows, CONSTANT, own] = jacobian[:, :3], jacobian[:, 3]
+            D[rows, measured, columns], D[rows, CONSTANT, columns] = jacobian[:, :3], jacobian[:, 3]
         return K, D
 
     def rows(self, block: Block) -> slice:
-        """Where the sensors of a block stand among all, accelerometers before gyros."""
+        """Return the positions of the sensors of a block among all, accelerometers before gyros."""
         return slice(self.accel.size) if block.kind == "accel" else slice(self.accel.size, None)
 
     @cached_property
     def _constant(self) -> Array:
-        """∂K/∂θ for the parameters that K is linear in, others 0."""
+        """∂K/∂θ for the parameters that K is linear in, 0 for the others."""
         out = np.zeros((sum(block.size for block in self.blocks), FUNCTIONS, len(self.names)))
         for group in self.further:
             if group.regressors is not None:
@@ -206,7 +204,7 @@ class Instrument:
 
     @cached_property
     def used(self) -> dict[str, IntArray]:
-        """Which functions the readings of each block may contain."""
+        """Functions that the readings of each block may contain."""
         out: dict[str, IntArray] = {}
         for block in self.blocks:
             nonzero = np.any(self._constant[self.rows(block)] != 0.0, axis=(0, 2))
@@ -217,20 +215,20 @@ class Instrument:
 
 @lru_cache(maxsize=4)
 def _linearised(instrument: Instrument, values: bytes) -> tuple[Array, Array]:
-    """`Instrument.linearised`: an estimate asks for that of one point again and again."""
+    """Return `Instrument.linearised`, cached: an estimate evaluates it repeatedly at one point."""
     out = instrument._linearised(np.frombuffer(values))
-    for each in out:
-        each.flags.writeable = False
+    for array in out:
+        array.flags.writeable = False
     return out
 
 
 def measured_by(block: Block) -> slice:
-    """Where the functions stand that the sensors of a block measure: the specific force or the rate."""
+    """Return the indices of the functions that the sensors of a block measure: specific force or rate."""
     return FORCE if block.kind == "accel" else RATE
 
 
 def functions(block: Block, force: Array, rate: Array) -> Array:
-    """β (N, n, 15) of the sensors of a block for specific forces and rates (N, 3) in the body."""
+    """Return β (N, n, 15) of the sensors of a block for specific forces and rates (N, 3) in the body."""
     own = (force if block.kind == "accel" else rate) @ block.axes.T
     out = np.empty((len(force), block.size, FUNCTIONS))
     out[:, :, CONSTANT] = 1.0
@@ -241,8 +239,8 @@ def functions(block: Block, force: Array, rate: Array) -> Array:
 
 
 def readings(block: Block, K: Array, force: Array, rate: Array) -> Array:
-    """Readings Σ_b K_pb β_pb (N, n) of a block in specific forces, (N, 3), or (N, n, 3) where those at each sensor are
-    others, and rates (N, 3) of the body."""
+    """Return the readings Σ_b K_pb β_pb (N, n) of a block for specific forces, (N, 3) or at each sensor (N, n, 3), and
+    rates (N, 3) of the body."""
     measured, other = (force, rate) if block.kind == "accel" else (rate, force)
     linear = measured_by(block)
     out = _along(measured, K[:, linear]) + K[:, CONSTANT]
@@ -256,10 +254,10 @@ def readings(block: Block, K: Array, force: Array, rate: Array) -> Array:
 
 
 def _along(vectors: Array, axes: Array) -> Array:
-    """Σ_k a_pk v_k (N, n) along axes (n, k) of vectors, (N, k), or (N, n, k) with one for each axis."""
+    """Return Σ_k a_pk v_k (N, n) along axes (n, k) of vectors, (N, k), or (N, n, k) with one for each axis."""
     return np.asarray(vectors @ axes.T if vectors.ndim == 2 else np.einsum("npk,pk->np", vectors, axes))
 
 
 def is_linear(block: Block, K: Array) -> bool:
-    """Whether the readings of a block are linear in what it measures, and of nothing else."""
+    """Return True if the readings of a block depend only on the vector it measures, linearly."""
     return not np.any(np.delete(K, np.r_[CONSTANT, measured_by(block)], axis=1))

@@ -1,16 +1,16 @@
-"""The sensor model of everything: `reading = matrix @ true + bias`, matrix n×3.
+"""The linear sensor model: `reading = matrix @ true + bias`, matrix (n, 3).
 
-For a triad along the body axes matrix = diag(1 + k) A(γ) with the exact axes matrix of Eq. (1). A block with
-other nominal axes, or more than three sensors, has per sensor a bias, a scale-factor error and rotations of
-its nominal axis about two perpendiculars; nothing else changes.
+For a triad along the body axes matrix = diag(1 + k) A(γ) with the exact axes matrix of Eq. (1). In a block with other
+nominal axes, or more than three sensors, each sensor has a bias, a scale-factor error and rotations of its nominal axis
+about two perpendiculars.
 
-The body frame is fixed by the accelerometers: accelerometer 0 keeps its nominal direction, accelerometer 1
-stays in the nominal plane of 0 and 1. So a triad has three accelerometer angles (yx, zx, zy) and six gyro
-angles; a block of n has 2n − 3 and 2n.
+The accelerometers define the body frame: accelerometer 0 keeps its nominal direction, accelerometer 1 stays in the
+nominal plane of 0 and 1. So a triad has three accelerometer angles (yx, zx, zy) and six gyro angles; a block of n has
+2n − 3 and 2n.
 
-Numbered sensors: the nominal axis d of sensor p is rotated by the rotation vector θ₁t₁ + θ₂t₂, where
-t₁ ∥ r × d, t₂ = d × t₁, and r is the nominal axis of sensor 0 (for sensor 0 itself, and for sensors parallel
-to it, the body axis with the smallest component in d). `accel.axis.3.1` is θ₁ of accelerometer 3.
+Numbered sensors: the nominal axis d of sensor p is rotated by the rotation vector θ₁t₁ + θ₂t₂, where t₁ ∥ r × d,
+t₂ = d × t₁, and r is the nominal axis of sensor 0 (for sensor 0 itself, and for sensors parallel to it, the body axis
+with the smallest component in d). `accel.axis.3.1` is θ₁ of accelerometer 3.
 """
 
 from __future__ import annotations
@@ -36,33 +36,35 @@ _FREE_PAIRS: dict[SensorKind, tuple[str, ...]] = {
     "mag": _ANGLE_PAIRS,
 }
 _LEANING = {"xy": (0, 0), "xz": (0, 1), "yx": (1, 1), "yz": (1, 0), "zx": (2, 0), "zy": (2, 1)}
-"""Of a triad the sensor that an angle is of, and whether it leans towards the next axis, 0, or the one before, 1."""
-_EACH, _NEXT, _BEFORE = np.arange(3), np.array([1, 2, 0]), np.array([2, 0, 1])
+"""Sensor of an angle of a triad, and whether it leans towards the next axis, 0, or the previous one, 1."""
+_INDEX, _NEXT, _BEFORE = np.arange(3), np.array([1, 2, 0]), np.array([2, 0, 1])
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SensorModel:
-    """`reading = matrix @ true + bias` of one block: matrix (..., n, 3), bias (..., n) in m/s² or rad/s. Leading axes
-    are many units at once, of each of which there are N readings and true vectors (..., N, ·)."""
+    """`reading = matrix @ true + bias` of one block: matrix (..., n, 3), bias (..., n) in m/s² or rad/s.
+
+    Leading axes are units, each of which has N readings and true vectors (..., N, ·)."""
 
     matrix: Array
     bias: Array
 
     def inverse(self) -> Array:
-        """The matrix (..., 3, n) that takes reading − bias to the true vector (least squares for n > 3)."""
+        """Return the matrix (..., 3, n) from reading − bias to the true vector (least squares for n > 3)."""
         return left_inverse(self.matrix)
 
     def apply(self, readings: Array) -> Array:
-        """True vectors (..., 3) from readings (..., n), both in SI and in the body frame."""
+        """Return true vectors (..., 3) from readings (..., n), both in SI and in the body frame."""
         return np.asarray((readings - self._offset) @ np.swapaxes(self.inverse(), -1, -2))
 
     def predict(self, true: Array) -> Array:
-        """Readings (..., n) of true vectors (..., 3)."""
+        """Return readings (..., n) of true vectors (..., 3)."""
         return np.asarray(true @ np.swapaxes(self.matrix, -1, -2) + self._offset)
 
     def composed(self, inner: SensorModel) -> SensorModel:
-        """The model of the readings where `inner` is that of what `apply` makes of them: S₁ (S₂ x + b₂) + b₁, exact,
-        and of accelerometers in their frame, since lower triangular matrices stay so."""
+        """Return the model of the readings if `inner` is the model of the vectors that `apply` returns: S₁ (S₂ x + b₂)
+        + b₁. It is exact, and keeps the accelerometer frame, since products of lower triangular matrices are lower
+        triangular."""
         bias = (self.matrix @ inner.bias[..., None])[..., 0] + self.bias
         return SensorModel(matrix=self.matrix @ inner.matrix, bias=bias)
 
@@ -72,15 +74,12 @@ class SensorModel:
 
 
 PERFECT_TRIAD = SensorModel(matrix=np.eye(3), bias=np.zeros(3))
-"""Three sensors along the body axes without errors."""
-
-ACCEL_ANGLES = (2, 4, 5)
-"""Which of the six angles xy, xz, yx, yz, zx, zy the accelerometers of a triad have: yx, zx, zy."""
+ACCEL_ANGLES = (2, 4, 5)  # those of the six angles that the accelerometers of a triad have: yx, zx, zy
 
 
 def triad_model(bias: Array, scale: Array, angles: Array) -> SensorModel:
-    """S = diag(1 + k) A(γ), Eq. (1), and the bias of sensors along the body axes, of values (..., 3), (..., 3) and
-    (..., 6) or, for accelerometers, (..., 3)."""
+    """Return S = diag(1 + k) A(γ), Eq. (1), and the bias of sensors along the body axes, from values (..., 3), (..., 3)
+    and (..., 6) or, for accelerometers, (..., 3)."""
     if angles.shape[-1] == len(ACCEL_ANGLES):
         six = np.zeros((*angles.shape[:-1], 6))
         six[..., ACCEL_ANGLES] = angles
@@ -90,15 +89,16 @@ def triad_model(bias: Array, scale: Array, angles: Array) -> SensorModel:
 
 
 def triad_parameters(model: SensorModel) -> tuple[Array, Array, Array]:
-    """Biases (..., 3), scale-factor errors (..., 3) and the six angles (..., 6) of a model: `triad_model` inverted."""
+    """Return biases (..., 3), scale-factor errors (..., 3) and six angles (..., 6) of a model: inverse of
+    `triad_model`."""
     norms = np.linalg.norm(model.matrix, axis=-1)
     axes = np.moveaxis(model.matrix / norms[..., None], (-2, -1), (0, 1))
     return model.bias, norms - 1.0, np.moveaxis(axes_angles(axes), 0, -1)
 
 
 def thermometers_of(count: int, accel: int, gyro: int) -> tuple[int, ...] | None:
-    """The number of the thermometer, of so many, that each of so many accelerometers and gyros has: one has all, two
-    the accelerometers and the gyros, or each has its own, accelerometers first. None for another number of them."""
+    """Return the thermometer of each accelerometer and gyro: one for all, two for accelerometers and gyros, or one
+    each, accelerometers first. None for another number of thermometers."""
     if count == accel + gyro:
         return tuple(range(count))
     if count == 1 or (count == 2 and gyro):
@@ -108,9 +108,10 @@ def thermometers_of(count: int, accel: int, gyro: int) -> tuple[int, ...] | None
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Block:
-    """n sensors of one kind with nominal sensing directions `axes` (n, 3) in the body frame, and what their
-    parameters are called. Parameter vectors of a block are in the order of `names`. `thermometers` are the numbers of
-    those that the channels have, where they do not all have the first."""
+    """n sensors of one kind with nominal sensing directions `axes` (n, 3) in the body frame.
+
+    Parameter vectors of a block are in the order of `names`. `thermometers`: numbers of those of the channels; empty if
+    all have the first."""
 
     kind: SensorKind
     axes: Array
@@ -129,86 +130,87 @@ class Block:
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Parameter names as in the calibration file: biases, scale-factor errors, axis angles."""
-        of_sensors = (f"{what}.{sensor}" for what in ("bias", "scale") for sensor in self.sensors)
-        return tuple(f"{self.kind}.{part}" for part in (*of_sensors, *(f"axis.{angle}" for angle in self.angles)))
+        per_sensor = (f"{what}.{sensor}" for what in ("bias", "scale") for sensor in self.sensors)
+        return tuple(f"{self.kind}.{part}" for part in (*per_sensor, *(f"axis.{angle}" for angle in self.angles)))
 
     @property
     def sensors(self) -> tuple[str, ...]:
-        """What the sensors are called in the names of parameters: x, y, z of a triad, else 0, 1, …"""
+        """Names of the sensors in names of parameters: x, y, z for a triad, else 0, 1, …"""
         return ("x", "y", "z") if self.triad else tuple(str(p) for p in range(self.size))
 
     @cached_property
     def angles(self) -> tuple[str, ...]:
-        """What the axis angles are called in the names of parameters."""
+        """Names of the axis angles in names of parameters."""
         return _FREE_PAIRS[self.kind] if self.triad else tuple(f"{p}.{1 + j}" for p, j in self._free)
 
     @cached_property
     def _free(self) -> list[tuple[int, int]]:
-        """Sensor, in the order of `sensors`, and which of its two angles, 0 or 1, every axis angle is."""
+        """Sensor of every axis angle, in the order of `sensors`, and which of its two angles it is, 0 or 1."""
         if self.triad:
             return [_LEANING[pair] for pair in _FREE_PAIRS[self.kind]]
-        every = [(p, j) for p in range(self.size) for j in (0, 1)]
-        return every if self.kind == "gyro" else [(1, 0), *every[4:]]
+        pairs = [(p, j) for p in range(self.size) for j in (0, 1)]
+        return pairs if self.kind == "gyro" else [(1, 0), *pairs[4:]]
 
     @cached_property
     def channels(self) -> IntArray:
-        """The channel (n,) of each sensor in the order of `sensors`: of a triad, which senses body axis 0, 1, 2."""
+        """Channel of each sensor (n,) in the order of `sensors`: for a triad, the one that senses body axis 0, 1, 2."""
         return np.argmax(np.abs(self.axes), axis=0) if self.triad else np.arange(self.size)
 
     @cached_property
     def thermometer(self) -> IntArray:
-        """The number of the thermometer of each channel (n,)."""
+        """Thermometer of each channel (n,)."""
         return np.array(self.thermometers or self.size * (0,), dtype=np.int64)
 
     def nominal(self) -> SensorModel:
-        """The model of perfect sensors."""
+        """Return the model of perfect sensors."""
         return SensorModel(matrix=self.axes.copy(), bias=np.zeros(self.size))
 
     def model(self, values: Array) -> SensorModel:
-        """The sensor model of parameter values given in the order of `names`."""
+        """Return the sensor model of parameter values in the order of `names`."""
         matrix_and_bias = self.linearised(values)[0]
         return SensorModel(matrix=matrix_and_bias[:, :3].copy(), bias=matrix_and_bias[:, 3].copy())
 
     def parameters(self, model: SensorModel) -> Array:
-        """Parameter values of a sensor model given in this block's frame: `model` inverted."""
+        """Return the parameter values of a sensor model in this block's frame: inverse of `model`."""
         norms = np.linalg.norm(model.matrix, axis=1)[self.channels]
         directions = model.matrix[self.channels] / norms[:, None]
         return np.concatenate([model.bias[self.channels], norms - 1.0, self._angles_of(directions)])
 
     def jacobian(self, values: Array) -> Array:
-        """Derivative of the matrix (n, 3) and of the bias (as a fourth column) with respect to the
-        parameters: shape (n, 4, m), so that d(reading) = jacobian · dθ applied to (true, 1); not to be written to."""
+        """Return the derivative (n, 4, m) of the matrix (n, 3) and, as fourth column, of the bias by the parameters, so
+        that d(reading) = jacobian · dθ applied to (true, 1); read-only."""
         return self.linearised(values)[1]
 
     def linearised(self, values: Array) -> tuple[Array, Array]:
-        """[matrix | bias] (n, 4) of parameter values, and its `jacobian`; not to be written to."""
+        """Return [matrix | bias] (n, 4) of parameter values, and its `jacobian`; read-only."""
         return _linearised(self, np.asarray(values, dtype=float).tobytes())
 
     def _linearised(self, values: Array) -> tuple[Array, Array]:
         n, m = self.size, len(values)
         model, out = np.empty((n, 4)), np.zeros((n, 4, m))
-        each, scale, angles = np.arange(n), values[n : 2 * n], values[2 * n :]
-        model[self.channels, 3], out[self.channels, 3, each] = values[:n], 1.0
+        index, scale, angles = np.arange(n), values[n : 2 * n], values[2 * n :]
+        model[self.channels, 3], out[self.channels, 3, index] = values[:n], 1.0
         gain, rotated = (1.0 + scale)[:, None], self._rotated(angles)
-        model[self.channels, :3], out[self.channels, :3, n + each] = gain * rotated, rotated
-        for which in (0, 1):  # a complex step, exact to rounding: an angle of one sensor moves no other
-            stepped, own = angles.astype(complex), [i for i, free in enumerate(self._free) if free[1] == which]
-            stepped[own] += 1e-20j
+        model[self.channels, :3], out[self.channels, :3, n + index] = gain * rotated, rotated
+        for which in (0, 1):  # a complex step, exact to rounding; an angle affects only its own sensor
+            stepped, members = angles.astype(complex), [i for i, free in enumerate(self._free) if free[1] == which]
+            stepped[members] += 1e-20j
             change = gain * self._rotated(stepped).imag / 1e-20
-            for i in own:
+            for i in members:
                 sensor = self._free[i][0]
                 out[self.channels[sensor], :3, 2 * n + i] = change[sensor]
         return model, out
 
     def _rotated(self, angles: Array) -> Array:
-        """Unit sensing axes (n, 3), in the order of `sensors`, for values of the free angles, real or complex."""
+        """Return unit sensing axes (n, 3), in the order of `sensors`, for values of the free angles, real or
+        complex."""
         both = np.zeros((self.size, 2), dtype=angles.dtype)
         for value, (sensor, which) in zip(angles, self._free, strict=True):
             both[sensor, which] = value
         if self.triad:
             onward, back, out = both[:, 0], both[:, 1], np.empty((3, 3), dtype=angles.dtype)
-            out[_EACH, _EACH] = np.cos(onward) * np.cos(back)
-            out[_EACH, _NEXT], out[_EACH, _BEFORE] = np.sin(onward), np.cos(onward) * np.sin(back)
+            out[_INDEX, _INDEX] = np.cos(onward) * np.cos(back)
+            out[_INDEX, _NEXT], out[_INDEX, _BEFORE] = np.sin(onward), np.cos(onward) * np.sin(back)
             return np.asarray(self._signs[:, None] * out)
         t = _perpendiculars(np.asarray(self.axes, dtype=float).tobytes())
         square = (both**2).sum(axis=1)[:, None]
@@ -219,7 +221,7 @@ class Block:
         return np.asarray(cosine * self.axes + ratio * across)
 
     def _angles_of(self, directions: Array) -> Array:
-        """The free angles of unit sensing axes (n, 3): `_rotated` inverted."""
+        """Return the free angles of unit sensing axes (n, 3): inverse of `_rotated`."""
         if self.triad:
             six = axes_angles(self._signs[:, None] * directions)
             return np.array([six[_ANGLE_PAIRS.index(pair)] for pair in self.angles])
@@ -231,13 +233,13 @@ class Block:
 
     @property
     def _signs(self) -> Array:
-        """Of a triad +1 or −1 (3,): which way each sensor senses, in the order of `sensors`."""
+        """Sign (3,) of the direction of each sensor of a triad, in the order of `sensors`."""
         return np.asarray(self.axes[self.channels].sum(axis=1), dtype=float)
 
 
 @lru_cache(maxsize=256)
 def _along_body_axes(axes: bytes) -> bool:
-    """Whether sensing axes (n, 3), float64, are three, each along a body axis."""
+    """Return True if sensing axes (n, 3), float64, are three, each along a body axis."""
     rows = np.frombuffer(axes).reshape(-1, 3)
     return rows.shape == (3, 3) and bool(
         np.array_equal(np.sort(np.abs(rows), axis=1), [[0, 0, 1]] * 3) and abs(np.linalg.det(rows)) > 0.5
@@ -246,16 +248,16 @@ def _along_body_axes(axes: bytes) -> bool:
 
 @lru_cache(maxsize=64)
 def _linearised(block: Block, values: bytes) -> tuple[Array, Array]:
-    """`Block.linearised` of parameters, float64: an estimate asks for that of one point again and again."""
+    """Return `Block.linearised`, cached: an estimate evaluates it repeatedly at one point."""
     out = block._linearised(np.frombuffer(values))
-    for each in out:
-        each.flags.writeable = False
+    for array in out:
+        array.flags.writeable = False
     return out
 
 
 @lru_cache(maxsize=64)
 def _perpendiculars(axes: bytes) -> Array:
-    """t₁ and t₂ (n, 2, 3) of sensing axes (n, 3), float64."""
+    """Return t₁ and t₂ (n, 2, 3) of sensing axes (n, 3), float64."""
     rows = np.frombuffer(axes).reshape(-1, 3)
     out = np.empty((len(rows), 2, 3))
     for p, d in enumerate(rows):
@@ -271,20 +273,21 @@ def _perpendiculars(axes: bytes) -> Array:
 def to_accelerometer_frame(
     block: Block, accel: SensorModel, gyro: SensorModel | None
 ) -> tuple[SensorModel, SensorModel | None]:
-    """The same sensors in the frame fixed by the accelerometers (`block`): accelerometer 0 along its nominal
-    axis, accelerometer 1 in the nominal plane of 0 and 1; for a triad, X along the X accelerometer and Y in
-    the plane of X and Y."""
+    """Return the same sensors in the frame that the accelerometers (`block`) define: accelerometer 0 along its nominal
+    axis, accelerometer 1 in the nominal plane of 0 and 1; for a triad, X along the X accelerometer and Y in the plane
+    of X and Y."""
     order = block.channels
     signs = block._signs if block.triad else np.ones(block.size)
-    found = _frame_of(signs[:, None] * accel.matrix[order])
+    actual = _frame_of(signs[:, None] * accel.matrix[order])
     nominal = _frame_of(signs[:, None] * block.axes[order])
-    rotation = found.T @ nominal
+    rotation = actual.T @ nominal
     moved = SensorModel(matrix=accel.matrix @ rotation, bias=accel.bias)
     return moved, None if gyro is None else SensorModel(matrix=gyro.matrix @ rotation, bias=gyro.bias)
 
 
 def _frame_of(axes: Array) -> Array:
-    """Right-handed orthonormal rows: along axes[0], across it in the plane of axes[0] and axes[1], normal."""
+    """Return right-handed orthonormal rows: along axes[0], perpendicular in the plane of axes[0] and axes[1],
+    normal."""
     first = axes[0] / np.linalg.norm(axes[0])
     third = np.cross(axes[0], axes[1])
     third = third / np.linalg.norm(third)
@@ -292,16 +295,17 @@ def _frame_of(axes: Array) -> Array:
 
 
 def left_null_space(matrix: Array) -> Array:
-    """Orthonormal rows (n − 3, n): what sensors of a sensitivity matrix (n, 3) read that no vector explains."""
+    """Return orthonormal rows (n − 3, n): the combinations of readings, for a sensitivity matrix (n, 3), that no vector
+    affects."""
     return np.asarray(np.linalg.qr(matrix, mode="complete")[0][:, 3:].T)
 
 
 def tilt_null_space(matrix: Array, direction: Array) -> Array:
-    """Orthonormal columns (N, n, n − 2): what sensors of a sensitivity matrix (n, 3), or (N, n, 3), read that no turn
-    of vectors along `direction` (N, 3) reaches; zero where there is no direction."""
+    """Return orthonormal columns (N, n, n − 2): the combinations of readings, for a sensitivity matrix (n, 3) or (N, n,
+    3), that no small rotation of vectors along `direction` (N, 3) affects; zero without a direction."""
     if matrix.shape[-2] == 3:
         reading = np.swapaxes(direction[:, None] @ left_inverse(matrix), -1, -2)
         length = np.linalg.norm(reading, axis=-2, keepdims=True)
         return np.asarray(reading / np.where(length > 0.0, length, 1.0))
-    turning = matrix @ np.swapaxes(tangent_basis(direction), -1, -2)
-    return np.asarray(np.linalg.qr(turning, mode="complete")[0][..., 2:])
+    by_tilt = matrix @ np.swapaxes(tangent_basis(direction), -1, -2)
+    return np.asarray(np.linalg.qr(by_tilt, mode="complete")[0][..., 2:])

@@ -10,8 +10,7 @@ from tumble.arguments import checked
 from tumble.errors import InputError, needs_extra
 from tumble.files import FilePath, ending_in, whole_file
 from tumble.programme.positions import Programme
-from tumble.programme.sheet import SIGNATURES, form_of, sheet_drawing, sheet_page
-from tumble.programme.sheet_pictures import legend, picture
+from tumble.programme.sheet import SIGNATURES, form_of, legend, picture, sheet_drawing, sheet_page
 from tumble.programme.sheet_words import RATE, REST, notes_of, pace_of, sheet_rows
 from tumble.usual_setup import MOVE
 from tumble.views.blocks import Block, table

@@ -22,7 +22,7 @@ from tumble.bench.state import State
 from tumble.bench.station import STEP_SECONDS, Station
 from tumble.bench.web import connections
 from tumble.bench.web.access import HEADERS, Access
-from tumble.programme.sheet_pictures import picture
+from tumble.programme.sheet import picture
 
 PAGE = Path(__file__).parent / "page"
 _KEEP_ALIVE = 1.0

@@ -44,20 +44,9 @@ class AllanDeviation(Brief):
 def allan_deviation(samples: Array, rate: float) -> AllanDeviation:
     """Return the overlapping Allan deviation at four averaging times per octave, up to a quarter of the record.
 
-    Parameters
-    ----------
-    samples
-        Samples (m,) or (m, c) at a constant rate.
-    rate
-        Samples per second.
+    `samples` are (m,) or (m, c), at a constant rate, Hz. Raises InputError for fewer than 32 samples, and for a value
+    that is not finite.
 
-    Raises
-    ------
-    InputError
-        For fewer than 32 samples, or a value that is not finite.
-
-    Examples
-    --------
     >>> import numpy as np, tumble
     >>> white = np.random.default_rng(1).normal(size=(10_000, 1))
     >>> found = tumble.allan_deviation(white, 100.0)

@@ -81,16 +81,8 @@ def _squares(values: IntArray, intervals: Array) -> float:
 
 
 def rounding(samples: Array, rests: Sequence[Array], channels: Sequence[ChannelState]) -> Rounding:
-    """Return the rounding of channels.
-
-    Parameters
-    ----------
-    samples
-        Samples (m, n) of the whole log.
-    rests
-        Samples (k, n) of each rest, in order of time, some 0.1 s apart.
-    channels
-        States of the n channels."""
+    """Return the rounding of n channels from samples (m, n) of the whole log, those of each rest (k, n), in order of
+    time and some 0.1 s apart, and the states of the channels."""
     subset = samples[:: -(-len(samples) // MAX_SAMPLES) or 1]
     step = np.array([_step(values, channel) for values, channel in zip(subset.T, channels, strict=True)])
     changes = np.concatenate([np.zeros((1, len(step))), *(np.diff(rest, axis=0) for rest in rests)])[1:]

@@ -177,8 +177,8 @@ class _Moments:
             steps = np.concatenate([[1.0], np.round(m * growth[m * growth < far])])
             edges = np.unique(np.concatenate([kinks, *(kinks + s for s in steps), *(kinks - s for s in steps)]))
             start, width = edges[:-1], np.diff(edges)
-            each, wide = width <= LAG_BY_LAG, width > LAG_BY_LAG
-            single = start[each, None] + np.where(dense < width[each, None], dense, np.nan)
+            narrow, wide = width <= LAG_BY_LAG, width > LAG_BY_LAG
+            single = start[narrow, None] + np.where(dense < width[narrow, None], dense, np.nan)
             half = 0.5 * width[wide, None]
             nodes = start[wide, None] - 0.5 + half * (1.0 + _NODES)  # from half a lag before: sums are midpoint rules
             lag = np.concatenate([single.ravel(), nodes.ravel()])
@@ -188,7 +188,7 @@ class _Moments:
         h, dh = (np.array([np.pad(g[i], (0, longest - len(g[i]))) for g in grids]) for i in (0, 1))
         M = [[np.maximum(count + 1.0 - 2.0 * m, 0.0) for m in self.pairs] for count in self.counts]
         pairs_apart = sum(np.maximum(np.minimum(M_i, M_j - h) - np.maximum(0.0, -h), 0.0) for M_i, M_j in M)
-        M_i, M_j = (sum(each) for each in zip(*M, strict=True))
+        M_i, M_j = (sum(counts) for counts in zip(*M, strict=True))
         weight = pairs_apart * dh / (M_i * M_j)
         kept = weight.any(axis=0)
         shifts = (m_j[..., None] * np.arange(3) - m_i[..., None] * np.arange(3)[:, None]).reshape(-1, 1, 9)

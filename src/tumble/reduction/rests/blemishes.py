@@ -104,8 +104,8 @@ def _bad_samples(samples: MotionSamples, f: FileBlocks, blocks: slice, side: int
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class BadSamples:
-    """Bad samples of turns: `at`, their indices (m,) among the stored samples, ascending; `turn`, the turn of each
-    (m,); `values`, the rates, rad/s, and forces, m/s², that replace them (m, 6)."""
+    """Bad samples of turns: their indices `at` (m,) among the stored samples, ascending, the `turn` of each (m,), and
+    the rates, rad/s, and forces, m/s², that replace them, `values` (m, 6)."""
 
     at: IntArray
     turn: IntArray
@@ -124,29 +124,15 @@ def bad_samples_of_turns(
     least: Array,
     tuning: Tuning = USUAL,
 ) -> BadSamples:
-    """Find the bad samples of turns.
-
-    Parameters
-    ----------
-    samples
-        The stored samples.
-    start, stop
-        Turn k is samples start[k] … stop[k] − 1 (K,).
-    within
-        First and last sample, exclusive, of the file of each turn (K,).
-    rate
-        Samples per second.
-    least
-        Smallest distance of a bad sample (6,), rates in rad/s and forces in m/s².
-    tuning
-        Thresholds."""
-    beside, bad = max(tuning.band_samples, round(tuning.band * rate)), list[tuple[int, int, Array]]()
+    """Find the bad samples of turns, samples start[k] … stop[k] − 1 in files that are `within` two samples (K,), at a
+    sample rate, Hz. `least`: smallest distance of a bad sample (6,), rates in rad/s and forces in m/s²."""
+    n_band, bad = max(tuning.band_samples, round(tuning.band * rate)), list[tuple[int, int, Array]]()
     for turn, (begin, end, low, high) in enumerate(zip(start, stop, *within, strict=True)):
         for first in range(int(begin), int(end), BATCH_SAMPLES):
             last = min(first + BATCH_SAMPLES, int(end))
-            before = max(first - beside - 2, int(low))
-            rates, forces, dt = samples.read(before, min(last + beside + 2, int(high)))
-            for at, replacement in _find_bad(np.hstack([rates, forces]), dt, beside, least, tuning):
+            before = max(first - n_band - 2, int(low))
+            rates, forces, dt = samples.read(before, min(last + n_band + 2, int(high)))
+            for at, replacement in _find_bad(np.hstack([rates, forces]), dt, n_band, least, tuning):
                 if first <= before + at < last:
                     bad.append((before + at, turn, replacement))
     return BadSamples(
@@ -156,21 +142,21 @@ def bad_samples_of_turns(
     )
 
 
-def _find_bad(values: Array, dt: Array, beside: int, least: Array, tuning: Tuning) -> Iterator[tuple[int, Array]]:
+def _find_bad(values: Array, dt: Array, n_band: int, least: Array, tuning: Tuning) -> Iterator[tuple[int, Array]]:
     """Yield indices of bad samples among rates and forces (m, 6) at intervals (m,), with their replacements.
 
-    The band is that of `beside` samples on either side."""
+    The band is that of `n_band` samples on either side."""
     reach = tuning.longest_run + 2
     if len(values) < 2 * (tuning.band_samples + reach) + 1:
         return
     off = _off_cubic(values)
-    largest = _sliding_maximum(off, beside - reach)
-    sides, gap = np.zeros_like(off), reach + (beside - reach) // 2
+    largest = _sliding_maximum(off, n_band - reach)
+    sides, gap = np.zeros_like(off), reach + (n_band - reach) // 2
     sides[gap:] = largest[:-gap]
     sides[:-gap] = np.maximum(sides[:-gap], largest[gap:])
     suspects = np.flatnonzero((off > np.maximum(tuning.band_beyond * sides, least)).any(axis=1))
     for group in np.split(suspects, np.flatnonzero(np.diff(suspects) > reach) + 1) if len(suspects) else ():
-        yield from _bad_run(values, dt, (int(group[0]), int(group[-1]) + 1), beside, least, tuning)
+        yield from _bad_run(values, dt, (int(group[0]), int(group[-1]) + 1), n_band, least, tuning)
 
 
 def _sliding_maximum(values: Array, width: int) -> Array:
@@ -191,13 +177,13 @@ def _off_cubic(values: Array) -> Array:
 
 
 def _bad_run(
-    values: Array, dt: Array, among: tuple[int, int], beside: int, least: Array, tuning: Tuning
+    values: Array, dt: Array, among: tuple[int, int], n_band: int, least: Array, tuning: Tuning
 ) -> Iterator[tuple[int, Array]]:
     """Yield the indices of the shortest run of bad samples `among` suspects, with their replacements."""
     for length in range(1, tuning.longest_run + 1):
         for first in range(max(among[0] - 1, 2), min(among[1] + 1, len(values) - length - 1)):
             run = slice(first, first + length)
-            low, high = max(first - beside - 2, 0), min(run.stop + beside + 2, len(values))
+            low, high = max(first - n_band - 2, 0), min(run.stop + n_band + 2, len(values))
             too_long = length > 1 and dt[run].sum() > tuning.brief
             if too_long or min(first - low, high - run.stop) < tuning.band_samples:
                 continue
@@ -233,9 +219,9 @@ def _is_corrupt(off: Array, dt: Array, beyond: BoolArray, tuning: Tuning) -> boo
     if np.any((off * np.sign(off[0])).min(axis=0)[beyond] < 0.5 * size[beyond]):
         return False  # a step from one sample to the next, as of a table that starts abruptly
     if beyond.sum() == 1:
-        (one,) = np.flatnonzero(beyond)
-        others = (kind == kind[one]) & ~beyond
-        if size[one] > tuning.alone * size[others].max():
+        (channel,) = np.flatnonzero(beyond)
+        others = (kind == kind[channel]) & ~beyond
+        if size[channel] > tuning.alone * size[others].max():
             return True
     turned, moved = (float(np.linalg.norm(dt @ off[:, kind == k])) for k in (0, 1))
     return moved > tuning.violent_velocity or turned > tuning.violent_angle

@@ -70,28 +70,12 @@ def level_function(
     window: int,
     tuning: Tuning,
 ) -> LevelFunction | None:
-    """Fit G, d and s to the gyro levels of rests and of stretches off the level.
+    """Fit G, d and s to the gyro levels of rests of at least a window and of stretches off the level.
 
-    Parameters
-    ----------
-    rates, forces, times
-        By file, block means (K, 3) of the rate, rad/s, and of the specific force, m/s², and times (K,), −1 … 1.
-    rests
-        By file, the rests; those shorter than a window are left out.
-    off
-        Stretches off the level.
-    limit
-        Largest distance, rad/s, of a level that follows the function.
-    window
-        Blocks of a window.
-    tuning
-        Thresholds.
-
-    Returns
-    -------
-    LevelFunction or None
-        None if no function explains the levels of most stretches, or if a constant explains them all.
-    """
+    `rates`, `forces`, `times`: by file, block means (K, 3) of the rate, rad/s, and of the specific force, m/s², and
+    times (K,), −1 … 1. `rests`: by file. `limit`: largest distance, rad/s, of a level that follows the function.
+    `window`: in blocks. Return None if no function explains the levels of most stretches, or if a constant explains
+    them all."""
     at_level = [(k, i, j) for k, spans in enumerate(rests) for i, j in spans if j - i >= window]
     stretches = at_level + [(s.place, s.first, s.last) for s in off]
     if len(stretches) < tuning.level_attitudes:
@@ -154,18 +138,15 @@ def times_of(edges: list[Array]) -> list[Array]:
 
 
 def core(first: int, last: int, window: int) -> Span:
-    """Return the middle of a stretch.
-
-    Half a window, blurred by the turns beside it, is cut at each end, and at least a quarter of the stretch, in which a
-    turn may begin slowly."""
+    """Return the middle of a stretch, without half a window at each end, which the turns beside it blur, and without at
+    least a quarter of the stretch, in which a turn may begin slowly."""
     cut = max(min(window, last - first - 1) // 2, (last - first) // 4)
     return first + cut, last - cut
 
 
 def _fits(rows: Array, level: Array, limit: float) -> BoolArray:
-    """Return which levels (N, 3) are within `limit` of the function with the smallest sum of distances.
-
-    Iteratively reweighted least squares; distances below a tenth of `limit` count quadratically."""
+    """Return which levels (N, 3) are within `limit` of the function with the smallest sum of distances, by iteratively
+    reweighted least squares; distances below a tenth of `limit` count quadratically."""
     weight = np.ones(len(rows))
     for _ in range(50):
         distance = np.linalg.norm(level - rows @ _least_squares(rows, level, weight)[0], axis=1)

@@ -230,19 +230,11 @@ def drift(series: list[Array]) -> Array:
 
 
 def sphere_through(points: Array, least: float | None = None) -> tuple[Array, float]:
-    """Fit a sphere to points: the bias and scale of readings of a vector of constant length.
+    """Fit a sphere to points (N, 3), and return its centre (3,) and radius: the bias and scale of readings of a vector
+    of constant length.
 
-    Parameters
-    ----------
-    points
-        Points (N, 3).
-    least
-        Relative singular value below which the centre is the mean of the points along a direction.
-
-    Returns
-    -------
-    tuple of Array and float
-        Centre (3,) and radius, from |y|² = 2 y·c + r² − |c|² by least squares about the mean."""
+    |y|² = 2 y·c + r² − |c|² is solved by least squares about the mean. Directions in which the points vary by less than
+    the fraction `least` of the widest have the mean as centre."""
     mean = points.mean(axis=0)
     offsets = points - mean
     square = (offsets**2).sum(axis=1)

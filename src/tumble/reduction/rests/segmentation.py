@@ -97,7 +97,7 @@ class Stretch:
 
 
 def gap_between(before: Stretch, after: Stretch, samples: int, what: str, why: str) -> Gap:
-    """Return the turn between two rests as a gap of the log, because of so many of its samples."""
+    """Return the turn between two rests as a gap of the log; `samples` is the number of samples that cause it."""
     at, stop = before.stop, after.start
     return Gap(file=before.file, row=0, time=at, samples=samples, what=what, stop=stop, integrable=False, why=why)
 

@@ -22,7 +22,7 @@ from tumble.units import Array, IntArray
 WARMED = 0.1  # K: if no rest changes by more, nothing is subtracted
 OVER_TEMPERATURE = 10.0  # K: if the rests span less, no lag is fitted
 LAGS = np.array([-200.0, -100.0, -50.0, -25.0, 0.0, 25.0, 50.0, 100.0, 200.0, 400.0, 800.0])  # s
-REFINEMENTS, REFINED_LAGS = 4, 7  # the best lag is refined so often, among so many values between its neighbours
+REFINEMENTS, REFINED_LAGS = 4, 7  # number of refinements of the best lag, and of lags tried in each
 
 KelvinAtLag = Callable[[float], Array]
 """Temperatures (K, T), K, at the blocks of all rests, of bodies that follow the thermometers with a lag, s."""
@@ -50,7 +50,7 @@ def without_warming(series: Sequence[Array], kelvin: KelvinAtLag | None, thermom
             lags = np.linspace(lags[max(best - 1, 0)], lags[min(best + 1, len(lags) - 1)], REFINED_LAGS)
         best = int(np.argmax([explained(lag) for lag in lags.tolist()]))
     warm = kelvin(float(lags[best]))
-    out = [np.empty_like(each) for each in series]
+    out = [np.empty_like(s) for s in series]
     for t, fit in fits.items():
         for whole, quiet in zip(out, fit.without(warm[:, t]), strict=True):
             whole[:, thermometer == t] = quiet
@@ -73,9 +73,9 @@ class _WarmingFit:
 
     @staticmethod
     def of(series: Sequence[Array]) -> _WarmingFit:
-        means, count = np.array([each.mean(axis=0) for each in series]), np.array([len(each) for each in series])
-        off = np.concatenate([each - mean for each, mean in zip(series, means, strict=True)])
-        noise = np.concatenate([np.diff(each, axis=0) for each in series]).std(axis=0)
+        means, count = np.array([s.mean(axis=0) for s in series]), np.array([len(s) for s in series])
+        off = np.concatenate([s - mean for s, mean in zip(series, means, strict=True)])
+        noise = np.concatenate([np.diff(s, axis=0) for s in series]).std(axis=0)
         return _WarmingFit(
             means=means.T,
             off=np.ascontiguousarray(off.T),
@@ -104,11 +104,11 @@ class _WarmingFit:
         columns = np.stack([warmer, warmer**2])
         columns -= np.repeat(self._mean(columns), self.count, axis=1)
         square = np.add.reduceat(columns[:, None] * columns, self.first, axis=2)
-        with_read = np.add.reduceat(columns[:, None] * self.off, self.first, axis=2)
+        products = np.add.reduceat(columns[:, None] * self.off, self.first, axis=2)
         powers = self._offsets ** np.arange(3)[:, None, None]
-        one, first, second = np.einsum("dcn,ijn->dcij", powers, square)
-        normal = np.concatenate([np.concatenate([one, first], axis=2), np.concatenate([first, second], axis=2)], axis=1)
-        along = np.einsum("dcn,icn->cdi", powers[:2], with_read).reshape(-1, 4)
+        zeroth, first, second = np.einsum("dcn,ijn->dcij", powers, square)
+        normal = np.block([[zeroth, first], [first, second]])
+        along = np.einsum("dcn,icn->cdi", powers[:2], products).reshape(-1, 4)
         size = np.sqrt(np.maximum(np.diagonal(normal, axis1=1, axis2=2), 1e-300))
         inverse = np.linalg.pinv(normal / (size[:, :, None] * size[:, None, :]), rcond=1e-12, hermitian=True)
         return columns, np.einsum("cij,cj->ci", inverse, along / size) / size, along

@@ -65,24 +65,10 @@ def array_moments(
     extremes: tuple[Array, Array],
     at_rest: Array,
 ) -> ArrayMoments | None:
-    """Return the moments of an array in motion.
+    """Return the moments of an array in motion, None for too few accelerometers or too little motion.
 
-    Parameters
-    ----------
-    samples, parts
-        Stored samples, of which start … stop − 1 of every part are used.
-    blocks
-        Accelerometers and gyros.
-    extremes
-        Smallest and largest readings (2, n) of each of them in the log, SI.
-    at_rest
-        Rate (3,) that the gyros read at rest, rad/s.
-
-    Returns
-    -------
-    ArrayMoments or None
-        None for too few accelerometers or too little motion.
-    """
+    `parts`: stored samples start … stop − 1 that are used. `blocks`: accelerometers and gyros. `extremes`: smallest and
+    largest readings (2, n) of each in the log, SI. `at_rest`: rate (3,) that the gyros read at rest, rad/s."""
     if blocks[0].size < FEWEST:
         return None
     columns = columns_of(blocks[0].size)

@@ -81,22 +81,9 @@ class Links:
 
 
 def links_of(reduction: Reduction, spans: Sequence[Stretch]) -> Links | None:
-    """Return the links of all motion that is no turn between rests.
+    """Return the links of all motion that is no turn between rests, None if there is none.
 
-    Links with a bad sample are left out: they do not begin and end at rest, which would distinguish it from a blow.
-
-    Parameters
-    ----------
-    reduction
-        The blocks of the log.
-    spans
-        The rests, in order of time.
-
-    Returns
-    -------
-    Links or None
-        None if there is no such motion.
-    """
+    Links with a bad sample are left out: they do not begin and end at rest, which would distinguish it from a blow."""
     if reduction.samples is None:
         return None
     blocks = max(1, round(NODE_SECONDS / reduction.block_seconds))
@@ -147,8 +134,8 @@ def links_of(reduction: Reduction, spans: Sequence[Stretch]) -> Links | None:
     field_means = [f.magnetometer.means for f in reduction.files if len(f) > 4 and reduction.magnetometer_channels]
     if field_means:  # from fourth differences of the quieter half: what moves fast, or jumps, adds to the others
         squares = np.concatenate([np.diff(means, n=4, axis=0) for means in field_means]) ** 2
-        of_block = np.median(squares) / (FOURTH_DIFFERENCES * NORMAL_MEDIAN)
-        field_variance = float(of_block * (EDGE_WEIGHTS**2).sum())
+        block_variance = np.median(squares) / (FOURTH_DIFFERENCES * NORMAL_MEDIAN)
+        field_variance = float(block_variance * (EDGE_WEIGHTS**2).sum())
     return Links(
         file=np.array(file),
         time=np.array(time),
@@ -216,20 +203,10 @@ class Increments:
 def joined_parts(rows: Array, C: Array, V: Array, P: Array, T: Array) -> Increments:
     """Join the increments of parts to those of links.
 
-    Parameters
-    ----------
-    rows
-        Derivatives of the rotation and the velocity of every part by m quantities (K, PARTS, 6, m + 1). The last column
-        has the rotation vector by which the rotation differs from `C`, and the velocity, m/s.
-    C, V, P, T
-        Rotation (K, PARTS, 3, 3), velocity (K, PARTS, 3), m/s, position (K, PARTS, 3), m, and duration (K, PARTS), s,
-        of the parts, as integrated.
-
-    Returns
-    -------
-    Increments
-        Of the K links.
-    """
+    `rows` (K, PARTS, 6, m + 1): derivatives of the rotation and the velocity of every part by m quantities; the last
+    column has the rotation vector by which the rotation differs from `C`, and the velocity, m/s. `C`, `V`, `P`, `T`:
+    rotation (K, PARTS, 3, 3), velocity (K, PARTS, 3), m/s, position (K, PARTS, 3), m, and duration (K, PARTS), s, as
+    integrated."""
     K, parts, m = len(rows), rows.shape[1], rows.shape[3] - 1
     R, velocity, position = np.broadcast_to(np.eye(3), (K, 3, 3)), np.zeros((K, 3)), np.zeros((K, 3))
     columns = np.zeros((K, 9, m))
@@ -253,20 +230,9 @@ def joined_parts(rows: Array, C: Array, V: Array, P: Array, T: Array) -> Increme
 
 
 def noise_of_links(C: Array, V: Array, P: Array, T: Array, densities: tuple[float, float]) -> tuple[Array, Array]:
-    """Return square roots of the noise covariances of the increments of links.
-
-    Parameters
-    ----------
-    C, V, P, T
-        Increments and durations of the parts, as in `joined_parts`.
-    densities
-        Densities of the white noise of gyros, rad²/s, and of accelerometers, m²/s³.
-
-    Returns
-    -------
-    tuple of Array
-        Roots Z (K, 9, 3 PARTS) of the covariances Z Zᵀ from the noise of gyros, and of those from accelerometers.
-    """
+    """Return square roots Z (K, 9, 3 PARTS) of the covariances Z Zᵀ of the increments of links from the white noise of
+    gyros, and from that of accelerometers, whose densities are in rad²/s and m²/s³. Other arguments are as in
+    `joined_parts`."""
     K, parts = T.shape
     rows = np.zeros((K, parts, 6, 6 * parts + 1))
     rows[:, :, 3:, -1] = V

@@ -102,34 +102,20 @@ class Moments:
 
     n and m are the numbers of gyros and accelerometers whose own-axis sums were asked for."""
 
-    C: Array
-    """Rotation (K, 3, 3) from the body at the end to the body at the start."""
-    V: Array
-    """Velocity increment ∫ C f dt (K, 3), m/s."""
-    P: Array
-    """Position increment ∫ V dt (K, 3), m."""
-    Phi: Array
-    """∫ C_ij β_b dt (K, 3, 3, 13)."""
-    Psi: Array
-    """(∫ Φ_jb × dV)_i (K, 3, 3, 7), of 1, ω, f."""
-    W: Array
-    """∫ C_ij ω_k ω_l dt (K, 3, 3, 6), kl = 11, 12, 13, 22, 23, 33."""
-    sweep: Array
-    """∫ (C [ω×])_im f_l dt (K, 3, 3, 3)."""
-    Phi_gyro: Array
-    """∫ C_ij |a_p·ω| dt, and then ∫ C_ij (a_p·ω)³ dt (K, 3, 3, 2, n)."""
-    Psi_gyro: Array
-    """Ψ for |a_p·ω|, and then for (a_p·ω)³ (K, 3, 3, 2, n)."""
-    Phi_accel: Array
-    """∫ C_ij |a_p·f| dt, and then ∫ C_ij (a_p·f)³ dt (K, 3, 3, 2, m)."""
-    body: Array
-    """∫ β_b dt (K, 13) in the rotating body frame; the first is the duration, s."""
-    body_rates: Array
-    """∫ ω_k ω_l dt (K, 6)."""
-    body_gyro: Array
-    """∫ |a_p·ω| dt, ∫ (a_p·ω)³ dt (K, 2, n)."""
-    jumps: Array
-    """Σ Δt² |f − f'|² (K,), m²/s², f' being the previous sample: docs/explanation/mathematics.md (18)."""
+    C: Array  # rotation (K, 3, 3) from the body at the end to the body at the start
+    V: Array  # velocity increment ∫ C f dt (K, 3), m/s
+    P: Array  # position increment ∫ V dt (K, 3), m
+    Phi: Array  # ∫ C_ij β_b dt (K, 3, 3, 13)
+    Psi: Array  # (∫ Φ_jb × dV)_i (K, 3, 3, 7), of 1, ω, f
+    W: Array  # ∫ C_ij ω_k ω_l dt (K, 3, 3, 6), kl = 11, 12, 13, 22, 23, 33
+    sweep: Array  # ∫ (C [ω×])_im f_l dt (K, 3, 3, 3)
+    Phi_gyro: Array  # ∫ C_ij |a_p·ω| dt, and then ∫ C_ij (a_p·ω)³ dt (K, 3, 3, 2, n)
+    Psi_gyro: Array  # Ψ for |a_p·ω|, and then for (a_p·ω)³ (K, 3, 3, 2, n)
+    Phi_accel: Array  # ∫ C_ij |a_p·f| dt, and then ∫ C_ij (a_p·f)³ dt (K, 3, 3, 2, m)
+    body: Array  # ∫ β_b dt (K, 13) in the rotating body frame; the first is the duration, s
+    body_rates: Array  # ∫ ω_k ω_l dt (K, 6)
+    body_gyro: Array  # ∫ |a_p·ω| dt, ∫ (a_p·ω)³ dt (K, 2, n)
+    jumps: Array  # Σ Δt² |f − f'|² (K,), m²/s², f' being the previous sample: docs/explanation/mathematics.md (18)
 
     def __len__(self) -> int:
         return len(self.C)
@@ -179,28 +165,14 @@ def integrate(
     compensation: Compensation | Sequence[Compensation],
     own: OwnAxes = NO_OWN_AXES,
 ) -> Moments:
-    """Return moments of turns by the step about the middle attitude, docs/explanation/mathematics.md (6).
+    """Return moments of `turns` turns by the step about the middle attitude, docs/explanation/mathematics.md (6).
 
-    Parameters
-    ----------
-    batches
-        Samples, each batch with at most one piece of a turn, in order of time.
-    turns
-        Number K of turns.
-    compensation
-        One compensation, or one for each turn.
-    own
-        Axes of the own-axis sums.
-
-    Returns
-    -------
-    Moments
-        Of the K turns. Rounding errors are below 1e-12 while a sample turns by less than 0.5 rad.
-    """
+    There is one `compensation`, or one for each turn. Every batch has at most one piece of a turn, in order of time.
+    Rounding errors are below 1e-12 while a sample turns by less than 0.5 rad."""
     count, n, m, linear = turns, len(own.gyro), len(own.accel), _kernels.LINEAR
     # regressors: 1, ω, f; own axes of the gyros; f f; ω ω; own axes of the accelerometers
     firsts = np.cumsum([0, linear, 2 * n, 6, 6, 2 * m])
-    one, own_gyro, forces_2, rates_2, own_accel = (slice(a, b) for a, b in pairwise(firsts.tolist()))
+    linears, own_gyro, forces_2, rates_2, own_accel = (slice(a, b) for a, b in pairwise(firsts.tolist()))
     rows, moved_rows = (-(-width // _kernels.BLOCK) * _kernels.BLOCK for width in firsts[[-1, 2]].tolist())
     attitude, jumps = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)), np.zeros(count)
     V, P = np.zeros((count, 3)), np.zeros((count, 3))
@@ -229,14 +201,14 @@ def integrate(
             C=np.eye(3) + 2.0 * (attitude[:, 0, None, None] * cross + cross @ cross),
             V=V,
             P=P,
-            Phi=np.concatenate([Phi[..., one], Phi[..., forces_2]], axis=-1),
-            Psi=Psi[..., one],
+            Phi=np.concatenate([Phi[..., linears], Phi[..., forces_2]], axis=-1),
+            Psi=Psi[..., linears],
             W=Phi[..., rates_2],
             sweep=sweep[..., :3].reshape(count, 3, 3, 3),
             Phi_gyro=Phi[..., own_gyro].reshape(count, 3, 3, 2, n),
             Psi_gyro=Psi[..., own_gyro].reshape(count, 3, 3, 2, n),
             Phi_accel=Phi[..., own_accel].reshape(count, 3, 3, 2, m),
-            body=np.hstack([body[:, one], body[:, forces_2]]),
+            body=np.hstack([body[:, linears], body[:, forces_2]]),
             body_rates=body[:, rates_2],
             body_gyro=body[:, own_gyro].reshape(count, 2, n),
             jumps=jumps,
@@ -259,26 +231,10 @@ def integrate_in_parts(
 ) -> tuple[Moments, Array, Array]:
     """Return moments of equal parts of turns, and the path of each turn.
 
-    Parameters
-    ----------
-    batches
-        Samples, as for `integrate`.
-    lengths
-        Numbers of samples (K,) of the turns.
-    parts
-        Number n of parts of each turn.
-    compensation
-        Compensation of the samples.
-
-    Returns
-    -------
-    Moments
-        Of the K n parts, resolved in the body at the start of each, turn after turn.
-    C
-        Rotation from the body to the body at the start of the turn, before each part and at the end (K, n + 1, 3, 3).
-    V
-        Velocity increment at these times (K, n + 1, 3), m/s.
-    """
+    `batches` are as for `integrate`, `lengths` the numbers of samples of the K turns, each of which has n `parts`. The
+    moments of the K n parts are resolved in the body at the start of each, turn after turn. The path, before each part
+    and at the end, is the rotation C from the body to the body at the start of the turn (K, n + 1, 3, 3), and the
+    velocity increment V (K, n + 1, 3), m/s."""
 
     def split() -> Iterator[Pieces]:
         """Yield the samples in pieces that do not exceed a part."""
@@ -328,7 +284,7 @@ def lever_columns(moments: Moments, left_inverse: Array, sensitivities: Array, r
     with the rows (1 + k) a_p of `sensitivities` (n, 3) and the columns s_p of their `left_inverse` (3, n). `rates` are
     those of the body at the start and at the end (K, 3), the Earth's rate at rest. Turns of duration 0 have zeros."""
     along = np.einsum("jp,pa->pja", left_inverse, sensitivities)
-    first, second = (skew(np.eye(3)[list(each)]) for each in zip(*PAIRS, strict=True))
+    first, second = (skew(np.eye(3)[list(axes)]) for axes in zip(*PAIRS, strict=True))
     weights = np.zeros((3, len(PAIRS), len(sensitivities), 3))
     for G, H, which in ((first, second, slice(None)), (second, first, [1, 2, 4])):
         kernel = np.einsum("pja,kab,kbr->jkpr", along, G, H) - np.einsum("kja,pab,kbr->jkpr", G, along, H)

@@ -45,7 +45,7 @@ VELOCITY_STEP = 0.02  # integration error per velocity and cube of the angle of 
 ALIASING_RATIO = 9.0  # variance by independent samples over that by noise, from which sampling counts as aliased
 TURN_FLOOR = 1e-10  # rad: smallest standard uncertainty of a turn, even in a simulation without noise
 BATCH_SAMPLES = 2**17  # samples of turns in memory at a time: 7 MB
-MAX_CACHED_SAMPLES = 2**19  # up to so many samples of turns are gathered once and stay in memory: 29 MB
+MAX_CACHED_SAMPLES = 2**19  # samples of turns that may stay in memory, gathered once: 29 MB
 BLOW = 2.0 * G_STANDARD  # m/s²: the smallest full scale of accelerometers, beyond which a sample may hide clipping
 AHEAD = 2  # samples kept ahead of every piece of a turn, for the first step
 CONVERTER_ENDS = 2.0 ** np.arange(11, 32)  # 2^k of converters of 12 to 32 bits
@@ -189,26 +189,9 @@ def reduced_turns(
 ) -> tuple[Turns, TurnSamples]:
     """Integrate the completely recorded turns between consecutive rests, with nominal gyros.
 
-    Parameters
-    ----------
-    reduction
-        The blocks of the log.
-    stored
-        Its samples.
-    spans, rests
-        The rests as stretches of blocks, and their means.
-    accel_noise, gyro_noise
-        The sensors of each kind, and the noise of the means of their blocks.
-    rounded
-        The resolution of "accel" and "gyro".
-    sway
-        Sway of the device, if it sways: turns are then from mean attitude to mean attitude.
-
-    Returns
-    -------
-    tuple of Turns and TurnSamples
-        The K turns and their samples.
-    """
+    `spans`, `rests`: the rests as stretches of blocks, and their means. `accel_noise`, `gyro_noise`: sensors of each
+    kind, and noise of their block means. `rounded`: resolution of "accel" and "gyro". `sway`: of a device that sways,
+    whose turns are then from mean attitude to mean attitude."""
     pairs = [
         (i, reduction.by_file[before.file], before, after)
         for i, (before, after) in enumerate(pairwise(spans))
