@@ -8,27 +8,29 @@ from typing import Any
 
 import click
 
-from tumble.commands import console as tell
-from tumble.commands import params as ask
+from tumble.commands import console
+from tumble.commands import params
 
 
 @click.command(
-    epilog=ask.examples(
+    epilog=params.examples(
         "tumble bench imu-7 --listen udp:5005",
         "tumble bench new --listen serial:/dev/ttyUSB0:115200 --serial A-7 --latitude 56.84",
     )
 )
-@click.argument("session", type=ask.PATH)
-@ask.option("--listen", "What to record: udp:5005, serial:/dev/ttyUSB0:115200, replay:FOLDER@20x …", metavar="SOURCE")
-@ask.option("--serial", "Of a new SESSION.", metavar="NUMBER")
-@ask.LATITUDE
-@ask.GRAVITY
-@ask.programme("Of a new session; default: free positions.")
-@ask.WANT
-@ask.grade("mems", ": for uncertainties that are not stated")
-@ask.REGISTRY
-@ask.option("--host", "Address to listen on; beyond the loopback a token is asked for.", "127.0.0.1")
-@ask.option("--port", "0: any that is free.", 8422, type=click.IntRange(0, 65535))
+@click.argument("session", type=params.PATH)
+@params.option(
+    "--listen", "What to record: udp:5005, serial:/dev/ttyUSB0:115200, replay:FOLDER@20x …", metavar="SOURCE"
+)
+@params.option("--serial", "Of a new SESSION.", metavar="NUMBER")
+@params.LATITUDE
+@params.GRAVITY
+@params.programme("Of a new session; default: free positions.")
+@params.WANT
+@params.grade("mems", ": for uncertainties that are not stated")
+@params.REGISTRY
+@params.option("--host", "Address to listen on; beyond the loopback a token is asked for.", "127.0.0.1")
+@params.option("--port", "0: any that is free.", 8422, type=click.IntRange(0, 65535))
 def bench(
     session: Path,
     listen: str | None,
@@ -50,4 +52,4 @@ def bench(
     given = {"latitude_deg": latitude, "gravity": gravity}
     site = {key: value for key, value in given.items() if value is not None}
     station = partial(station_of, session, listen, site=site, registry=place, **options)
-    serve(station, folder=session, host=host, port=port, say=tell.warn)
+    serve(station, folder=session, host=host, port=port, say=console.warn)

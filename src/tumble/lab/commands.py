@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tumble import lab
-from tumble.commands import console as tell
-from tumble.commands import params as ask
+from tumble.commands import console
+from tumble.commands import params
 from tumble.errors import InputError
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from tumble.views.blocks import Block
 
 _DAY: dict[str, Any] = {"type": click.DateTime(["%Y-%m-%d"]), "metavar": "YYYY-MM-DD"}
-_PLACE = ask.registry_place(required=True)
+_PLACE = params.registry_place(required=True)
 
 
 def _expect_new_file(out: Path | None, what: str) -> None:
@@ -29,7 +29,7 @@ def _expect_new_file(out: Path | None, what: str) -> None:
 
 
 @click.group(
-    epilog=ask.examples(
+    epilog=params.examples(
         "tumble registry add imu-7/calibration.json --registry lab.sqlite", "tumble registry due --registry lab.sqlite"
     )
 )
@@ -38,18 +38,18 @@ def registry() -> None:
 
 
 @registry.command
-@click.argument("calibration", type=ask.FILE)
-@ask.option("--check/occasion", "Default: incoming the first time.", type=click.Choice(["incoming", "periodic"]))
-@ask.option(
+@click.argument("calibration", type=params.FILE)
+@params.option("--check/occasion", "Default: incoming the first time.", type=click.Choice(["incoming", "periodic"]))
+@params.option(
     "--state",
     "Before or after an adjustment; default: without one.",
     "unchanged",
     type=click.Choice(["as-found", "as-left", "unchanged"]),
 )
-@ask.option("--date/day", "When it was performed; default: when recorded, or the file made.", **_DAY)
+@params.option("--date/day", "When it was performed; default: when recorded, or the file made.", **_DAY)
 @_PLACE
-@ask.JSON
-@ask.EVERY
+@params.JSON
+@params.EVERY
 def add(calibration: Path, day: datetime | None, every: bool, place: str, **particulars: Any) -> None:
     """Add a CALIBRATION file, judge it by the limits in force, and say so. Exit status 1 if it does not pass."""
 
@@ -57,7 +57,7 @@ def add(calibration: Path, day: datetime | None, every: bool, place: str, **part
     with lab.open_registry(place, create=True) as opened:
         record = opened.add_calibration(calibration, performed=performed, **particulars)
         action = "added as" if record.added >= begun else "the same calibration is there already:"
-        tell.say(f"{action} record {record.number} in {opened.name}")
+        console.say(f"{action} record {record.number} in {opened.name}")
         passed = _show_record(opened, record, every)
     sys.exit(0 if passed else 1)
 
@@ -70,34 +70,34 @@ def _show_record(opened: Registry, record: Record, every: bool) -> bool:
     verdict, calibration = opened.verdict(record), opened.calibration(record)
     logs = [{"session": session, "log_sha256": log} for session, log in logs_of(calibration)]
     content = {"record": record, "launches": logs, "parameters": calibration.parameters, "acceptance": verdict}
-    tell.show(content, lambda: record_blocks(record, calibration, verdict, every=every))
+    console.show(content, lambda: record_blocks(record, calibration, verdict, every=every))
     if verdict is None or verdict.result == "pass":
         return True
     for reason in verdict.reasons:
-        tell.warn(f"{verdict.occasion} check: {reason}")
+        console.warn(f"{verdict.occasion} check: {reason}")
     return False
 
 
 @registry.command("list")
 @click.argument("serial", required=False)
 @_PLACE
-@ask.JSON
+@params.JSON
 def list_(serial: str | None, place: str) -> None:
     """All devices with their latest record, or the records of the device SERIAL."""
     from tumble.lab.registry.views import device_table, record_table
 
     with lab.open_registry(place) as opened:
         records = opened.records(serial)
-    tell.show({"records": records}, lambda: [device_table(records) if serial is None else record_table(records)])
+    console.show({"records": records}, lambda: [device_table(records) if serial is None else record_table(records)])
 
 
 @registry.command
 @click.argument("number", type=click.IntRange(1, 10**18), required=False)
-@ask.option("--type/model", "Instead of a record: the data sheet of a device type by its units.", metavar="MODEL")
-@ask.out("Write the calibration file of the record, as it was added, or the data sheet (.html).")
+@params.option("--type/model", "Instead of a record: the data sheet of a device type by its units.", metavar="MODEL")
+@params.out("Write the calibration file of the record, as it was added, or the data sheet (.html).")
 @_PLACE
-@ask.JSON
-@ask.EVERY
+@params.JSON
+@params.EVERY
 def show(number: int | None, model: str | None, out: Path | None, every: bool, place: str) -> None:
     """The record NUMBER with the verdict on each parameter, or what the units of a type are like.
 
@@ -112,15 +112,15 @@ def show(number: int | None, model: str | None, out: Path | None, every: bool, p
             sheet = opened.datasheet(model)
             if out is not None:
                 write_datasheet(sheet, out, datetime.now(UTC).isoformat(timespec="seconds"))
-                tell.say(f"written to {out}")
-            tell.show(sheet, lambda: datasheet_blocks(sheet))
+                console.say(f"written to {out}")
+            console.show(sheet, lambda: datasheet_blocks(sheet))
             return
         record = opened.record(number or 0)
         if out is not None:
             _expect_new_file(out, "calibration")
             with whole_file(out) as temporary:
                 temporary.write_text(opened.file(record), encoding="utf-8")
-            tell.say(f"written to {out}")
+            console.say(f"written to {out}")
         passed = _show_record(opened, record, every)
     sys.exit(0 if passed else 1)
 
@@ -128,8 +128,8 @@ def show(number: int | None, model: str | None, out: Path | None, every: bool, p
 @registry.command
 @click.argument("serial")
 @_PLACE
-@ask.JSON
-@ask.EVERY
+@params.JSON
+@params.EVERY
 def trend(serial: str, every: bool, place: str) -> None:
     """Every parameter of the device SERIAL over its calibrations.
 
@@ -140,17 +140,17 @@ def trend(serial: str, every: bool, place: str) -> None:
 
     with lab.open_registry(place) as opened:
         result = opened.trend(serial)
-    tell.show(result, lambda: trend_blocks(result, every=every))
+    console.show(result, lambda: trend_blocks(result, every=every))
     if result.changed:
-        tell.say(f"changed: {', '.join(result.changed)}")
+        console.say(f"changed: {', '.join(result.changed)}")
     sys.exit(1 if result.changed else 0)
 
 
 @registry.command
 @click.argument("model", required=False)
-@click.argument("file", type=ask.FILE, required=False)
+@click.argument("file", type=params.FILE, required=False)
 @_PLACE
-@ask.JSON
+@params.JSON
 def limits(model: str | None, file: Path | None, place: str) -> None:
     """Put the acceptance limits of FILE (TOML) in force for the device type MODEL.
 
@@ -163,7 +163,7 @@ def limits(model: str | None, file: Path | None, place: str) -> None:
         if model is not None and file is not None:
             record = opened.set_limits(model, file)
             state = "in force for" if record.added >= begun else "were in force already for"
-            tell.say(f"limits {record.number} {state} {model} in {opened.name}")
+            console.say(f"limits {record.number} {state} {model} in {opened.name}")
             return
         records = opened.limits()
     shown = [each for each in records if model is None or (each.model == model and each.in_force)]
@@ -173,13 +173,13 @@ def limits(model: str | None, file: Path | None, place: str) -> None:
     def blocks() -> list[Block]:
         return [limits_table(shown)] if model is None else limits_blocks(shown[0])
 
-    tell.show({"limits": shown}, blocks)
+    console.show({"limits": shown}, blocks)
 
 
 @registry.command
-@ask.option("--on/day", "As on this day; default: today.", **_DAY)
+@params.option("--on/day", "As on this day; default: today.", **_DAY)
 @_PLACE
-@ask.JSON
+@params.JSON
 def due(day: datetime | None, place: str) -> None:
     """When each device is to be calibrated again, the most urgent first.
 
@@ -190,25 +190,25 @@ def due(day: datetime | None, place: str) -> None:
 
     with lab.open_registry(place) as opened:
         items = opened.due(None if day is None else day.date())
-    tell.show({"devices": items}, lambda: [due_table(items)])
+    console.show({"devices": items}, lambda: [due_table(items)])
     for state in ("withdrawn", "overdue"):
         if serials := [item.record.serial for item in items if getattr(item, state)]:
-            tell.warn(f"{state}: {', '.join(serials)}")
+            console.warn(f"{state}: {', '.join(serials)}")
     sys.exit(1 if any(item.withdrawn or item.overdue for item in items) else 0)
 
 
-@click.command(epilog=ask.examples("tumble selftest -o record.json"))
-@ask.out("Write the record, JSON, with versions, machine, figures and hashes.")
-@ask.option("--by", "Who runs it and stands for it; default: the name of the user.", metavar="NAME")
-@ask.JSON
+@click.command(epilog=params.examples("tumble selftest -o record.json"))
+@params.out("Write the record, JSON, with versions, machine, figures and hashes.")
+@params.option("--by", "Who runs it and stands for it; default: the name of the user.", metavar="NAME")
+@params.JSON
 def selftest(out: Path | None, by: str | None) -> None:
     """Run the reference cases on this machine and compare them with published values, closed forms and truth."""
     from tumble.lab.selftest import run_selftest, selftest_blocks
 
     _expect_new_file(out, "record")
-    record = run_selftest(by=by, progress=lambda name: tell.say(f"running: {name}"))
-    tell.show(record, lambda: selftest_blocks(record))
+    record = run_selftest(by=by, progress=lambda name: console.say(f"running: {name}"))
+    console.show(record, lambda: selftest_blocks(record))
     if out is not None:
         record.write(out)
-        tell.say(f"written to {out}")
+        console.say(f"written to {out}")
     sys.exit(0 if record.passed else 1)
