@@ -8,8 +8,7 @@ from typing import Any
 
 import click
 
-from tumble.commands import console
-from tumble.commands import params
+from tumble.commands import console, params
 
 
 @click.command(

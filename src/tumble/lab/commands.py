@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tumble import lab
-from tumble.commands import console
-from tumble.commands import params
+from tumble.commands import console, params
 from tumble.errors import InputError
 
 if TYPE_CHECKING:
