@@ -24,11 +24,11 @@ import numpy as np
 
 from tumble.inference.estimate import Outcome
 from tumble.inference.hyperparameters import quadratic_forms, solution_at
-from tumble.inference.integral import SHOWN, conditional, posterior
-from tumble.inference.maximum import Maximum, maximum
+from tumble.inference.integral import INFORMATIVE_GROUP, conditional, posterior
+from tumble.inference.maximum import Maximum, maximise
 from tumble.inference.normal_equations import Solution
 from tumble.inference.problem import NO_PRIOR, Problem, instruments_of
-from tumble.inference.start import start_of
+from tumble.inference.start import initial_linearisation
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
 from tumble.run.observed import inspect_session, observations_for_calibration
@@ -61,7 +61,7 @@ def shown(fitted: Maximum) -> list[int]:
         phi[i] += fitted.curvature[i, i] ** -0.5
         at_bound = h.bounded and fitted.phi[i] <= 0.0
         _, trace = quadratic_forms(fitted.hyperparameters, evaluated(fitted, phi))
-        if not at_bound or 2.0 * trace[i] > SHOWN:
+        if not at_bound or 2.0 * trace[i] > INFORMATIVE_GROUP:
             out.append(i)
     return out
 
@@ -126,7 +126,7 @@ def fitted_of(session: Observations) -> Maximum:
     """The maximum of a session."""
     instrument, local = instruments_of(session)
     problem = Problem.of(session, NO_PRIOR, instrument=instrument, local=local, usual=session.usual)
-    return maximum(start_of(problem)[0])
+    return maximise(initial_linearisation(problem)[0])
 
 
 def sessions(kind: str, seed: int) -> Observations:

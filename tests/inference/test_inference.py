@@ -33,11 +33,11 @@ from tumble.inference.hyperparameters import (
 from tumble.inference.integral import Folded, conditional, members_of, posterior, smoothed, triangles
 from tumble.inference.joint import joint
 from tumble.inference.linearisation import Linearisation, linearise
-from tumble.inference.maximum import Maximum, Status, maximum, without_outliers
+from tumble.inference.maximum import Maximum, Status, maximise, without_outliers
 from tumble.inference.noise import VarianceComponents
 from tumble.inference.normal_equations import session_mean_bias, solve
 from tumble.inference.problem import NO_PRIOR, Problem, instruments_of
-from tumble.inference.start import start_of
+from tumble.inference.start import initial_linearisation
 from tumble.planning.setup import Setup
 from tumble.programme.positions import from_attitudes, programme
 from tumble.reduction.observations import Observations
@@ -101,11 +101,13 @@ SESSIONS = {"pyramids": of_pyramids, "accelerometers": accelerometers_alone, "tw
 def started(session: Observations) -> Linearisation:
     """The rows of a session at its start."""
     instrument, local = instruments_of(session)
-    return start_of(Problem.of(session, NO_PRIOR, instrument=instrument, local=local, usual=session.usual))[0]
+    return initial_linearisation(
+        Problem.of(session, NO_PRIOR, instrument=instrument, local=local, usual=session.usual)
+    )[0]
 
 
 def fitted_of(session: Observations) -> Maximum:
-    return maximum(started(session))
+    return maximise(started(session))
 
 
 def away_from_bounds(entries: Sequence[Hyperparameter], seed: int = 5) -> Array:
@@ -121,7 +123,7 @@ def away_from_bounds(entries: Sequence[Hyperparameter], seed: int = 5) -> Array:
 def test_the_score_is_the_derivative_of_the_likelihood(name: str) -> None:
     """By central differences at one linearisation, of every kind of hyperparameter there is."""
     at = started(SESSIONS[name]())
-    entries = maximum(at, iterations=1).hyperparameters
+    entries = maximise(at, iterations=1).hyperparameters
     phi, step = away_from_bounds(entries), 1e-4
     gradient = score(entries, solution_at(at, entries, phi))
     kinds = dict[tuple[object, ...], list[int]]()
@@ -141,7 +143,7 @@ def test_the_score_is_the_derivative_with_rows_that_count_less_and_rows_left_out
     at, rng = started(observed(by_hand())), np.random.default_rng(0)
     rest, turn = (rng.uniform(0.3, 1.0, w.shape) for w in (at.noise.rest_weights, at.noise.turn_weights))
     rest[3], turn[5] = 1e-3, 1e-3
-    entries, step = maximum(at, iterations=1).hyperparameters, 1e-4
+    entries, step = maximise(at, iterations=1).hyperparameters, 1e-4
     at, phi = replace(at, noise=at.noise.weighted(rest, turn, at.noise.link_weights)), away_from_bounds(entries)
     here = solution_at(at, entries, phi)
     gradient = score(entries, here)
@@ -154,7 +156,7 @@ def test_the_score_is_the_derivative_with_rows_that_count_less_and_rows_left_out
 
 def test_sessions_of_the_score_have_every_kind_of_hyperparameter() -> None:
     """Of scatter all eight, and of the others every kind."""
-    found = [h for make in SESSIONS.values() for h in maximum(started(make()), iterations=1).hyperparameters]
+    found = [h for make in SESSIONS.values() for h in maximise(started(make()), iterations=1).hyperparameters]
     assert {h.name for h in found if isinstance(h, Scatter)} == {
         *("accel", "gyro", "turn", "velocity", "apart", "jumps", "aliased", "aliased_apart")
     }
@@ -345,11 +347,11 @@ def test_a_session_in_two_files_is_the_same_but_for_the_chain_that_begins_anew()
 def test_two_starts_have_one_maximum(name: str) -> None:
     """From above and from below everything that is likely: ℓ within a fifth, and the parameters within a fifth of u."""
     at = started(SESSIONS[name]() if name in SESSIONS else observed(by_hand()))
-    first = maximum(at)
+    first = maximise(at)
     found = [first]
     for away in (-1.5, 1.5):
         phi = np.array([max(away, 0.0) if h.bounded else h.centre + away for h in first.hyperparameters])
-        found.append(maximum(at, phi))
+        found.append(maximise(at, phi))
     linear = slice(at.problem.instrument.linear_count)
     u = np.sqrt(first.solution.covariance.diagonal()[1:])[linear]
     for each in found:
@@ -360,7 +362,7 @@ def test_two_starts_have_one_maximum(name: str) -> None:
 
 def test_a_status_that_ran_out_is_not_converged_and_not_accepted(monkeypatch: pytest.MonkeyPatch) -> None:
     session = observed(by_hand())
-    short = maximum(started(session), iterations=1)
+    short = maximise(started(session), iterations=1)
     assert short.status is Status.ran_out
     assert not short.converged
     assert joint(session).converged
@@ -401,7 +403,7 @@ def test_the_farthest_of_many_rests_is_no_outlier() -> None:
 def test_a_robust_fit_settles() -> None:
     """Weights and scatter agree in fewer steps than there may be."""
     fitted = fitted_of(observed(by_hand()))
-    robust = maximum(fitted.linearisation, fitted.phi, robust=True)
+    robust = maximise(fitted.linearisation, fitted.phi, robust=True)
     assert robust.converged
     assert len(robust.increments) < 15
 

@@ -19,9 +19,9 @@ from tumble.inference.lag import (
     without,
 )
 from tumble.inference.linearisation import linearise
-from tumble.inference.maximum import MAX_ITERATIONS, likeliest_phi, maximum
+from tumble.inference.maximum import MAX_ITERATIONS, maximise, maximise_phi
 from tumble.inference.problem import Problem, instruments_of
-from tumble.inference.start import start_of
+from tumble.inference.start import initial_linearisation
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
 from tumble.run.from_estimate import over_temperature
@@ -150,14 +150,14 @@ def test_a_lag_is_judged_with_the_sizes_that_are_likeliest_with_it() -> None:
     _, observations = warming(0, "25+10@300", {"accel": 20.0, "gyro": 100.0}, 3.0)
     instrument, _ = instruments_of(observations)
     problem = Problem.of(observations, instrument=instrument, usual=observations.usual)
-    fitted, _ = maximum_with_lags(start_of(problem)[0], MAX_ITERATIONS)
+    fitted, _ = maximum_with_lags(initial_linearisation(problem)[0], MAX_ITERATIONS)
     values = fitted.point.values.copy()
     values[problem.lags["gyro"]] += 200.0
     held = fitted.usual_problem.with_lags(values)
     there = linearise(held, replace(fitted.point, values=values), fitted.linearisation.about)
-    best = maximum(there, fitted.phi).solution.log_posterior
+    best = maximise(there, fitted.phi).solution.log_posterior
     plain = solution_at(there, fitted.hyperparameters, fitted.phi)
-    near, *_ = likeliest_phi(fitted.hyperparameters, plain, fitted.curvature)
+    near, *_ = maximise_phi(fitted.hyperparameters, plain, fitted.curvature)
     assert plain.log_posterior < best - 5.0
     assert best - near.log_posterior < 0.1 * (best - plain.log_posterior)
 
@@ -167,7 +167,7 @@ def test_rows_at_another_lag_are_those_linearised_there() -> None:
     _, observations = warming(1, "25+10@300", {"accel": 20.0, "gyro": 40.0}, 1.0)
     instrument, _ = instruments_of(observations)
     problem = Problem.of(observations, instrument=instrument, usual=observations.usual)
-    fitted, _ = maximum_with_lags(start_of(problem)[0], MAX_ITERATIONS)
+    fitted, _ = maximum_with_lags(initial_linearisation(problem)[0], MAX_ITERATIONS)
     values = fitted.point.values.copy()
     values[list(problem.lags.values())] += [15.0, 60.0]
     held, about = problem.with_lags(values), fitted.linearisation.about

@@ -30,7 +30,7 @@ from tumble.inference.hyperparameters import (
     solution_at,
 )
 from tumble.inference.integral import conditional
-from tumble.inference.maximum import maximum
+from tumble.inference.maximum import maximise
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
 from tumble.sensors.parameters import usual_sizes
@@ -66,7 +66,7 @@ def test_likelihood_score_and_estimate_are_those_of_dense_matrices(name: str, se
     start = started(MADE[name](seed))
     if seed == 3:  # biases that are anew at every rest
         start = replace(start, problem=replace(start.problem, bias_after=1.0))
-    fitted = maximum(start, iterations=1)
+    fitted = maximise(start, iterations=1)
     hyperparameters, at = fitted.hyperparameters, fitted.linearisation
     phi, S, q = away_from_bounds(hyperparameters, seed), len(at.problem.parts), len(at.problem.local_u)
     here = solution_at(at, hyperparameters, phi)

@@ -27,10 +27,10 @@ from tumble.diagnosis.linearised_session import (
 )
 from tumble.diagnosis.projection import FALSE_ALARMS, Projection, falls_by_place, projections
 from tumble.earth import earth_rate
+from tumble.inference.integrated_turns import IntegratedTurns
 from tumble.inference.linearisation import Linearisation, linearise
 from tumble.inference.noise import VarianceComponents
 from tumble.inference.normal_equations import Solution
-from tumble.inference.turns_about import TurnsAbout
 from tumble.rotation import skew
 from tumble.sensors.instrument import functions
 from tumble.sensors.model import Block
@@ -277,7 +277,7 @@ def jumps(session: LinearisedSession, alone: Solution) -> Iterator[Candidate]:
         yield Candidate(name="jump", concerns=kind, columns=columns, places=places, tried=tried)
 
 
-def shifts(session: LinearisedSession, about: TurnsAbout, gyro: Block) -> Iterator[Candidate]:
+def shifts(session: LinearisedSession, about: IntegratedTurns, gyro: Block) -> Iterator[Candidate]:
     """Gyros that turn against the accelerometers by a small angle δ between two rests, as on a board that is loose, at
     SHIFTS places of each session: ∂K/∂δ of a gyro of the axis a is a × δ, in the rates of what comes after."""
     rests, n = session.observations.rests, session.accel.size
@@ -361,7 +361,7 @@ def products(session: LinearisedSession) -> Iterator[Candidate]:
         yield Candidate(name="cross products" if accel else "g² sensitivity", concerns=kind, columns=(rest, turn))
 
 
-def gyro_nonlinearity(session: LinearisedSession, about: TurnsAbout, gyro: Block) -> Candidate:
+def gyro_nonlinearity(session: LinearisedSession, about: IntegratedTurns, gyro: Block) -> Candidate:
     """Scale factors with the square of the rate, of an estimate that has no such parameters."""
     duration = np.maximum(about.moments.T, SHORTEST_TURN)[:, None]
     square = about.moments.body_rates[:, [0, 3, 5]] / duration @ (gyro.axes**2).T

@@ -64,7 +64,7 @@ def with_common_tilt(estimate: Estimate, observations: Observations) -> Estimate
             estimate,
             covariance=covariance,
             observable=observable,
-            budget=None if budget is None else budget.beside(source("tilt", abs(mean), "rad"), np.outer(off, off)),
+            budget=None if budget is None else budget.with_source(source("tilt", abs(mean), "rad"), np.outer(off, off)),
             remarks=(*estimate.remarks, remark),
         )
     return estimate

@@ -32,6 +32,7 @@ import numpy as np
 
 from tumble.diagnosis.undetermined import linear_names
 from tumble.inference.estimate import Estimate, GroupFinding
+from tumble.inference.integrated_turns import IntegratedTurns
 from tumble.inference.joint import joint
 from tumble.inference.linearisation import Linearisation, linearise
 from tumble.inference.noise import SCATTER, VarianceComponents
@@ -39,8 +40,7 @@ from tumble.inference.normal_equations import solve
 from tumble.inference.prediction import prediction
 from tumble.inference.problem import Problem, instruments_of
 from tumble.inference.sources import source
-from tumble.inference.start import start_of
-from tumble.inference.turns_about import TurnsAbout
+from tumble.inference.start import initial_linearisation
 from tumble.inference.uncertainty_budget import contributions
 from tumble.reduction.observations import Observations
 from tumble.rotation import unit_vector
@@ -103,8 +103,8 @@ def left_out_by_rests(
     force = g * unit_vector(block.model(linear).apply(seen.rests.accel))
     beta, D = functions(block, force, np.zeros_like(force)), instrument.derivative(block, values)
     changes = np.einsum("ipb,pbm->ipm", beta, D)
-    changing, base = problem.changed
-    changes[:, :, changing] = changes[:, :, base] * problem.goes[0][:, None]
+    changing, base = problem.change_columns
+    changes[:, :, changing] = changes[:, :, base] * problem.regressors[0][:, None]
     across = beyond_turning(instrument.coefficients(block, values)[:, FORCE], force / g)
     rows = np.einsum("ipr,ipm->irm", across, changes).reshape(-1, len(values))
     if sigma is not None:
@@ -119,7 +119,7 @@ def groups_in_data(observations: Observations) -> tuple[Problem, Array]:
     the readings of accelerometers, then gyros, at rest, in body axes those of triads, the errors of the turns, the
     integrals over them of the readings of more than three gyros, and gravity."""
     problem = whole_problem(observations)
-    rows, first, shown, last = start_of(problem)[0], problem.instrument.linear_count, list[Array](), 0
+    rows, first, shown, last = initial_linearisation(problem)[0], problem.instrument.linear_count, list[Array](), 0
     for block in problem.instrument.blocks:
         of_rests = rows.rest[:, last : last + block.size, 4 + first : -1]
         shown.append(block.axes.T @ of_rests if block.triad else of_rests)
@@ -142,7 +142,7 @@ def linear_joint(observations: Observations) -> Estimate:
     assert linear is not None
     values = np.append(linear.point.values, np.zeros(len(instrument.names) - instrument.linear_count))
     point = replace(linear.point, values=values)
-    about = None if linear.about is None else TurnsAbout.of(observations, instrument, values)
+    about = None if linear.about is None else IntegratedTurns.of(observations, instrument, values)
     moves = moves_by_likelihood(replace(linearise(problem, point, about), noise=linear.noise))
     if beside is not None and estimate.converged:
         assert beside.budget is not None
@@ -222,7 +222,7 @@ def with_left_out(estimate: Estimate, problem: Problem, moves: Array, sizes: Arr
             own = slice(members.start - first, members.stop - first)
             by = np.vstack([-moved, np.diag(sizes)])[:, own]
             size, unit = float(sizes[own.start]), instrument.units[members.start]
-            budget = budget.beside(source(f"prior.{name}", size, unit), by @ by.T)
+            budget = budget.with_source(source(f"prior.{name}", size, unit), by @ by.T)
     rate = None if estimate.prediction is None else estimate.prediction.at_rate
     return replace(
         estimate,

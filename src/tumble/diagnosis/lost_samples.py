@@ -23,10 +23,10 @@ import numpy as np
 from tumble.diagnosis.causes import Candidate, Cause
 from tumble.diagnosis.linearised_session import SHORTEST_TURN, LinearisedSession
 from tumble.diagnosis.projection import SumOfSquares, falls_by_place, judged_solution
+from tumble.inference.integrated_turns import IntegratedTurns
 from tumble.inference.linearisation import Linearisation
 from tumble.inference.noise import SCATTER, VarianceComponents
 from tumble.inference.normal_equations import Solution
-from tumble.inference.turns_about import TurnsAbout
 from tumble.recording.rows.gaps import REGULAR_HINT
 from tumble.reduction.observations import Observations
 from tumble.rotation import tangent_basis
@@ -94,7 +94,7 @@ def of_turns(session: LinearisedSession, whole: Solution) -> list[Candidate]:
     return [Candidate(name="lost samples", concerns="both", columns=loss, places=places, tried=tried)]
 
 
-def _turned_about(about: TurnsAbout, turns: slice) -> Array:
+def _turned_about(about: IntegratedTurns, turns: slice) -> Array:
     """The axis (K, 3) that each turn was about, of length 0 where nothing turned."""
     path = np.einsum("kipp->ki", about.moments.Phi[turns][..., RATE])
     axis = path / np.maximum(np.linalg.norm(path, axis=1, keepdims=True), 1e-9)

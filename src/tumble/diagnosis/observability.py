@@ -12,7 +12,7 @@ from itertools import product
 
 import numpy as np
 
-from tumble.inference.estimate import SEEN
+from tumble.inference.estimate import UNOBSERVABLE_SHARE
 from tumble.reduction.rests.rests import sphere_through
 from tumble.sensors.model import Block, beyond_turning
 from tumble.sensors.parameters import within_kind
@@ -128,11 +128,11 @@ def most_telling(null: Array, candidates: Mapping[str, Array]) -> tuple[list[str
     """Names of candidates whose rows (r, m) together see the combinations `null` (q, m): each time the one that sees
     most of what is left. Also how many combinations none of them sees."""
     chosen: list[str] = []
-    left = null[np.linalg.norm(null, axis=1) > SEEN]
+    left = null[np.linalg.norm(null, axis=1) > UNOBSERVABLE_SHARE]
     while len(left):
         name = max(candidates, key=lambda name: float(np.linalg.norm(left @ candidates[name].T)))
         U, s, _ = np.linalg.svd(left @ candidates[name].T)
-        seen = int(np.sum(s > SEEN * np.linalg.norm(candidates[name])))
+        seen = int(np.sum(s > UNOBSERVABLE_SHARE * np.linalg.norm(candidates[name])))
         if seen == 0:
             break
         chosen.append(name)

@@ -20,7 +20,7 @@ from tumble.diagnosis.undetermined import (
 )
 from tumble.earth import normal_gravity
 from tumble.inference.estimate import FIT_SIGMAS, Estimate, Outcome
-from tumble.inference.integral import rough
+from tumble.inference.integral import is_poorly_sampled
 from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.segmentation import Segmentation
@@ -100,7 +100,7 @@ def _not_converged(estimate: Estimate) -> Iterator[Finding]:
 
 def _few_points(estimate: Estimate) -> Iterator[Finding]:
     """That the integral over the hyperparameters has an error that counts."""
-    if estimate.integral is not None and rough(estimate.integral):
+    if estimate.integral is not None and is_poorly_sampled(estimate.integral):
         yield remark(
             "u rests on a few points of the integral over what the model does not know of itself: it is a rough one"
         )

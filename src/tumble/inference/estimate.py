@@ -29,7 +29,7 @@ DETERMINED = 10.0
 """How many times better than the spreads the data must know a combination of parameters for it to count as seen. One
 that is hardly better known wanders while the estimate is iterated, and takes the others with it."""
 
-SEEN = 1e-3
+UNOBSERVABLE_SHARE = 1e-3
 """A parameter is unobservable when more than this part of it (in units of its spread) is in the null space."""
 
 FIT_SIGMAS = 5.0

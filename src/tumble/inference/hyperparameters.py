@@ -66,7 +66,7 @@ from tumble.inference.normal_equations import (
     station_rows,
 )
 from tumble.inference.problem import Problem
-from tumble.inference.variables import at_two_temperatures, both_ways
+from tumble.inference.variables import at_two_temperatures, ramps_up_and_down
 from tumble.sensors.parameters import group_of, poorer, prior_sizes, variable_of
 from tumble.units import Array, BoolArray, IntArray
 
@@ -351,7 +351,7 @@ def hyperparameters_of(problem: Problem, noise: NoiseModel, seen: BoolArray) -> 
     # groups of parameters beyond the linear model. A lag multiplies others: a wide prior would let both grow.
     # Curvatures are not wider than usual where there are but two temperatures, nor is a hysteresis where they came one
     # way: what a bias has beyond its usual size would be taken for one.
-    two, both_sides = at_two_temperatures(observations), both_ways(observations)
+    two, both_sides = at_two_temperatures(observations), ramps_up_and_down(observations)
     held = {"lag", "temperature²" if two else "lag", "lag" if both_sides else "hysteresis"}
     common = {name: members for name, members in problem.instrument.members.items() if variable_of(name) not in held}
     for kind_of_size, groups in ((GroupSize, common), (LocalGroupSize, problem.local_members)):

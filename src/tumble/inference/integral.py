@@ -119,7 +119,7 @@ TEMPERED = 0.35
 TRUSTED, LEAST, WIDER = 0.5, 0.05, 1.2
 """Of the covariance of the next round: the part of the correlations that few points give; the variance beside, of that
 of the copula; and the factor of all, a proposal too wide costing less than one too narrow."""
-SHOWN = 0.2
+INFORMATIVE_GROUP = 0.2
 """Twice the members of a group of which the session learns something where it is as large as its prior allows for: of
 less, its size is not shown at all, and stays that of the sheet."""
 MIXED = 128
@@ -556,7 +556,7 @@ def _densities_of_sizes(fitted: Maximum, sizes: list[int]) -> dict[int, Density]
         folded = Folded.of(inverse - np.diag(S[own] ** -2), inverse @ value[own], sized)
         if at_bound:
             variance = np.diag(folded.covariance(np.eye(len(p))[one])) / sized[one] ** 2
-            if 2.0 * np.clip(1.0 - variance, 0.0, 1.0).sum() <= SHOWN:
+            if 2.0 * np.clip(1.0 - variance, 0.0, 1.0).sum() <= INFORMATIVE_GROUP:
                 continue
         grid = np.linspace(-3.0 * h.within, p[-1], FINE)
         likelihood = np.interp(grid, p, folded.log_likelihood - folded.log_likelihood[0])
@@ -800,7 +800,7 @@ def conditional(solution: Solution) -> Conditional:
     )
 
 
-def rough(integral: Integral) -> bool:
+def is_poorly_sampled(integral: Integral) -> bool:
     """Whether an integral rests on a few points: by the error of u, or by their effective number."""
     return integral.u_error > SETTLED or (integral.points > 1 and integral.effective < 2.0 * FEW)
 

@@ -31,6 +31,7 @@ from tumble.inference.estimate import (
 from tumble.inference.fits import MAGNETOMETER, TOTAL, chi_squares, left_out, sigmas
 from tumble.inference.hyperparameters import Hyperparameters
 from tumble.inference.integral import Posterior, posterior
+from tumble.inference.integrated_turns import IntegratedTurns
 from tumble.inference.lag import maximum_with_lags
 from tumble.inference.linearisation import at_reference
 from tumble.inference.magnetic_estimate import magnetometer_estimate, with_magnetometer
@@ -40,8 +41,7 @@ from tumble.inference.normal_equations import solve
 from tumble.inference.prediction import prediction
 from tumble.inference.problem import NO_PRIOR, Prior, Problem, instruments_of
 from tumble.inference.sources import UncertaintyBudget, common_covariances, source
-from tumble.inference.start import start_of
-from tumble.inference.turns_about import TurnsAbout
+from tumble.inference.start import initial_linearisation
 from tumble.reduction.observations import Observations
 from tumble.sensors.compensation import specific_force
 from tumble.sensors.instrument import Instrument
@@ -68,7 +68,7 @@ def joint(
     session and cannot wait for one that contradicts itself."""
     usual, local = instruments_of(observations)
     problem = Problem.of(observations, prior, instrument=instrument or usual, local=local, usual=observations.usual)
-    start, first = start_of(problem)
+    start, first = initial_linearisation(problem)
     start, refused = with_magnetometer(start)
     fitted, by_lag = maximum_with_lags(start, QUICK_STEPS if quick else MAX_ITERATIONS)
     if fitted.converged and not quick:
@@ -205,7 +205,7 @@ def _undetermined(covariance: Array) -> Array:
     return np.asarray(combinations[:, variance > DETERMINED**-2].T)
 
 
-def _usual_rate(about: TurnsAbout | None) -> float | None:
+def _usual_rate(about: IntegratedTurns | None) -> float | None:
     """The rate of the session's turns, rad/s, root mean square; None without turns."""
     if about is None or not len(about.moments):
         return None

@@ -40,7 +40,7 @@ import scipy
 from tumble.inference.hyperparameters import solution_at
 from tumble.inference.integral import conditional, coverage_factors
 from tumble.inference.linearisation import Linearisation, linearise
-from tumble.inference.maximum import Maximum, likeliest, likeliest_phi, maximum
+from tumble.inference.maximum import Maximum, maximise, maximise_from_starts, maximise_phi
 from tumble.inference.problem import Problem
 from tumble.sensors.parameters import THERMAL, sensor_kind, variable_of
 from tumble.units import Array
@@ -75,7 +75,7 @@ def maximum_with_lags(start: Linearisation, iterations: int) -> tuple[Maximum, A
     """
     lags, spread = start.problem.lags, np.zeros((len(start.problem.instrument.names),) * 2)
     if not lags:
-        return likeliest(start, iterations), spread
+        return maximise_from_starts(start, iterations), spread
     usual = {kind: start.problem.observations.usual[f"{kind}.lag"] for kind in lags}
 
     def held(values: Array, near: Linearisation) -> Linearisation:
@@ -84,7 +84,7 @@ def maximum_with_lags(start: Linearisation, iterations: int) -> tuple[Maximum, A
         return replace(there, noise=there.noise.weighted(*near.noise.weights))
 
     def again(values: Array) -> Maximum:
-        return maximum(held(values, replace(fitted.linearisation, point=fitted.point)), fitted.phi, iterations)
+        return maximise(held(values, replace(fitted.linearisation, point=fitted.point)), fitted.phi, iterations)
 
     def penalty(kind: str, lag: Array) -> Array:
         """−2 ln of the prior of a lag, Eq. (1)."""
@@ -107,7 +107,7 @@ def maximum_with_lags(start: Linearisation, iterations: int) -> tuple[Maximum, A
                 before, every = zip(*sorted(known.items()), strict=True)
                 phi = np.array([np.interp(lag, before, element) for element in np.transpose(every)])
                 solution = solution_at(there, fitted.hyperparameters, phi)
-                solution, B, *_ = likeliest_phi(fitted.hyperparameters, solution, B)
+                solution, B, *_ = maximise_phi(fitted.hyperparameters, solution, B)
                 known[lag], found = solution.phi, conditional(solution)
                 deviance[k] -= 2.0 * found.value
                 both[k, :, :-1], both[k, :, -1] = found.covariance[1:, 1:], values + found.step[1:]
@@ -120,7 +120,7 @@ def maximum_with_lags(start: Linearisation, iterations: int) -> tuple[Maximum, A
         of_lags = [float(penalty(kind, fit.point.values[i])) for kind, i in lags.items()]
         return float(fit.solution.log_posterior) - 0.5 * sum(of_lags)
 
-    fitted = likeliest(held(start.point.values, start), iterations)
+    fitted = maximise_from_starts(held(start.point.values, start), iterations)
     for left in reversed(range(LAG_ROUNDS)):
         at_lags = {kind: solutions(kind) for kind in lags}
         grids = {kind: resolved(at_lags[kind], LAGS) for kind in lags}

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from tumble.inference.elimination import fold
+from tumble.inference.integrated_turns import IntegratedTurns
 from tumble.inference.magnetometer import OWN as MAGNETIC
 from tumble.inference.magnetometer import Magnetometer
 from tumble.inference.noise import LINK_SCATTER, NO_COMPONENTS, SCATTER, NoiseModel, VarianceComponents
@@ -28,7 +29,6 @@ from tumble.inference.problem import (
     support_columns,
     unseen_rate,
 )
-from tumble.inference.turns_about import TurnsAbout
 from tumble.inference.variables import GROWING
 from tumble.reduction.turns.links import PARTS, joined_parts, noise_of_links
 from tumble.rotation import UP, rotation_matrix, rotation_vector, skew
@@ -75,7 +75,7 @@ class Linearisation:
 
     problem: Problem
     point: Point
-    about: TurnsAbout | None
+    about: IntegratedTurns | None
     rest: Array
     turn: Array
     bias: Array
@@ -106,7 +106,7 @@ class Linearisation:
     @property
     def rotations(self) -> Array:
         """The rotations (K, 3, 3) of the turns, body at the end → body at the start, by the gyros of the point."""
-        about, changes = self.about, self.problem.changed_in_turns(self.point)
+        about, changes = self.about, self.problem.coefficient_changes(self.point)
         assert about is not None
         return about.rotations(self.problem.instrument, self.point.values, 0.0 if changes is None else changes)
 
@@ -171,13 +171,13 @@ class Linearisation:
         values : (m,)
             The parameters, lags included.
         """
-        point, (own, base), every = replace(self.point, values=values), problem.changed, list[Array]()
-        warmed = problem.warmed(point)
+        point, (own, base), every = replace(self.point, values=values), problem.change_columns, list[Array]()
+        warmed = problem.with_lags_at(point)
         for place, rows, first in ((0, self.rest.copy(), 4), (1, self.turn.copy(), 7)):
-            by = warmed.goes[place][:, None] * rows[:, :, first + base]
+            by = warmed.regressors[place][:, None] * rows[:, :, first + base]
             if place == 1:
-                by += warmed.goes[GROWING][:, None] * self.growing
-            less = (rows[:, :, first + own] - by) @ problem.changes_in(point, place)[:, :, None]
+                by += warmed.regressors[GROWING][:, None] * self.growing
+            less = (rows[:, :, first + own] - by) @ problem.change_values(point, place)[:, :, None]
             rows[:, :, -1] += less[:, :, 0]
             rows[:, :, first + own] = by
             every.append(rows)
@@ -185,7 +185,7 @@ class Linearisation:
         prior = prior_rows(problem, point, self.array)
         return replace(self, problem=problem, point=point, rest=rest, turn=turn, prior=prior)
 
-    def beside(self, rest: Array, turn: Array) -> Linearisation:
+    def with_columns(self, rest: Array, turn: Array) -> Linearisation:
         """The same with further common parameters after those of the instrument, of which nothing is known beforehand,
         by their columns (N, r, c) and (K, t, c)."""
         before, c = -1 - self.local_prior.shape[1], rest.shape[2]
@@ -203,7 +203,7 @@ class Linearisation:
 
 
 def linearise(
-    problem: Problem, point: Point, about: TurnsAbout | None, components: VarianceComponents = NO_COMPONENTS
+    problem: Problem, point: Point, about: IntegratedTurns | None, components: VarianceComponents = NO_COMPONENTS
 ) -> Linearisation:
     """Residuals and Jacobians at a point, with their noise.
 
@@ -216,11 +216,11 @@ def linearise(
     components
         The components of variance.
     """
-    warmed = problem.warmed(point)
+    warmed = problem.with_lags_at(point)
     model = problem.instrument.linearised(point.values)
     turn = np.zeros((0, problem.rows_of_turn, 8 + problem.width))
     bias = np.zeros((0, problem.rows_of_turn, problem.sensors))
-    growing = np.zeros((0, problem.rows_of_turn, len(problem.changed[0])))
+    growing = np.zeros((0, problem.rows_of_turn, len(problem.change_columns[0])))
     gained = np.zeros((0, 3))
     link, link_bias = np.zeros((0, 9, 20 + problem.width)), np.zeros((0, 9, problem.sensors))
     noise = problem.noise
@@ -305,12 +305,12 @@ def _add_changes(
     temperature or launch: those of its base times what it goes with, at rest (`place` 0) or in the turns (1). What they
     add is taken off the residuals. `growing` are the columns (K, r, m) of what grows by 1 a second about the middle of
     the turns."""
-    own, base = problem.changed
+    own, base = problem.change_columns
     if not len(own):
         return
-    values = problem.changes_in(point, place)[:, :, None]
+    values = problem.change_values(point, place)[:, :, None]
     every = [(place, rows[:, :, first + base])] + ([] if growing is None else [(GROWING, growing[:, :, base])])
-    by = sum(problem.goes[of][:, None] * columns for of, columns in every)
+    by = sum(problem.regressors[of][:, None] * columns for of, columns in every)
     rows[:, :, first + own] = by
     rows[:, :, -1] -= (by @ values)[:, :, 0]
 
@@ -319,12 +319,12 @@ def at_reference(linearisation: Linearisation) -> Array:
     """Readings (N, n) of the accelerometers at rest as they would be at the reference temperature, in the middle of a
     session and without what differs from launch to launch."""
     problem, accel = linearisation.problem, linearisation.problem.observations.rests.accel
-    by = linearisation.rest[:, : accel.shape[1], 4 + problem.changed[0]]
-    return np.asarray(accel - (by @ problem.changes_in(linearisation.point, 0)[:, :, None])[:, :, 0])
+    by = linearisation.rest[:, : accel.shape[1], 4 + problem.change_columns[0]]
+    return np.asarray(accel - (by @ problem.change_values(linearisation.point, 0)[:, :, None])[:, :, 0])
 
 
 def _turn_rows(
-    problem: Problem, point: Point, about: TurnsAbout, model: tuple[Array, Array]
+    problem: Problem, point: Point, about: IntegratedTurns, model: tuple[Array, Array]
 ) -> tuple[Array, Array, Array]:
     """Rotation and velocity of the turns, (13) and (14), what more than three gyros say of themselves, the coefficients
     of all for a bias of the accelerometers and gyros, and the columns of what grows in the turns."""
@@ -356,9 +356,9 @@ def _turn_rows(
         bias[:, 3:6] = by_bias[:, 3:]
     if problem.observations.site.gravity_u == 0.0:
         rows[:, :, 6] = 0.0
-    growing = np.zeros((*rows.shape[:2], len(problem.changed[1])))
+    growing = np.zeros((*rows.shape[:2], len(problem.change_columns[1])))
     if G is not None:
-        G = G[:, :, problem.changed[1]]
+        G = G[:, :, problem.change_columns[1]]
         growing[:, :3], growing[:, 3:t] = by_rotation @ G[:, :3], G[:, 3:t]
     rows[:, t:, 7:] = spare
     bias[:, t:, instrument.accel.size :] = turns.duration[:, None, None] * free
@@ -388,7 +388,7 @@ def _by_gravity(start: Array, basis: Array, gained: Array, sideways: Array) -> t
 
 
 def _link_rows(
-    problem: Problem, point: Point, parts: TurnsAbout, model: tuple[Array, Array]
+    problem: Problem, point: Point, parts: IntegratedTurns, model: tuple[Array, Array]
 ) -> tuple[Array, Array, NoiseModel]:
     """Rotation, velocity and place of the links, the coefficients of all for a bias of the accelerometers and gyros,
     and the noise with theirs. With v the velocity in the body, s the displacement and r the lever
@@ -515,7 +515,9 @@ def inverse_left_jacobian(r: Array) -> Array:
     return np.asarray(np.eye(3) - 0.5 * cross + second * (cross @ cross))
 
 
-def _spare_rows(problem: Problem, point: Point, about: TurnsAbout, model: tuple[Array, Array]) -> tuple[Array, Array]:
+def _spare_rows(
+    problem: Problem, point: Point, about: IntegratedTurns, model: tuple[Array, Array]
+) -> tuple[Array, Array]:
     """What n gyros say of themselves: ∫ (ŷ − Σ_b K_b β_b) dt of all functions but the rate has nothing in the n − 3
     directions that no rate explains. Rows (K, n − 3, ·) of the parameters, and these directions."""
     readings, gyro, turns = problem.observations.turn_readings, problem.instrument.gyro, problem.observations.turns

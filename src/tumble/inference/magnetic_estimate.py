@@ -24,7 +24,7 @@ from tumble.inference.fits import LEFT_OUT, MAGNETOMETER, chi_squares, left_out,
 from tumble.inference.integral import conditional, covariance_with_local
 from tumble.inference.linearisation import Linearisation, linearise
 from tumble.inference.magnetometer import DIP, Magnetometer
-from tumble.inference.maximum import Maximum, integrated, moved
+from tumble.inference.maximum import Maximum, reintegrated_turns, take_step
 from tumble.inference.noise import NoiseModel, VarianceComponents
 from tumble.inference.normal_equations import solve
 from tumble.inference.problem import Problem
@@ -163,8 +163,8 @@ def with_magnetometer(start: Linearisation) -> tuple[Linearisation, str]:
     loose, begun = VarianceComponents(mag=LOOSE * field), linearise(problem, point, about)
     weights = _weights(problem, begun.noise, np.where(kept, 1.0, LEFT_OUT[-1]))
     for _ in range(FIRST_STEPS):
-        point, _ = moved(solve(replace(begun, noise=begun.noise.weighted(*weights)), loose))
-        about = integrated(problem, point, about)
+        point, _ = take_step(solve(replace(begun, noise=begun.noise.weighted(*weights)), loose))
+        about = reintegrated_turns(problem, point, about)
         begun = linearise(problem, point, about)
     return replace(begun, noise=begun.noise.weighted(*weights)), ""
 

@@ -51,11 +51,11 @@ from tumble.inference.hyperparameters import (
     score,
     solution_at,
 )
+from tumble.inference.integrated_turns import IntegratedTurns
 from tumble.inference.linearisation import Linearisation, linearise
 from tumble.inference.noise import NO_COMPONENTS, REST_SCATTER, SCATTER, VarianceComponents
 from tumble.inference.normal_equations import Solution, solve
 from tumble.inference.problem import Point, Problem
-from tumble.inference.turns_about import TurnsAbout
 from tumble.units import Array, BoolArray
 
 MAX_ITERATIONS = 40
@@ -157,7 +157,7 @@ class Maximum:
         return self.solution.components
 
 
-def maximum(
+def maximise(
     start: Linearisation,
     phi: Array | None = None,
     iterations: int = MAX_ITERATIONS,
@@ -188,7 +188,7 @@ def maximum(
         solution = solution_at(linearisation, hyperparameters, phi)
         near = near or len(increments) >= FAR_STEPS or negligible(solution, NEAR)
         if near:
-            solution, B, radius, phi_settled = likeliest_phi(hyperparameters, solution, B, radius)
+            solution, B, radius, phi_settled = maximise_phi(hyperparameters, solution, B, radius)
         phi = solution.phi
         if known is not None and near and len(phi) == len(known.phi):
             away, below = phi - known.phi, float(known.solution.log_posterior - solution.log_posterior)
@@ -196,9 +196,9 @@ def maximum(
                 return known
 
         # x by a step of Gauss–Newton, to where rows are linearised next
-        point, change = moved(solution, keep=len(increments) >= TO_AND_FRO)
+        point, change = take_step(solution, keep=len(increments) >= TO_AND_FRO)
         increments.append(change)
-        about, noise = integrated(problem, point, linearisation.about), linearisation.noise
+        about, noise = reintegrated_turns(problem, point, linearisation.about), linearisation.noise
         weights = before = noise.weights
         if robust:
             weights = weighted(problem, noise, student_weights(chi_square_falls(solution))).weights
@@ -221,7 +221,7 @@ def maximum(
         linearisation = replace(linearisation, noise=linearisation.noise.weighted(*weights))
 
 
-def likeliest_phi(
+def maximise_phi(
     hyperparameters: Hyperparameters, solution: Solution, B: Array | None = None, radius: float = FURTHEST
 ) -> tuple[Solution, Array, float, bool]:
     """The likeliest φ at fixed rows, by a trust region of at most STEPS steps.
@@ -272,7 +272,7 @@ def likeliest_phi(
     return solution, B, radius, gain < enough
 
 
-def likeliest(start: Linearisation, iterations: int = MAX_ITERATIONS) -> Maximum:
+def maximise_from_starts(start: Linearisation, iterations: int = MAX_ITERATIONS) -> Maximum:
     """The highest of the maxima that several starts of φ lead to.
 
     The usual φ is the first start. Where it leads to scatter or sizes far beyond the usual, others follow:
@@ -281,7 +281,7 @@ def likeliest(start: Linearisation, iterations: int = MAX_ITERATIONS) -> Maximum
     * groups far larger than usual: scatter may have taken what is theirs;
     * where rests scatter, biases that are anew at every rest, a turn having that of the rest before it or of the rest
       after it."""
-    best = maximum(start, iterations=iterations)
+    best = maximise(start, iterations=iterations)
     if start.problem.observations.turns is None:
         return best
     hyperparameters, starts = best.hyperparameters, list[tuple[float, Array]]()
@@ -310,7 +310,7 @@ def likeliest(start: Linearisation, iterations: int = MAX_ITERATIONS) -> Maximum
     for bias_after, phi in starts:
         problem = replace(start.problem, bias_after=bias_after)
         known = best if bias_after == best.linearisation.problem.bias_after else None
-        other = maximum(replace(start, problem=problem), phi, iterations, known=known)
+        other = maximise(replace(start, problem=problem), phi, iterations, known=known)
         if other.converged and other.solution.log_posterior > best.solution.log_posterior:
             best = other
     return best
@@ -322,13 +322,13 @@ def without_outliers(fitted: Maximum, iterations: int = MAX_ITERATIONS) -> Maxim
     whole = all(np.all(each == 1.0) for each in fitted.linearisation.noise.weights)
     if whole and (not len(every) or 2.0 * scipy.special.ndtr(-every.max()) * len(every) > STANDS_OUT):
         return fitted
-    robust = maximum(fitted.linearisation, fitted.phi, iterations, robust=True)
+    robust = maximise(fitted.linearisation, fitted.phi, iterations, robust=True)
     dropped = [w < LEAST_WEIGHT for w in student_weights(chi_square_falls(robust.solution))]
     if whole and not any(each.any() for each in dropped):
         return fitted
     weights = [np.where(each, weight, 1.0) for each, weight in zip(dropped, LEFT_OUT, strict=True)]
     noise = weighted(fitted.usual_problem, robust.linearisation.noise, weights)
-    return maximum(replace(robust.linearisation, noise=noise), robust.phi, iterations)
+    return maximise(replace(robust.linearisation, noise=noise), robust.phi, iterations)
 
 
 def _updated(B: Array, step: Array, change: Array) -> Array:
@@ -362,7 +362,7 @@ def negligible(solution: Solution, share: float = CONVERGED) -> bool:
     return bool(np.all(after <= share * u + 1e-15))
 
 
-def moved(solution: Solution, keep: bool = False) -> tuple[Point, Array]:
+def take_step(solution: Solution, keep: bool = False) -> tuple[Point, Array]:
     """The point after the step of a solution, shortened so that no parameter moves by more than its spread, and the
     change of the parameters. Chains whose heading is hardly seen `keep` it, or all chains, unless a magnetometer sees
     it."""
@@ -415,11 +415,11 @@ def heading_information(solution: Solution) -> Array:
     return information
 
 
-def integrated(problem: Problem, point: Point, about: TurnsAbout | None) -> TurnsAbout | None:
+def reintegrated_turns(problem: Problem, point: Point, about: IntegratedTurns | None) -> IntegratedTurns | None:
     """The turns, integrated again if the parameters have moved too far since."""
     if about is None:
         return None
-    changes = problem.changed_in_turns(point)
+    changes = problem.coefficient_changes(point)
     gyros = slice(problem.instrument.accel.size, None)
     if changes is not None and about.small(changes[:, gyros], problem.noise_of_turns):
         changes = None
@@ -427,4 +427,4 @@ def integrated(problem: Problem, point: Point, about: TurnsAbout | None) -> Turn
     links_good = about.links is None or about.links.good_for(problem.instrument, point.values, problem.noise_of_parts)
     if links_good and about.good_for(problem.instrument, point.values, problem.noise_of_turns, gyro_changes):
         return about
-    return TurnsAbout.of(problem.observations, problem.instrument, point.values, changes)
+    return IntegratedTurns.of(problem.observations, problem.instrument, point.values, changes)

@@ -26,7 +26,7 @@ import numpy as np
 from tumble.inference.lag import maximum_with_lags
 from tumble.inference.maximum import MAX_ITERATIONS, without_outliers
 from tumble.inference.problem import NO_PRIOR, Problem, instruments_of
-from tumble.inference.start import start_of
+from tumble.inference.start import initial_linearisation
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.blemishes import BadSamples, bad_sample_notes
 from tumble.reduction.turns.turns import TurnSamples, linear_compensation
@@ -95,7 +95,7 @@ def _closing_best(as_recorded: Observations, suspects: BadSamples, runs: IntArra
     linear = replace(as_recorded, usual={})
     instrument, local = instruments_of(linear)
     problem = Problem.of(linear, NO_PRIOR, instrument=instrument, local=local, usual={})
-    fitted, _ = maximum_with_lags(start_of(problem)[0], MAX_ITERATIONS)
+    fitted, _ = maximum_with_lags(initial_linearisation(problem)[0], MAX_ITERATIONS)
     if fitted.converged:
         fitted = without_outliers(fitted)
     turns, samples, gyro = linear.turns, linear.turn_samples, linear.gyro_block

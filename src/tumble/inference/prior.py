@@ -123,7 +123,7 @@ def with_prior(
     budget = UncertaintyBudget(
         sources=tuple(each for each, keep in zip(estimate.budget.sources, kept, strict=True) if keep),
         covariances=moves @ estimate.budget.covariances[kept] @ moves.T,
-    ).beside(source("type"), covariance @ by_prior @ covariance)
+    ).with_source(source("type"), covariance @ by_prior @ covariance)
     problem, before = estimate.linearised.problem, estimate.prediction
     observable = estimate.observable.copy()
     observable[[i for i in places if group_name(names[i]) in further]] = True

@@ -374,7 +374,7 @@ class Problem:
         """The problem with other fields, and with all that was made of those that stay."""
         out = copy(self)
         if "variables" in fields:
-            vars(out).pop("goes", None)
+            vars(out).pop("regressors", None)
         vars(out).update(fields)
         return out
 
@@ -388,14 +388,14 @@ class Problem:
         mean[1:][at] = values[at]
         return self._changed(prior_mean=mean)
 
-    def warmed(self, point: Point) -> Problem:
+    def with_lags_at(self, point: Point) -> Problem:
         """The problem with the temperatures that the sensors have by the lags at a point."""
         lags = {kind: float(point.values[at]) for kind, at in self.lags.items()}
         if tuple(lags.values()) == self.at_lags:
             return self
         return self._changed(variables=variables_of(self.observations, lags), at_lags=tuple(lags.values()))
 
-    def goes_with(self, variable: Variable, own: slice, place: int) -> Array:
+    def regressor(self, variable: Variable, own: slice, place: int) -> Array:
         """What the parameters at `own` go with (·, m), or (·, 1) where all go with the same, at rest (`place` 0) or in
         the turns (1): each with the temperature of its sensor."""
         every = self.variables[variable][place]
@@ -405,30 +405,30 @@ class Problem:
         return every[:, self.instrument.thermometers[own] + of_gyros * every.shape[1] // 2]
 
     @cached_property
-    def changed(self) -> tuple[IntArray, IntArray]:
+    def change_columns(self) -> tuple[IntArray, IntArray]:
         """Where the parameters (c,) stand that are changes of others, and where these stand."""
         every, none = np.arange(self.width), np.arange(0)
         own = np.concatenate([none, *(every[own] for own, _, _ in self.changes)])
         return own, np.concatenate([none, *(every[base] for _, base, _ in self.changes)])
 
-    def going(self, place: int) -> Array:
+    def _regressors_at(self, place: int) -> Array:
         """What the changes (·, c) go with at rest (`place` 0), in the turns (1), or by how much a second that grows in
         them (2)."""
-        out, first = np.zeros((len(self.of_session[min(place, 1)]), len(self.changed[0]))), 0
+        out, first = np.zeros((len(self.of_session[min(place, 1)]), len(self.change_columns[0]))), 0
         for own, _, variable in self.changes:
             last = first + own.stop - own.start
-            out[:, first:last] = self.goes_with(variable, own, place)
+            out[:, first:last] = self.regressor(variable, own, place)
             first = last
         return out
 
     @cached_property
-    def goes(self) -> tuple[Array, Array, Array]:
+    def regressors(self) -> tuple[Array, Array, Array]:
         """What the changes go with, (N, c), (K, c) and (K, c)."""
-        return self.going(0), self.going(1), self.going(GROWING)
+        return self._regressors_at(0), self._regressors_at(1), self._regressors_at(GROWING)
 
-    def changes_in(self, point: Point, place: int) -> Array:
+    def change_values(self, point: Point, place: int) -> Array:
         """The values (·, c) of the changes at every rest (`place` 0) or turn (1), those of its session."""
-        of, own = self.of_session[place], self.changed[0]
+        of, own = self.of_session[place], self.change_columns[0]
         if not len(self.local_u):
             return np.broadcast_to(point.values[own], (len(of), len(own)))
         every = np.concatenate(
@@ -477,13 +477,13 @@ class Problem:
         turns = self.observations.turns
         return np.zeros((0, 3, 3)) if turns is None else rotation_matrix(-turns.duration[:, None] * self.earth)
 
-    def changed_in_turns(self, point: Point) -> Array | None:
+    def coefficient_changes(self, point: Point) -> Array | None:
         """By how much the coefficients (K, n, 15) of accelerometers and gyros differ in the turns from those of the
         parameters, being changed by time, temperature or launch; None where nothing changes."""
         if not self.changes:
             return None
-        D = self.instrument.linearised(point.values)[1][:, :, self.changed[1]]
-        change = self.warmed(point).goes[1] * self.changes_in(point, 1)
+        D = self.instrument.linearised(point.values)[1][:, :, self.change_columns[1]]
+        change = self.with_lags_at(point).regressors[1] * self.change_values(point, 1)
         return np.asarray(change @ D.reshape(-1, D.shape[2]).T).reshape(len(change), *D.shape[:2])
 
     @cached_property

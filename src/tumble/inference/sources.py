@@ -113,7 +113,7 @@ class UncertaintyBudget:
         """The same of functions of the parameters, by their `jacobian` (q, m)."""
         return replace(self, covariances=jacobian @ self.covariances @ jacobian.T)
 
-    def beside(self, source: Source, covariance: Array) -> UncertaintyBudget:
+    def with_source(self, source: Source, covariance: Array) -> UncertaintyBudget:
         """With another source, of this covariance (m, m); the same where it is nothing."""
         if not covariance.any():
             return self
@@ -128,7 +128,7 @@ def source(name: str, u: float | None = None, unit: str = "", dof: float | None 
     return Source(name=name, words=words, type=evaluation, u=u, unit=unit, dof=dof)
 
 
-def of_fit(covariance: Array, by_gravity: Array, gravity_u: float, degrees: float) -> UncertaintyBudget:
+def fit_budget(covariance: Array, by_gravity: Array, gravity_u: float, degrees: float) -> UncertaintyBudget:
     """The budget of a fit whose residuals say how uncertain it is: what one standard uncertainty of gravity changes in
     the parameters (m,), and the rest of their covariance (m, m)."""
     of_gravity = np.outer(by_gravity, by_gravity)
@@ -136,7 +136,7 @@ def of_fit(covariance: Array, by_gravity: Array, gravity_u: float, degrees: floa
         sources=(source("fit", dof=degrees if np.isfinite(degrees) else None),),
         covariances=(covariance - of_gravity)[None],
     )
-    return every.beside(source("gravity", gravity_u, "m/s^2"), of_gravity)
+    return every.with_source(source("gravity", gravity_u, "m/s^2"), of_gravity)
 
 
 _HARMONICS = np.arange(1, 40)
@@ -145,7 +145,7 @@ _HARMONICS = np.arange(1, 40)
 def common_covariances(observations: Observations, instrument: Instrument) -> dict[str, Array]:
     """Covariances (m, m) of the parameters by rounding, by the time base (`clock`) and in one attitude by the `earth`,
     on top of that by noise."""
-    by_clock, u = by_time_base(instrument.names, observations.by_clock), np.zeros(len(instrument.names))
+    by_clock, u = clock_errors(instrument.names, observations.by_clock), np.zeros(len(instrument.names))
     for block, readings in ((instrument.accel, observations.rests.accel), (instrument.gyro, observations.rests.gyro)):
         if block is not None and block.kind in observations.rounding:
             size = common_rounding(observations.rounding[block.kind], readings)
@@ -176,13 +176,13 @@ def common_rounding(rounding: Rounding, readings: Array) -> Array:
     return np.asarray(rounding.common_u * np.exp(-2.0 * (np.pi * scatter) ** 2))
 
 
-def clocked(clock_u: float, increments: Mapping[str, bool]) -> dict[str, float]:
+def clock_effects(clock_u: float, increments: Mapping[str, bool]) -> dict[str, float]:
     """What one standard uncertainty of the time base, relative, changes in parameters, by group; `increments` says of
     each kind of sensor whether its readings were."""
     sizes = {"gyro.scale": clock_u * (not increments.get("gyro", True)), "accel.scale": -clock_u * increments["accel"]}
     return {group: size for group, size in sizes.items() if size != 0.0}
 
 
-def by_time_base(names: Sequence[str], by_clock: Mapping[str, float]) -> Array:
+def clock_errors(names: Sequence[str], by_clock: Mapping[str, float]) -> Array:
     """The same in parameters of these names (m,), by group and by name."""
     return np.array([by_clock.get(group_name(name), 0.0) + by_clock.get(name, 0.0) for name in names])

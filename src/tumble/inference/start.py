@@ -12,10 +12,10 @@ from itertools import accumulate
 import numpy as np
 
 from tumble.earth import EARTH_RATE
+from tumble.inference.integrated_turns import IntegratedTurns
 from tumble.inference.linearisation import Linearisation, linearise
 from tumble.inference.normal_equations import solve
 from tumble.inference.problem import Point, Problem
-from tumble.inference.turns_about import TurnsAbout
 from tumble.reduction.turns.links import PARTS
 from tumble.rotation import UP, rotation_matrix, skew, tangent_basis, unit_vector
 from tumble.units import Array, IntArray
@@ -28,7 +28,7 @@ WINDOW = 4
 VERTICAL = 1e-2  # a north with so little across the vertical is none, and any is taken
 
 
-def start_of(problem: Problem) -> tuple[Linearisation, tuple[Array, ...]]:
+def initial_linearisation(problem: Problem) -> tuple[Linearisation, tuple[Array, ...]]:
     """The rows at a point near the solution, found in closed form, and the step there from zero."""
     observations, instrument = problem.observations, problem.instrument
     values = problem.prior_mean[1:].copy()
@@ -45,7 +45,7 @@ def start_of(problem: Problem) -> tuple[Linearisation, tuple[Array, ...]]:
     return linearise(problem, point, about), (values,)
 
 
-def _started_gyros(problem: Problem, values: Array, vertical: Array) -> tuple[TurnsAbout | None, Array]:
+def _started_gyros(problem: Problem, values: Array, vertical: Array) -> tuple[IntegratedTurns | None, Array]:
     """Gyro parameters from the means of the rests and the verticals that the turns carry, linearised once, and the
     turns integrated about them."""
     observations, up, instrument = problem.observations, problem.earth[1], problem.instrument
@@ -58,7 +58,7 @@ def _started_gyros(problem: Problem, values: Array, vertical: Array) -> tuple[Tu
     turns = observations.turns
     if turns is None:
         return None, started[own]
-    about = TurnsAbout.of(observations, instrument, started)
+    about = IntegratedTurns.of(observations, instrument, started)
     derivative = np.einsum("ap,pqm->aqm", about.to_rate, block.jacobian(started[own]))
     by_turn = about.rows(instrument, started, instrument.linearised(started), len(started))[:, :3, own]
     back = np.einsum("kij,kj->ki", about.C, vertical[turns.last])
@@ -78,10 +78,10 @@ def _started_gyros(problem: Problem, values: Array, vertical: Array) -> tuple[Tu
     ])  # fmt: skip
     started[own] += np.linalg.solve(jacobian.T @ jacobian, jacobian.T @ residual)
     near = bool(np.all(about.second_order(about.since(instrument, started))[0] < ROUGH_EFFECT))
-    return (about if near else TurnsAbout.of(observations, instrument, started)), started[own]
+    return (about if near else IntegratedTurns.of(observations, instrument, started)), started[own]
 
 
-def headings(problem: Problem, vertical: Array, values: Array, about: TurnsAbout | None) -> Array:
+def headings(problem: Problem, vertical: Array, values: Array, about: IntegratedTurns | None) -> Array:
     """Attitudes (N, 3, 3) with these verticals. With N', E' the axes of a chain whose heading is any, carried along by
     the turns, the rates at rest are ω − Ω_U u = δ + a N' + s E', where the gyros still err by δ: linear in δ and in a
     and s of each chain."""
@@ -148,7 +148,7 @@ def _started_in_motion(problem: Problem, values: Array) -> tuple[Linearisation, 
     here = here[chain[here] == chain[here + 2 * WINDOW]]
     there = here + 2 * WINDOW
     for _ in range(2):
-        C, V, T = _transitions(problem, TurnsAbout.of(observations, instrument, values))
+        C, V, T = _transitions(problem, IntegratedTurns.of(observations, instrument, values))
         A = np.array(list(accumulate(C[:-1], np.matmul, initial=np.eye(3))))
         gained = np.concatenate([np.zeros((1, 3)), np.cumsum((A @ V[:, :, None])[:, :, 0], axis=0)])
         vertical = unit_vector((np.swapaxes(A, 1, 2) @ (gained[high] - gained[low])[:, :, None])[:, :, 0] + 1e-12 * UP)
@@ -160,7 +160,7 @@ def _started_in_motion(problem: Problem, values: Array) -> tuple[Linearisation, 
         if len(rows):
             bias = np.linalg.lstsq(rows.reshape(-1, 3), (vertical[here] - back).ravel(), rcond=1e-6)[0]
             values[own][: block.size] += (block.axes @ bias)[block.channels]
-    about = TurnsAbout.of(observations, instrument, values)
+    about = IntegratedTurns.of(observations, instrument, values)
     C, _, T = _transitions(problem, about)
     followed = np.flatnonzero(chain[:-1] == chain[1:])
     point = Point(
@@ -176,7 +176,7 @@ def _started_in_motion(problem: Problem, values: Array) -> tuple[Linearisation, 
     return linearise(problem, point, about), (values,)
 
 
-def _turned_to_north(problem: Problem, point: Point, about: TurnsAbout) -> Point:
+def _turned_to_north(problem: Problem, point: Point, about: IntegratedTurns) -> Point:
     """The point with the headings of its chains by the horizontal rate of the Earth that the gyros see in motion. A
     linear step moves along the tangent of the circle of headings, by sin e where it is e off, and by −cos e a quarter
     of a turn on; from far off such steps alone would be too short."""
@@ -193,7 +193,7 @@ def _turned_to_north(problem: Problem, point: Point, about: TurnsAbout) -> Point
     return turned(np.arctan2(seen[0], -seen[1]))
 
 
-def _transitions(problem: Problem, about: TurnsAbout) -> tuple[Array, Array, Array]:
+def _transitions(problem: Problem, about: IntegratedTurns) -> tuple[Array, Array, Array]:
     """Rotations (M, 3, 3), velocities (M, 3) and durations (M,) from each station to the next one; of what nothing
     joins 1 and 0."""
     links, turns, M = problem.observations.links, problem.observations.turns, len(problem.link)

@@ -31,7 +31,7 @@ INNER = 0.8
 LEVEL = 0.05
 """K: rests of a session whose temperatures differ by no more are at one level: half of it, more of which a lag does not
 make, times a usual slope is within the usual instability of a bias, in every grade."""
-RAMP = 1.0
+RAMP_RANGE = 1.0
 """K: by what a temperature changes within a session that is to show a hysteresis, or is worth a remark in motion."""
 BETWEEN = 0.8
 """Of the range of temperatures: where so much of it has no rest, all are at its two ends."""
@@ -141,7 +141,7 @@ def lag_is_sought(observations: Observations) -> bool:
 
 def on_a_ramp(observations: Observations) -> bool:
     """Whether a hysteresis may matter: over a range of temperatures, where they change within a session."""
-    return over_a_range(observations) and _change_within(observations) > RAMP
+    return over_a_range(observations) and _change_within(observations) > RAMP_RANGE
 
 
 def _change_within(observations: Observations) -> float:
@@ -170,7 +170,7 @@ def directions(observations: Observations) -> Array:
     return thermometers.direction(rests.file, 0.5 * (rests.start + rests.stop))
 
 
-def both_ways(observations: Observations) -> bool:
+def ramps_up_and_down(observations: Observations) -> bool:
     """Whether enough rests within the range of every thermometer came from below, and from above."""
     kelvin = observations.rests.temperatures
     if kelvin is None or not on_a_ramp(observations):

@@ -21,7 +21,7 @@ from tumble.diagnosis.linear_model import by_joint, left_out_by_rests, left_out_
 from tumble.diagnosis.observability import Refusal
 from tumble.errors import InputError
 from tumble.inference.estimate import Estimate, Fit
-from tumble.inference.sources import of_fit
+from tumble.inference.sources import fit_budget
 from tumble.methods.ellipsoid_fit import EllipsoidFit, fit_ellipsoid
 from tumble.reduction.observations import Observations
 from tumble.rotation import unit_vector
@@ -107,7 +107,7 @@ def estimate_of(
         fits={"accelerometers": found.fit("m/s^2")},
         converged=found.converged,
         degrees=found.noise_degrees * parts**2,  # Welch, Satterthwaite
-        budget=of_fit(covariance, found.by_modulus, observations.site.gravity_u, found.noise_degrees),
+        budget=fit_budget(covariance, found.by_modulus, observations.site.gravity_u, found.noise_degrees),
     )
     if not observations.usual:
         return estimate

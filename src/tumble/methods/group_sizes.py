@@ -136,6 +136,6 @@ def with_groups(
         made,
         covariance=covariance,
         degrees=degrees_of(factor),
-        budget=budget.beside(source("gravity", observations.site.gravity_u, "m/s^2"), of_modulus),
+        budget=budget.with_source(source("gravity", observations.site.gravity_u, "m/s^2"), of_modulus),
         prediction=prediction(instrument, made.values, covariance, gravity=observations.site.gravity, rate=None),
     )

@@ -27,14 +27,14 @@ from tumble.brief import Brief
 from tumble.diagnosis.linear_model import left_out, moves_by_likelihood
 from tumble.earth import earth_rate
 from tumble.errors import InputError
-from tumble.inference.estimate import DETERMINED, SEEN
+from tumble.inference.estimate import DETERMINED, UNOBSERVABLE_SHARE
 from tumble.inference.hyperparameters import size_factors
+from tumble.inference.integrated_turns import IntegratedTurns
 from tumble.inference.linearisation import Linearisation, linearise
 from tumble.inference.noise import VarianceComponents
 from tumble.inference.normal_equations import solve
 from tumble.inference.problem import Point, Problem
-from tumble.inference.sources import by_time_base, clocked
-from tumble.inference.turns_about import TurnsAbout
+from tumble.inference.sources import clock_effects, clock_errors
 from tumble.inference.uncertainty_budget import contributions
 from tumble.planning.expected_sizes import expected
 from tumble.planning.in_motion import Motion, observed_in_motion
@@ -202,7 +202,7 @@ def bound_by(seen: Linearisation, rate: float, clock_u: float = 0.0) -> Bound:
     lengths = np.sqrt(np.linalg.eigvalsh(of_linear / np.outer(natural, natural)))
 
     # sensors that read rates and forces have the time base in their scale factors; increments would not
-    clock = by_time_base(instrument.names, clocked(clock_u, {"accel": False, "gyro": False}))
+    clock = clock_errors(instrument.names, clock_effects(clock_u, {"accel": False, "gyro": False}))
     covariance = covariance + np.outer(clock, clock)
     priors = {name: f"prior.{name}" for name in instrument.members}
     sources = {name: np.diag(parts[part]) for name, part in {GRAVITY: "gravity", **priors}.items() if part in parts}
@@ -212,7 +212,7 @@ def bound_by(seen: Linearisation, rate: float, clock_u: float = 0.0) -> Bound:
         units=instrument.units,
         linear=linear,
         covariance=covariance,
-        observable=np.append(np.sqrt((unseen**2).sum(axis=0)) < SEEN, np.ones(m - linear, dtype=bool)),
+        observable=np.append(np.sqrt((unseen**2).sum(axis=0)) < UNOBSERVABLE_SHARE, np.ones(m - linear, dtype=bool)),
         null=null / np.linalg.norm(null, axis=1, keepdims=True),
         condition=np.inf if len(null) else float(lengths[-1] / lengths[0]),
         sources={NOISE: np.maximum(np.diag(covariance) - sum(sources.values()), 0.0), **sources},
@@ -287,7 +287,7 @@ def view(course: Itinerary | Motion, setup: Setup, *, gyros: bool) -> Linearisat
         displacements=still,
     )
     if observations.turns is not None:
-        about = TurnsAbout.of(observations, instrument, values)
+        about = IntegratedTurns.of(observations, instrument, values)
     return linearise(problem, point, about, components)
 
 

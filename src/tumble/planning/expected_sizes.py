@@ -10,9 +10,9 @@ size. The posterior of each hyperparameter by itself is
 with χ² of ν degrees of freedom and y of the variance s² + v, as chance has them in sessions. The size that counts is
 the root mean square of σ, and the size of the prior with which a parameter has its variance, the mean of 1/(1/λ²s² +
 1/v) and what its value differs by with λ; the first of the median session, the second, which few sessions make much
-larger than most, as the mean over sessions. A group about which the session says nothing (`SHOWN`) keeps its usual
-size, as in the integral; each is beside what is expected of all others. An in-run bias is a group of as many members as
-it has states, whose prior is log-normal about the size of the set-up.
+larger than most, as the mean over sessions. A group about which the session says nothing (`INFORMATIVE_GROUP`) keeps
+its usual size, as in the integral; each is beside what is expected of all others. An in-run bias is a group of as many
+members as it has states, whose prior is log-normal about the size of the set-up.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from tumble.inference.hyperparameters import (
     hyperparameters_of,
     quadratic_forms,
 )
-from tumble.inference.integral import SHOWN
+from tumble.inference.integral import INFORMATIVE_GROUP
 from tumble.inference.linearisation import Linearisation
 from tumble.inference.noise import SCATTER, TURN_SCATTER
 from tumble.inference.normal_equations import Solution, solve
@@ -72,7 +72,7 @@ def expected(seen: Linearisation) -> Linearisation:
             v = 1.0 / (1.0 / v - 1.0 / size**2 + 1.0 / s**2)  # beside a prior of the usual size
             learned = np.clip(1.0 - v / s**2, 0.0, 1.0)
             larger = np.exp(2.0 * (2.0 * learned.sum() + h.within**-2) ** -0.5)
-            shown = 2.0 * (larger * learned / (larger * learned + 1.0 - learned)).sum() > SHOWN
+            shown = 2.0 * (larger * learned / (larger * learned + 1.0 - learned)).sum() > INFORMATIVE_GROUP
             sizes[1:][h.members] = s * _expected_size(s, v, h.within) if shown else s
         problem = replace(problem, prior_u=sizes)
     return replace(seen, problem=problem).with_components(components)

@@ -18,7 +18,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tumble.inference.sources import by_time_base, clocked
+from tumble.inference.sources import clock_effects, clock_errors
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import by_gravity, shared_gravity
 from tumble.result.parts import Parameter, SourceContributions
@@ -83,4 +83,6 @@ def of_time_base(calibration: Calibration) -> Array:
     """What one standard uncertainty of the time base changes in the parameters (m,) of a calibration."""
     increments = dict.fromkeys(("accel", "gyro"), False)
     increments |= {kind: readings.increments for kind, readings in calibration.provenance.readings.items()}
-    return by_time_base([p.name for p in calibration.parameters], clocked(calibration.provenance.clock_u, increments))
+    return clock_errors(
+        [p.name for p in calibration.parameters], clock_effects(calibration.provenance.clock_u, increments)
+    )

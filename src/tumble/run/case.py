@@ -211,7 +211,7 @@ def estimate_in(frame: Frame, estimate: Estimate, observations: Observations) ->
         of_case = np.zeros_like(covariance)
         part = slice(len(framed.names))
         of_case[part, part] = framed.covariance - budget.covariances[:, part, part].sum(axis=0)
-        budget = budget.beside(source("case", alignment.scatter, "rad"), of_case)
+        budget = budget.with_source(source("case", alignment.scatter, "rad"), of_case)
     degrees = estimate.degrees  # parameters of the linear model mix: they have the fewest
     if degrees is not None:
         degrees = np.append(np.full(len(framed.names), degrees[:linear].min()), degrees[linear:])

@@ -457,7 +457,7 @@ class _SessionData:
             covariances[each.name] = covariances.get(each.name, 0.0) + part
         every = UncertaintyBudget(sources=(), covariances=np.empty((0, *[len(derivative)] * 2)))
         for name, covariance in covariances.items():
-            every = every.beside(sources[name], covariance)
+            every = every.with_source(sources[name], covariance)
         return every
 
 
@@ -478,7 +478,7 @@ def _estimate(
     assert beside.linearised is not None
     budget = launch.budget(derivative, beside.linearised.components)
     limit, converged = launch.limit(values, turned, np.sqrt(np.diag(budget.covariances.sum(axis=0))))
-    budget = budget.beside(source("passes"), np.outer(limit - values, limit - values))
+    budget = budget.with_source(source("passes"), np.outer(limit - values, limit - values))
     dof = {each.name: each.dof for each in beside.budget.sources}
     budget = replace(budget, sources=tuple(replace(each, dof=dof.get(each.name)) for each in budget.sources))
     variances = np.diagonal(budget.covariances, axis1=1, axis2=2)

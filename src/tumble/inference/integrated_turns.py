@@ -53,7 +53,7 @@ Ends = tuple[tuple[Array, Array], tuple[Array, Array]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class TurnsAbout:
+class IntegratedTurns:
     """Turns and what they were integrated about: `coefficients` (n, 15) of the accelerometers and gyros, or (K, n, 15)
     where each turn has its own, and a `lateness` of the former, s, common to all. Their moments, and `paths`
     (K, 6, n, 15), P above Q of the module's docstring; `turn_only` are −∂φ above −∂V (K, 6, m) of lever arms and of
@@ -69,13 +69,13 @@ class TurnsAbout:
     """What the accelerometers of arrays say of each other in motion."""
     growing: Array | None = None
     """Paths of coefficients that grow by 1 a second about the middle of the turns."""
-    links: TurnsAbout | None = None
+    links: IntegratedTurns | None = None
     """The parts of the links of a device that moves."""
 
     @staticmethod
     def of(
         observations: Observations, instrument: Instrument, values: Array, changes: Array | None = None
-    ) -> TurnsAbout:
+    ) -> IntegratedTurns:
         """The turns of a session, integrated about these values, and about `changes` (K, n, 15) of the coefficients of
         the accelerometers and gyros in each turn."""
         accel, gyro, K = instrument.accel, instrument.gyro, instrument.all_coefficients(values).copy()
@@ -103,12 +103,12 @@ class TurnsAbout:
             turning = angular_rate(instrument, values, observations.rests.gyro, resting)
             ends = (resting[turns.first], resting[turns.last]), (turning[turns.first], turning[turns.last])
         growing = observations.growing_moments_about(about) if warms(instrument) else None
-        about_turns = TurnsAbout.from_moments(moments, accel, (coefficients, late), lefts, ends, growing)
+        about_turns = IntegratedTurns.from_moments(moments, accel, (coefficients, late), lefts, ends, growing)
         if observations.links is not None:
             links = observations.links
             of_parts = integrate(links.samples.pieces(), len(links.samples.lengths), about, own)
             at_ends = (links.forces[:, 0], links.forces[:, 1]), (links.rates[:, 0], links.rates[:, 1])
-            about_parts = TurnsAbout.from_moments(of_parts, accel, (K, late), lefts, at_ends)
+            about_parts = IntegratedTurns.from_moments(of_parts, accel, (K, late), lefts, at_ends)
             about_turns = replace(about_turns, links=about_parts)
         if ends is None:
             return about_turns
@@ -124,12 +124,12 @@ class TurnsAbout:
         lefts: tuple[Array, Array],
         ends: Ends | None,
         growing: tuple[Array, Array] | None = None,
-    ) -> TurnsAbout:
+    ) -> IntegratedTurns:
         """Turns of these moments, integrated about coefficients and a delay, with the left inverses (3, n) of gyros and
         accelerometers, and what is at rest at their `ends`, None where velocities are not predicted; `growing` are the
         moments of what grows within the turns."""
         own = moments.Phi_accel, moments.Phi_gyro, moments.Psi_gyro
-        return TurnsAbout(
+        return IntegratedTurns(
             coefficients=about[0],
             lateness=about[1],
             moments=moments,
