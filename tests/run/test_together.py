@@ -23,7 +23,7 @@ from tumble.inference.integrated_turns import IntegratedTurns
 from tumble.inference.joint import joint
 from tumble.inference.linearisation import linearise
 from tumble.inference.normal_equations import solve
-from tumble.inference.problem import OWN, Point, Problem
+from tumble.inference.problem import SESSION_VARIABLES, Point, Problem
 from tumble.inference.variables import variables_of
 from tumble.planning.setup import Setup
 from tumble.recording.log import open_log
@@ -90,9 +90,9 @@ def together(scenario: Scenario, climates: list[Climate], seed: int = 2) -> Obse
 
 def problem_of(observations: Observations) -> Problem:
     accel, gyro, usual = observations.accel_block, observations.gyro_block, observations.usual
-    instrument = Instrument.of(accel, gyro, usual, set(variables_of(observations)) - set(OWN))
-    every = Instrument.of(accel, gyro, usual, OWN)
-    own = replace(every, further=tuple(group for group in every.further if group.variable in OWN))
+    instrument = Instrument.of(accel, gyro, usual, set(variables_of(observations)) - set(SESSION_VARIABLES))
+    every = Instrument.of(accel, gyro, usual, SESSION_VARIABLES)
+    own = replace(every, further=tuple(group for group in every.further if group.variable in SESSION_VARIABLES))
     return Problem.of(observations, instrument=instrument, local=own, usual=usual)
 
 

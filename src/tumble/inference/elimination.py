@@ -114,7 +114,7 @@ def fold(rows: Array, triangle: Array, triangular: bool = False) -> None:
         triangle[:] = folded[0]
 
 
-def put_back(factor: Array) -> tuple[Array, Array]:
+def invert_factors(factor: Array) -> tuple[Array, Array]:
     """The rows of all rests solved for their unknowns: what these are known to given all others, R⁻¹ (…, N, d, d), and
     how they go with those of the next rest, A (…, N, d, d). An unknown that nothing shows is zero, and without
     variance."""
@@ -124,13 +124,13 @@ def put_back(factor: Array) -> tuple[Array, Array]:
     return inverse, by_next
 
 
-def along_chains(by_next: Array, values: Array) -> None:
+def recur_backwards(by_next: Array, values: Array) -> None:
     """Add to the values (…, N, d, k) of every rest, from the last to the first, what `by_next` (…, N, d, d), zero at
     the last of a chain, makes of those of the next one."""
     kernels.follow(by_next.reshape(-1, *by_next.shape[-2:]), values.reshape(-1, *values.shape[-2:]))
 
 
-def given_parameters(inverse: Array, by_next: Array) -> Array:
+def conditional_covariances(inverse: Array, by_next: Array) -> Array:
     """Covariances of the unknowns of the rests for given parameters, with themselves and with those of the next rest
     (2, N, d, d)."""
     out = np.empty((2, *inverse.shape))

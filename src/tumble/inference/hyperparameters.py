@@ -42,7 +42,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from tumble.inference.elimination import along_chains, eliminate, fold
+from tumble.inference.elimination import eliminate, fold, recur_backwards
 from tumble.inference.elimination_kernels import scatter_forms, state_forms
 from tumble.inference.linearisation import Linearisation
 from tumble.inference.noise import (
@@ -252,7 +252,7 @@ def quadratic_forms(hyperparameters: Hyperparameters, solution: Solution) -> Arr
     of_states = np.zeros((3, max(s, n)))
     if s:
         work = np.empty((2, s, solution.shared.shape[1] + 1))
-        follow, (own, with_next) = equations.follow, solution.conditional_covariances
+        follow, (own, with_next) = equations.sensitivity, solution.conditional_covariances
         every = follow, own, with_next, noise.state_rho, noise.state_step, noise.state_lapse
         for part, root, shared in zip(problem.parts, solution.roots, solution.shared, strict=True):
             by, given, with_following, rho, step, lapse = (each[part.stations] for each in every)
@@ -287,7 +287,7 @@ def _forms_of_priors(off: Array, variance: Array, size: Array) -> Array:
 def score(hyperparameters: Hyperparameters, solution: Solution) -> Array:
     """The gradient (D,) of ℓ."""
     square, trace = quadratic_forms(hyperparameters, solution)
-    return np.asarray(square - trace + solution.of_prior[1])
+    return np.asarray(square - trace + solution.prior_terms[1])
 
 
 def size_factors(
@@ -407,7 +407,7 @@ def solution_at(linearisation: Linearisation, hyperparameters: Hyperparameters, 
     """The solution, with ℓ, at φ (D,) or at a stack (P, D) of them; the linearisation has priors of any size."""
     problem, components = scaled(linearisation.problem, hyperparameters, phi)
     here = linearisation.with_priors(problem).with_components(components)
-    return add_priors(here, eliminate_rests(here), phi=phi, of_prior=hyperparameters.log_prior(phi))
+    return add_priors(here, eliminate_rests(here), phi=phi, prior_terms=hyperparameters.log_prior(phi))
 
 
 def average_information(hyperparameters: Hyperparameters, solution: Solution) -> Array:
@@ -454,7 +454,7 @@ def average_information(hyperparameters: Hyperparameters, solution: Solution) ->
         begins, triangle = np.zeros((d, d + rest.shape[2])), np.zeros((width, width), order="F")
         begins[d - states :, d - states : d] = np.eye(states)
         begins[d - states :, sides] = of_begins[s]
-        between, links = joints[part.stations if states else part.turns], session_links(part, chained=states > 0)
+        between, links = joints[part.stations if states else part.turns], session_links(part, states > 0)
         eliminate(rest[part.stations], between, links, np.empty((len(part.link), *begins.shape)), triangle, begins)
         if q:
             local = np.zeros((q, width))
@@ -463,7 +463,7 @@ def average_information(hyperparameters: Hyperparameters, solution: Solution) ->
             fold(local, triangle)
         fold(triangle[q:, q:].copy(order="F"), common)
     R = np.triu(common)[p : p + D, p : p + D]
-    return np.asarray(0.5 * R.T @ R + np.diag(solution.of_prior[2]))
+    return np.asarray(0.5 * R.T @ R + np.diag(solution.prior_terms[2]))
 
 
 def _variates_of_states(hyperparameters: Hyperparameters, solution: Solution) -> tuple[Array, Array]:
@@ -481,7 +481,7 @@ def _variates_of_states(hyperparameters: Hyperparameters, solution: Solution) ->
     residual, slope = np.zeros_like(b), rho * lapse
     residual[:-1] = np.where(follows[:-1], b[1:] - rho[:-1] * b[:-1], 0.0) / step[:-1] ** 2  # w
     back = np.ascontiguousarray(-slope * residual)
-    along_chains(rho[:, :, None] * np.eye(s), back[:, :, None])
+    recur_backwards(rho[:, :, None] * np.eye(s), back[:, :, None])
     after = np.append(back[1:], np.zeros((1, s)), axis=0)
     by_time = np.where(follows, (slope * b - step**2 * after) / step - 2.0 * rho * slope * residual / step, 0.0)
     sizes = hyperparameters.members(InRunSize, s).T.copy()

@@ -394,7 +394,7 @@ def _with_gravity_kept(solution: Solution) -> tuple[Array, Array, Array]:
     problem = solution.problem
     if float(problem.prior_u[0]) < PLACE_UNKNOWN * float(problem.prior_mean[0]):
         return solution.parameters, solution.angles, solution.local
-    q, follow = len(problem.local_u), solution.equations.follow
+    q, follow = len(problem.local_u), solution.equations.sensitivity
     by_gravity = solution.parameters[0] / solution.covariance[0, 0]
     with_gravity = zip(problem.parts, solution.session_covariances[:, :, q], strict=True)
     angles = [

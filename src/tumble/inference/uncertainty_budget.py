@@ -36,11 +36,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from tumble.inference.elimination import along_chains
+from tumble.inference.elimination import recur_backwards
 from tumble.inference.linearisation import Linearisation, root_of_inverse
 from tumble.inference.noise import SCATTER
 from tumble.inference.normal_equations import Solution, session_mean_bias, times
-from tumble.inference.problem import unseen_rate
+from tumble.inference.problem import unknown_earth_variance
 from tumble.rotation import skew
 from tumble.units import Array, IntArray
 
@@ -53,7 +53,7 @@ def noise_covariances(linearisation: Linearisation) -> tuple[Covariances, Covari
     turns what the velocities go with, too."""
     problem, noise = linearisation.problem, linearisation.noise
     turns, instrument = problem.observations.turns, problem.instrument
-    n, sensors, earth = instrument.accel.size, problem.sensors, unseen_rate(problem)
+    n, sensors, earth = instrument.accel.size, problem.sensors, unknown_earth_variance(problem)
     last = sensors + 3 * (problem.prior.attitude is not None)
     kinds = {"accel.noise": slice(n), "gyro.noise": slice(n, sensors)}
     kinds |= {"attitude": slice(sensors, last), "mag.noise": slice(last, None)}
@@ -94,7 +94,7 @@ def contributions(solution: Solution) -> dict[str, Array]:
     """By source the covariance (1 + m, 1 + m) of gravity and the parameters, biases being those of the session where
     there is one and they wander."""
     problem, equations, linearisation = solution.problem, solution.equations, solution.linearisation
-    noise, (inverse, by_next), follow = equations.noise, equations.inverses, equations.follow
+    noise, (inverse, by_next), sensitivity = equations.noise, equations.inverses, equations.sensitivity
     d, q, size, biases = equations.unknowns, solution.local.shape[-1], len(solution.parameters), 1 + problem.biases
     accelerometers, rest_weights, turn_weights = problem.instrument.accel.size, noise.rest_weights, noise.turn_weights
     whitening = (
@@ -118,10 +118,10 @@ def contributions(solution: Solution) -> dict[str, Array]:
         if mean is not None:
             Y[biases] += mean[0][:, :-1]
         Z_x = solution.roots[s] @ (solution.roots[s].T @ Y.T)
-        Z = times(follow[stations, :, :-1], Z_x)
+        Z = times(sensitivity[stations, :, :-1], Z_x)
         if mean is not None:
             N = inverse @ np.swapaxes(mean[1], -1, -2)
-            along_chains(by_next, N)
+            recur_backwards(by_next, N)
             Z[..., biases] += N
 
         # covariances by source (38)
