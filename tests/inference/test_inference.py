@@ -16,7 +16,6 @@ import tumble
 from tests.support import study
 from tests.support.wandering_biases import middles
 from tumble.diagnosis.verdict import verdict
-from tumble.inference import elimination
 from tumble.inference import joint as of_joint
 from tumble.inference.fits import sigmas
 from tumble.inference.hyperparameters import (
@@ -303,26 +302,6 @@ def test_states_of_biases_are_those_of_everything_at_once(cut: bool) -> None:
         expected / np.outer(scale, scale),
         atol=1e-5,
     )
-
-
-@pytest.mark.parametrize("latitude", [True, False], ids=["latitude", "no latitude"])
-def test_the_elimination_of_many_states_is_that_of_few(monkeypatch: pytest.MonkeyPatch, latitude: bool) -> None:
-    """By LAPACK as by the loops, with a heading that nothing shows, and over a cut."""
-    session = in_two_files(observed(by_hand(9), full=True), 4)
-    if not latitude:
-        session = replace(session, site=replace(session.site, latitude=None))
-    at = started(session)
-    few = solve(at, IN_RUN)
-    few_states = covariances(few, slice(3, None))
-    monkeypatch.setattr(elimination, "LARGE", 0)
-    many = solve(at, IN_RUN)
-    u = np.sqrt(np.diag(few.covariance))
-    np.testing.assert_allclose(many.parameters / u, few.parameters / u, atol=1e-6)
-    np.testing.assert_allclose(many.covariance / np.outer(u, u), few.covariance / np.outer(u, u), atol=1e-7)
-    np.testing.assert_allclose(many.unknowns[:, 3:], few.unknowns[:, 3:], atol=1e-6)
-    np.testing.assert_allclose(covariances(many, slice(3, None)), few_states, atol=1e-7)
-    assert many.deviance == pytest.approx(few.deviance, abs=1e-6)
-    assert not np.array_equal(many.equations.rest_factors, few.equations.rest_factors)  # it did go another way
 
 
 def test_a_session_in_two_files_is_the_same_but_for_the_chain_that_begins_anew() -> None:
