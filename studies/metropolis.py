@@ -126,7 +126,7 @@ def fitted_of(session: Observations) -> Maximum:
     """The maximum of a session."""
     instrument, local = instruments_of(session)
     problem = Problem.of(session, NO_PRIOR, instrument=instrument, local=local, usual=session.usual)
-    return maximise(initial_linearisation(problem)[0])
+    return maximise(initial_linearisation(problem))
 
 
 def sessions(kind: str, seed: int) -> Observations:

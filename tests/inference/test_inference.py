@@ -100,9 +100,8 @@ SESSIONS = {"pyramids": of_pyramids, "accelerometers": accelerometers_alone, "tw
 def started(session: Observations) -> Linearisation:
     """The rows of a session at its start."""
     instrument, local = instruments_of(session)
-    return initial_linearisation(
-        Problem.of(session, NO_PRIOR, instrument=instrument, local=local, usual=session.usual)
-    )[0]
+    problem = Problem.of(session, NO_PRIOR, instrument=instrument, local=local, usual=session.usual)
+    return initial_linearisation(problem)
 
 
 def fitted_of(session: Observations) -> Maximum:

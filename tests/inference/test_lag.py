@@ -150,7 +150,7 @@ def test_a_lag_is_judged_with_the_sizes_that_are_likeliest_with_it() -> None:
     _, observations = warming(0, "25+10@300", {"accel": 20.0, "gyro": 100.0}, 3.0)
     instrument, _ = instruments_of(observations)
     problem = Problem.of(observations, instrument=instrument, usual=observations.usual)
-    fitted, _ = maximum_with_lags(initial_linearisation(problem)[0], MAX_ITERATIONS)
+    fitted, _ = maximum_with_lags(initial_linearisation(problem), MAX_ITERATIONS)
     values = fitted.point.values.copy()
     values[problem.lags["gyro"]] += 200.0
     held = fitted.usual_problem.with_lags(values)
@@ -167,7 +167,7 @@ def test_rows_at_another_lag_are_those_linearised_there() -> None:
     _, observations = warming(1, "25+10@300", {"accel": 20.0, "gyro": 40.0}, 1.0)
     instrument, _ = instruments_of(observations)
     problem = Problem.of(observations, instrument=instrument, usual=observations.usual)
-    fitted, _ = maximum_with_lags(initial_linearisation(problem)[0], MAX_ITERATIONS)
+    fitted, _ = maximum_with_lags(initial_linearisation(problem), MAX_ITERATIONS)
     values = fitted.point.values.copy()
     values[list(problem.lags.values())] += [15.0, 60.0]
     held, about = problem.with_lags(values), fitted.linearisation.about

@@ -121,7 +121,7 @@ def test_without_gyros_the_accelerometer_parameters_are_those_of_the_first_stage
 def unscattered(session: Observations, found: Estimate) -> Array:
     """Covariance of the parameters at the estimate with the noise within rests alone."""
     problem = Problem.of(session)
-    at, _ = initial_linearisation(problem)
+    at = initial_linearisation(problem)
     turned = found.gyro is not None and session.turns is not None
     about = IntegratedTurns.of(session, problem.instrument, found.values) if turned else None
     rows = linearise(problem, replace(at.point, values=found.values), about)

@@ -122,7 +122,7 @@ def test_rows_of_links_are_derivatives_of_their_residuals() -> None:
     differences, at a point that is not the start, and where what holds the device does not give way."""
     observations = moving()
     problem = Problem.of(observations, instrument=instruments_of(observations)[0], usual=observations.usual)
-    start, rng = initial_linearisation(problem)[0], np.random.default_rng(1)
+    start, rng = initial_linearisation(problem), np.random.default_rng(1)
     M, m, q = len(problem.link), len(problem.instrument.names), len(problem.local_u)
     point = start.point.moved(
         np.append(1e-3, 1e-3 * problem.spread * rng.normal(size=m)), 1e-3 * rng.normal(size=(M, 3)),
@@ -172,7 +172,7 @@ def test_a_heading_changes_nothing_where_the_place_is_unknown() -> None:
     observations = moving()
     observations = replace(observations, site=replace(observations.site, latitude=None))
     problem = Problem.of(observations, instrument=instruments_of(observations)[0], usual=observations.usual)
-    here = initial_linearisation(problem)[0]
+    here = initial_linearisation(problem)
     turned = here.point.moved(
         np.zeros(1 + len(here.point.values)), np.tile([0.0, 0.0, 0.7], (len(problem.link), 1)),
     )  # fmt: skip
@@ -195,7 +195,7 @@ def test_gyros_that_see_the_earth_in_motion_start_to_the_north(seed: int) -> Non
     observations = observations_for_calibration(inspect_session(session), joint=True)
     assert isinstance(observations, Observations)
     problem = Problem.of(observations, instrument=instruments_of(observations)[0], usual=observations.usual)
-    turned = initial_linearisation(problem)[0].point.attitudes[0] @ recording.attitudes[0].T  # about the vertical
+    turned = initial_linearisation(problem).point.attitudes[0] @ recording.attitudes[0].T  # about the vertical
     assert abs(np.arctan2(turned[0, 2], turned[0, 0])) < 0.7
 
 

@@ -119,7 +119,7 @@ def groups_in_data(observations: Observations) -> tuple[Problem, Array]:
     the readings of accelerometers, then gyros, at rest, in body axes those of triads, the errors of the turns, the
     integrals over them of the readings of more than three gyros, and gravity."""
     problem = whole_problem(observations)
-    rows, first, shown, last = initial_linearisation(problem)[0], problem.instrument.linear_count, list[Array](), 0
+    rows, first, shown, last = initial_linearisation(problem), problem.instrument.linear_count, list[Array](), 0
     for block in problem.instrument.blocks:
         of_rests = rows.rest[:, last : last + block.size, 4 + first : -1]
         shown.append(block.axes.T @ of_rests if block.triad else of_rests)

@@ -68,7 +68,8 @@ def joint(
     session and cannot wait for one that contradicts itself."""
     usual, local = instruments_of(observations)
     problem = Problem.of(observations, prior, instrument=instrument or usual, local=local, usual=observations.usual)
-    start, first = initial_linearisation(problem)
+    start = initial_linearisation(problem)
+    first = start.point.values
     start, refused = with_magnetometer(start)
     fitted, by_lag = maximum_with_lags(start, QUICK_STEPS if quick else MAX_ITERATIONS)
     if fitted.converged and not quick:
@@ -83,7 +84,7 @@ def joint(
             alone, prior=prior, instrument=instrument, intervals=intervals, quick=quick, components=components
         )
         return replace(estimate, magnetometer=magnetometer)
-    estimate = _estimate(fitted, shown, (*first, *fitted.increments[:-1], shown.step[1:]), by_lag)
+    estimate = _estimate(fitted, shown, (first, *fitted.increments[:-1], shown.step[1:]), by_lag)
     return replace(estimate, magnetometer=magnetometer or refused or None)
 
 

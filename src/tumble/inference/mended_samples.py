@@ -95,7 +95,7 @@ def _closing_best(as_recorded: Observations, suspects: BadSamples, runs: IntArra
     linear = replace(as_recorded, usual={})
     instrument, local = instruments_of(linear)
     problem = Problem.of(linear, NO_PRIOR, instrument=instrument, local=local, usual={})
-    fitted, _ = maximum_with_lags(initial_linearisation(problem)[0], MAX_ITERATIONS)
+    fitted, _ = maximum_with_lags(initial_linearisation(problem), MAX_ITERATIONS)
     if fitted.converged:
         fitted = without_outliers(fitted)
     turns, samples, gyro = linear.turns, linear.turn_samples, linear.gyro_block
