@@ -24,7 +24,7 @@ import numpy as np
 
 from tumble.inference.estimate import Outcome
 from tumble.inference.hyperparameters import quadratic_forms, solution_at
-from tumble.inference.integral import INFORMATIVE_GROUP, conditional, posterior
+from tumble.inference.integral import INFORMATIVE_GROUP, posterior
 from tumble.inference.maximum import Maximum, maximise
 from tumble.inference.normal_equations import Solution
 from tumble.inference.problem import NO_PRIOR, Problem, instruments_of
@@ -101,9 +101,9 @@ def sampled(fitted: Maximum, draws: int, seed: int) -> tuple[Array, Array, float
                 phi, value = tried, there
         path.append(phi[walking])
         if i >= 0:
-            here = conditional(evaluated(fitted, phi))
-            means.append(here.step)
-            within += here.covariance / draws
+            here = evaluated(fitted, phi)
+            means.append(here.session_step)
+            within += here.session_covariance / draws
     return np.mean(means, axis=0), within + np.cov(np.array(means).T), accepted / draws
 
 
@@ -117,7 +117,7 @@ def compared(fitted: Maximum, *, draws: int, seed: int) -> Compared:
         means=float(np.abs((integral.step - mean)[linear] / u).max()),
         u=float(np.abs(other / u - 1.0).max()),
         u_rms=float(np.sqrt(np.mean((other / u - 1.0) ** 2))),
-        effective=integral.effective,
+        effective=integral.integral.effective,
         accepted=accepted,
     )
 

@@ -29,7 +29,7 @@ from tumble.inference.hyperparameters import (
     score,
     solution_at,
 )
-from tumble.inference.integral import Folded, conditional, members_of, posterior, smoothed, triangles
+from tumble.inference.integral import Folded, members_of, pareto_smoothed, posterior, triangles
 from tumble.inference.joint import joint
 from tumble.inference.linearisation import Linearisation, linearise
 from tumble.inference.maximum import Maximum, Status, maximise, without_outliers
@@ -434,7 +434,7 @@ def test_the_integral_is_the_same_to_the_last_digit() -> None:
     first, second = (posterior(fitted_of(observed(by_hand(9)))) for _ in range(2))
     for name in ("step", "covariance", "degrees", "process_step", "process_covariance", "hyperparameters"):
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
-    assert (first.effective, first.pareto) == (second.effective, second.pareto)
+    assert first.integral == second.integral
 
 
 @pytest.mark.weekly
@@ -462,13 +462,13 @@ def test_sizes_folded_into_a_triangle_are_those_of_the_whole_elimination(name: s
     (alpha,), (gamma,), (omega,) = every.alpha, every.gamma, every.omega
     for k in range(2):
         solution = solution_at(fitted.linearisation, hyperparameters, phi[k])
-        expected = conditional(solution)
-        u = np.sqrt(np.maximum(np.diag(expected.covariance), 1e-300))
+        step, covariance = solution.session_step, solution.session_covariance
+        u = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
         likelihood = folded.log_likelihood[k] - 0.5 * every.deviance[0]
         assert likelihood == pytest.approx(-0.5 * float(solution.deviance), abs=1e-6)
-        np.testing.assert_allclose((alpha + gamma @ folded.values[k] - expected.step)[1:] / u[1:], 0.0, atol=1e-6)
+        np.testing.assert_allclose((alpha + gamma @ folded.values[k] - step)[1:] / u[1:], 0.0, atol=1e-6)
         whole = omega + gamma @ folded.covariance(np.eye(2)[k]) @ gamma.T
-        np.testing.assert_allclose((whole - expected.covariance) / np.outer(u, u), 0.0, atol=1e-6)
+        np.testing.assert_allclose((whole - covariance) / np.outer(u, u), 0.0, atol=1e-6)
 
 
 def test_a_posterior_that_the_proposal_misses_is_found_in_rounds(data: Path) -> None:
@@ -492,21 +492,21 @@ def test_the_integral_is_wider_than_the_maximum() -> None:
     ratio = np.sqrt(np.diag(whole.covariance)[linear] / np.diag(alone.covariance)[linear])
     assert np.all(ratio > 0.98)
     assert ratio.max() > 1.02
-    assert whole.effective > 0.2 * whole.points
-    assert whole.pareto < 0.7
+    assert whole.integral.effective > 0.2 * whole.integral.points
+    assert whole.integral.pareto < 0.7
 
 
 def test_weights_and_their_shape_are_those_of_the_distribution_they_are_from() -> None:
     """Equal weights are all effective; of half of them the half; and the shape of Pareto's distribution is found."""
-    weight, shape = smoothed(np.full(128, -700.0))
+    weight, shape = pareto_smoothed(np.full(128, -700.0))
     assert 1.0 / (weight**2).sum() == pytest.approx(128.0)
     assert shape == 0.0
-    weight, _ = smoothed(np.where(np.arange(128) % 2 == 0, 3.0, -1e4))
+    weight, _ = pareto_smoothed(np.where(np.arange(128) % 2 == 0, 3.0, -1e4))
     assert 1.0 / (weight**2).sum() == pytest.approx(64.0)
     chance = (np.arange(20000) + 0.5) / 20000
     for k in (0.2, 0.5, 0.9):
         log_weight = -k * np.log1p(-chance)
-        weight, shape = smoothed(np.random.default_rng(1).permutation(log_weight))
+        weight, shape = pareto_smoothed(np.random.default_rng(1).permutation(log_weight))
         assert shape == pytest.approx(k, abs=0.1)
         assert weight.sum() == pytest.approx(1.0)
         assert weight.max() <= np.exp(log_weight.max()) / np.exp(log_weight).sum() * 1.5

@@ -38,7 +38,7 @@ import numpy as np
 import scipy
 
 from tumble.inference.hyperparameters import solution_at
-from tumble.inference.integral import conditional, coverage_factors
+from tumble.inference.integral import coverage_factors
 from tumble.inference.linearisation import Linearisation, linearise
 from tumble.inference.maximum import Maximum, maximise, maximise_from_starts, maximise_phi
 from tumble.inference.problem import Problem
@@ -108,9 +108,10 @@ def maximum_with_lags(start: Linearisation, iterations: int) -> tuple[Maximum, A
                 phi = np.array([np.interp(lag, before, element) for element in np.transpose(every)])
                 solution = solution_at(there, fitted.hyperparameters, phi)
                 solution, B, *_ = maximise_phi(fitted.hyperparameters, solution, B)
-                known[lag], found = solution.phi, conditional(solution)
-                deviance[k] -= 2.0 * found.value
-                both[k, :, :-1], both[k, :, -1] = found.covariance[1:, 1:], values + found.step[1:]
+                known[lag] = solution.phi
+                deviance[k] -= 2.0 * solution.log_posterior
+                both[k, :, :-1] = solution.session_covariance[1:, 1:]
+                both[k, :, -1] = values + solution.session_step[1:]
             return deviance, both
 
         return at

@@ -21,7 +21,6 @@ import numpy as np
 
 from tumble.inference.estimate import DETERMINED, Fit
 from tumble.inference.fits import LEFT_OUT, MAGNETOMETER, chi_squares, left_out, sigmas, weighted
-from tumble.inference.integral import conditional, covariance_with_local
 from tumble.inference.linearisation import Linearisation, linearise
 from tumble.inference.magnetometer import DIP, Magnetometer
 from tumble.inference.maximum import Maximum, reintegrated_turns, take_step
@@ -254,12 +253,11 @@ def magnetometer_estimate(fitted: Maximum, step: Array) -> MagnetometerEstimate 
     magnetometer, readings = problem.magnetometer, Readings.of(problem)
     if magnetometer is None or readings is None:
         return None
-    here = conditional(solution)
-    covariance, across = here.covariance[1:, 1:], covariance_with_local(solution, slice(DIP))[:, 1:]
+    covariance, across = solution.session_covariance[1:, 1:], solution.session_covariance_with(slice(DIP))[:, 1:]
     u = np.sqrt(covariance.diagonal())
     by_parameters = np.linalg.solve(covariance / np.outer(u, u), (across / u).T).T / u
     own = fitted.point.local[0, : len(magnetometer.u)].copy()
-    own[:DIP] += by_parameters @ (step - here.step)[1:]
+    own[:DIP] += by_parameters @ (step - solution.session_step)[1:]
     model, (*_, mag, at_nodes) = magnetometer.model(own), sigmas(solution)
     *_, omitted, omitted_nodes = left_out(problem, fitted.linearisation.noise)
     magnetic = np.zeros(0, dtype=bool) if links is None else links.magnetic

@@ -157,6 +157,45 @@ class Solution:
         return np.asarray(self.session_covariances[..., 0, q:, q:])
 
     @cached_property
+    def mean_bias(self) -> tuple[Array, Array] | None:
+        """Derivatives of the mean in-run biases of the session (`session_mean_bias`); None without or of several."""
+        return session_mean_bias(self.equations) if self.equations.wanders and len(self.problem.parts) == 1 else None
+
+    @cached_property
+    def _session_root(self) -> Array:
+        """Root of the covariance of gravity and the common parameters by shared unknowns, with biases of the
+        session."""
+        roots = self.roots[..., 0, :, :]
+        root = roots[..., len(self.problem.usual_local_u) :, :].copy()
+        if self.mean_bias is not None:
+            root[..., 1 + self.problem.biases, :] += self.mean_bias[0][..., :-1] @ roots
+        return root
+
+    @property
+    def session_step(self) -> Array:
+        """Step of gravity and the common parameters (1 + m,), biases being the means over the session."""
+        step = self.parameters.copy()
+        if self.mean_bias is not None:
+            by_shared, _ = self.mean_bias
+            step[..., 1 + self.problem.biases] += (by_shared @ self.shared[..., 0, :, None])[..., 0]
+        return step
+
+    @property
+    def session_covariance(self) -> Array:
+        """Covariance of gravity and the common parameters (1 + m, 1 + m), biases being the means over the session."""
+        root, biases = self._session_root, 1 + self.problem.biases
+        covariance = root @ np.swapaxes(root, -1, -2)
+        if self.mean_bias is not None:
+            _, by_noise = self.mean_bias
+            along = np.swapaxes(by_noise, -3, -2).reshape(*covariance.shape[:-2], len(biases), -1)
+            covariance[..., biases[:, None], biases] += along @ np.swapaxes(along, -1, -2)
+        return np.asarray(covariance)
+
+    def session_covariance_with(self, local: slice) -> Array:
+        """Return the covariance (k, 1 + m) of some session parameters with the unknowns of `session_covariance`."""
+        return np.asarray(self.roots[0, local] @ self._session_root.T)
+
+    @cached_property
     def unknowns(self) -> Array:
         """Step of the unknowns (M, d) of the stations by back-substitution: angles, velocities if any, states."""
         sensitivity, parts = self.equations.sensitivity, enumerate(self.problem.parts)

@@ -39,7 +39,7 @@ import numpy as np
 from tumble.inference.elimination import recur_backwards
 from tumble.inference.linearisation import Linearisation, root_of_inverse
 from tumble.inference.noise import SCATTER
-from tumble.inference.normal_equations import Solution, session_mean_bias, times
+from tumble.inference.normal_equations import Solution, times
 from tumble.inference.problem import unknown_earth_variance
 from tumble.rotation import skew
 from tumble.units import Array, IntArray
@@ -104,7 +104,7 @@ def contributions(solution: Solution) -> dict[str, Array]:
     )
     covariances = noise_covariances(linearisation.with_components(noise.components))
     every = equations.rest_rows, equations.turn_rows, equations.link_rows
-    mean = session_mean_bias(equations) if equations.wanders and len(problem.parts) == 1 else None
+    mean = solution.mean_bias
     out = dict[str, Array]()
 
     def add(name: str, K: Array, SK: Array | None = None) -> None:
