@@ -18,7 +18,7 @@ from typing import Literal
 import numpy as np
 
 from tumble.earth import EARTH_RATE, earth_rate
-from tumble.methods.least_squares import solved
+from tumble.methods.least_squares import solve_least_squares
 from tumble.methods.paper.gyros import matrix_error, swept, triad
 from tumble.rotation import rotation_matrix
 from tumble.units import Array
@@ -175,7 +175,7 @@ def axis_angle_rms(tilt: float, bias: float, angle: float) -> float:
 
 def coefficient_error(matrix: Array, change: Array, parameters: Array) -> Array:
     """Error ΔX (9,) of the scalar method when H (N, 9) is taken wrong by δH (N, 9): Eq. (14)."""
-    return -solved(matrix, change @ parameters)
+    return -solve_least_squares(matrix, change @ parameters)
 
 
 def scalar_residuals(vertical: Array, bias: Array, scale: Array, angles: Array) -> tuple[Array, Array]:
@@ -264,7 +264,7 @@ def scalar_bias(rate: Array, force: Array, earth_rate: Array) -> Array:
     Its error (δω_N² + δω_U² − δω_E²)/2Ω cancels over a programme in which the sensors stand both ways."""
     Ω = float(np.linalg.norm(earth_rate))
     polar = earth_rate @ triad(force, rate) / Ω
-    return solved(polar, ((rate**2).sum(axis=-1) - Ω**2) / (2.0 * Ω))
+    return solve_least_squares(polar, ((rate**2).sum(axis=-1) - Ω**2) / (2.0 * Ω))
 
 
 def modulus_residual(gyro_error: Array) -> Array:

@@ -430,7 +430,7 @@ def _rests(
         values = getattr(samples, kind)
         mean = np.array([values[s].mean(axis=0) for s in spans])
         variance = np.mean([values[s].var(axis=0, ddof=1) for s in spans], axis=0)
-        covariance = np.array([np.diag(variance / len(s) + rounded[kind].of_rest ** 2) for s in spans])
+        covariance = np.array([np.diag(variance / len(s) + rounded[kind].rest_u ** 2) for s in spans])
         read |= {
             kind: mean,
             f"{kind}_covariance": covariance,

@@ -187,6 +187,7 @@ def studied(units: Sequence[Unit], n: int, part: float, *, outliers: bool = Fals
         best = {"best test": power(n, judged), "of one parameter alone": power(n, 1, share=1)}
         return out | {"offset": OFFSET, "found": found / len(units), "parameters": judged, **best}
     for what, all_z in (("linear", linear_z), ("further", further_z)):
+        out[f"{what} parameters"] = len(all_z) // len(units)
         for by, own in (("", all_z[:, 0]), (" without type", all_z[:, 1])):
             out |= {f"{what} coverage{by}": float(np.mean(np.abs(own) < k))}
             out |= {f"{what} rms{by}": float(np.sqrt(np.mean(own**2)))}
@@ -294,8 +295,10 @@ def main() -> None:
     for n in KNOWN[:1] if options.short else options.known:
         found = studied(units, n, part)
         print(json.dumps(found), flush=True)
-        coverages = [float(str(found[f"{what} coverage"])) for what in ("linear", "further")]
-        honest &= min(coverages) > 0.93 and float(str(found["named"])) < 0.05
+        for what in ("linear", "further"):
+            error = np.sqrt(0.05 * 0.95 / float(str(found[f"{what} parameters"])))  # the means of the type are common
+            honest &= float(str(found[f"{what} coverage"])) > 0.95 - 3.0 * error
+        honest &= float(str(found["named"])) < 0.05
         if not options.short:
             print(json.dumps(studied(units[:300], n, part, outliers=True)), flush=True)
     print(f"Is a type of three units or more an honest prior? {'Yes' if honest else 'No'}")

@@ -34,6 +34,7 @@ from tumble.planning.setup import GROUPS, NAMES, Setup
 from tumble.programme.positions import programme
 from tumble.rotation import axes_angles, axes_matrix, rotation_matrix
 from tumble.sensors.grades import Grade, NoiseModel, Spread
+from tumble.sensors.parameters import usual_sizes
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array, IntArray
 
 DEVICE = Grade(
@@ -513,6 +514,7 @@ def main(arguments: list[str]) -> int:
         noise=DEVICE.noise,
         accel=DEVICE.accel,
         gyro=DEVICE.gyro,
+        further=dict.fromkeys(usual_sizes("navigation"), 0.0),
     )
     silent = replace(setup, noise=NoiseModel())
     nine = replace(silent, programme=programme("nine"), table_error=1.5 * DEGREE, mounting_error=0.0)

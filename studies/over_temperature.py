@@ -32,7 +32,7 @@ from tumble.inference.normal_equations import solve
 from tumble.planning.setup import Setup
 from tumble.programme.positions import ANY_MOVE, Programme, programme
 from tumble.reduction.observations import Observations
-from tumble.reduction.together import joined
+from tumble.reduction.together import join_sessions
 from tumble.result.calibration import Calibration
 from tumble.run.calibrate import calibrate
 from tumble.run.together import calibrate_together
@@ -171,7 +171,7 @@ def observed(procedure: Procedure, number: int, lag: float | None) -> tuple[Scen
     if not several:
         return scenario, sessions[0]
     names = [f"session {i + 1}" for i in range(len(sessions))]
-    return scenario, joined(sessions, names, [np.arange(len(each.rests)) for each in sessions])
+    return scenario, join_sessions(sessions, names, [np.arange(len(each.rests)) for each in sessions])
 
 
 RECORDED = Setup.of(grade="tactical", terms="full", rest=30.0, rate_deg_s=40.0, sample_rate=20.0)

@@ -42,7 +42,7 @@ from tumble.result.calibration import Calibration
 from tumble.result.parts import CalibratedDevice, Evidence, Launch, Parameter
 from tumble.rotation import rotation_matrix
 from tumble.sensors.grades import NoiseModel
-from tumble.sensors.model import ACCEL_ANGLES, PERFECT_TRIAD, SensorModel, triad_model, triad_parameters
+from tumble.sensors.model import ACCEL_ANGLES, PERFECT_TRIAD, Block, SensorModel, triad_model, triad_parameters
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, Array
 from tumble.views.calibration import calibration_blocks, difference_percent
 from tumble.views.render.terminal import print_blocks
@@ -56,9 +56,9 @@ NINE = [8, 10, 0, 1, 4, 5, 12, 13, 14]
 """Rests of rough-table that are the nine orientations of the paper's scalar method."""
 
 
-def scalar_of_nine(readings: Array, nominal: Array, gravity: Array) -> SensorModel:
-    """The scalar method on the nine orientations alone."""
-    return scalar(readings[..., NINE, :], nominal[NINE], gravity)
+def scalar_of_nine(readings: Array, nominal: Array, gravity: Array, block: Block) -> SensorModel:
+    """Fit the scalar method to the nine orientations alone."""
+    return scalar(readings[..., NINE, :], nominal[NINE], gravity, block)
 
 
 SCALAR_OF_NINE = PaperMethod(name="scalar of nine", accelerometers=scalar_of_nine, check=check_positions)

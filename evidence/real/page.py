@@ -55,7 +55,9 @@ def ratio(logs: np.ndarray) -> str:
     mean = float(np.exp(logs.mean()))
     if len(logs) < 3:
         return f"{mean:.2f} ({len(logs)})"
-    return f"{mean:.2f} ± {mean * logs.std(ddof=1) / np.sqrt(len(logs)):.2f} ({len(logs)})"
+    error = mean * logs.std(ddof=1) / np.sqrt(len(logs))
+    places = 2 if error >= 0.005 else 3
+    return f"{mean:.{places}f} ± {error:.{places}f} ({len(logs)})"
 
 
 def behind(logs: np.ndarray) -> bool:

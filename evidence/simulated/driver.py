@@ -75,7 +75,7 @@ def through(driver: Driver, made: Readings, course: Course, rng: np.random.Gener
         for begin, end in course.rests:
             there, later = (t > begin) & (t <= end), t > begin + driver.zeroed
             taken_off[later] = gyro[there & ~later].mean(axis=0)
-            at_rests.append(taken_off[there].mean(axis=0))
+            at_rests.append(taken_off[there & (t > course.rests[0][0] + driver.zeroed)].mean(axis=0))
         gyro -= taken_off
         for axis, mean in zip("xyz", np.mean(at_rests, axis=0), strict=True):
             truth[f"gyro.bias.{axis}"] -= float(mean)

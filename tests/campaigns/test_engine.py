@@ -270,7 +270,7 @@ def test_what_was_lost_alone_on_a_busy_machine_is_tried_again(
 ) -> None:
     monkeypatch.setattr("distributed.wait", lambda sent, **_: SimpleNamespace(done=sent[:1]))
     busy = Busy()
-    assert rows(job(), tmp_path / "out", partial(cluster._computed, cast(Any, busy))).equals(expected)
+    assert rows(job(), tmp_path / "out", partial(cluster._compute_on, cast(Any, busy))).equals(expected)
     assert busy.lost == ATTEMPTS
 
 
@@ -283,7 +283,7 @@ def test_a_cluster_that_has_lost_all_processes_is_not_waited_for(
     monkeypatch.setattr("distributed.wait", nothing_done)
     expected = "the processes were ended, and no other has begun; what was computed is kept"
     with pytest.raises(TumbleError, match=expected):
-        run(job(), tmp_path / "out", executor=partial(cluster._computed, cast(Any, Deserted())))
+        run(job(), tmp_path / "out", executor=partial(cluster._compute_on, cast(Any, Deserted())))
 
 
 def test_everything_listens_on_the_loopback_and_not_at_the_port_of_a_dashboard(processes: Executor) -> None:

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
+from typing import cast
 
 import polars as pl
 import pytest
 from click.testing import CliRunner, Result
 
-from tumble.campaigns.engine import Executor, run
-from tumble.campaigns.fleet import job_of, result_of, sessions_of
+from tumble.campaigns import fleet as fleets
+from tumble.campaigns.engine import Done, Executor
+from tumble.campaigns.fleet import FleetResult, find_sessions
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.planning.setup import Setup
@@ -38,10 +42,15 @@ def fleet(*arguments: str | Path) -> Result:
 
 
 @pytest.fixture(scope="module")
-def serial(yard: Path, tmp_path_factory: pytest.TempPathFactory) -> pl.DataFrame:
+def result(yard: Path, tmp_path_factory: pytest.TempPathFactory) -> FleetResult:
+    """The result of all sessions."""
+    return fleets.fleet(f"{yard}/*", tmp_path_factory.mktemp("fleet") / "out", method="ellipsoid", serial=True)
+
+
+@pytest.fixture(scope="module")
+def serial(result: FleetResult) -> pl.DataFrame:
     """The rows of all sessions."""
-    out = tmp_path_factory.mktemp("fleet") / "out"
-    return pl.read_parquet(run(job_of(sessions_of(f"{yard}/*"), "ellipsoid"), out))
+    return pl.read_parquet(result.rows)
 
 
 def test_every_session_has_a_row_and_a_bad_one_stops_none(yard: Path, serial: pl.DataFrame) -> None:
@@ -68,16 +77,16 @@ def test_a_row_holds_what_the_calibration_holds(yard: Path, serial: pl.DataFrame
 
 
 def test_processes_give_the_same_rows(yard: Path, serial: pl.DataFrame, processes: Executor, tmp_path: Path) -> None:
-    rows = run(job_of(sessions_of(f"{yard}/*"), "ellipsoid"), tmp_path / "out", executor=processes)
-    assert pl.read_parquet(rows).equals(serial)
+    (client,) = cast("partial[Iterator[Done]]", processes).args
+    address = client.scheduler.address
+    result = fleets.fleet(f"{yard}/*", tmp_path / "out", method="ellipsoid", cluster=address)
+    assert pl.read_parquet(result.rows).equals(serial)
 
 
-def test_the_result_names_what_was_refused_and_what_failed(yard: Path, serial: pl.DataFrame, tmp_path: Path) -> None:
-    serial.write_parquet(tmp_path / "rows.parquet")
-    found = result_of(tmp_path / "rows.parquet")
-    assert found.accepted == 2
-    assert set(found.not_accepted) == {str(yard / "d")}
-    assert set(found.failed) == {str(yard / "b"), str(yard / "e")}
+def test_the_result_names_what_was_refused_and_what_failed(yard: Path, result: FleetResult) -> None:
+    assert result.accepted == 2
+    assert set(result.not_accepted) == {str(yard / "d")}
+    assert set(result.failed) == {str(yard / "b"), str(yard / "e")}
 
 
 # Where sessions come from
@@ -86,14 +95,14 @@ def test_the_result_names_what_was_refused_and_what_failed(yard: Path, serial: p
 def test_a_glob_takes_folders_with_a_session_file(yard: Path) -> None:
     everything = [str(yard / name) for name in "abcde"]
     for pattern in (f"{yard}/*", f"{yard}/*/session.toml", f"{yard.parent}/{yard.name}/**"):
-        assert sessions_of(pattern) == everything
-    assert sessions_of(f"{yard}/[ac]") == [str(yard / name) for name in "ac"]
+        assert find_sessions(pattern) == everything
+    assert find_sessions(f"{yard}/[ac]") == [str(yard / name) for name in "ac"]
 
 
 def test_a_manifest_lists_folders_from_where_it_is(yard: Path, tmp_path: Path) -> None:
     text = yard / "some.txt"
     text.write_text(f"# two of them\na\n\n  {tmp_path}/elsewhere\n")
-    assert sessions_of(str(text)) == [str(yard / "a"), f"{tmp_path}/elsewhere"]
+    assert find_sessions(str(text)) == [str(yard / "a"), f"{tmp_path}/elsewhere"]
 
 
 @pytest.mark.parametrize(
@@ -112,7 +121,7 @@ def test_what_lists_no_sessions_is_refused_in_one_line(
     (tmp_path / "twice.txt").write_text("a\na\n")
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError, match=said) as caught:
-        sessions_of(pattern)
+        find_sessions(pattern)
     assert "\n" not in str(caught.value)
 
 

@@ -48,7 +48,6 @@ WORDS = (
     "registry show --type MODEL --registry {}/r.sqlite --json",
     "registry list --registry {}/r.sqlite --json",
     "registry trend mems-7 --registry {}/r.sqlite --json",
-    "registry trend mems-7 accel.bias.x --registry {}/r.sqlite --json",
     "registry due --registry {}/r.sqlite --json",
     "selftest --json",
 )

@@ -17,7 +17,7 @@ from tests.diagnosis.test_verdict import estimated
 from tests.support.shared import copy_of, session
 from tumble.diagnosis.findings import causes_of
 from tumble.diagnosis.misfit import misfit
-from tumble.diagnosis.verdict import little_used, time_base_doubted, verdict
+from tumble.diagnosis.verdict import doubtful_time_base, unused_quiet_time, verdict
 from tumble.documents import as_json
 from tumble.inference.estimate import Estimate, Outcome
 from tumble.inference.joint import joint
@@ -97,7 +97,7 @@ def gyros_off(by: float, usual: float, spread: float, u: float = 0.0) -> tuple[s
     values, covariance = estimate.values.copy(), estimate.covariance.copy()
     values[scales] = by + spread * np.array([-1.0, 0.0, 1.0])
     covariance[np.ix_(scales, scales)] += u**2
-    return time_base_doubted(replace(estimate, values=values, covariance=covariance), usual)
+    return doubtful_time_base(replace(estimate, values=values, covariance=covariance), usual)
 
 
 def test_scale_factors_that_err_alike_are_said_where_the_time_base_does_not_allow_it() -> None:
@@ -153,9 +153,9 @@ def test_much_quiet_time_that_is_no_rest_is_a_remark() -> None:
         for i in range(4)
     )
     found = Segmentation(rests=rests, rejected=sway, rate_limit=None, scatter_limit=1.0)
-    (said,) = little_used(found)
+    (said,) = unused_quiet_time(found)
     assert said.startswith("12 s of 32 s in which the device was quiet are not used as rests")
-    assert not little_used(replace(found, rejected=sway[:3]))
+    assert not unused_quiet_time(replace(found, rejected=sway[:3]))
 
 
 def test_no_attitude_is_wanted_where_rests_and_turns_are_in_many() -> None:

@@ -21,20 +21,20 @@ from pydantic import TypeAdapter
 
 from tests.support import study
 from tests.support.shared import copy_of, session
-from tumble.diagnosis.causes import followed
+from tumble.diagnosis.causes import memory_lag
 from tumble.diagnosis.findings import causes_of
 from tumble.diagnosis.misfit import misfit
 from tumble.diagnosis.projection import (
     FALSE_ALARMS,
     Projection,
     SumOfSquares,
-    by_north,
-    judged_solution,
+    diagnostic_solution,
+    holm_limit,
+    north_rate_columns,
     projections,
-    standing_out,
 )
-from tumble.diagnosis.undetermined import listed
-from tumble.diagnosis.verdict import gravity_doubted, gravity_said, verdict
+from tumble.diagnosis.undetermined import parameter_list
+from tumble.diagnosis.verdict import doubtful_gravity, gravity_text, verdict
 from tumble.documents import as_json
 from tumble.earth import NORMAL_GRAVITY_U
 from tumble.inference.estimate import Estimate, Outcome
@@ -301,13 +301,13 @@ def test_gravity_that_no_place_has_is_refused_unless_confirmed() -> None:
     assert "+1110 mGal" in refused.reasons[0]
     assert verdict(estimate, wrong, gravity_confirmed=True).accepted
     doubtful = replace(observations.site, gravity=observations.site.gravity + 0.0031)
-    assert "+310 mGal from normal gravity, more than 300" in gravity_doubted(doubtful)[0]
-    assert not gravity_doubted(observations.site)
-    assert gravity_said(observations.site).endswith("+0 mGal from normal gravity")  # measured, to 0.01 mGal
+    assert "+310 mGal from normal gravity, more than 300" in doubtful_gravity(doubtful)[0]
+    assert not doubtful_gravity(observations.site)
+    assert gravity_text(observations.site).endswith("+0 mGal from normal gravity")  # measured, to 0.01 mGal
     unstated = replace(observations.site, gravity_u=NORMAL_GRAVITY_U)
-    assert gravity_said(unstated).endswith("m/s^2, normal gravity assumed, u 31 ppm")
+    assert gravity_text(unstated).endswith("m/s^2, normal gravity assumed, u 31 ppm")
     assert 1e6 * unstated.gravity_u / unstated.gravity == pytest.approx(30.6, abs=0.1)
-    assert gravity_said(replace(observations.site, latitude=None)).endswith("m/s^2")
+    assert gravity_text(replace(observations.site, latitude=None)).endswith("m/s^2")
 
 
 def test_a_latitude_that_the_gyros_contradict_is_named() -> None:
@@ -357,7 +357,7 @@ def test_a_projection_is_that_of_all_unknowns_at_once() -> None:
     problem, rows = linearised.problem, linearised
     rng, (N, r), (K, t) = np.random.default_rng(2), rows.rest.shape[:2], rows.turn.shape[:2]
     rest, turn = rng.normal(0.0, 1e-4, (N, r, 2)), rng.normal(0.0, 1e-4, (K, t, 2))
-    equations, p = judged_solution(linearised, NO_COMPONENTS).equations, len(rows.prior) - 1
+    equations, p = diagnostic_solution(linearised, NO_COMPONENTS).equations, len(rows.prior) - 1
     W_rest, W_turn = equations.rest_whitening, equations.turn_whitening
     A = np.zeros((N * r + K * t + p, 3 * N + p + 3))
     for i in range(N):
@@ -375,17 +375,17 @@ def test_a_projection_is_that_of_all_unknowns_at_once() -> None:
     projection = _projected(estimate, rest, turn)
     block, length = projection.triangle, projection.length
     np.testing.assert_allclose(block.T @ block, B.T @ B / np.outer(length, length), rtol=1e-6, atol=1e-9)
-    np.testing.assert_allclose(block.T @ projection.along, B.T @ e / length, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(block.T @ projection.residual, B.T @ e / length, rtol=1e-5, atol=1e-6)
     np.testing.assert_allclose(projection.chi_square, e @ e, rtol=1e-6)
     assert projection.degrees == pytest.approx(len(A) - unknowns.shape[1])
     u = np.sqrt(np.linalg.inv(R.T @ R).diagonal())[3 * N :]
     np.testing.assert_allclose(projection.u, u, rtol=1e-5)
-    explained = projection.explained(slice(0, 2))
+    explained = projection.fit(slice(0, 2))
     assert explained is not None
     expected = np.linalg.solve(B.T @ B, B.T @ e)
     np.testing.assert_allclose(explained.values, expected, rtol=1e-4)
     without = np.linalg.solve(R, Q.T @ (columns @ expected))[3 * N :]
-    np.testing.assert_allclose(explained.moved / u, without / u, rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(explained.shift / u, without / u, rtol=1e-4, atol=1e-6)
 
 
 def test_the_rate_along_north_is_predicted_at_rest_and_in_the_turns() -> None:
@@ -397,7 +397,7 @@ def test_the_rate_along_north_is_predicted_at_rest_and_in_the_turns() -> None:
     still = replace(problem, earth=problem.earth * np.array([0.0, 1.0, 1.0]))
     without = linearise(still, linearised.point, linearised.about)
     for found, there, here in zip(
-        by_north(linearised), (without.rest, without.turn), (linearised.rest, linearised.turn), strict=True
+        north_rate_columns(linearised), (without.rest, without.turn), (linearised.rest, linearised.turn), strict=True
     ):
         expected = there[..., -1] - here[..., -1]
         assert np.abs(expected).max() > 0.0
@@ -416,9 +416,9 @@ def test_a_cause_that_is_put_in_comes_out() -> None:
     shifted = replace(rows, rest=rows.rest.copy(), turn=rows.turn.copy())
     shifted.rest[..., -1] += rest @ values
     shifted.turn[..., -1] += turn @ values
-    before = _projected(estimate, rest, turn).explained(slice(0, 2))
+    before = _projected(estimate, rest, turn).fit(slice(0, 2))
     after = _projected(replace(estimate, linearised=shifted), rest, turn)
-    found = after.explained(slice(0, 2))
+    found = after.fit(slice(0, 2))
     assert before is not None
     assert found is not None
     np.testing.assert_allclose(found.values - before.values, values, rtol=1e-6)
@@ -432,36 +432,36 @@ def test_chances_of_sums_of_squares() -> None:
     residual, eye = rng.standard_normal((4, 3)), np.broadcast_to(np.eye(3), (4, 3, 3))
     found = SumOfSquares.along(2.0 * eye, residual, eye)
     assert (found.mean, found.half_variance) == pytest.approx((4.0 * 12, 16.0 * 12))
-    assert found.chance == pytest.approx(chdtrc(12, float((residual**2).sum())))
+    assert found.p_value == pytest.approx(chdtrc(12, float((residual**2).sum())))
     sizes = np.array([3.0, 1.0, 0.2])
     draws = rng.standard_normal((200_000, 3)) ** 2 @ sizes**2
     one, directions = np.eye(3)[None], np.diag(sizes)[None]
     for limit in (20.0, 40.0):
         far = SumOfSquares.along(directions, np.array([[np.sqrt(limit) / 3.0, 0.0, 0.0]]), one)
-        assert far.chance == pytest.approx(np.mean(draws > limit), rel=0.25)
+        assert far.p_value == pytest.approx(np.mean(draws > limit), rel=0.25)
 
 
 def test_many_tests_are_judged_by_one_rule() -> None:
     """By Holm's: at the least probability the limit is divided by all, and then by one fewer each time."""
-    assert standing_out([]) == 0.0
-    assert standing_out([FALSE_ALARMS / 9.9] + 9 * [1.0]) == 0.0
-    assert standing_out([FALSE_ALARMS / 10.1] + 9 * [1.0]) == FALSE_ALARMS / 10.1
-    assert standing_out([1e-9, FALSE_ALARMS / 9.1, *(8 * [1.0])]) == FALSE_ALARMS / 9.1
+    assert holm_limit([]) == 0.0
+    assert holm_limit([FALSE_ALARMS / 9.9] + 9 * [1.0]) == 0.0
+    assert holm_limit([FALSE_ALARMS / 10.1] + 9 * [1.0]) == FALSE_ALARMS / 10.1
+    assert holm_limit([1e-9, FALSE_ALARMS / 9.1, *(8 * [1.0])]) == FALSE_ALARMS / 9.1
 
 
 def test_parameters_are_listed_by_name_or_where_they_are_many_counted() -> None:
     few = ("accel.axis.yx", "accel.axis.zx")
-    assert listed(few) == "accel.axis.yx, accel.axis.zx"
+    assert parameter_list(few) == "accel.axis.yx, accel.axis.zx"
     many = (*(f"accel.bias.{i}" for i in range(12)), *(f"accel.scale.{i}" for i in range(16)))
-    assert listed(many) == "accel.bias (12), accel.scale (16)"
+    assert parameter_list(many) == "accel.bias (12), accel.scale (16)"
 
 
 def test_memories_are_the_same_in_one_go_and_step_by_step() -> None:
     rng, passed = np.random.default_rng(1), np.array([0.0, 1e-6, 0.03, 5.0])
     begin, targets = rng.normal(size=(4, 3)), rng.normal(size=(24, 3))
-    behind, end = followed(begin, targets, passed)
+    behind, end = memory_lag(begin, targets, passed)
     slow = begin
     for j, target in enumerate(targets):
-        mean, slow = followed(slow, target[None], passed)
+        mean, slow = memory_lag(slow, target[None], passed)
         assert behind[:, j] == pytest.approx(mean[:, 0], abs=1e-13)
     assert end == pytest.approx(slow, abs=1e-13)

@@ -67,7 +67,7 @@ def spoilt(seen: Observations, kind: str, rest: int, size: float, rng: np.random
         lost = max(1, round(0.001 * size * (samples.stop[k] - samples.start[k])))
         stop = samples.stop.copy()
         stop[k] -= lost
-        return replace(seen, turn_samples=replace(samples, stop=stop, _kept=[]))
+        return replace(seen, turn_samples=replace(samples, stop=stop))
     return replace(seen, rests=replace(rests, accel=accel, gyro=gyro))
 
 

@@ -15,10 +15,10 @@ from tests.support.corpus import doubtful as q
 from tests.support.corpus import programs as p
 from tests.support.corpus.dialects import Case
 from tumble.cli import main
-from tumble.drafting.columns import identified_log
+from tumble.drafting.columns import identify_log
 from tumble.drafting.containers import files_of, unzipped
 from tumble.drafting.new_session import new_session
-from tumble.drafting.repairs import repaired
+from tumble.drafting.repairs import repair_log
 from tumble.drafting.times import Stamps, times_of_column
 from tumble.errors import InputError
 from tumble.files import OutputFolder
@@ -100,7 +100,6 @@ CASES: dict[str, Case] = {
     "names end with a comma": Case(write=d.ends_with_comma("names"), said=(GOOD,)),
     "rows end with a comma": Case(write=d.ends_with_comma("rows"), said=(GOOD,)),
     "a table of R": Case(write=d.of_r, said=("blanks", GOOD)),
-    "carriage returns": Case(write=d.carriage_returns, said=("carriage return: copied to log.csv", "semicolons")),
     "key=value": Case(
         write=d.printed("t={t} ax={a[0]:.7g} ay={a[1]:.7g} az={a[2]:.7g} gx={g[0]:.7g} gy={g[1]:.7g} gz={g[2]:.7g}"),
         said=("names before the numbers (t, ax, ay, az, gx, gy, gz): copied to putty.csv",),
@@ -507,8 +506,6 @@ READ: dict[str, tuple[p.Write, str, str | None, str | None]] = {
     "Adafruit": (p.adafruit, "several lines a sample (Acceleration X", "m/s^2", "rad/s"),
     "1'000": (p.thousands("'"), "marks between thousands", "mg", "mdeg/s"),
     "1,000": (p.thousands(","), "marks between thousands", "mg", "mdeg/s"),
-    "days": (p.days, "ticks of 86400 s, made seconds", None, None),
-    "tenths of microseconds": (p.tenths_of_microseconds, "ticks of 1e-07 s, made seconds", None, None),
 }
 SHORT = 1000
 """Rows with a few rests, enough for what names say."""
@@ -530,7 +527,7 @@ def test_columns_units_and_times_are_those_of_the_format(name: str, log: pl.Data
     given = tmp_path / write(log, tmp_path)
     output = OutputFolder(tmp_path / "session")
     files = unzipped(given, output) if given.suffix == ".zip" else files_of(given)
-    found = repaired(identified_log(files, output), output, None)
+    found = repair_log(identify_log(files, output), output, None)
     assert said in "; ".join(found.remarks)
     for kind, unit, columns in (("accel", accel, d.ACCEL), ("gyro", gyro, d.GYRO)):
         sensors = found.columns.triads[kind]
@@ -576,7 +573,7 @@ def test_the_sign_of_core_motion_is_taken_off(log: pl.DataFrame, tmp_path: Path)
         (p.oxiod, "expected columns named as accelerometers are"),
         (p.positions_of_a_camera, "expected columns named as accelerometers are"),
         (p.gyros_alone, "expected columns named as accelerometers are"),
-        (q.field_alone, "found Time .s., X .µT., Y .µT., Z .µT.; log the readings of the accelerometers too"),
+        (q.field_alone, "found a magnetometer alone .X .µT., Y .µT., Z .µT..; log the accelerometers in the same rows"),
         (q.euler_angles, "found t, roll, pitch, yaw; log the readings of the accelerometers too"),
         (q.housekeeping_alone, "found 1, 2, 3, 4; state which they are .accel N,N,N, names or numbers from 1."),
     ],

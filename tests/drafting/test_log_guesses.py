@@ -9,10 +9,10 @@ import polars as pl
 import pytest
 
 from tumble.diagnosis.turn_likelihood import WIDTHS
-from tumble.drafting.dialects import as_tables, cells
+from tumble.drafting.dialects import copy_as_tables, values_by_name
 from tumble.drafting.draft import Draft
-from tumble.drafting.foreign_log import samples_in
-from tumble.drafting.hypotheses import Evidence, length_and_zero, ranked
+from tumble.drafting.foreign_log import count_samples
+from tumble.drafting.hypotheses import Evidence, length_and_zero, ranked_hypotheses
 from tumble.drafting.new_session import Given, new_session
 from tumble.drafting.times import Stamps, overflow_of, recordings_of, times_of_column
 from tumble.errors import InputError, LogError
@@ -20,7 +20,7 @@ from tumble.files import OutputFolder
 from tumble.planning.setup import Setup
 from tumble.recording.columns.names import ACCEL, GYRO, Sensors, columns_by_name
 from tumble.recording.columns.numbers import columns_by_data
-from tumble.recording.columns.scales import step_in_deg_s
+from tumble.recording.columns.scales import resolution_in_deg_s
 from tumble.recording.text.dialect import Dialect, is_clock, top_of
 from tumble.recording.text.text_log import seconds_of
 from tumble.simulation.session import simulate_session
@@ -82,10 +82,10 @@ def test_of_a_body_that_never_moves_the_accelerometers_read_gravity(read: Array)
 
 
 def test_what_memory_was_filled_with_is_no_sample(read: Array) -> None:
-    assert samples_in(np.vstack([read, np.full((60, 6), 65535.0)])) == 600
-    assert samples_in(np.vstack([read, np.full((60, 6), np.nan), np.zeros((1, 6))])) == 600
-    assert samples_in(np.vstack([read, np.zeros((20, 6))])) == 620
-    assert samples_in(np.zeros((80, 6))) == 80
+    assert count_samples(np.vstack([read, np.full((60, 6), 65535.0)])) == 600
+    assert count_samples(np.vstack([read, np.full((60, 6), np.nan), np.zeros((1, 6))])) == 600
+    assert count_samples(np.vstack([read, np.zeros((20, 6))])) == 620
+    assert count_samples(np.zeros((80, 6))) == 80
 
 
 def test_a_converter_has_its_zero_in_the_middle_where_it_writes_nothing_negative() -> None:
@@ -111,7 +111,7 @@ def test_a_converter_has_its_zero_in_the_middle_where_it_writes_nothing_negative
 def test_readings_of_one_g_tell_a_unit_from_counts(found: float, unit: str | None, doubted: bool) -> None:
     triads = {ACCEL: Sensors(columns=("x", "y", "z"), unit=None)}
     draft = Draft(content={}, remarks=(), triads=triads, whole={ACCEL: True})
-    best, *rivals = ranked(Evidence(rate=100.0, length=found, length_u=0.005), draft)
+    best, *rivals = ranked_hypotheses(Evidence(rate=100.0, length=found, length_u=0.005), draft)
     assert best.accel.unit == unit
     assert any(rival.cost - best.cost < WIDTHS.near for rival in rivals) == doubted
 
@@ -152,7 +152,7 @@ def test_a_clock_may_be_one_of_twelve_hours() -> None:
 def test_rows_come_out_of_what_is_about_them(lines: list[str], copied: str, tmp_path: Path) -> None:
     log = tmp_path / "log.txt"
     log.write_text("\n".join([*lines, ""]))
-    found = as_tables(log, log.read_bytes(), OutputFolder(tmp_path / "session"))
+    found = copy_as_tables(log, log.read_bytes(), OutputFolder(tmp_path / "session"))
     assert found is not None
     (table,), _ = found
     assert table.read_text() == copied
@@ -313,7 +313,7 @@ def test_accelerations_that_read_no_gravity_are_doubted(tmp_path: Path) -> None:
 
 def test_names_may_stand_behind_that_of_their_sensor() -> None:
     line = "2025-10-04 16:35:12.186,EULER(deg): R=1.70,P=9.24,GYRO: X=-0.001,Y=0.002,Z=0.003,ACCEL: X=1.5,Y=-0.2,Z=9.6"
-    found = cells(line)
+    found = values_by_name(line)
     assert found["time"] == "2025-10-04 16:35:12.186"
     assert [found[f"GYRO_{a}"] for a in "XYZ"] == ["-0.001", "0.002", "0.003"]
     assert {ACCEL, GYRO} <= set(columns_by_name(found).triads)
@@ -327,10 +327,17 @@ def test_a_row_with_much_text_in_it_is_no_line_of_names() -> None:
 
 
 def test_names_that_come_twice_have_the_word_before_them() -> None:
-    found = cells("20518269: |Acc X:-0.22, Acc Y:-0.11, Acc Z:9.19 |Gyr X:0.02, Gyr Y:0.1, Gyr Z:-0.01 |Mag X:-0.03")
+    found = values_by_name(
+        "20518269: |Acc X:-0.22, Acc Y:-0.11, Acc Z:9.19 |Gyr X:0.02, Gyr Y:0.1, Gyr Z:-0.01 |Mag X:-0.03"
+    )
     assert list(found) == ["time", "Acc X", "Acc Y", "Acc Z", "Gyr X", "Gyr Y", "Gyr Z", "Mag X"]
     assert (found["time"], found["Acc Z"], found["Gyr X"]) == ("20518269", "9.19", "0.02")
-    assert list(cells("Acc X: 1.0 g Y: 2.0 g Gyr X: 3.0 dps Y: 4.0 dps")) == ["Acc X", "Acc Y", "Gyr X", "Gyr Y"]
+    assert list(values_by_name("Acc X: 1.0 g Y: 2.0 g Gyr X: 3.0 dps Y: 4.0 dps")) == [
+        "Acc X",
+        "Acc Y",
+        "Gyr X",
+        "Gyr Y",
+    ]
 
 
 @pytest.mark.parametrize("decimals", [2, 3, 4])
@@ -351,8 +358,8 @@ def test_columns_of_other_names_are_no_sensor_by_their_numbers(read: Array) -> N
 def test_steps_of_six_digits_are_those_of_data_sheets() -> None:
     counts = np.random.default_rng(5).normal(scale=900.0, size=(3000, 3)).round()
     written = np.array([[float(f"{value:.6g}") for value in row] for row in (0.00875 * counts).tolist()])
-    assert step_in_deg_s(written) == 0.00875
-    assert step_in_deg_s(written * 1.0003) is None
+    assert resolution_in_deg_s(written) == 0.00875
+    assert resolution_in_deg_s(written * 1.0003) is None
 
 
 def test_names_are_those_of_the_first_columns_where_the_others_are_empty() -> None:
@@ -371,7 +378,9 @@ def test_a_line_of_the_numbers_of_columns_is_no_row() -> None:
 
 def test_a_quantity_has_the_word_before_it() -> None:
     line = "[IMU] Orientation: (0, 0.1, -0.7, 0.6), Angular Velocity: (0.1, 0.2, 0.3), Linear Acceleration: (1, 2, 9.1)"
-    assert list(cells(line)) == [f"{name}_{a}" for name in ("Angular Velocity", "Linear Acceleration") for a in "xyz"]
+    assert list(values_by_name(line)) == [
+        f"{name}_{a}" for name in ("Angular Velocity", "Linear Acceleration") for a in "xyz"
+    ]
 
 
 @pytest.mark.parametrize(("first", "taken"), [("Timestamp", "Milliseconds"), ("received time", "device time")])

@@ -17,7 +17,7 @@ from click.testing import CliRunner
 
 from tests.support.shared import session
 from tumble.cli import main
-from tumble.drafting.dialects import alike, sentence
+from tumble.drafting.dialects import sentence, uniform_lines
 from tumble.drafting.new_session import Given, new_session
 from tumble.planning.setup import Setup
 from tumble.recording.session_file import read_session
@@ -316,8 +316,10 @@ def test_raw_increments_of_novatel(name: str, rows: Array, tmp_path: Path) -> No
     assert calibrated.exit_code == 0, calibrated.stderr
     readings = "43110635,-817242,-202184,-215194,-41188,-9895"
     body = f"RAWIMUSXA,1692,484620.664;00,11,1692,484620.664389000,00801503,{readings}"
-    assert alike(["", "words", ""], sentence, "") is None
-    form = alike([f"%{body}*a5db8c7b"] * 9 + [f"%{body}*a5db8c7c"], sentence, "")  # of NovAtel's manual; damaged
+    assert uniform_lines(["", "words", ""], sentence, "") is None
+    form = uniform_lines(
+        [f"%{body}*a5db8c7b"] * 9 + [f"%{body}*a5db8c7c"], sentence, ""
+    )  # of NovAtel's manual; damaged
     assert form is not None
     assert list(form.rows([f"%{body}*a5db8c7b"])) == [
         ("", ["484620.664389000,-202184,817242,43110635,-9895,41188,-215194"])

@@ -208,8 +208,8 @@ def test_every_table_of_the_page_is_made_and_losses_come_by_name() -> None:
     for made in (predicted(results, "force", 1.0), repeated(results), sources(results)):
         assert made.startswith("| ")
     ahead = [
-        {**row, "shape": 0.5 * row["shape"]} if row["program"] == "tumble joint, linear" and "shape" in row else row
+        {**row, "shape": 0.5 * row["shape"]} if row["program"] == "ArduPilot ellipsoid" and "shape" in row else row
         for row in results["predictions"]
     ]
-    assert "tumble joint, linear" in real_losses({**results, "predictions": ahead})
-    assert "tumble joint, linear" not in real_losses(results)
+    assert "ArduPilot ellipsoid" in real_losses({**results, "predictions": ahead})
+    assert "ArduPilot ellipsoid" not in real_losses(results)

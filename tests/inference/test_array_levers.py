@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +10,9 @@ import pytest
 
 from tumble.inference.array_levers import COMMON, ArrayLevers, array_levers
 from tumble.reduction.blocks.motion_samples import MotionSamples
-from tumble.reduction.turns.array_motion import ArrayMoments, MovedArray, array_moments
+from tumble.reduction.turns.array_motion import ArrayMoments, array_moments
 from tumble.sensors.instrument import Instrument
-from tumble.sensors.model import Block, beyond_body
+from tumble.sensors.model import Block, left_null_space
 from tumble.units import DEGREE, G_STANDARD, Array
 
 UPRIGHT, TURNED = np.eye(3), np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
@@ -28,18 +27,11 @@ ALONG = np.abs(AXES).argmax(axis=1)
 def moments_of(accel: Array, gyro: Array, dt: float) -> ArrayMoments | None:
     """The moments of readings (m, n) of accelerometers and gyros."""
     samples = MotionSamples(spare=2 * (len(AXES) - 3))
-    to_body, beyond = np.linalg.pinv(AXES).T, beyond_body(AXES).T
+    to_body, beyond = np.linalg.pinv(AXES).T, left_null_space(AXES).T
     spare = np.hstack([accel @ beyond, gyro @ beyond])
     samples.append(gyro @ to_body, accel @ to_body, np.full(len(accel), dt), spare)
-    return array_moments(samples, [(0, len(accel))], moved(accel, gyro))
-
-
-def moved(accel: Array, gyro: Array) -> MovedArray:
-    """The array that has read this."""
-    extremes = [np.stack([each.min(axis=0), each.max(axis=0)]) for each in (accel, gyro)]
-    return MovedArray(
-        accel=ACCEL, gyro=GYRO, accel_extremes=extremes[0], gyro_extremes=extremes[1], at_rest=np.zeros(3)
-    )
+    extremes = np.array([accel.min(axis=0), accel.max(axis=0)]), np.array([gyro.min(axis=0), gyro.max(axis=0)])
+    return array_moments(samples, [(0, len(accel))], (ACCEL, GYRO), extremes, np.zeros(3))
 
 
 def in_gauge(levers: Array) -> Array:
@@ -159,8 +151,8 @@ def test_six_accelerometers_are_too_few() -> None:
     samples = MotionSamples()
     samples.append(np.ones((9, 3)), np.ones((9, 3)), np.full(9, 0.01))
     six = Block(kind="accel", axes=AXES[:6])
-    array = replace(moved(np.ones((9, 6)), np.ones((9, 24))), accel=six)
-    assert array_moments(samples, [(0, 9)], array) is None
+    extremes = np.ones((2, 6)), np.ones((2, 24))
+    assert array_moments(samples, [(0, 9)], (six, GYRO), extremes, np.zeros(3)) is None
 
 
 def test_clipped_gyros_and_uneven_intervals_are_left_out() -> None:

@@ -39,7 +39,7 @@ def rounded(noise: float) -> Rounding:
     """Three channels of step STEP with a noise in steps."""
     relative = np.full(3, noise)
     size = np.full(3, STEP / np.pi * np.exp(-2.0 * (np.pi * noise) ** 2))
-    return Rounding(step=np.full(3, STEP), noise=STEP * relative, of_rest=size, common_u=size)
+    return Rounding(step=np.full(3, STEP), noise=STEP * relative, rest_u=size, common_u=size)
 
 
 def observed() -> Observations:

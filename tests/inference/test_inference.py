@@ -40,7 +40,7 @@ from tumble.inference.start import initial_linearisation
 from tumble.planning.setup import Setup
 from tumble.programme.positions import from_attitudes, programme
 from tumble.reduction.observations import Observations
-from tumble.reduction.together import joined
+from tumble.reduction.together import join_sessions
 from tumble.rotation import unit_vector
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import usual_sizes
@@ -80,7 +80,7 @@ def accelerometers_alone() -> Observations:
 def two_sessions() -> Observations:
     """Of one unit, each with a launch of its own."""
     both = [observed(by_hand(9), seed, full=True) for seed in (1, 2)]
-    return joined(both, ["a", "b"], [np.arange(len(each.rests)) for each in both])
+    return join_sessions(both, ["a", "b"], [np.arange(len(each.rests)) for each in both])
 
 
 def of_pyramids() -> Observations:
@@ -186,7 +186,7 @@ def with_turns(session: Observations, keep: BoolArray, rests: int) -> Observatio
         session,
         rests=replace(every, **first),
         turns=type(turns)(**{field.name: getattr(turns, field.name)[keep] for field in fields(turns)}),
-        turn_samples=replace(samples, start=samples.start[keep], stop=samples.stop[keep], _kept=[]),
+        turn_samples=replace(samples, start=samples.start[keep], stop=samples.stop[keep]),
     )
 
 
@@ -415,7 +415,7 @@ def test_a_spoilt_turn_is_left_out_and_named_and_moves_nothing() -> None:
         rates[own] += times * noise * level / dt[own].sum()
         other = type(samples.samples)()
         other.append(rates, forces, dt)
-        spoilt = replace(session, turn_samples=replace(samples, samples=other, _kept=[]))
+        spoilt = replace(session, turn_samples=replace(samples, samples=other))
         found = joint(spoilt)
         assert found.left_out is not None
         assert np.flatnonzero(found.left_out.turn).tolist() == [11]

@@ -232,7 +232,7 @@ def test_a_registry_is_a_prior_of_the_next_unit_and_what_it_made_is_no_evidence(
         assert registry.prior("M-2").words == "0 other units of the type 'M-2', fewer than 3"
     linear = run("calibrate", next_unit, "--registry", place, "--terms", "linear")
     assert linear[0] == 2
-    assert "--registry: expected several launches, or one session and the method joint" in linear[2]
+    assert "--registry: expected one session and the method joint" in linear[2]
     status, text, talk = run("registry", "show", "--type", "M-1", "--registry", place, "-o", tmp_path / "sheet.html")
     assert status == 0, talk
     line = next(line for line in text.splitlines() if line.startswith("accel.bias.x"))

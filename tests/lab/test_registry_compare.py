@@ -21,13 +21,13 @@ from tumble.result.calibration import Calibration
 from tumble.use.compare import compare_calibrations
 
 
-def trend_of(folder: Path, *calibrations: Calibration, parameter: str | None = None) -> Trend:
+def trend_of(folder: Path, *calibrations: Calibration) -> Trend:
     """Of one device, calibrated once a year, each time with another log."""
     with open_registry(folder / "r.sqlite", create=True) as registry:
         for i, made in enumerate(calibrations):
             other = with_fields(made, log_sha256=f"{i:064x}")
             registry.add_calibration(other, performed=datetime(2020 + i, 3, 1, tzinfo=UTC))
-        return registry.trend("A-0007", parameter)
+        return registry.trend("A-0007")
 
 
 @pytest.mark.parametrize("sigmas", [0.0, 2.5, 3.6, -3.6])

@@ -308,7 +308,7 @@ def with_turn_off(session: Observations, turn: int, by: float) -> Observations:
     changed[start:stop] += by * np.array([0.6, -0.48, 0.64]) / dt[start:stop].sum()
     other = type(stored)()
     other.append(changed, forces, dt)
-    return replace(session, turn_samples=replace(session.turn_samples, samples=other, _kept=[]))
+    return replace(session, turn_samples=replace(session.turn_samples, samples=other))
 
 
 @pytest.mark.parametrize("rest", [0, 7, 14])

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.support.staged import estimate_accelerometers
-from tumble.diagnosis.linear_model import by_joint, components_in, left_out_by_rests, linear_joint
+from tumble.diagnosis.linear_model import converged_joint, linear_joint, omitted_by_rests, rms_components
 from tumble.inference.estimate import Estimate
 from tumble.inference.integrated_turns import IntegratedTurns
 from tumble.inference.joint import joint
@@ -67,7 +67,7 @@ def test_a_group_left_out_moves_the_fit_by_as_much_as_is_said(observed: Observat
     """Refitting agrees with the linear formula, but for the scatter that it may find."""
     before = estimate_accelerometers(observed).values
     change = np.array([refitted(observed, group, sensor) - before for sensor in range(3)])
-    _, moves, _ = left_out_by_rests(replace(observed, usual={group: SIZES[group]}), before)
+    _, moves, _ = omitted_by_rests(replace(observed, usual={group: SIZES[group]}), before)
     said = np.linalg.norm(moves * SIZES[group], axis=1)
     np.testing.assert_allclose(np.linalg.norm(change, axis=0), said, atol=0.05 * said.max(), rtol=0.02)
     np.testing.assert_allclose(ellipsoid(observed).values[:9], before, atol=1e-6)
@@ -108,9 +108,9 @@ def test_a_group_moves_the_method_as_much_as_is_in_its_u(method: Callable[[Obser
     before = method(seen())
     fitted = None
     if method is linear_joint:
-        beside = by_joint(seen())
+        beside = converged_joint(seen())
         assert beside is not None
-        fitted = joint(replace(seen(), usual={}), components=components_in(beside)).linearised
+        fitted = joint(replace(seen(), usual={}), components=rms_components(beside)).linearised
 
     def values(observations: Observations) -> Array:
         return method(observations).values[:21] if fitted is None else with_noise_of(fitted, observations)

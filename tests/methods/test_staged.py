@@ -24,7 +24,7 @@ from tests.support.direct import (
 )
 from tests.support.staged import Residuals, staged
 from tumble.inference.estimate import Estimate
-from tumble.methods.least_squares import as_normal
+from tumble.methods.least_squares import normal_score
 from tumble.planning.setup import Setup
 from tumble.sensors.grades import NoiseModel
 from tumble.simulation.scenario import Scenario
@@ -95,6 +95,6 @@ def test_residuals_are_judged_by_the_scatter_of_the_others() -> None:
     judged = Residuals(residual=left @ r, variance=np.ones(9), left=left).sigmas(1, scaled=True)
     z2 = (left @ r) ** 2 / np.diag(left)
     studentised = np.sqrt(z2 * 4.0 / (r @ left @ r - z2))
-    np.testing.assert_allclose(judged, as_normal(studentised, 4.0), rtol=1e-9)
+    np.testing.assert_allclose(judged, normal_score(studentised, 4.0), rtol=1e-9)
     most = Residuals(residual=np.array([2.3, 0.1, 0.2, 0.1, 0.1, 0.1]), variance=np.ones(6), left=0.9 * np.eye(6))
     assert 3.0 < most.sigmas(1, scaled=True).max() < 5.0

@@ -31,7 +31,7 @@ from scipy.io import savemat
 
 from tumble.drafting.new_session import new_session
 from tumble.errors import InputError
-from tumble.recording.formats import Message, as_log, is_recording, messages
+from tumble.recording.formats import Message, is_recording, messages, write_log
 from tumble.recording.panic import COMMAND_LINE
 from tumble.units import Array
 
@@ -248,7 +248,7 @@ def test_numbers_of_more_bits_than_others_hold_are_lost(record: Array, tmp_path:
     wide[7, 1] = np.longdouble(10.0) ** 400
     write_hdf5(tmp_path / "r.h5", wide)
     accel, _ = sensors(messages(tmp_path / "r.h5"))
-    as_log(tmp_path / "log.parquet", accel, accel)
+    write_log(tmp_path / "log.parquet", accel, accel)
     lost = ~np.isfinite(pl.read_parquet(tmp_path / "log.parquet").select(pl.selectors.float()).to_numpy())
     assert lost.sum() == lost[7].sum() > 0
 
@@ -272,7 +272,7 @@ def test_an_array_without_sensors_is_called_so(tmp_path: Path) -> None:
 def test_a_recording_comes_back_as_it_was_written(name: str, record: Array, tmp_path: Path) -> None:
     WRITERS[name](tmp_path / name, record)
     accel, gyro = sensors(messages(tmp_path / name))
-    as_log(tmp_path / "log.parquet", accel, gyro)
+    write_log(tmp_path / "log.parquet", accel, gyro)
     table = pl.read_parquet(tmp_path / "log.parquet")
     assert accel.accel is not None
     assert gyro.gyro is not None
@@ -298,7 +298,7 @@ def test_sensors_of_two_topics_become_one_log_at_the_times_of_the_gyros(record: 
         ("/accel/sample", True, False),
         ("/gyro/sample", False, True),
     ]
-    as_log(tmp_path / "log.parquet", accel, gyro)
+    write_log(tmp_path / "log.parquet", accel, gyro)
     table = pl.read_parquet(tmp_path / "log.parquet")
     assert table.height == len(record) - 10
     np.testing.assert_allclose(table["accel_z"].to_numpy(), 3.0 * RATE * table["t"].to_numpy(), rtol=1e-12, atol=1e-9)
@@ -484,7 +484,7 @@ def test_an_array_of_four_is_a_time_and_three_sensors(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="found gyros alone"):
         messages(tmp_path / "gyroscope.mat")
     both = messages(tmp_path / "accelerometer.mat", tmp_path / "gyroscope.mat")
-    as_log(tmp_path / "log.parquet", both[0], both[1])
+    write_log(tmp_path / "log.parquet", both[0], both[1])
     assert pl.read_parquet(tmp_path / "log.parquet").columns == ["t", *both[1].columns, *both[0].columns]
 
 

@@ -686,7 +686,7 @@ def test_gaps_in_memory_are_bounded(tmp_path: Path) -> None:
     frame = pl.DataFrame({"t": np.arange(30_000) / 100, **{name: np.ones(30_000) for name in NAMES[1:]}})
     frame = frame.with_columns(ax=pl.when(pl.arange(30_000) % 2 == 1).then(math.nan).otherwise(1.0))
     log = parquet_log(tmp_path, frame)
-    with mock.patch.object(readers, "_PARQUET_ROWS", 1000), mock.patch.object(bridging, "MOST", 700):
+    with mock.patch.object(readers, "_PARQUET_ROWS", 1000), mock.patch.object(bridging, "MOST_GAPS", 700):
         assert "expected at most 700 gaps in a file" in refusal(lambda: whole(log))
     assert len(log.gaps) < 1700
 
@@ -695,7 +695,7 @@ def test_rows_behind_in_memory_are_bounded(tmp_path: Path) -> None:
     time = np.arange(30_000) / 100.0
     time[1000:] -= 20.0
     log = parquet_log(tmp_path, pl.DataFrame({"t": time, **{name: np.ones(30_000) for name in NAMES[1:]}}))
-    with mock.patch.object(readers, "_PARQUET_ROWS", 500), mock.patch.object(timed_rows, "MOST", 300):
+    with mock.patch.object(readers, "_PARQUET_ROWS", 500), mock.patch.object(timed_rows, "MOST_GAPS", 300):
         assert "row 1001, column 't': expected a time after 9.99 s, found -10 s running" in refusal(lambda: whole(log))
 
 

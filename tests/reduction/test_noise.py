@@ -22,7 +22,6 @@ from tests.support import ROOT, naive, study
 from tumble.errors import InputError, MissingExtraError
 from tumble.reduction import kernels as _kernels
 from tumble.reduction.noise.allan_deviation import AllanDeviation, allan_deviation, pooled
-from tumble.reduction.noise.densities import densities
 from tumble.reduction.noise.wavelet_moments import (
     FLICKER,
     Coefficient,
@@ -30,10 +29,11 @@ from tumble.reduction.noise.wavelet_moments import (
     NoiseParameters,
     Panel,
     _Moments,
+    filter_densities,
     identify,
 )
 from tumble.units import DEGREE_PER_HOUR, G_STANDARD, Array
-from tumble.views.noise import plot, shown
+from tumble.views.noise import coefficient_rows, plot
 
 RATE = 100.0
 NO_FALSE_ALARM = 5.5  # standard uncertainties: 4e-8
@@ -254,11 +254,11 @@ def test_filters_get_a_walk_as_large_as_the_processes() -> None:
     wandering = NoiseParameters(white_noise=c(1e-4), gauss_markov=(GaussMarkov(sigma=c(1e-4), time=c(50.0)),))
     deviation = allan_deviation(1e-3 * np.random.default_rng(17).standard_normal((4096, 1)), RATE)
     panel = Panel(title="gyros", unit="rad/s", channels=("gx",), deviation=deviation, parameters=(wandering,))
-    found = densities(panel, RATE)
+    found = filter_densities(panel, RATE)
     assert found.white == pytest.approx(1e-4)
     assert found.walk == pytest.approx(1e-4 * np.sqrt(2.0 / 50.0))
     white = replace(panel, parameters=(NoiseParameters(white_noise=c(1e-4)),))
-    bounded = densities(white, RATE)
+    bounded = filter_densities(white, RATE)
     assert bounded.walk > 0.0
     assert "random walk of the gyros: not seen" in bounded.bounds[0]
 
@@ -281,7 +281,7 @@ def test_gauss_markov_noise_is_called_by_its_name(time: float) -> None:
         for found, true in ((process.sigma, sigma), (process.time, time), (p.white_noise, noise)):
             assert abs(found.value - true) < NO_FALSE_ALARM * found.u
             assert found.u < 0.25 * true
-        assert [s.symbol for s in shown(p, "rad/s")] == ["N", "σ", "T"]
+        assert [s.symbol for s in coefficient_rows(p, "rad/s")] == ["N", "σ", "T"]
         assert p.variances(np.array([1e-3 * time]))["gauss_markov 1"][0] < 1e-3 * sigma**2
 
 
@@ -373,7 +373,7 @@ def test_coefficients_are_shown_in_the_units_of_data_sheets() -> None:
         bias_instability=Coefficient(value=0.01 * DEGREE_PER_HOUR, u=0.002 * DEGREE_PER_HOUR),
         rate_random_walk=None,
     )
-    white, flat = shown(p, "rad/s")
+    white, flat = coefficient_rows(p, "rad/s")
     assert (white.symbol, white.value, white.u, white.unit) == ("N", "0.00300", "0.00010", "°/√h")
     assert (flat.name, flat.value, flat.u, flat.unit) == ("bias instability", "0.0100", "0.0020", "°/h")
     accel = NoiseParameters(
@@ -382,7 +382,7 @@ def test_coefficients_are_shown_in_the_units_of_data_sheets() -> None:
         bias_instability=None,
         rate_random_walk=Coefficient(value=30e-6 * G_STANDARD / 60.0, u=3e-6 * G_STANDARD / 60.0),
     )
-    lines = [f"{s.symbol} {s.value} {s.u} {s.unit}" for s in shown(accel, "m/s^2")]
+    lines = [f"{s.symbol} {s.value} {s.u} {s.unit}" for s in coefficient_rows(accel, "m/s^2")]
     assert lines == ["Q 2.00 0.10 mm/s", "N 50.0 1.0 µg/√Hz", "K 30.0 3.0 µg/√h"]
 
 
@@ -414,7 +414,7 @@ def test_plot_writes_the_format_of_the_ending(panels: list[Panel], tmp_path: Pat
 def test_plot_names_sensors_units_and_coefficients(panels: list[Panel], tmp_path: Path) -> None:
     plot(panels, tmp_path / "allan.svg")
     text = (tmp_path / "allan.svg").read_text(encoding="utf-8")
-    (white,) = (s for s in shown(panels[0].parameters[0], "m/s^2") if s.symbol == "N")
+    (white,) = (s for s in coefficient_rows(panels[0].parameters[0], "m/s^2") if s.symbol == "N")
     for word in ("accelerometers", "gyros", "averaging time", f"ax: N = {white.value} ± {white.u} µg/√Hz", "°/h"):
         assert word in text
 

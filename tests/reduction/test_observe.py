@@ -23,7 +23,7 @@ from tumble.reduction.blocks.reducer import Reducer, Reduction
 from tumble.reduction.observations import Observations, observe
 from tumble.reduction.rests.segmentation import Stretch, find_rests
 from tumble.reduction.turns import turns
-from tumble.reduction.turns.turns import TurnSamples, variances_of_independent
+from tumble.reduction.turns.turns import TurnSamples, independent_sample_variances
 from tumble.rotation import rotation_matrix, tangent_basis
 from tumble.sensors.model import Block, SensorModel
 from tumble.simulation.recording import Recording, record
@@ -359,6 +359,6 @@ def test_what_changes_from_sample_to_sample_is_the_error_of_a_rotation() -> None
     for rates in (white, swinging):
         kept.append(rates, np.zeros((count, 3)), np.full(count, dt))
     samples = TurnSamples(samples=kept, start=np.array([0, count]), stop=np.array([count, 2 * count]))
-    of_white, of_swinging = variances_of_independent(samples)
+    of_white, of_swinging = independent_sample_variances(samples)
     assert of_white == pytest.approx(count * (size * dt) ** 2, rel=0.1)
     assert np.sqrt(of_swinging) < 2e-3 * 3.0 * dt * np.sqrt(count)

@@ -53,7 +53,7 @@ def test_the_step_is_that_of_the_grid(noise: float, decimals: int | None) -> Non
 def test_values_on_no_grid_have_no_step() -> None:
     values = np.random.default_rng(2).standard_normal(5000)
     found = rounding(values[::10, None], [values[:1000:10, None]], [state(values)])
-    np.testing.assert_array_equal([found.step, found.of_rest, found.common_u], np.zeros((3, 1)))
+    np.testing.assert_array_equal([found.step, found.rest_u, found.common_u], np.zeros((3, 1)))
 
 
 @pytest.mark.parametrize(("noise", "expected"), [(0.0, 0.2887), (0.1, 0.1866), (0.2, 0.1023), (0.3, 0.0381)])
@@ -65,7 +65,7 @@ def test_the_error_of_a_mean_is_what_is_said(noise: float, expected: float) -> N
     seen = np.sqrt(np.mean([errors**2 for _, errors in sets])) / STEP
     white = noise / np.sqrt(BLOCKS * SIZE)
     assert np.sqrt(seen**2 - white**2) == pytest.approx(expected, rel=0.12)
-    said = np.median([found.of_rest[0] for found, _ in sets]) / STEP
+    said = np.median([found.rest_u[0] for found, _ in sets]) / STEP
     assert said == pytest.approx(expected, rel=0.3)
     assert np.median([found.noise[0] for found, _ in sets]) / STEP == pytest.approx(noise, abs=0.03)
 
@@ -78,7 +78,7 @@ def test_what_is_common_is_at_most_that_of_no_noise_and_forgotten_from_half_a_st
     relative = some.noise[0] / some.step[0]
     assert some.common_u[0] == pytest.approx(STEP * np.exp(-2.0 * np.pi**2 * relative**2) / np.pi, rel=1e-4)
     assert loud.common_u[0] == 0.0
-    assert loud.of_rest[0] < 1e-3 * STEP
+    assert loud.rest_u[0] < 1e-3 * STEP
 
 
 def test_notes_name_the_channels_that_rounding_limits() -> None:
@@ -109,13 +109,13 @@ def test_rounding_lasts_as_long_as_a_rate_is_steady() -> None:
     """400 turns at steady rates between steps, 300 samples long, with ramps that pass many steps: the error of the
     integral is that of one sample for as long as the plateau lasts."""
     rng = np.random.default_rng(8)
-    found = Rounding(step=np.ones(1), noise=np.zeros(1), of_rest=np.full(1, 12.0**-0.5), common_u=np.ones(1))
+    found = Rounding(step=np.ones(1), noise=np.zeros(1), rest_u=np.full(1, 12.0**-0.5), common_u=np.ones(1))
     ramp = np.linspace(0.0, 1.0, 100)
     errors, said = [], []
     for rate in rng.uniform(50.0, 60.0, 400):
         rates = np.concatenate([rate * ramp, np.full(300, rate), rate * ramp[::-1]])[:, None]
         rounded_rates = np.round(rates)
         errors.append(0.01 * (rounded_rates - rates).sum())
-        said.append(found.of_integrals(rounded_rates, np.full(len(rates), 0.01))[0])
+        said.append(found.variance_of_integrals(rounded_rates, np.full(len(rates), 0.01))[0])
     assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(np.sqrt(np.mean(said)), rel=0.15)
     assert np.sqrt(np.mean(said)) == pytest.approx(3.0 / np.sqrt(12.0), rel=0.1)

@@ -15,7 +15,7 @@ from tests.support.calibrated import calibration, with_fields
 from tests.support.exports import CERTIFICATE
 from tumble.export import export_calibration
 from tumble.inference.estimate import Fit
-from tumble.lab.conformity import judge_value, verdicts
+from tumble.lab.conformity import judge_calibration, judge_value
 from tumble.lab.limits import parse_limits
 from tumble.lab.report import limits_section
 from tumble.result.calibration import Calibration
@@ -63,7 +63,7 @@ def reported(made: Calibration) -> str:
     """All that the sections of a report say in sentences."""
     source = ReportedFile(file="c.json", sha256="0" * 64, calibration=made)
     limits = parse_limits(LIMITS, "limits.toml")
-    return repr(report_of([source], [[limits_section(limits, verdicts(made, limits))]]))
+    return repr(report_of([source], [[limits_section(limits, judge_calibration(made, limits))]]))
 
 
 def certified(made: Calibration) -> ET.Element:

@@ -10,7 +10,7 @@ import pytest
 
 import tumble
 from tests.support.moving import G, Motion, Noise, Recording, record
-from tumble.diagnosis.verdict import little_used
+from tumble.diagnosis.verdict import unused_quiet_time
 from tumble.inference.integrated_turns import IntegratedTurns
 from tumble.inference.linearisation import linearise
 from tumble.inference.problem import Point, Problem, instruments_of
@@ -221,8 +221,8 @@ def test_a_device_that_is_shaken_where_it_lies_is_not_in_motion() -> None:
     session = session_of_arrays(accel=shaken.accel, gyro=shaken.gyro, rate=50.0, gravity=G)
     found = inspect_session(session).segmentation
     assert len(found.shaken) == 12
-    assert little_used(found, in_motion=True)
-    assert not little_used(replace(found, rejected=()), in_motion=True)
+    assert unused_quiet_time(found, in_motion=True)
+    assert not unused_quiet_time(replace(found, rejected=()), in_motion=True)
 
 
 def moved_observations(recording: Recording, keep: Array | None = None) -> Observations:

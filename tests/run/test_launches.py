@@ -184,11 +184,11 @@ def test_launches_of_the_type_make_two_launches_better_known(runs: list[Run]) ->
     assert "by all launches of its type in the registry, 50 degrees of freedom" in better.provenance.notes[-1]
 
 
-def test_a_registry_is_for_several_launches_or_one_session(folders: list[Path]) -> None:
-    words = [folders[0], folders[1], "--together", "-o", "out.json", "--registry", "r.sqlite"]
+def test_a_registry_is_for_one_session(folders: list[Path]) -> None:
+    words = [folders[0], folders[1], "-o", "out.json", "--registry", "r.sqlite"]
     result = CliRunner().invoke(main, ["calibrate", *map(str, words)])
     assert result.exit_code == 2
-    assert "--registry: expected several launches, or one session" in result.stderr
+    assert "--registry: expected one session" in result.stderr
 
 
 def test_what_launches_do_not_share_is_not_that_of_the_first(runs: list[Run]) -> None:

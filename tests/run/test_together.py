@@ -16,7 +16,7 @@ from click.testing import CliRunner
 from tumble.cli import main
 from tumble.diagnosis.linearised_session import LinearisedSession
 from tumble.diagnosis.misfit import misfit
-from tumble.diagnosis.projection import judged_solution, projections
+from tumble.diagnosis.projection import diagnostic_solution, projections
 from tumble.diagnosis.verdict import verdict
 from tumble.errors import InputError
 from tumble.inference.integrated_turns import IntegratedTurns
@@ -30,7 +30,7 @@ from tumble.recording.log import open_log
 from tumble.recording.session import Session
 from tumble.recording.session_file import session_of, write_session
 from tumble.reduction.observations import Observations
-from tumble.reduction.together import joined
+from tumble.reduction.together import join_sessions
 from tumble.result.calibration import Calibration, read_calibration
 from tumble.run.together import calibrate_together
 from tumble.sensors.instrument import Instrument
@@ -85,7 +85,7 @@ def together(scenario: Scenario, climates: list[Climate], seed: int = 2) -> Obse
                 truth[name] += scenario.setup.further[f"{kind}.bias.launch"] * rng.standard_normal()
         observed.append(simulate_observations(replace(scenario, truth=truth, climate=climate), rng))
     names = [f"session-{i + 1}" for i in range(len(climates))]
-    return joined(observed, names, [np.arange(len(each.rests)) for each in observed])
+    return join_sessions(observed, names, [np.arange(len(each.rests)) for each in observed])
 
 
 def problem_of(observations: Observations) -> Problem:
@@ -285,7 +285,7 @@ def test_a_cause_is_named_in_the_session_it_is_in() -> None:
     turns = np.arange(K)[:, None]
     first = part.turns.start + 6
     in_turn = 50.0 * DEGREE_PER_HOUR * np.where(turns > first, 1.0, 0.5 * (turns == first)) * np.ones((K, 3))
-    rest, turn = LinearisedSession(estimate.linearised).biased("gyro", at_rest, in_turn[:, None])
+    rest, turn = LinearisedSession(estimate.linearised).bias_columns("gyro", at_rest, in_turn[:, None])
     jumping = replace(rows, rest=rows.rest.copy(), turn=rows.turn.copy())
     jumping.rest[..., -1] += rest.sum(axis=2)
     jumping.turn[..., -1] += turn.sum(axis=2)
@@ -309,7 +309,7 @@ def test_each_session_with_what_the_others_say_knows_what_all_know_and_a_warm_up
     linear = estimate.instrument.linear_count
     nothing = [np.zeros((*rows.shape[:2], 1)) for rows in (linearised.rest, linearised.turn)]
     known = np.array([each.u[:linear] for each in projections(linearised, linearised.components, *nothing)])
-    whole = np.sqrt(judged_solution(linearised, linearised.components).covariance.diagonal())[1 : 1 + linear]
+    whole = np.sqrt(diagnostic_solution(linearised, linearised.components).covariance.diagonal())[1 : 1 + linear]
     np.testing.assert_allclose(known, np.broadcast_to(whole, (2, linear)), rtol=0.05)
     found = misfit(estimate)
     assert any("accel" in "".join(each.concerns) for each in found if not each.refuses), found
@@ -437,9 +437,13 @@ def test_a_quiet_ramp_adds_to_biases(made: tuple[Scenario, list[Session], Calibr
     without = calibrate_together(sessions[:3])
     assert not any("nothing is turned" in note for note in without.provenance.notes)
     both_ways = calibrate_together([*sessions[:3], quiet(scenario, CUBE, 4, (0.0, 40.0, 0.0))])
-    for name, found in (("gyro.bias.x.t2", both_ways), ("gyro.bias.z.t1", both_ways), ("gyro.bias.z.t1", up)):
+    for name, found in (
+        ("gyro.bias.x.t2", both_ways),
+        ("gyro.bias.z.t1", both_ways),
+        ("gyro.bias.z.t1", up),
+    ):
         assert (found[name].u or 0.0) < 0.5 * (without[name].u or 0.0)
-    assert (both_ways["gyro.bias.x.t2"].u or 0.0) < 0.8 * (up["gyro.bias.x.t2"].u or 0.0)
+    assert (ramps_up_and_down["gyro.bias.x.t2"].u or 0.0) < 0.8 * (up["gyro.bias.x.t2"].u or 0.0)
 
 
 def test_a_ramp_one_way_is_not_taken_for_a_lag_nor_hysteresis_for_a_bias() -> None:

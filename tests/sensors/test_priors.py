@@ -7,7 +7,14 @@ import pytest
 from numpy.polynomial import Polynomial
 
 from tumble.sensors.grades import GRADES
-from tumble.sensors.parameters import TYPICAL_OF_BOUND, further_groups, poorer, prior_of, prior_sizes, variable_of
+from tumble.sensors.parameters import (
+    TYPICAL_OF_BOUND,
+    further_groups,
+    next_poorer_grade,
+    prior_of,
+    prior_sizes,
+    variable_of,
+)
 from tumble.units import DEGREE, G_STANDARD
 
 G = G_STANDARD
@@ -45,7 +52,7 @@ def test_a_bad_nonlinearity_is_one_line(text: str) -> None:
 def test_no_grade_has_a_larger_prior_than_a_poorer_one() -> None:
     """But of lever arms and of lags behind the thermometer, which go by the size and mass of the housing."""
     for grade in GRADES:
-        worse = poorer(grade)
+        worse = next_poorer_grade(grade)
         if worse is not None:
             sizes, larger = prior_sizes(grade), prior_sizes(worse)
             by_housing = {"accel.lever", "accel.lag", "gyro.lag"}

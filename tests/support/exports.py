@@ -7,14 +7,14 @@ from typing import Any
 from tumble.export import target, targets
 from tumble.export.kalibr import NoiseDensities
 from tumble.lab.certificate import Certificate, Party, Person
-from tumble.reduction.noise.densities import Densities
+from tumble.reduction.noise.wavelet_moments import FilterDensities
 
 FORMATS = targets()
 THERMAL = tuple(name for name in FORMATS if name.endswith("-thermal"))
 TEXT = tuple(name for name in FORMATS if name != "mat")
 NOISE = NoiseDensities(
-    accel=Densities(white=1e-3, walk=2e-4, bounds=()),
-    gyro=Densities(white=1e-4, walk=2e-5, bounds=("random walk of the gyros: bounded",)),
+    accel=FilterDensities(white=1e-3, walk=2e-4, bounds=()),
+    gyro=FilterDensities(white=1e-4, walk=2e-5, bounds=("random walk of the gyros: bounded",)),
     rate=200.0,
     source="the longest rest, 0.0–3600.0 s",
 )

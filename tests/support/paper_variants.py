@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tumble.methods.least_squares import solved
+from tumble.methods.least_squares import solve_least_squares
 from tumble.methods.paper.gyros import (
     _LEVEL,
     Series,
@@ -102,4 +102,4 @@ def invariant_bias(rate: Array, force: Array, earth_rate: Array) -> Array:
     """Bias (..., 3) from the dot-product invariant û·ω̂ − Ω sin B = û·δω by least squares: linear in the bias, and
     without an azimuth. Not in the paper, where the scalar method has to take its place."""
     u = unit_vector(force)
-    return solved(u, (u * rate).sum(axis=-1) - earth_rate[1])
+    return solve_least_squares(u, (u * rate).sum(axis=-1) - earth_rate[1])

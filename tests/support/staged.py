@@ -39,18 +39,18 @@ from tumble.methods.least_squares import (
     MAX_ITERATIONS,
     SCATTER_ROUNDS,
     Solution,
-    as_normal,
+    fit_scatter,
+    gaussian_sigmas,
     least_squares,
-    scatter_of,
-    sigmas,
-    unexplained,
+    needs_scatter,
+    normal_score,
 )
 from tumble.recording.session_file import read_session
 from tumble.reduction.observations import Observations
 from tumble.reduction.turns.turns import Turns
 from tumble.rotation import onto_body, rotation_matrix, skew, tangent_basis, unit_vector
 from tumble.run.observed import inspect_session
-from tumble.sensors.model import Block, SensorModel, beyond_body, beyond_turning
+from tumble.sensors.model import Block, SensorModel, left_null_space, tilt_null_space
 from tumble.sensors.parameters import limits_of, units_of
 from tumble.units import Array, BoolArray
 
@@ -104,7 +104,7 @@ class Residuals:
             )
             statistic, degrees = rest.chi_square()
             if degrees >= 1.0:
-                z[i] = as_normal(z[i] * np.sqrt(degrees / max(statistic, 1e-300)), degrees)
+                z[i] = normal_score(z[i] * np.sqrt(degrees / max(statistic, 1e-300)), degrees)
         return z
 
 
@@ -134,7 +134,7 @@ def staged(observations: Observations) -> Estimate:
         turn_sigmas=np.empty(0),
         increments=accel.increments,
         fits={"accelerometers": accel.fit},
-        converged=accel.solution.negligible(1e-15),
+        converged=accel.solution.is_negligible(1e-15),
     )
     return estimate if gyro_block is None else _with_gyros(estimate, accel, observations, gyro_block)
 
@@ -153,7 +153,7 @@ def gauss_newton(
         solution = solution_at(values)
         steps.append(np.asarray(solution.step / max(1.0, float(np.max(np.abs(solution.step) / spread)))))
         values = values + steps[-1]
-        if solution.negligible(rounding):
+        if solution.is_negligible(rounding):
             break
     return values, tuple(steps)
 
@@ -171,9 +171,9 @@ def with_scatter(
     values, steps = gauss_newton(lambda at: solution_at(at, 0.0), values, spread, rounding)
     for again in range(SCATTER_ROUNDS):
         chi_square, degrees, size = agreement_at(values)
-        if not again and not unexplained(chi_square(0.0), degrees):
+        if not again and not needs_scatter(chi_square(0.0), degrees):
             break
-        scatter = scatter_of(lambda trial, of=chi_square, expected=degrees: of(trial) - expected, size)  # type: ignore[misc]
+        scatter = fit_scatter(lambda trial, of=chi_square, expected=degrees: of(trial) - expected, size)  # type: ignore[misc]
         values, more = gauss_newton(lambda at, size=scatter: solution_at(at, size), values, spread, rounding)  # type: ignore[misc]
         steps += more
     return values, scatter, steps
@@ -206,7 +206,7 @@ def sphere_rows(
         whiten = (normal / np.sqrt(np.einsum("ip,ipq,iq->i", normal, covariance, normal))[:, None])[:, None]
     else:
         lower = np.linalg.cholesky(covariance)
-        free = beyond_turning(np.linalg.solve(lower, model.matrix), direction)
+        free = tilt_null_space(np.linalg.solve(lower, model.matrix), direction)
         whiten = np.swapaxes(np.linalg.solve(np.swapaxes(lower, 1, 2), free), 1, 2)
     homogeneous = np.concatenate([modulus * direction, np.ones((len(direction), 1))], axis=1)
     return SphereRows(
@@ -279,7 +279,7 @@ def estimate_accelerometers(observations: Observations) -> Accelerometers:
         vertical=unit_vector(model.apply(rests.accel)),
         covariance=solution.covariance + site.gravity_u**2 * np.outer(by_gravity, by_gravity),
         fit=Fit(chi_square=chi_square(rows), degrees=degrees, scatter=scatter, unit="m/s^2"),
-        sigmas=sigmas(np.sqrt((normalised**2).mean(axis=1)), degrees, scatter > 0.0),
+        sigmas=gaussian_sigmas(np.sqrt((normalised**2).mean(axis=1)), degrees, scatter > 0.0),
         increments=increments,
     )
 
@@ -352,8 +352,8 @@ def _with_gyros(estimate: Estimate, accel: Accelerometers, observations: Observa
                     return rows.residuals(name, {**scatter, name: trial}, spread)
 
                 size = float(np.sqrt(np.trace(noise, axis1=1, axis2=2).mean())) if len(noise) else 0.0
-                if scatter[name] > 0.0 or unexplained(*residuals_at(0.0).chi_square()):
-                    scatter[name] = scatter_of(lambda trial, of=residuals_at: of(trial).excess(), size)  # type: ignore[misc]
+                if scatter[name] > 0.0 or needs_scatter(*residuals_at(0.0).chi_square()):
+                    scatter[name] = fit_scatter(lambda trial, of=residuals_at: of(trial).excess(), size)  # type: ignore[misc]
         values, steps = gauss_newton(solution_at, values, spread)
         increments += steps
     rows = rows_at(values, scatter)
@@ -382,7 +382,7 @@ def _with_gyros(estimate: Estimate, accel: Accelerometers, observations: Observa
             "accelerometers": accel.fit,
             **{f"gyro {name}": left[name].fit(scatter[name], unit) for name, (unit, _) in GROUPS.items()},
         },
-        converged=estimate.converged and solution.negligible(1e-15),
+        converged=estimate.converged and solution.is_negligible(1e-15),
     )
 
 
@@ -449,7 +449,7 @@ def gyro_rows(
         assert readings is not None
         seconds = np.concatenate([np.ones(N), T])
         y = np.concatenate([rests.gyro, readings.integral]) - np.outer(seconds, model.bias)
-        free = beyond_body(model.matrix)
+        free = left_null_space(model.matrix)
         of_body = np.column_stack([y @ model.inverse().T, seconds])
         rows = of_turns + 2 * K + np.arange(spare * (N + K)).reshape(N + K, spare)
         residual[rows], own = y @ free.T, (rows[:, :, None], rows[:, None, :])

@@ -66,4 +66,4 @@ def biased(observations: Observations, accel: Array, gyro: Array) -> Observation
             readings[start:stop] += (1.0 - share) * change[first] + share * change[first + 1]
     other = type(samples.samples)()
     other.append(rates, forces, dt)
-    return replace(observations, rests=changed, turn_samples=replace(samples, samples=other, _kept=[]))
+    return replace(observations, rests=changed, turn_samples=replace(samples, samples=other))

@@ -27,7 +27,7 @@ from tumble.simulation.session import simulate_session
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, rounded, two_digits
 from tumble.views.blocks import Block, Items, Table, Text
 from tumble.views.calibration import (
-    WHAT_AN_INCREMENT_SAYS,
+    MEANING_OF_INCREMENTS,
     calibration_blocks,
     difference_percent,
     iteration_table,
@@ -91,8 +91,8 @@ def test_the_increments_add_up_to_the_result(by_method: dict[str, Calibration]) 
 
 def test_the_statement_on_increments_is_beside_them_and_only_there(by_method: dict[str, Calibration]) -> None:
     said = " ".join(printed(calibration_blocks(by_method["sequential"], every=True)).split())
-    assert WHAT_AN_INCREMENT_SAYS in said
-    assert said.index("mean increment of") < said.index(WHAT_AN_INCREMENT_SAYS)
+    assert MEANING_OF_INCREMENTS in said
+    assert said.index("mean increment of") < said.index(MEANING_OF_INCREMENTS)
     assert "increment" not in printed(calibration_blocks(replace(by_method["scalar"], method="joint"), every=True))
 
 

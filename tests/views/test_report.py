@@ -48,7 +48,7 @@ from tumble.views.numbers import fixed, significant
 from tumble.views.render.characters import drawable, visible
 from tumble.views.render.pages import page as to_page
 from tumble.views.render.pages import pdf as to_pdf
-from tumble.views.render.pictures import drawn
+from tumble.views.render.pictures import svg_of
 from tumble.views.report.document import ReportedFile, report_of, sources_of, write_report
 
 SHORT = Setup.of(grade="tactical", rest=10.0, rate_deg_s=45.0, sample_rate=50.0)
@@ -412,7 +412,7 @@ def test_a_figure_does_not_depend_on_what_its_letters_say() -> None:
     def draw(figure: Figure) -> None:
         figure.add_subplot().set_title(f"$\\frac{{{SCRIPT} --> ")
 
-    svg = drawn("f", 2.0, 1.0, draw)
+    svg = svg_of("f", 2.0, 1.0, draw)
     assert "alert" not in svg
     assert "<!--" not in svg
     assert svg.startswith("<svg")

@@ -1,24 +1,24 @@
-"""Campaigns: many simulated calibrations over a grid of methods and conditions, from a TOML file to a table of errors.
+"""Campaigns: many simulated calibrations over a grid of methods and conditions, given by a TOML file.
 
     seed = 1
-    trials = 200                 of every point of the grid
+    trials = 200                 for every point of the grid
     intervals = false            true: u of the joint method integrated over its hyperparameters, many times slower
     [grid]                       a value or a list of values; every combination is a point of the grid
     method = ["joint", "scalar"]
     table_error_deg = [0.5, 1, 2]
 
-Trial i belongs to point i mod P of the P points, so that all are about equally far at any time. The columns of the rows
+Trial i belongs to point i mod P of the P points, so that all points progress at the same rate. The columns of the rows
 are described in `tumble.campaigns.trial`.
 
 The summary has a line for each method and group of parameters at every point of the grid. For a group such as
-accel.bias, over its parameters p and the accepted trials i, with e the value less the truth:
+accel.bias, with e the value minus the truth, over its parameters p and the accepted trials i:
 
     bias² = mean_p (mean_i e)²     scatter² = mean_p var_i e     rms² = mean e² = bias² + scatter²
     to bound = rms / √(mean of the Cramér–Rao variances of the same observations)
-    coverage = part of the |e| within 1.96 u
+    coverage = fraction of |e| within 1.96 u
 
-The device is drawn anew at every trial: a methodical error that is in proportion to the device's own parameters shows
-in the scatter, and the bias is what all devices have in common. With n trials, bias has a noise of scatter/√n.
+The device is drawn anew for every trial: a methodical error in proportion to the device's parameters appears in the
+scatter, and the bias is what all devices have in common. With n trials the bias has a noise of scatter/√n.
 """
 
 from __future__ import annotations
@@ -50,13 +50,13 @@ from tumble.sensors.grades import GRADES
 from tumble.sensors.parameters import group_of, positions_by_group
 from tumble.usual_setup import GRADE, INSTABILITY_TIME, LATITUDE_DEG, MOUNTING_ERROR_DEG, PROGRAMME, TABLE_ERROR_DEG
 
-MOST_TASKS = 10_000_000
+MAX_TASKS = 10_000_000
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Axis:
-    """An axis of the grid: its `default`, None for the usual one on a table or by hand, and all `names` that it may
-    have, or the `limits` of its numbers, whole ones or any."""
+    """An axis of the grid: its `default` (None: the usual value on a table or by hand), and its possible `names`, or
+    the `limits` of its numbers."""
 
     default: str | float | None = None
     names: tuple[str, ...] = ()
@@ -64,7 +64,7 @@ class Axis:
     whole: bool = False
 
     def check(self, value: Any, where: str) -> None:
-        """Raise InputError for a value that it cannot have."""
+        """Raise InputError if the axis cannot have this value."""
         if self.names:
             if value not in self.names:
                 raise InputError(f"{where}: expected one of {', '.join(self.names)}, found {shown(value)}")
@@ -89,14 +89,14 @@ AXES: Mapping[str, Axis] = {
     "instability_time": Axis(default=INSTABILITY_TIME, limits=(0.0, 86_400.0)),
     "terms": Axis(default="linear", names=("linear", "full")),
 }
-"""The axes of the grid apart from the method, outermost first."""
+"""Axes of the grid apart from the method, outermost first."""
 _METHOD = Axis(default=DEFAULT_METHOD, names=(*METHODS, *ITERATED_METHODS))
-_TRIALS, _SEED = Axis(limits=(1, MOST_TASKS), whole=True), Axis(limits=(0, 2**63), whole=True)
+_TRIALS, _SEED = Axis(limits=(1, MAX_TASKS), whole=True), Axis(limits=(0, 2**63), whole=True)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Campaign:
-    """What a campaign file says; `grid` has the values of all axes, and of the method."""
+    """A campaign; `grid` has the values of all axes and of the method."""
 
     trials: int
     seed: int
@@ -105,12 +105,12 @@ class Campaign:
 
     @property
     def cells(self) -> tuple[Cell, ...]:
-        """The points of the grid, the last axis varying first."""
+        """Points of the grid, the last axis varying first."""
         points = product(*(self.grid[axis] for axis in AXES))
         return tuple(dict(zip(AXES, values, strict=True)) for values in points)
 
     def job(self) -> Job:
-        """The campaign as a job of trials × cells tasks."""
+        """Return the campaign as a job of trials × cells tasks."""
         instruments = [instrument_of(Setup.of(**cell), gyros=True) for cell in self.cells]
         names = tuple(dict.fromkeys(name for instrument in instruments for name in instrument.names))
         schema: dict[str, Any] = {
@@ -122,23 +122,23 @@ class Campaign:
             definition={"campaign": asdict(self)},
             items=self.cells * self.trials,
             task=partial(session_rows, self.seed, cast("list[Method]", self.grid["method"]), self.intervals),
-            label=label,
+            label=cell_label,
             schema=schema,
         )
 
 
-def label(cell: Cell) -> Row:
-    """The columns by which a cell differs from others."""
+def cell_label(cell: Cell) -> Row:
+    """Return the columns that identify a cell."""
     return {**cell} | ({} if cell["positions"] is None else {"programme": None})
 
 
 def read_campaign(path: Path) -> Campaign:
-    """The campaign of a file. Raises InputError, one line."""
+    """Read a campaign from a file. Raises InputError."""
     return campaign_of(toml_of(text_of_document(path), str(path)), str(path))
 
 
 def campaign_of(content: Mapping[str, Any], where: str = "campaign") -> Campaign:
-    """The campaign of the content of a file, named `where` in messages. Raises InputError, one line."""
+    """Return the campaign that the content of a file describes; `where` names it in messages. Raises InputError."""
     grid = content.get("grid", {})
     if not isinstance(grid, Mapping):
         raise InputError(f"{where}: grid: expected a table, found {shown(grid)}")
@@ -157,42 +157,34 @@ def campaign_of(content: Mapping[str, Any], where: str = "campaign") -> Campaign
     trials, seed = content.get("trials", "none"), content.get("seed", 0)
     _TRIALS.check(trials, f"{where}: trials")
     _SEED.check(seed, f"{where}: seed")
-    campaign = Campaign(trials=trials, seed=seed, intervals=intervals, grid=_grid_of(grid, f"{where}: grid"))
-    if trials * len(campaign.cells) > MOST_TASKS:
-        raise InputError(f"{where}: trials: expected at most {MOST_TASKS} over all points of the grid, found more")
+    axes, stated = {"method": _METHOD, **AXES}, grid
+    grid = {name: value if isinstance(value, list) else [value] for name, value in stated.items()}
+    for name, values in grid.items():
+        if not values:
+            raise InputError(f"{where}: grid.{name}: expected a value or more, found none")
+        for value in values:
+            axes[name].check(value, f"{where}: grid.{name}")
+        if not axes[name].names and not axes[name].whole:
+            grid[name] = [float(value) for value in values]
+    grid = {name: grid.get(name, [axis.default]) for name, axis in axes.items()}
+    campaign = Campaign(trials=trials, seed=seed, intervals=intervals, grid=grid)
+    if trials * len(campaign.cells) > MAX_TASKS:
+        raise InputError(f"{where}: trials: expected at most {MAX_TASKS} over all points of the grid, found more")
     return campaign
 
 
-def _grid_of(stated: Mapping[str, Any], where: str) -> dict[str, list[Any]]:
-    """The values of every axis of the grid, the defaults where none is stated."""
-    grid = dict[str, list[Any]]()
-    for name, axis in {"method": _METHOD, **AXES}.items():
-        values = stated.get(name, axis.default)
-        grid[name] = values if isinstance(values, list) else [values]
-        if not grid[name]:
-            raise InputError(f"{where}.{name}: expected a value or more, found none")
-        for value in grid[name] if name in stated else ():
-            axis.check(value, f"{where}.{name}")
-        if name in stated and not axis.names and not axis.whole:
-            grid[name] = [float(value) for value in grid[name]]
-    return grid
+# -------------------- summary --------------------
 
-
-# -------------------- the summary --------------------
-
-
-COVERED_WITHIN = 1.96
-"""Uncertainties in a 95 % interval."""
+COVERAGE_FACTOR = 1.96  # of a 95 % interval
 SUMMARY_FILE = "summary.csv"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SummaryLine:
-    """One method at one point of the grid, in one group of parameters.
+    """Errors of one method at one point of the grid, in one group of parameters.
 
-    `trials`, and of them `accepted` and `failed`, are counts. Bias, scatter and rms error of the accepted ones are in
-    `unit` (SI), `to_bound` is rms over bound; None where there is nothing to compute it from. `why` is the first reason
-    why a trial was not accepted or failed, empty where all were accepted."""
+    `bias`, `scatter` and `rms` of the accepted trials are in `unit` (SI), `to_bound` is rms over bound; None if they
+    cannot be computed. `why` is the first reason why a trial was not accepted or failed, empty if all were accepted."""
 
     point: Mapping[str, Any]
     method: str
@@ -211,7 +203,7 @@ class SummaryLine:
 
 @dataclass(frozen=True, kw_only=True, slots=True, repr=False)
 class CampaignResult(Brief):
-    """The rows of a campaign, a Parquet file, the lines of their summary, and the CSV file of these."""
+    """Result of a campaign: the Parquet file of its rows, the lines of their summary, and the CSV file of these."""
 
     rows: Path
     lines: tuple[SummaryLine, ...]
@@ -233,7 +225,7 @@ def campaign(
     planned
         The campaign, or its TOML file.
     out
-        Folder of the results; what it has already is not computed again.
+        Folder of the results; finished trials are not computed again.
     progress
         Function that is called with the number of tasks done and of all.
     **place
@@ -242,12 +234,12 @@ def campaign(
     Returns
     -------
     CampaignResult
-        The rows, their summary, and its file.
+        Files of the rows and of the summary, and its lines.
 
     Raises
     ------
     InputError
-        For a file that describes no campaign, and for a folder of something else.
+        For a file that describes no campaign, and for a folder with other content.
 
     Examples
     --------
@@ -267,7 +259,7 @@ def campaign(
 
 
 def summary(rows: Path) -> tuple[SummaryLine, ...]:
-    """The lines of a campaign's rows (the path that `engine.run` returns)."""
+    """Return the lines of the summary of a campaign's rows (the file that `engine.run` returns)."""
     lines: list[SummaryLine] = []
     for values, part in pl.read_parquet(rows).group_by([*AXES, "method"], maintain_order=True):
         refused = part.filter(pl.col("accepted").not_())["reasons"].to_list() + part["error"].drop_nulls().to_list()
@@ -275,54 +267,53 @@ def summary(rows: Path) -> tuple[SummaryLine, ...]:
         names = [column.removeprefix("error.") for column in part.columns if column.startswith("error.")]
         for group, places in positions_by_group(names).items():
             figures = _figures(accepted, [names[i] for i in places])
-            if figures or accepted.is_empty():
-                lines.append(
-                    SummaryLine(
-                        point=dict(zip(AXES, values, strict=False)),
-                        method=str(values[-1] or "every method"),
-                        group=group,
-                        unit=group_of(names[places[0]]).unit,
-                        trials=len(part),
-                        accepted=len(accepted),
-                        failed=int(part["error"].is_not_null().sum()),
-                        why=next(iter(refused), ""),
-                        **figures,
-                    )
-                )
+            if not figures and not accepted.is_empty():
+                continue
+            line = SummaryLine(
+                point=dict(zip(AXES, values, strict=False)),
+                method=str(values[-1] or "every method"),
+                group=group,
+                unit=group_of(names[places[0]]).unit,
+                trials=len(part),
+                accepted=len(accepted),
+                failed=int(part["error"].is_not_null().sum()),
+                why=next(iter(refused), ""),
+                **figures,
+            )
+            lines.append(line)
     return tuple(lines)
 
 
 def _figures(accepted: pl.DataFrame, names: Sequence[str]) -> dict[str, float | None]:
-    """The figures of the parameters of a group over the trials that have a value; none where no trial has one."""
-    moments = []  # of each parameter: mean error, mean squares of the error and of the bound, part that u covers
+    """Return the figures of a group of parameters over the trials with a value; empty if there is none."""
+    moments = []  # by parameter: mean error, mean squares of error and bound, fraction covered by u
     for name in names:
-        columns = (accepted[f"{what}.{name}"].cast(pl.Float64).fill_null(math.nan) for what in ("error", "u", "bound"))
-        error, u, bound = np.array([column.to_numpy() for column in columns])[
-            :, accepted[f"error.{name}"].is_not_null()
-        ]
+        columns = [f"{column}.{name}" for column in ("error", "u", "bound")]
+        estimated = accepted.filter(pl.col(columns[0]).is_not_null()).select(columns).cast(pl.Float64)
+        error, u, bound = estimated.fill_null(math.nan).to_numpy().T
         if len(error):
-            covered = (np.abs(error) <= COVERED_WITHIN * u).mean() if np.isfinite(u).all() else math.nan
+            covered = (np.abs(error) <= COVERAGE_FACTOR * u).mean() if np.isfinite(u).all() else math.nan
             moments.append((error.mean(), (error**2).mean(), (bound**2).mean(), covered))
     if not moments:
         return {}
-    mean, square, least, coverage = np.array(moments).T
-    bias2, rms2, least2 = float((mean**2).mean()), float(square.mean()), float(least.mean())
+    mean, square, bound_square, coverage = np.array(moments).T
+    bias2, rms2, bound2 = float((mean**2).mean()), float(square.mean()), float(bound_square.mean())
     return {
         "bias": math.sqrt(bias2),
         "scatter": math.sqrt(max(rms2 - bias2, 0.0)),
         "rms": math.sqrt(rms2),
-        "to_bound": math.sqrt(rms2 / least2) if least2 > 0.0 else None,
+        "to_bound": math.sqrt(rms2 / bound2) if bound2 > 0.0 else None,
         "coverage": float(coverage.mean()) if np.isfinite(coverage).all() else None,
     }
 
 
 def varying(lines: Sequence[SummaryLine]) -> tuple[str, ...]:
-    """The axes of the grid that have more than one value."""
+    """Return the axes of the grid that have more than one value."""
     return tuple(axis for axis in AXES if len({line.point[axis] for line in lines}) > 1)
 
 
 def write_summary(lines: Sequence[SummaryLine], path: Path) -> None:
-    """Write the lines as CSV, SI, one row each."""
+    """Write the lines of a summary as CSV, SI."""
     figures = ("trials", "accepted", "failed", "unit", "bias", "scatter", "rms", "to_bound", "coverage")
     rows = [
         {**line.point, "method": line.method, "group": line.group} | {name: getattr(line, name) for name in figures}

@@ -1,12 +1,12 @@
-"""Chunks of tasks on a cluster of processes: one of this machine, or one that is there already.
+"""Execution of tasks on a cluster of processes (dask.distributed), on this machine or one that is running already.
 
-The processes are those of dask.distributed. They are spawned, never forked: a copy of a process that has threads of
-polars hangs. Everything listens on the loopback alone.
+Processes are spawned, not forked: a forked copy of a process with threads of polars hangs. Everything listens on the
+loopback interface alone.
 
-A chunk whose process died comes back as KilledWorker. Most of its tasks are innocent: someone ended the process, or its
-memory ran out. So they are set aside and tried one by one at the end, while nothing else runs; and those that fail
-then, again when all others are done, for a process may have been dying of the task before, or the machine been busy. A
-task has failed when it did so ATTEMPTS times.
+A chunk whose process died comes back as KilledWorker. Usually only one of its tasks is the cause, or none: the process
+may have been ended by someone, or memory ran out. The tasks of such chunks are computed one by one after all others. A
+task that fails then is tried again at the end, since its process may have been dying already or the machine been busy.
+It counts as failed after ATTEMPTS attempts.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, TypedDict, Unpack, cast
 
 from tumble import __version__
-from tumble.campaigns.engine import Chunk, Done, Executor, Job, chunks, compute, failed, parquet_of, serially
+from tumble.campaigns.engine import Chunk, Done, Executor, Job, chunks, compute, error_row, parquet_of, serially
 from tumble.errors import InputError, MissingExtraError, TumbleError
 from tumble.recording.panic import COMMAND_LINE
 
@@ -28,26 +28,24 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 ATTEMPTS = 3
-AHEAD = 2
-"""Chunks that are sent out for each process: one at work, one waiting for it."""
+CHUNKS_IN_FLIGHT = 2  # for each process: one at work, one waiting
 CONNECT_SECONDS = 10
-LOST_SECONDS = 60.0
-"""How long nothing may be done while there is no process: on a busy machine one takes half a minute to begin."""
-_GO_ON = "what was computed is kept: give the same command again to go on"
+LOST_SECONDS = 60.0  # without any process and any result; a process takes up to half a minute to start when busy
+_RESUME_ADVICE = "what was computed is kept: give the same command again to go on"
 _SETTINGS = {
     "distributed.worker.multiprocessing-method": "spawn",
     "distributed.scheduler.allowed-failures": 0,
-    "distributed.deploy.lost-worker-timeout": "30 days",  # by default a process is given up after 15 s
-    "distributed.worker.profile.enabled": False,  # it would look at every process a hundred times a second, idle or not
+    "distributed.deploy.lost-worker-timeout": "30 days",  # default 15 s
+    "distributed.worker.profile.enabled": False,  # it would sample every process 100 times a second
     "distributed.scheduler.http.routes": [],  # the servers cannot be left out, but serve nothing
     "distributed.worker.http.routes": [],
-    # Ctrl-C goes to all processes of a terminal: this one ends the others
+    # Ctrl-C reaches all processes of a terminal; only this one handles it
     "distributed.worker.preload": ["import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"],
 }
 
 
 class Place(TypedDict, total=False):
-    """Where to compute, by default on a new cluster of one process a core.
+    """Where tasks are computed; by default on a new cluster with one process per core.
 
     Attributes
     ----------
@@ -65,9 +63,9 @@ class Place(TypedDict, total=False):
 
 
 def executor_for(**place: Unpack[Place]) -> AbstractContextManager[Executor]:
-    """What computes at a place, to be used in a `with`.
+    """Return a context manager that gives the executor for a place.
 
-    Raises InputError for a contradiction or an address at which nobody answers, MissingExtraError without
+    Raises InputError for contradictory options or an address at which no scheduler answers, MissingExtraError without
     distributed."""
     serial, cluster, workers = place.get("serial", False), place.get("cluster"), place.get("workers")
     if serial and (cluster or workers):
@@ -76,18 +74,16 @@ def executor_for(**place: Unpack[Place]) -> AbstractContextManager[Executor]:
         raise InputError("--workers: expected none with --cluster, whose workers are there already; leave it out")
     if serial:
         return nullcontext(serially)
-    return _existing(cluster) if cluster else _local(workers or cores())
-
-
-def cores() -> int:
-    """How many processors this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if cluster:
+        return _existing_cluster(cluster)
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return _local_cluster(workers or cores)
 
 
 @contextmanager
-def _local(workers: int) -> Iterator[Executor]:
-    """A cluster of so many processes of one thread each on this machine."""
-    dask, distributed = _imported()
+def _local_cluster(workers: int) -> Iterator[Executor]:
+    """Start processes of one thread each on this machine."""
+    dask, distributed = _import_dask()
     with dask.config.set(_SETTINGS), ExitStack() as opened:
         try:
             cluster = distributed.LocalCluster(
@@ -101,14 +97,14 @@ def _local(workers: int) -> Iterator[Executor]:
             )
             client = distributed.Client(opened.enter_context(cluster))
         except (OSError, RuntimeError) as error:
-            raise TumbleError(f"the processes could not be begun ({error}); {_GO_ON}") from error
-        yield partial(_computed, opened.enter_context(client))
+            raise TumbleError(f"the processes could not be begun ({error}); {_RESUME_ADVICE}") from error
+        yield partial(_compute_on, opened.enter_context(client))
 
 
 @contextmanager
-def _existing(address: str) -> Iterator[Executor]:
-    """A cluster that is there already. Raises InputError unless it has workers, all with this version of tumble."""
-    _, distributed = _imported()
+def _existing_cluster(address: str) -> Iterator[Executor]:
+    """Connect to a cluster. Raises InputError unless it has workers, all with this version of tumble."""
+    _, distributed = _import_dask()
     try:
         client = distributed.Client(address, timeout=CONNECT_SECONDS)
     except (OSError, TimeoutError, ValueError) as error:
@@ -123,15 +119,15 @@ def _existing(address: str) -> Iterator[Executor]:
         if other or not versions:
             expected = f"expected workers at {address} with tumble {__version__}"
             raise InputError(f"--cluster: {expected}, found {other or 'no worker'}; start some with `dask worker`")
-        yield partial(_computed, client)
+        yield partial(_compute_on, client)
 
 
 def _version() -> str:
     return __version__
 
 
-def _imported() -> tuple[Any, Any]:
-    """dask and distributed, which are silent here: what fails becomes a row or an exception."""
+def _import_dask() -> tuple[Any, Any]:
+    """Return dask and distributed with logging switched off: failures become rows or exceptions."""
     try:
         import dask
         import distributed
@@ -145,67 +141,65 @@ def _imported() -> tuple[Any, Any]:
     return dask, distributed
 
 
-def _computed(client: Client, job: Job, pending: Sequence[int]) -> Iterator[Done]:
-    """Chunks of tasks with their rows, as the processes of a client finish them."""
+def _compute_on(client: Client, job: Job, pending: Sequence[int]) -> Iterator[Done]:
+    """Compute tasks on the processes of a client (an `Executor`)."""
     from distributed import KilledWorker
 
-    set_aside: list[int] = []
+    unfinished: list[int] = []
     workers = max(1, sum(cast(Any, client).nthreads().values()))
     waiting, sent = chunks(pending, workers=workers), dict[Any, Chunk]()
     try:
         while True:
-            while len(sent) < AHEAD * workers and (chunk := next(waiting, None)):
+            while len(sent) < CHUNKS_IN_FLIGHT * workers and (chunk := next(waiting, None)):
                 sent[_submit(job, chunk, client)] = chunk
             if not sent:
                 break
-            for future in _first_done(sent, client):
+            for future in _wait_for_first(sent, client):
                 chunk = sent.pop(future)
                 try:
                     yield chunk, future.result()
                 except CancelledError:
                     raise
                 except Exception:
-                    set_aside += chunk
-        why: dict[int, str] = {}
+                    unfinished += chunk
+        reasons: dict[int, str] = {}
         for _ in range(ATTEMPTS):
-            why = dict.fromkeys(set_aside, "")
-            for number in set_aside:
-                (future,) = _first_done([_submit(job, (number,), client)], client)
+            reasons = {}
+            for number in unfinished:
+                (future,) = _wait_for_first([_submit(job, (number,), client)], client)
                 try:
                     yield (number,), future.result()
                 except CancelledError:
                     raise
                 except KilledWorker:
-                    why[number] = f"each of {ATTEMPTS} processes that computed it alone died"
+                    reasons[number] = f"each of {ATTEMPTS} processes that computed it alone died"
                 except Exception as error:
-                    why[number] = f"{type(error).__name__}: {error}"
-            set_aside = [number for number in set_aside if why[number]]
-        for number in set_aside:
-            row = failed(number, job.label(job.items[number]), why[number])
-            yield (number,), parquet_of([row], job.columns)
+                    reasons[number] = f"{type(error).__name__}: {error}"
+            unfinished = [*reasons]
+        for number, reason in reasons.items():
+            yield (number,), parquet_of([error_row(number, job.label(job.items[number]), reason)], job.columns)
     except (CancelledError, OSError) as error:
-        raise TumbleError(f"the cluster is lost; {_GO_ON}") from error
+        raise TumbleError(f"the cluster is lost; {_RESUME_ADVICE}") from error
 
 
-def _first_done(sent: Iterable[Future[Any]], client: Client) -> set[Future[Any]]:
-    """Those that are done, as soon as one is. Raises TumbleError where nothing was done in a minute, and no process is
-    there."""
-    _, distributed = _imported()
+def _wait_for_first(sent: Iterable[Future[Any]], client: Client) -> set[Future[Any]]:
+    """Return the futures that are done, as soon as one is. Raises TumbleError if there is no process for
+    LOST_SECONDS."""
+    _, distributed = _import_dask()
     while True:
         try:
             waited = distributed.wait(list(sent), timeout=LOST_SECONDS, return_when="FIRST_COMPLETED")
             return cast("set[Future[Any]]", waited.done)
         except TimeoutError:
             if not cast(Any, client).nthreads():
-                raise TumbleError(f"the processes were ended, and no other has begun; {_GO_ON}") from None
+                raise TumbleError(f"the processes were ended, and no other has begun; {_RESUME_ADVICE}") from None
 
 
 def _submit(job: Job, chunk: Chunk, client: Client) -> Future[Any]:
     tasks = [(number, job.items[number]) for number in chunk]
-    return client.submit(_computed_there, job.task, job.label, job.columns, tasks, pure=False)
+    return client.submit(_compute_in_worker, job.task, job.label, job.columns, tasks, pure=False)
 
 
-def _computed_there(*work: Any) -> bytes:
-    """`compute` in a process of the cluster, which does nothing else."""
-    COMMAND_LINE.set(True)
+def _compute_in_worker(*work: Any) -> bytes:
+    COMMAND_LINE.set(True)  # the process does nothing else
     return compute(*work)

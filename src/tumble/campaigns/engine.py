@@ -1,14 +1,14 @@
-"""Many numbered tasks, each of which gives rows of one table: in this process or on a cluster, interrupted and resumed.
+"""Numbered tasks that each give rows of one table, computed in this process or on a cluster, and resumable.
 
-A task is identified by its number alone, so that its rows depend neither on who computes it nor on when. The rows of a
-chunk of tasks are written as a part, a Parquet file that is there whole or not at all; tasks whose parts are there are
-done. When all are done the parts become one table, sorted by task:
+The rows of a task depend on its number alone, not on where or when it is computed. The rows of a chunk of tasks are
+written as a part, a Parquet file that is complete or absent. When all parts are there, they become one table, sorted by
+task:
 
-    FOLDER/manifest.json      what is computed, with a hash: a folder that was begun is resumed by the same job only
-    FOLDER/parts/*.parquet    rows of finished chunks; gone when the table is complete
+    FOLDER/manifest.json      what is computed, with a hash: only the same job can resume in a folder
+    FOLDER/parts/*.parquet    rows of finished chunks, removed when the table is complete
     FOLDER/rows.parquet       the table
 
-A task that raises an exception becomes a row with the exception in its column `error`, and the others go on.
+A task that raises an exception becomes a row with the exception in its column `error`.
 """
 
 from __future__ import annotations
@@ -27,25 +27,24 @@ from tumble.documents import json_of, text_of_document
 from tumble.errors import InputError
 from tumble.files import whole_file
 
-CHUNKS_EACH, LARGEST_CHUNK = 32, 64
-"""Chunks for each process, so that all end at about the same time; and the most tasks of one."""
+CHUNKS_PER_WORKER = 32  # so that all processes end at about the same time
+LARGEST_CHUNK = 64  # tasks
 
 TABLE = "rows.parquet"
 MANIFEST = "manifest.json"
 
 Row = Mapping[str, Any]
 Progress = Callable[[int, int], None]
-"""Called with the number of tasks that are done and of all tasks."""
+"""Function of the number of tasks that are done and of all tasks."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Job:
-    """What is to be computed.
+    """A table to be computed: task i is `task(i, items[i])`, which returns at least one row.
 
-    `definition`, of JSON values, holds all that the rows depend on. Task i is `task(i, items[i])`, which returns its
-    rows, at least one; `label(items[i])` are the columns that a row has even if the task fails. `schema` has the polars
-    type of every column; `task` comes before them and `error` after them. `task`, `label` and the items are sent to
-    other processes: functions of a module or `functools.partial` of one."""
+    `definition` are JSON values that determine the rows; `label(items[i])` are the columns that a row has even if the
+    task fails; `schema` has the polars types of the columns between `task` and `error`. `task`, `label` and the items
+    are sent to other processes: they must be functions of a module or `partial` of one."""
 
     definition: Mapping[str, Any]
     items: Sequence[Any]
@@ -55,17 +54,12 @@ class Job:
 
     @property
     def identity(self) -> dict[str, Any]:
-        """The definition, the number of tasks and the version of tumble."""
+        """Definition, number of tasks and version of tumble, as in the manifest."""
         return {**self.definition, "tasks": len(self.items), "software": f"tumble {__version__}"}
 
     @property
-    def sha256(self) -> str:
-        """The hash of the identity."""
-        return hashlib.sha256(json.dumps(self.identity, sort_keys=True, allow_nan=False).encode()).hexdigest()
-
-    @property
     def columns(self) -> dict[str, Any]:
-        """The polars types of all columns of the table."""
+        """Polars types of all columns of the table."""
         import polars as pl
 
         return {"task": pl.Int64, **self.schema, "error": pl.String}
@@ -73,25 +67,25 @@ class Job:
 
 Chunk = tuple[int, ...]
 Done = tuple[Chunk, bytes]
-"""Numbers of tasks, and their rows as a Parquet file."""
+"""A chunk and its rows as a Parquet file."""
 Executor = Callable[[Job, Sequence[int]], Iterator[Done]]
-"""Computes tasks, given by their numbers, and yields them chunk by chunk as they are finished, in any order."""
+"""Function that computes tasks, given by their numbers, and yields chunks as they are finished, in any order."""
 
 
 def run(
     job: Job, folder: Path, *, executor: Executor | None = None, progress: Progress = lambda _done, _all: None
 ) -> Path:
-    """Compute what is missing of a job in a folder, and return the path of the table. Without an executor (see
-    `tumble.campaigns.cluster`) everything happens in this process.
+    """Compute the missing tasks of a job in a folder, and return the path of its table.
 
-    Raises InputError if the folder holds something else or was begun by another job, TumbleError if a cluster is lost;
-    what was computed is then kept."""
+    Tasks are computed in this process by default, else by an `executor` (see `tumble.campaigns.cluster`). Raises
+    InputError if the folder has other content or belongs to another job, TumbleError if a cluster is lost; finished
+    chunks are kept."""
     table = folder / TABLE
-    if _begun(job, folder) and table.exists():
+    if _open_folder(job, folder) and table.exists():
         return table
     try:
         (folder / "parts").mkdir(exist_ok=True)
-        done = _tasks_of_parts(folder)
+        done = _finished_tasks(folder)
         pending = [number for number in range(len(job.items)) if number not in done]
         count = len(job.items) - len(pending)
         progress(count, len(job.items))
@@ -102,7 +96,7 @@ def run(
             count += len(numbers)
             progress(count, len(job.items))
         _join_parts(job, folder)
-    except FileNotFoundError:  # another run in the same folder has made the table meanwhile
+    except FileNotFoundError:  # another run in the same folder has completed the table
         if not table.exists():
             raise
     return table
@@ -112,14 +106,14 @@ def run(
 
 
 def serially(job: Job, pending: Sequence[int]) -> Iterator[Done]:
-    """Chunks of tasks with their rows, computed in this process."""
+    """Compute tasks in this process (an `Executor`)."""
     for chunk in chunks(pending, workers=1):
         yield chunk, compute(job.task, job.label, job.columns, [(number, job.items[number]) for number in chunk])
 
 
 def chunks(pending: Sequence[int], *, workers: int) -> Iterator[Chunk]:
-    """Tasks in chunks of one size, small enough for so many processes to end together."""
-    size = min(max(len(pending) // (CHUNKS_EACH * workers), 1), LARGEST_CHUNK)
+    """Yield tasks in chunks of one size, small enough for all workers to end at about the same time."""
+    size = min(max(len(pending) // (CHUNKS_PER_WORKER * workers), 1), LARGEST_CHUNK)
     return (tuple(pending[first : first + size]) for first in range(0, len(pending), size))
 
 
@@ -129,20 +123,18 @@ def compute(
     columns: Mapping[str, Any],
     tasks: Iterable[tuple[int, Any]],
 ) -> bytes:
-    """The rows of tasks as a Parquet file with these columns."""
+    """Compute tasks and return their rows as a Parquet file."""
     rows: list[Row] = []
     for number, item in tasks:
         try:
-            computed: list[Row] = task(number, item)
+            rows += [{"task": number, **label(item), **row} for row in task(number, item)]
         except Exception as error:
-            rows.append(failed(number, label(item), f"{type(error).__name__}: {error}"))
-        else:
-            rows += [{"task": number, **label(item), **row} for row in computed]
+            rows.append(error_row(number, label(item), f"{type(error).__name__}: {error}"))
     return parquet_of(rows, columns)
 
 
 def parquet_of(rows: Sequence[Row], columns: Mapping[str, Any]) -> bytes:
-    """Rows as a Parquet file."""
+    """Return rows as a Parquet file."""
     import polars as pl
 
     file = io.BytesIO()
@@ -150,30 +142,30 @@ def parquet_of(rows: Sequence[Row], columns: Mapping[str, Any]) -> bytes:
     return file.getvalue()
 
 
-def failed(number: int, label: Row, why: str) -> Row:
-    """The row of a task that failed."""
-    return {"task": number, **label, "error": " ".join(why.split())}
+def error_row(number: int, label: Row, reason: str) -> Row:
+    """Return the row of a task that failed."""
+    return {"task": number, **label, "error": " ".join(reason.split())}
 
 
 # -------------------- the folder --------------------
 
 
-def _begun(job: Job, folder: Path) -> bool:
-    """Whether the folder was begun by this job; if it is new, it is begun."""
+def _open_folder(job: Job, folder: Path) -> bool:
+    """Return True if the folder belongs to this job; a new folder becomes its folder. Raises InputError for others."""
     manifest = folder / MANIFEST
+    sha256 = hashlib.sha256(json.dumps(job.identity, sort_keys=True, allow_nan=False).encode()).hexdigest()
     if manifest.exists():
         try:
-            content = json_of(text_of_document(manifest))
-            same = content["sha256"] == job.sha256
+            same_job = json_of(text_of_document(manifest))["sha256"] == sha256
         except (InputError, ValueError, KeyError, TypeError) as error:
             raise InputError(f"{manifest}: expected the manifest of a job of tumble, found another file") from error
-        if not same:
+        if not same_job:
             raise InputError(f"{folder}: expected a new folder, found one that another job has begun; give another")
         return True
     if folder.exists() and not (folder.is_dir() and all(path.name.startswith(".") for path in folder.iterdir())):
         raise InputError(f"{folder}: expected a new folder, or one that was begun by the same command, found another")
     folder.mkdir(parents=True, exist_ok=True)
-    content = {"format": 1, "sha256": job.sha256, **job.identity}
+    content = {"format": 1, "sha256": sha256, **job.identity}
     with whole_file(manifest) as temporary:
         temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     return False
@@ -183,8 +175,7 @@ def _parts(folder: Path) -> list[Path]:
     return sorted(path for path in (folder / "parts").iterdir() if path.match("[0-9]*.parquet"))
 
 
-def _tasks_of_parts(folder: Path) -> set[int]:
-    """Numbers of the tasks that are done."""
+def _finished_tasks(folder: Path) -> set[int]:
     import polars as pl
 
     parts = _parts(folder)
@@ -192,8 +183,10 @@ def _tasks_of_parts(folder: Path) -> set[int]:
 
 
 def _join_parts(job: Job, folder: Path) -> None:
-    """Make one table of the parts, sorted by task. Where two runs shared a folder and both did a task, its rows are
-    equal, and those of one part are taken. The parts leave their place at once: another run finds all or none."""
+    """Join the parts into one table, sorted by task.
+
+    Where two runs in one folder computed the same task, its rows are equal and those of one part are kept. The folder
+    of parts is renamed before it is removed, so that another run finds all parts or none."""
     import polars as pl
 
     parts = _parts(folder)

@@ -1,13 +1,13 @@
-"""Fleets: the sessions of many devices, calibrated again by one method, with a row for each whatever becomes of it.
+"""Fleets: recalibration of many recorded sessions by one method, with a row for each.
 
-Sessions are folders that every process can open. They come from a glob or from a manifest, a text file with a folder in
-each line; relative ones start at the manifest's folder.
+Sessions are folders that every process can open. They are given by a glob or by a manifest, a text file with one folder
+a line; relative paths start at the folder of the manifest.
 """
 
 from __future__ import annotations
 
 import glob
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -43,13 +43,13 @@ SCHEMA = {
     "log_sha256": pl.String,
 }
 """Columns of the rows. `parameter`, `value`, `u` and `unit` are lists in one order, SI; `covariance` is the matrix in
-that order, row after row."""
+that order, row by row."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, repr=False)
 class FleetResult(Brief):
-    """The rows of a fleet, a Parquet file, its sessions, and of them how many were accepted and which were not, or
-    failed, each with the reason."""
+    """Result of a fleet: its Parquet file, its sessions, the number of accepted ones, and the reasons for the
+    others."""
 
     rows: Path
     sessions: tuple[str, ...]
@@ -67,14 +67,14 @@ def fleet(
     progress: Progress = lambda _done, _all: None,
     **place: Unpack[Place],
 ) -> FleetResult:
-    """Calibrate many sessions, with a row for each. One that cannot be calibrated does not stop the others.
+    """Calibrate many sessions, with a row for each. A session that cannot be calibrated does not stop the others.
 
     Parameters
     ----------
     sessions
         Glob of session folders, or a manifest (.txt) with a folder in each line.
     out
-        Folder of the results; what it has already is not computed again.
+        Folder of the results; finished sessions are not computed again.
     method
         See `calibrate`.
     progress
@@ -85,12 +85,12 @@ def fleet(
     Returns
     -------
     FleetResult
-        How many sessions were accepted, and why the others were not.
+        The number of accepted sessions, and the reasons for the others.
 
     Raises
     ------
     InputError
-        Without sessions, for one that is listed twice, and for a folder of something else.
+        Without sessions, for one that is listed twice, and if the folder has other content.
 
     Examples
     --------
@@ -101,16 +101,31 @@ def fleet(
     >>> tumble.fleet("sessions/*", "results", serial=True).accepted
     2
     """
-    folders = sessions_of(str(sessions))
+    folders = find_sessions(str(sessions))
+    job = Job(
+        definition={"fleet": {"method": method}, "sessions": folders},
+        items=folders,
+        task=partial(calibrate_row, method),
+        label=session_label,
+        schema=SCHEMA,
+    )
     with executor_for(**place) as executor:
-        rows = run(job_of(folders, method), Path(out), executor=executor, progress=progress)
-    return result_of(rows)
+        rows = run(job, Path(out), executor=executor, progress=progress)
+    frame = pl.read_parquet(rows, columns=[COLUMN, "accepted", "reasons", "error"])
+    refused = frame.filter(pl.col("accepted").not_()).select(COLUMN, "reasons")
+    return FleetResult(
+        rows=rows,
+        sessions=tuple(frame[COLUMN]),
+        accepted=int(frame["accepted"].sum()),
+        not_accepted={session: "; ".join(reasons) for session, reasons in refused.iter_rows()},
+        failed=dict(frame.filter(pl.col("error").is_not_null()).select(COLUMN, "error").iter_rows()),
+    )
 
 
-def sessions_of(pattern: str) -> list[str]:
-    """The sessions that a manifest (.txt) lists, or the folders with a session.toml that a glob matches, sorted.
+def find_sessions(pattern: str) -> list[str]:
+    """Return the session folders of a manifest (.txt), or those that a glob matches, sorted.
 
-    Raises InputError if there are none, or one is there twice."""
+    Raises InputError if there is none, or one is listed twice."""
     if pattern.lower().endswith(".txt"):
         manifest = Path(pattern)
         lines = (line.strip() for line in text_of_document(manifest).splitlines())
@@ -129,24 +144,13 @@ def sessions_of(pattern: str) -> list[str]:
     return sessions
 
 
-def job_of(sessions: Sequence[str], method: Method) -> Job:
-    """The sessions to be calibrated, a row each: see `SCHEMA`."""
-    return Job(
-        definition={"fleet": {"method": method}, "sessions": list(sessions)},
-        items=list(sessions),
-        task=partial(calibrated, method),
-        label=label,
-        schema=SCHEMA,
-    )
-
-
-def label(session: str) -> Row:
-    """The column that identifies a session."""
+def session_label(session: str) -> Row:
+    """Return the column that identifies a session."""
     return {COLUMN: session}
 
 
-def calibrated(method: Method, _number: int, session: str) -> list[Row]:
-    """The row of a session."""
+def calibrate_row(method: Method, _number: int, session: str) -> list[Row]:
+    """Calibrate a session and return its row."""
     try:
         calibration = calibrate(read_session(Path(session)), method=method)
     except InputError as error:
@@ -158,16 +162,3 @@ def calibrated(method: Method, _number: int, session: str) -> list[Row]:
     row |= {name: [getattr(p, name) for p in parameters] for name in ("value", "u", "unit")}
     row["covariance"] = None if covariance is None else covariance.ravel().tolist()
     return [row | {"rests": len(calibration.evidence.rests), "log_sha256": calibration.provenance.log_sha256}]
-
-
-def result_of(rows: Path) -> FleetResult:
-    """How the sessions of a fleet ended, from its rows (the path that `engine.run` returns)."""
-    frame = pl.read_parquet(rows, columns=[COLUMN, "accepted", "reasons", "error"])
-    refused = frame.filter(pl.col("accepted").not_()).select(COLUMN, "reasons")
-    return FleetResult(
-        rows=rows,
-        sessions=tuple(frame[COLUMN]),
-        accepted=int(frame["accepted"].sum()),
-        not_accepted={session: "; ".join(reasons) for session, reasons in refused.iter_rows()},
-        failed=dict(frame.filter(pl.col("error").is_not_null()).select(COLUMN, "error").iter_rows()),
-    )

@@ -263,10 +263,8 @@ class Knowledge(Protocol):
         """What the units of a type are like, without one serial number."""
         ...
 
-    def launches(
-        self, *, serial: str | None = None, model: str | None = None, frame: str = "accelerometer"
-    ) -> tuple[LaunchVariances, ...]:
-        """The launches behind all calibrations of a device or a type."""
+    def launches(self, serial: str) -> tuple[LaunchVariances, ...]:
+        """Return the variances between the launches of a device."""
         ...
 
 

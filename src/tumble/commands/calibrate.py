@@ -15,10 +15,10 @@ from tumble.commands.recordings import check_recordings, gyros_of, session_folde
 from tumble.errors import GyrosAloneError, InputError
 
 if TYPE_CHECKING:
+    from tumble.inference.prior import DevicePrior
     from tumble.recording.session import Session
     from tumble.result.calibration import Calibration
     from tumble.run.calibrate import Method
-    from tumble.sensors.frames import Frame
     from tumble.units import Array
 
 _RESTS = ask.Numbers("numbers of rests such as 3,7", int)
@@ -49,10 +49,7 @@ _RESTS = ask.Numbers("numbers of rests such as 3,7", int)
 @ask.force("Replace a calibration file that came from another log or method.")
 @ask.option("--truth", "truth.json of a simulated session: show true values beside the result.", type=ask.FILE)
 @ask.LOG
-@ask.registry(
-    "Of other units of the device's type: for one session a prior instead of what is usual of its grade, for several "
-    "launches the instability."
-)
+@ask.registry("For one session: a prior by other units of the device's type, instead of that of its grade.")
 @click.option("--budget", is_flag=True, help="Show what every u is made of, by source.")
 @ask.JSON
 @ask.EVERY
@@ -82,7 +79,7 @@ def calibrate(
     """
     from tumble.recording.session_file import read_session
     from tumble.run.calibrate import calibrate as calibrate_session
-    from tumble.views.calibration import MOST_REMARKS, WIDTH, calibration_blocks
+    from tumble.views.calibration import MAX_REMARKS, WIDTH, calibration_blocks
 
     check_recordings(sessions)
     methods, estimation = tuple(dict.fromkeys(method)), _taken(options, "iterations", "frame", "terms")
@@ -91,10 +88,9 @@ def calibrate(
         raise InputError("--out: expected a file for the result of several sessions, found none; give --out FILE.json")
     if truth is not None and frame != "accelerometer":
         raise InputError(f"--truth: expected the frame 'accelerometer', in which truth.json is, found {frame!r}")
-    if registry is not None and (together or (len(sessions) == 1 and (methods != ("joint",) or linear))):
+    if registry is not None and (len(sessions) > 1 or together or methods != ("joint",) or linear):
         raise InputError(
-            "--registry: expected several launches, or one session and the method joint with all terms, found another "
-            "kind of calibration"
+            "--registry: expected one session and the method joint with all terms, found another kind of calibration"
         )
     if without is not None and len(sessions) > 1:
         raise InputError("--without: expected one session, whose rests are numbered, found several; use [[exclude]]")
@@ -119,7 +115,7 @@ def calibrate(
             results = [calibrate_together(described, frame=frame, progress=progress)]
         else:
             if registry is not None:
-                estimation |= _known_in(registry, described[0], frame, several=len(described) > 1)
+                estimation["prior"] = _prior_by_type(registry, described[0])
             calibrated: Callable[..., Calibration] = partial(calibrate_session, described[0])
             if len(described) > 1:
                 from tumble.run.launches import calibrate_launches
@@ -143,7 +139,7 @@ def calibrate(
     for other in others:
         for reason in other.outcome.reasons:
             tell.warn(f"{other.method}: not accepted: {reason}")
-    tell.end(result.outcome.reasons, "not accepted: ", most=None if shown["every"] else MOST_REMARKS)
+    tell.end(result.outcome.reasons, "not accepted: ", most=None if shown["every"] else MAX_REMARKS)
 
 
 def _taken(options: dict[str, Any], *names: str) -> dict[str, Any]:
@@ -151,14 +147,12 @@ def _taken(options: dict[str, Any], *names: str) -> dict[str, Any]:
     return {name: options.pop(name) for name in names}
 
 
-def _known_in(registry: str, session: Session, frame: Frame, *, several: bool) -> dict[str, Any]:
-    """What a registry knows of the type of a device, as an argument of a calibration."""
+def _prior_by_type(registry: str, session: Session) -> DevicePrior:
+    """Return the prior of a device by other units of its type in a registry."""
     if session.device.model is None:
         raise InputError("--registry: expected the type of the device, `model` under [device], found none")
     with ask.opened(registry) as opened:
-        if several:
-            return {"alike": opened.launches(model=session.device.model, frame=frame)}
-        return {"prior": opened.prior(session.device.model, without=session.device.serial)}
+        return opened.prior(session.device.model, without=session.device.serial)
 
 
 @contextmanager

@@ -46,16 +46,21 @@ def report(calibrations: tuple[Path, ...], out: Path, limits: Path | None, certi
     tell.end(reasons, "not accepted: ")
 
 
+class _ExportCommand(click.Command):
+    """A command whose help lists the export targets with a few words on each."""
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        from tumble.export import described_targets
+
+        super().format_options(ctx, formatter)
+        with formatter.section("Targets"):
+            formatter.write_dl([*described_targets()])
+
+
 class _Target(click.ParamType[str]):
-    """The name of an export target; names of other packages are looked up where the help lists them."""
+    """Name of an export target."""
 
     name = "target"
-
-    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
-        from tumble.export import targets
-
-        del param, ctx
-        return f"[{'|'.join(targets())}]"
 
     def shell_complete(
         self, ctx: click.Context, param: click.Parameter, incomplete: str
@@ -67,13 +72,14 @@ class _Target(click.ParamType[str]):
 
 
 @click.command(
+    cls=_ExportCommand,
     epilog=ask.examples(
         "tumble export imu-7/calibration.json --to px4 -o imu-7.params",
         "tumble export imu-7/calibration.json --template slowfly.tmpl -o imu-7.cfg",
-    )
+    ),
 )
 @click.argument("calibration", type=ask.FILE)
-@ask.option("--to", "What to write.", type=_Target())
+@ask.option("--to", "Format of the file, see below.", type=_Target())
 @ask.option("--template", "A template of your own instead.", type=ask.FILE)
 @ask.out("File to write.", required=True)
 @ask.option("--noise", "kalibr: noise from this session's longest rest.", metavar="SESSION", type=ask.PATH)

@@ -62,7 +62,7 @@ def check(
         launches: tuple[LaunchVariances, ...] = ()
         if registry is not None:
             with ask.opened(registry) as opened:
-                launches = opened.launches(serial=read_session(readings).device.serial)
+                launches = opened.launches(read_session(readings).device.serial)
         found = check_calibration(calibration, readings, launches=launches)
     else:
         found = check_stream(calibration, listen, session=session, show=_show)

@@ -1,5 +1,5 @@
-"""What is wrong with a recording or an estimate, said in sentences with cause and remedy.
+"""Causes and remedies of faulty recordings and of poor estimates.
 
-Of a recording, before anything is estimated: `channels`, `carried_vertical` by `turn_likelihood`. Of an estimate:
-`undetermined`, `site_gravity` and `misfit` with the table of `causes`, of which `verdict` makes an outcome.
+Recordings are judged before anything is estimated, by `channels` and `carried_vertical` (with `turn_likelihood`).
+Estimates are judged by `verdict`, from the findings of `undetermined`, `misfit` and `causes`.
 """

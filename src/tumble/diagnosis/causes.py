@@ -1,12 +1,11 @@
-"""What may be behind residuals that the noise does not explain, of each session the most likely first.
+"""Candidate causes of residuals that the noise does not explain, each with its columns, its sentence and its test.
 
-A candidate is columns of the rows of rests and turns per unit of its size, with a place among WORDING for what is said
-of it: `candidates_of` is the list of them. All are tested at the linearisation of the estimate, without solving again
-(`tumble.diagnosis.projection`). A fall of chi-square Δχ² is judged as chi-square of q degrees of freedom by the noise
-alone, and by F = (Δχ²/q) / ((χ² − Δχ²)/(ν − q)) with the components of variance of the estimate too: of few degrees of
-freedom a scatter may be had by chance, and what is left beside a cause be nothing. What drifts or settles is no
-candidate: it is in the processes of the biases and in the groups that go with time, whose sizes are estimated
-(`tumble.diagnosis.misfit`).
+A candidate is a set of columns, the rows of rests and turns per SI unit of its size. All candidates are fitted at the
+linearisation of the estimate, without solving again (`tumble.diagnosis.projection`). A decrease of chi-square Δχ² is
+judged by the noise alone, as chi-square of q degrees of freedom, and with the variance components of the estimate, by
+F = (Δχ²/q) / ((χ² − Δχ²)/(ν − q)). The larger probability counts: with few degrees of freedom, scatter may be due to
+chance, or a cause may leave nothing of the residuals. Drifts are no candidates: they are part of the bias processes and
+of the groups that vary in time, whose sizes are estimated (`tumble.diagnosis.misfit`).
 """
 
 from __future__ import annotations
@@ -16,16 +15,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from tumble.diagnosis.linearised_session import (
-    PATH_STEPS,
-    SHORTEST_TURN,
-    UNITS,
-    WORDS,
-    Concerns,
-    LinearisedSession,
-    sized,
-)
-from tumble.diagnosis.projection import FALSE_ALARMS, Projection, falls_by_place, projections
+from tumble.diagnosis.findings import BIAS_UNITS, SENSORS, with_unit
+from tumble.diagnosis.linearised_session import PATH_STEPS, SHORTEST_TURN, LinearisedSession
+from tumble.diagnosis.projection import FALSE_ALARMS, Projection, approximate_drops, projections
 from tumble.earth import earth_rate
 from tumble.inference.integrated_turns import IntegratedTurns
 from tumble.inference.linearisation import Linearisation, linearise
@@ -33,213 +25,164 @@ from tumble.inference.noise import VarianceComponents
 from tumble.inference.normal_equations import Solution
 from tumble.rotation import skew
 from tumble.sensors.instrument import functions
-from tumble.sensors.model import Block
+from tumble.sensors.model import Block, SensorKind
 from tumble.sensors.parameters import PAIRS, PRODUCTS, RATE, group_name, positions_by_group
 from tumble.units import DEGREE, G_STANDARD, Array, IntArray, two_digits
 
-MEMORIES = (10.0, 60.0, 300.0)
-"""Time constants of a memory that are tried, s."""
+MEMORY_TIMES = (10.0, 60.0, 300.0)  # s: time constants of a memory that are tried
 PLAY = 0.05 * G_STANDARD
-"""Half the width of the play of a hysteresis: a change of the own force by twice as much takes it across."""
-EARTH_SEEN = 0.03
-"""Relative standard uncertainty of the Earth's rate, and rad of the latitude: gyros that know them no better hardly see
-the headings, and these are not linear then."""
-FEWEST_BESIDE = 2
-"""Rests on either side of a jump: one alone with another bias is a rest that does not fit."""
-SHIFTS = 7
-"""Places of a session at which gyros are tried that turn against the accelerometers: one that shifts between two of
-them is seen by either."""
-COARSE = 0.5
-"""What rounding does to the mean of a rest, in parts of its noise, from which on it is a cause."""
-
-_APART = "calibrate what is before and what is after as launches"
-_PRODUCTS = (
-    2,
-    "{sensors} that read products of forces, by {size}: more oblique rests, or use it near the attitudes of the "
-    "session",
-)
-WORDING: Mapping[str, tuple[tuple[float, str] | int, str]] = {
-    "jump": (
-        0,
-        "biases of the {sensors} jump by {size} after {0}, as of a driver that measures them anew or of another "
-        f"device: {_APART}, each with the times of the other in [[exclude]]",
-    ),
-    "shift": (
-        (DEGREE, "°"),
-        "the gyros turn against the accelerometers by {size} about {0} s, as on a board that is loose: fasten it, and "
-        f"{_APART}",
-    ),
-    "hysteresis": (
-        0,
-        "hysteresis of the accelerometers of {size}, by the sign of the last change of the own force: come to each "
-        "position from both sides",
-    ),
-    "memory": (
-        1,
-        "{sensors} that remember the previous attitude by {size} for about {0} s: longer rests, of which the beginning "
-        "is left out",
-    ),
-    "cross products": _PRODUCTS,
-    "g² sensitivity": _PRODUCTS,
-    "gyro nonlinearity": (
-        (1e-6 / (10.0 * DEGREE) ** 2, "ppm at 10 °/s"),
-        "scale factors of the gyros that depend on the rate, by {size}: turn at the rates of use, at one rate, or make "
-        "them parameters by gyro_cubic in [device.prior]",
-    ),
-    "latitude": (
-        (DEGREE, "°"),
-        "a latitude that the gyros contradict by {size}: look at latitude_deg in [site], and its sign",
-    ),
-    "clock": (
-        (1e-2, "%"),
-        "a clock of the log that the Earth's rate contradicts by {size}: look at rate_hz, or the time column and its "
-        "unit, in [log]",
-    ),
-    "lost samples": (
-        (DEGREE, "°"),
-        "{0} errs about its own axis by {size}: samples are missing or held there; leave it out by turn = {1} in "
-        "[[exclude]], and record with time stamps",
-    ),
-}
-"""Of each candidate the unit (SI, name) of its size, or a power of g by which that of biases is divided, and what is
-said of `sensors` by its `size` and place."""
+"""Half the width of the play of a hysteresis: a change of the force by twice as much crosses it."""
+EARTH_RATE_U = 0.03
+"""Largest relative uncertainty of the Earth's rate, and of the latitude in rad, at which these are tested: with less
+information the headings are hardly determined and not linear."""
+RESTS_BESIDE_JUMP = 2
+"""Fewest rests before and after a jump: a single rest with another bias is a rest that does not fit."""
+SHIFT_PLACES = 7
+"""Places in a session at which a shift of the gyros is tried; one between two of them is found at either."""
+COARSE_ROUNDING = 0.5  # error of the mean of a rest by rounding, in units of its noise, from which rounding is a cause
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Cause:
-    """A candidate cause as a session sees it: its `name`, which sensors it `concerns`, the `probability` that chance
-    alone shows as much, by how much the parameters of each group of the linear model err without it at most, in their
-    u, and a `sentence` with size and remedy."""
+    """A possible cause of the residuals of a session."""
 
     name: str
-    concerns: Concerns
-    probability: float = 0.0
+    concerns: tuple[SensorKind, ...]  # the kind of sensor; empty for both kinds
+    p_value: float = 0.0  # probability that chance alone explains the residuals as well
     by_group: Mapping[str, float] = field(default_factory=dict)
-    sentence: str
-    rivals: tuple[str, ...] = ()
-    """Names of causes that the session does not tell from it."""
+    """Largest error of a parameter, in its u, if the cause is left out, for each group of the linear model."""
+    sentence: str  # with size and remedy
+    rivals: tuple[str, ...] = ()  # names of causes that the session does not distinguish from it
 
     @property
     def damage(self) -> float:
-        """By how much any parameter errs, in its u."""
+        """Largest error of any parameter, in its u."""
         return max(self.by_group.values(), default=0.0)
-
-    @property
-    def concerned(self) -> tuple[str, ...]:
-        """The kind of sensor it concerns, none where both."""
-        return () if self.concerns == "both" else (self.concerns,)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Candidate:
-    """Columns of the rows of rests (N, r, q) and of turns (K, t, q) of a candidate, per SI unit of its size."""
+    """A possible cause with its effect on the rows of rests and turns."""
 
     name: str
-    concerns: Concerns
-    columns: tuple[Array, Array]
-    places: Sequence[Sequence[str]] = ((),)
-    """Where, in words for what is said, one or that of each session."""
-    known: float = np.inf
-    """A session that knows the size to no better, SI, says nothing of it."""
-    tried: int = 1
-    """Of how many places it is the most likely."""
+    concerns: tuple[SensorKind, ...]
+    columns: tuple[Array, Array]  # (N, r, q) of the rests and (K, t, q) of the turns, per SI unit of the size
+    unit: tuple[float, str]  # of the size in sentences: SI, name
+    sentences: Sequence[str]  # one, or one for each session, with {size}
+    largest_u: float = np.inf  # SI: it is not tested where its size is more uncertain
+    places: int = 1  # number of places of which this is the most likely one
     direct: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """By how much one of its size changes parameters of groups beside what the rows show, and their standard
-    uncertainty for it."""
-
-    def sentence(self, s: int, size: float) -> str:
-        """What is said of it in session s."""
-        unit, words = WORDING[self.name]
-        if isinstance(unit, int):
-            one, name = UNITS[self.concerns]
-            unit = one / G_STANDARD**unit, f"{name}/g{'' if unit == 1 else '²'}" if unit else name
-        place = self.places[min(s, len(self.places) - 1)]
-        return words.format(*place, size=sized(size, unit), sensors=WORDS.get(self.concerns, ""))
+    """By group, the change beside the effect on the rows, per unit of the size, and its standard uncertainty."""
 
 
-def tested(linearised: Linearisation, candidates: Sequence[Candidate]) -> list[list[Cause]]:
-    """Of each session the candidates that it sees, of each name and kind of sensor the most likely with its probability
-    as that of one of many: no more likely than by the noise alone, or by the components of variance of the estimate."""
+def fit_candidates(linearised: Linearisation, candidates: Sequence[Candidate]) -> list[list[Cause]]:
+    """Return for each session the causes it can see, the most likely candidate of each name and kind of sensor.
+
+    The p-value is multiplied by the number of places tried (Bonferroni)."""
     rest, turn = (np.concatenate([c.columns[rows] for c in candidates], axis=2) for rows in (0, 1))
-    ends = np.cumsum([c.columns[0].shape[2] for c in candidates])
-    columns = [np.arange(end - c.columns[0].shape[2], end) for c, end in zip(candidates, ends.tolist(), strict=True)]
+    ends = np.cumsum([c.columns[0].shape[2] for c in candidates]).tolist()
+    columns = [np.arange(end - c.columns[0].shape[2], end) for c, end in zip(candidates, ends, strict=True)]
     instrument = linearised.problem.instrument
     groups = positions_by_group(instrument.names[: instrument.linear_count])
-    whole = list(projections(linearised, linearised.components, rest, turn))
-    alone = projections(linearised, VarianceComponents(), rest, turn) if whole[0].scatters else whole
-    tried = dict[tuple[str, Concerns], int]()
+    with_scatter = list(projections(linearised, linearised.components, rest, turn))
+    noise_only = with_scatter
+    if with_scatter[0].has_scatter:
+        noise_only = list(projections(linearised, VarianceComponents(), rest, turn))
+    places = dict[tuple[str, tuple[str, ...]], int]()
     for c in candidates:
-        tried[c.name, c.concerns] = tried.get((c.name, c.concerns), 0) + c.tried
-    by_session = []
-    for s, (by_noise, by_all) in enumerate(zip(alone, whole, strict=True)):
-        best = dict[tuple[str, Concerns], tuple[Cause, IntArray]]()
-        for c, some in zip(candidates, columns, strict=True):
-            by_one, explained = by_noise.explained(some, c.known), by_all.explained(some)
-            if by_one is None or explained is None:
+        places[c.name, c.concerns] = places.get((c.name, c.concerns), 0) + c.places
+    causes_by_session = []
+    for s, (by_noise, projection) in enumerate(zip(noise_only, with_scatter, strict=True)):
+        best = dict[tuple[str, tuple[str, ...]], tuple[Cause, IntArray]]()
+        for c, own in zip(candidates, columns, strict=True):
+            first, fit = by_noise.fit(own, c.largest_u), projection.fit(own)
+            if first is None or fit is None:
                 continue
-            chance = max(by_noise.chance(by_one.fall, by_one.q), by_all.chance(explained.fall, explained.q))
-            chance = min(1.0, tried[c.name, c.concerns] * chance)
-            if (c.name, c.concerns) in best and best[c.name, c.concerns][0].probability <= chance:
+            p_value = max(by_noise.p_value(first.drop, first.rank), projection.p_value(fit.drop, fit.rank))
+            p_value = min(1.0, places[c.name, c.concerns] * p_value)
+            if (c.name, c.concerns) in best and best[c.name, c.concerns][0].p_value <= p_value:
                 continue
-            moved, variance = explained.moved.copy(), by_all.u**2
+            shift, variance = fit.shift.copy(), projection.u**2
             for group, (change, u) in c.direct.items():
-                moved[groups[group]] -= change * explained.values[0]
+                shift[groups[group]] -= change * fit.values[0]
                 variance[groups[group]] += u**2
-            damage = np.abs(moved) / np.sqrt(variance)
+            damage = np.abs(shift) / np.sqrt(variance)
+            size = with_unit(float(np.abs(fit.values).max()), c.unit)
             cause = Cause(
                 name=c.name,
                 concerns=c.concerns,
-                probability=chance,
+                p_value=p_value,
                 by_group={group: float(damage[members].max()) for group, members in groups.items()},
-                sentence=c.sentence(s, float(np.abs(explained.values).max())),
+                sentence=c.sentences[min(s, len(c.sentences) - 1)].format(size=size),
             )
-            best[c.name, c.concerns] = cause, some
-        by_session.append(_told_apart(list(best.values()), by_all))
-    return by_session
+            best[c.name, c.concerns] = cause, own
+        causes_by_session.append(_beside_the_likeliest(list(best.values()), projection))
+    return causes_by_session
 
 
-def _told_apart(found: list[tuple[Cause, IntArray]], whole: Projection) -> list[Cause]:
-    """The causes, with their columns, beside the likeliest one, if that stands out, which comes first then. The others
-    are as likely as they are beside it; those beside which it explains nothing more are its rivals, and are said with
-    it."""
+def _beside_the_likeliest(found: list[tuple[Cause, IntArray]], projection: Projection) -> list[Cause]:
+    """Return the causes, the likeliest first if it is significant, with the p-values of the others beside it.
+
+    A cause that explains nothing more beside it, and beside which it explains nothing more, is its rival."""
     causes = [cause for cause, _ in found]
-    if not causes or min(cause.probability for cause in causes) > FALSE_ALARMS:
+    if not causes or min(cause.p_value for cause in causes) > FALSE_ALARMS:
         return causes
-    best, first = min(found, key=lambda each: each[0].probability)
-    alone, out = whole.explained(first), list[Cause]()
-    assert alone is not None
-    for cause, own in found:
-        both, other = whole.explained(np.concatenate([first, own])), whole.explained(own)
-        if own is first or both is None or other is None:
+    best, best_columns = min(found, key=lambda each: each[0].p_value)
+    best_fit, others = projection.fit(best_columns), list[Cause]()
+    assert best_fit is not None
+    for cause, columns in found:
+        both, own_fit = projection.fit(np.concatenate([best_columns, columns])), projection.fit(columns)
+        if columns is best_columns or both is None or own_fit is None:
             continue
-        chance, instead = (
-            whole.chance(both.fall - before.fall, both.q - before.q, (before.fall, before.q))
-            if both.q > before.q
+        beside, reversed_ = (
+            projection.p_value(both.drop - before.drop, both.rank - before.rank, (before.drop, before.rank))
+            if both.rank > before.rank
             else 1.0
-            for before in (alone, other)
+            for before in (best_fit, own_fit)
         )
-        if min(chance, instead) > FALSE_ALARMS:
-            damages = {name: max(size, cause.by_group[name]) for name, size in best.by_group.items()}
+        if min(beside, reversed_) > FALSE_ALARMS:
+            by_group = {name: max(size, cause.by_group[name]) for name, size in best.by_group.items()}
             sentence = f"{best.sentence}; or, which the session does not tell apart: {cause.sentence}"
-            best = replace(best, sentence=sentence, by_group=damages, rivals=(*best.rivals, cause.name))
-        out.append(replace(cause, probability=max(cause.probability, chance)))
-    return [best, *out]
+            best = replace(best, sentence=sentence, by_group=by_group, rivals=(*best.rivals, cause.name))
+        others.append(replace(cause, p_value=max(cause.p_value, beside)))
+    return [best, *others]
 
 
-def candidates_of(session: LinearisedSession, alone: Solution) -> Iterator[Candidate]:
-    """Everything that is tried by columns, but for lost samples (`tumble.diagnosis.lost_samples`); `alone` is what the
-    noise within rests leaves of residuals."""
+# -------------------- the candidates --------------------
+
+
+def candidates_of(session: LinearisedSession, noise_only: Solution) -> Iterator[Candidate]:
+    """Yield all candidates except lost samples (`tumble.diagnosis.lost_samples`).
+
+    `noise_only` is the solution without variance components."""
     about, gyro = session.linearised.about, session.observations.gyro_block
-    yield from jumps(session, alone)
-    played = session.biased("accel", *_followed_along(session, session.accel, _played, np.ones(())))
-    yield Candidate(name="hysteresis", concerns="accel", columns=played)
+    yield from jumps(session, noise_only)
+    hysteresis = session.bias_columns("accel", *_lags_along_session(session, session.accel, _play_lag, np.ones(())))
+    yield Candidate(
+        name="hysteresis",
+        concerns=("accel",),
+        columns=hysteresis,
+        unit=BIAS_UNITS["accel"],
+        sentences=[
+            "hysteresis of the accelerometers of {size}, by the sign of the last change of the own force: come to each "
+            "position from both sides"
+        ],
+    )
     for kind, block in session.kinds:
-        memories = zip(MEMORIES, *_followed_along(session, block, followed, np.array(MEMORIES)), strict=True)
-        for memory, *columns in memories:
-            slow = session.biased(kind, *columns)
-            yield Candidate(name="memory", concerns=kind, columns=slow, places=[[f"{memory:.0f}"]])
+        lags = _lags_along_session(session, block, memory_lag, np.array(MEMORY_TIMES))
+        for time, *lag in zip(MEMORY_TIMES, *lags, strict=True):
+            yield Candidate(
+                name="memory",
+                concerns=(kind,),
+                columns=session.bias_columns(kind, *lag),
+                unit=_per_g(kind, 1),
+                sentences=[
+                    f"{SENSORS[kind]} that remember the previous attitude by {{size}} for about {time:.0f} s: longer "
+                    "rests, of which the beginning is left out"
+                ],
+            )
     yield from products(session)
-    if any(session.turned) and about is not None and gyro is not None:
+    if any(session.has_turns) and about is not None and gyro is not None:
         yield from shifts(session, about, gyro)
         if "gyro.cubic" not in session.problem.instrument.members:
             yield gyro_nonlinearity(session, about, gyro)
@@ -247,174 +190,233 @@ def candidates_of(session: LinearisedSession, alone: Solution) -> Iterator[Candi
         yield from earth_rate_errors(session)
 
 
-def jumps(session: LinearisedSession, alone: Solution) -> Iterator[Candidate]:
-    """Biases of a kind of sensors that change between two rests, as where a driver measures them anew or another device
-    goes on, about their means over the rests, which are the parameters; the turn between is taken as lying half before
-    and half after it. They do so where that explains most of what the noise within rests leaves."""
+def _per_g(kind: str, power: int) -> tuple[float, str]:
+    """Return the unit (SI, name) of a bias per power of g."""
+    size, name = BIAS_UNITS[kind]
+    return size / G_STANDARD**power, f"{name}/g{'' if power == 1 else '²'}"
+
+
+def jumps(session: LinearisedSession, noise_only: Solution) -> Iterator[Candidate]:
+    """Yield a jump of the biases of each kind of sensor, as of a driver that measures them anew.
+
+    In each session the jump is after the rest where it explains most of the residuals by noise alone. The turn there
+    has half of it. The parameters are the means over the rests, and the jump is about these."""
     rests, parts = session.observations.rests, session.problem.parts
     turns = len(session.problem.before_turn)
     for kind, block in session.kinds:
-        alike = np.ones((len(rests), block.size)), np.ones((turns, PATH_STEPS, block.size))
-        bias = alone.equations.rest_whitening @ session.biased(kind, *alike)[0]
-        after, in_turn, places = np.zeros(len(rests)), np.zeros(turns), list[list[str]]()
+        constant = np.ones((len(rests), block.size)), np.ones((turns, PATH_STEPS, block.size))
+        bias = noise_only.equations.rest_whitening @ session.bias_columns(kind, *constant)[0]
+        at_rest, in_turn, sentences = np.zeros(len(rests)), np.zeros(turns), list[str]()
         for part in parts:
-            lasts = np.arange(part.rests.start + FEWEST_BESIDE - 1, part.rests.stop - FEWEST_BESIDE)
+            lasts = np.arange(part.rests.start + RESTS_BESIDE_JUMP - 1, part.rests.stop - RESTS_BESIDE_JUMP)
             later = (np.arange(part.rests.start, part.rests.stop) > lasts[:, None]).astype(float)
             about_mean = later - later.mean(axis=1, keepdims=True)
-            residual, covariance = (each[part.rests] for each in alone.rest_residuals)
-            falls = falls_by_place(about_mean, bias[part.rests], residual, covariance)
-            places.append([""])
-            if not falls.any():
-                continue
-            last = int(lasts[np.argmax(falls)])
-            since, in_turn[part.turns] = session.since(last, part)
-            after[part.rests] = since - since.mean()
-            in_turn[part.turns] -= since.mean()
-            named = session.observations.rest_named(last).rpartition(": ")[2]
-            places[-1] = [f"{named} ({rests.start[last]:z.1f}–{rests.stop[last]:z.1f} s)"]
-        columns = session.biased(kind, after[:, None] * alike[0], in_turn[:, None, None] * alike[1])
-        tried = max(1, max(part.rests.stop - part.rests.start for part in parts) - 2 * FEWEST_BESIDE + 1)
-        yield Candidate(name="jump", concerns=kind, columns=columns, places=places, tried=tried)
+            residual, covariance = (each[part.rests] for each in noise_only.rest_residuals)
+            drops = approximate_drops(about_mean, bias[part.rests], residual, covariance)
+            place = ""
+            if drops.any():
+                last = int(lasts[np.argmax(drops)])
+                after, in_turn[part.turns] = session.after_rest(last, part)
+                at_rest[part.rests] = after - after.mean()
+                in_turn[part.turns] -= after.mean()
+                name = session.observations.rest_named(last).rpartition(": ")[2]
+                place = f"{name} ({rests.start[last]:z.1f}–{rests.stop[last]:z.1f} s)"
+            sentences.append(
+                f"biases of the {SENSORS[kind]} jump by {{size}} after {place}, as of a driver that measures them anew "
+                "or of another device: calibrate what is before and what is after as launches, each with the times of "
+                "the other in [[exclude]]"
+            )
+        yield Candidate(
+            name="jump",
+            concerns=(kind,),
+            columns=session.bias_columns(kind, at_rest[:, None] * constant[0], in_turn[:, None, None] * constant[1]),
+            unit=BIAS_UNITS[kind],
+            sentences=sentences,
+            places=max(1, max(part.rests.stop - part.rests.start for part in parts) - 2 * RESTS_BESIDE_JUMP + 1),
+        )
 
 
 def shifts(session: LinearisedSession, about: IntegratedTurns, gyro: Block) -> Iterator[Candidate]:
-    """Gyros that turn against the accelerometers by a small angle δ between two rests, as on a board that is loose, at
-    SHIFTS places of each session: ∂K/∂δ of a gyro of the axis a is a × δ, in the rates of what comes after."""
+    """Yield rotations of the gyros against the accelerometers by a small angle δ, as on a loose board.
+
+    For a gyro of axis a, ∂K/∂δ = a × δ for the rates after the place of the shift."""
     rests, n = session.observations.rests, session.accel.size
     change = skew(gyro.axes)  # (n, 3, 3): a × e_j, by the components of the rate
-    rest, turn = session.nothing(3)
+    rest, turn = session.zero_columns(3)
     rest[:, n : n + gyro.size] = np.einsum("nb,pbj->npj", session.rate, change)
     turn[:, :3], velocity = (
         np.einsum("kipb,pbj->kij", by[..., RATE], change) for by in (about.by_phi, about.by_velocity)
     )
-    session.put_velocity(turn, velocity)
-    for place in range(1, SHIFTS + 1):
-        at_rest, in_turn, places = np.zeros(len(rest)), np.zeros(len(turn)), list[list[str]]()
+    session.set_velocity(turn, velocity)
+    for place in range(1, SHIFT_PLACES + 1):
+        at_rest, in_turn, sentences = np.zeros(len(rest)), np.zeros(len(turn)), list[str]()
         for part in session.problem.parts:
-            last = part.rests.start + (part.rests.stop - part.rests.start) * place // (SHIFTS + 1)
-            at_rest[part.rests], in_turn[part.turns] = session.since(last, part)
-            places.append([f"{rests.stop[last]:z.0f}"])
+            last = part.rests.start + (part.rests.stop - part.rests.start) * place // (SHIFT_PLACES + 1)
+            at_rest[part.rests], in_turn[part.turns] = session.after_rest(last, part)
+            sentences.append(
+                f"the gyros turn against the accelerometers by {{size}} about {rests.stop[last]:z.0f} s, as on a board "
+                "that is loose: fasten it, and calibrate what is before and what is after as launches"
+            )
         columns = rest * at_rest[:, None, None], turn * in_turn[:, None, None]
-        yield Candidate(name="shift", concerns="gyro", columns=columns, places=places)
+        yield Candidate(name="shift", concerns=("gyro",), columns=columns, unit=(DEGREE, "°"), sentences=sentences)
 
 
-# ---- readings that depend on where the sensors come from
+# ---- errors that depend on the previous attitudes
 
 
-def _followed_along(
-    session: LinearisedSession, block: Block, follow: Callable[[Array, Array, Array], tuple[Array, Array]], units: Array
+def _lags_along_session(
+    session: LinearisedSession, block: Block, lag: Callable[[Array, Array, Array], tuple[Array, Array]], times: Array
 ) -> tuple[Array, Array]:
-    """What states of every sensor of a block, carried from rest to rest, do to its readings: at rest (..., N, n) and in
-    the steps of the turns (..., K, steps, n). `follow(states (..., n), own forces (steps, n), times of a step (...))`,
-    times being in `units` (...), s, has that and the states after the steps; the first rest of a session begins at its
-    own force."""
+    """Return the lag of every sensor at rest (..., N, n) and in the steps of the turns (..., K, steps, n).
+
+    Each sensor has a state, which starts at its force in the first rest of a session. `lag` returns the lags in steps
+    and the states (..., n) after them, from the states before, the forces (steps, n) and the duration of a step in
+    `times` (...), s."""
     rests, turns, link = session.observations.rests, session.observations.turns, session.problem.link
-    own, paths = session.force @ block.axes.T, session.paths @ block.axes.T
-    at_rest, in_turn = np.zeros((*units.shape, *own.shape)), np.zeros((*units.shape, *paths.shape))
-    state = np.zeros((*units.shape, block.size))
-    for i, here in enumerate(own):
-        if i == 0 or i in session.begins:
+    force, path = session.force @ block.axes.T, session.path_forces @ block.axes.T
+    at_rest, in_turn = np.zeros((*times.shape, *force.shape)), np.zeros((*times.shape, *path.shape))
+    state = np.zeros((*times.shape, block.size))
+    for i, here in enumerate(force):
+        if i in session.first_rests:
             state = np.broadcast_to(here, state.shape)
-        at_rest[..., i : i + 1, :], state = follow(state, here[None], (rests.stop[i] - rests.start[i]) / units)
+        at_rest[..., i : i + 1, :], state = lag(state, here[None], (rests.stop[i] - rests.start[i]) / times)
         if (k := link[i]) >= 0 and turns is not None:
-            in_turn[..., k, :, :], state = follow(state, paths[k], turns.duration[k] / PATH_STEPS / units)
+            in_turn[..., k, :, :], state = lag(state, path[k], turns.duration[k] / PATH_STEPS / times)
     return at_rest, in_turn
 
 
-def _played(middle: Array, targets: Array, _: Array) -> tuple[Array, Array]:
-    """Where in their play, −1 … 1, the own forces (steps, n) are, and the middle of the play after them."""
-    middles = np.empty_like(targets)
-    for j, (low, high) in enumerate(zip(targets - PLAY, targets + PLAY, strict=True)):
+def _play_lag(middle: Array, force: Array, _: Array) -> tuple[Array, Array]:
+    """Return where the forces (steps, n) are in their play, −1 … 1, and the middle of the play after them."""
+    middles = np.empty_like(force)
+    for j, (low, high) in enumerate(zip(force - PLAY, force + PLAY, strict=True)):
         middles[j] = middle = np.minimum(np.maximum(middle, low), high)
-    return (targets - middles) / PLAY, middle
+    return (force - middles) / PLAY, middle
 
 
-def followed(slow: Array, targets: Array, passed: Array) -> tuple[Array, Array]:
-    """The means (..., steps, n) of slow − target over steps of a time, in time constants (...), with a target (n,)
-    each, and slow (..., n) after them: slow_j+1 = target_j + (slow_j − target_j) e^(−t)."""
-    steps, t = len(targets), passed[..., None, None]
-    left = np.exp(-passed[..., None] * np.arange(steps + 1))  # after so many steps
-    lag = np.arange(steps + 1)[:, None] - np.arange(steps)  # from the end of each step
-    weight = np.where(lag > 0, left[..., np.maximum(lag - 1, 0)], 0.0)
-    before = left[..., None] * slow[..., None, :] - np.expm1(-t) * (weight @ targets)
+def memory_lag(state: Array, target: Array, time: Array) -> tuple[Array, Array]:
+    """Return the mean of s − target in each step (..., steps, n) and the last s, s_{j+1} = target_j + (s_j − target_j)
+    e^(−t), from `state` (..., n), targets (steps, n) and the duration t of a step in time constants (...)."""
+    steps, t = len(target), time[..., None, None]
+    decay = np.exp(-time[..., None] * np.arange(steps + 1))  # after so many steps
+    steps_since = np.arange(steps + 1)[:, None] - np.arange(steps)
+    weight = np.where(steps_since > 0, decay[..., np.maximum(steps_since - 1, 0)], 0.0)
+    states = decay[..., None] * state[..., None, :] - np.expm1(-t) * (weight @ target)
     mean = np.where(t > 0.0, -np.expm1(-t) / np.where(t > 0.0, t, 1.0), 1.0)  # of e^(−t) over a step
-    return (before[..., :-1, :] - targets) * mean, before[..., -1, :]
+    return (states[..., :-1, :] - target) * mean, states[..., -1, :]
 
 
-# ---- readings that are not linear in force and rate, and the place
+# ---- errors that are not linear in force and rate
 
 
 def products(session: LinearisedSession) -> Iterator[Candidate]:
-    """Products of forces that no group of the instrument has: cross products in accelerometers, all in gyros."""
+    """Yield products of forces that are not parameters: cross products in accelerometers, all products in gyros."""
     about = session.linearised.about
     for kind, block in session.kinds:
         accel, first = kind == "accel", 0 if kind == "accel" else session.accel.size
         chosen = [b for b, pair in enumerate(PAIRS, start=PRODUCTS.start) if pair[0] != pair[1] or not accel]
         beta = functions(block, session.force, session.rate)[:, 0, chosen]
         n, q = block.size, block.size * len(chosen)
-        rest, turn = session.nothing(q)
+        rest, turn = session.zero_columns(q)
         rest[:, first : first + n] = np.einsum("nb,ps->npsb", beta, np.eye(n)).reshape(len(rest), n, q)
         if about is not None and accel:
-            session.put_velocity(turn, about.by_force[..., chosen].reshape(len(turn), 3, q))
+            session.set_velocity(turn, about.by_force[..., chosen].reshape(len(turn), 3, q))
         elif about is not None:
             turn[:, :3] = about.by_phi[..., chosen].reshape(len(turn), 3, q)
-        yield Candidate(name="cross products" if accel else "g² sensitivity", concerns=kind, columns=(rest, turn))
-
-
-def gyro_nonlinearity(session: LinearisedSession, about: IntegratedTurns, gyro: Block) -> Candidate:
-    """Scale factors with the square of the rate, of an estimate that has no such parameters."""
-    duration = np.maximum(about.moments.T, SHORTEST_TURN)[:, None]
-    square = about.moments.body_rates[:, [0, 3, 5]] / duration @ (gyro.axes**2).T
-    rest, turn = session.nothing(gyro.size)
-    turn[:, :3], velocity = (
-        np.einsum("kipb,pb,kp->kip", by[..., RATE], gyro.axes, square) for by in (about.by_phi, about.by_velocity)
-    )
-    session.put_velocity(turn, velocity)
-    return Candidate(name="gyro nonlinearity", concerns="gyro", columns=(rest, turn))
-
-
-def earth_rate_errors(session: LinearisedSession) -> Iterator[Candidate]:
-    """An error of the latitude of the site, rad, and a relative one of the clock of the log, each by a difference.
-
-    Of a log of which a second lasts 1 + ε seconds, turns are larger by ε than the gyros say, as by their scale factors;
-    levers and delays in its seconds explain the velocities as well. What is left is the Earth's rate, which is
-    (1 + ε) Ω in its seconds."""
-    step, latitude, rows = 1e-4, session.observations.site.latitude, session.linearised
-    assert latitude is not None
-    by_clock = {name: size for name, size in session.observations.by_clock.items() if name == group_name(name)}
-    u = max(map(abs, by_clock.values()), default=1.0)
-    direct = {group: (size / u, size) for group, size in by_clock.items()}
-    for name, earth in (("latitude", earth_rate(latitude + step)), ("clock", (1.0 + step) * session.problem.earth)):
-        there = linearise(replace(session.problem, earth=np.array(earth)), rows.point, rows.about)
-        rest, turn = ((a - b)[..., None] / step for a, b in zip(rows.residuals, there.residuals, strict=True))
         yield Candidate(
-            name=name,
-            concerns="both",
+            name="cross products" if accel else "g² sensitivity",
+            concerns=(kind,),
             columns=(rest, turn),
-            known=EARTH_SEEN,
-            direct=direct if name == "clock" else {},
+            unit=_per_g(kind, 2),
+            sentences=[
+                f"{SENSORS[kind]} that read products of forces, by {{size}}: more oblique rests, or use it near the "
+                "attitudes of the session"
+            ],
         )
 
 
+def gyro_nonlinearity(session: LinearisedSession, about: IntegratedTurns, gyro: Block) -> Candidate:
+    """Return scale factors of gyros that vary with the square of the rate."""
+    duration = np.maximum(about.moments.T, SHORTEST_TURN)[:, None]
+    square = about.moments.body_rates[:, [0, 3, 5]] / duration @ (gyro.axes**2).T
+    rest, turn = session.zero_columns(gyro.size)
+    turn[:, :3], velocity = (
+        np.einsum("kipb,pb,kp->kip", by[..., RATE], gyro.axes, square) for by in (about.by_phi, about.by_velocity)
+    )
+    session.set_velocity(turn, velocity)
+    return Candidate(
+        name="gyro nonlinearity",
+        concerns=("gyro",),
+        columns=(rest, turn),
+        unit=(1e-6 / (10.0 * DEGREE) ** 2, "ppm at 10 °/s"),
+        sentences=[
+            "scale factors of the gyros that depend on the rate, by {size}: turn at the rates of use, at one rate, or "
+            "make them parameters by gyro_cubic in [device.prior]"
+        ],
+    )
+
+
+# ---- errors of the site and of the clock
+
+
+def earth_rate_errors(session: LinearisedSession) -> Iterator[Candidate]:
+    """Yield an error of the latitude, rad, and a relative error of the clock of the log, by finite differences.
+
+    If a second of the log lasts 1 + ε s, the angles of turns are larger by ε, which is the effect of scale factors of
+    the gyros; velocities change as by lever arms and delays. Only the Earth's rate, (1 + ε) Ω in the log's seconds,
+    shows it."""
+    step, latitude, rows = 1e-4, session.observations.site.latitude, session.linearised
+    assert latitude is not None
+
+    def columns(earth: Array) -> tuple[Array, Array]:
+        changed = linearise(replace(session.problem, earth=np.array(earth)), rows.point, rows.about)
+        rest, turn = ((a - b)[..., None] / step for a, b in zip(rows.residuals, changed.residuals, strict=True))
+        return rest, turn
+
+    yield Candidate(
+        name="latitude",
+        concerns=(),
+        columns=columns(np.array(earth_rate(latitude + step))),
+        unit=(DEGREE, "°"),
+        sentences=["a latitude that the gyros contradict by {size}: look at latitude_deg in [site], and its sign"],
+        largest_u=EARTH_RATE_U,
+    )
+    by_clock = {name: size for name, size in session.observations.by_clock.items() if name == group_name(name)}
+    u = max(map(abs, by_clock.values()), default=1.0)
+    yield Candidate(
+        name="clock",
+        concerns=(),
+        columns=columns((1.0 + step) * session.problem.earth),
+        unit=(1e-2, "%"),
+        sentences=[
+            "a clock of the log that the Earth's rate contradicts by {size}: look at rate_hz, or the time column and "
+            "its unit, in [log]"
+        ],
+        largest_u=EARTH_RATE_U,
+        direct={group: (size / u, size) for group, size in by_clock.items()},
+    )
+
+
+# ---- rounding, which needs no columns
+
+
 def quantisation(session: LinearisedSession, s: int) -> Iterator[Cause]:
-    """Channels of session s whose steps the noise does not cover, where what rounding does to a mean is not small
-    beside its noise."""
+    """Yield kinds of sensors of session s whose rounding errors are large beside the noise of the mean of a rest."""
     rests = session.problem.parts[s].rests
     for kind, _ in session.kinds:
         rounding = session.observations.rounding.get(kind)
         if rounding is None or not rounding.common_u.any():
             continue
         covariance = getattr(session.observations.rests, f"{kind}_covariance")[rests]
-        variance = np.median(np.diagonal(covariance, axis1=1, axis2=2), axis=0) - rounding.of_rest**2
-        coarse = rounding.common_u > COARSE * np.sqrt(np.maximum(variance, 0.0))
+        variance = np.median(np.diagonal(covariance, axis1=1, axis2=2), axis=0) - rounding.rest_u**2
+        coarse = rounding.common_u > COARSE_ROUNDING * np.sqrt(np.maximum(variance, 0.0))
         if coarse.any():
             worst = int(np.argmax(np.where(coarse, rounding.common_u, 0.0)))
             step, error = float(rounding.step[worst]), float(rounding.common_u[worst])
-            scale, unit = UNITS[kind]
+            scale, unit = BIAS_UNITS[kind]
             yield Cause(
                 name="quantisation",
-                concerns=kind,
-                sentence=f"steps of the {WORDS[kind]} of {two_digits(step / scale)} {unit}, which the noise, "
+                concerns=(kind,),
+                sentence=f"steps of the {SENSORS[kind]} of {two_digits(step / scale)} {unit}, which the noise, "
                 f"{two_digits(rounding.noise[worst] / step)} of a step, does not cover: the mean of a rest errs by up "
                 f"to {two_digits(error / scale)} {unit}; log with more digits, or use a smaller range",
             )

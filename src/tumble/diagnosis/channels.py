@@ -1,5 +1,5 @@
-"""Channels of a log that are dead, stuck, clipped or damaged, and accelerometers that do not read gravity at rest:
-which unit, scale, offset or columns would make them.
+"""Faulty channels of a log: dead, stuck, clipped, damaged or filtered ones, and accelerometers that do not read gravity
+at rest, with the unit, scale, offset or columns that would explain it.
 """
 
 from __future__ import annotations
@@ -15,25 +15,18 @@ from tumble.reduction.rests.segmentation import Stretch
 from tumble.rotation import onto_body, unit_vector
 from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, UNIT_TOLERANCE, Array, fitting_units, is_near_one
 
-REST_SHARE = 0.2
-"""At least this part of a recording is rest: there a sample of coarse resolution equals the one before."""
-
-IMPOSSIBLE = 1e10
-"""SI: no sensor reads as much, in whatever unit its log is taken to be."""
-
-CHANCE = 1e-9
-"""Probability below which a row of equal samples is no accident."""
-
-LEAPING = 0.3 * G_STANDARD
-"""From one sample to the others of its 0.1 s, most of the time: no vibration that a device rests in is as large."""
+LEAST_REST_SHARE = 0.2  # least part of a recording at rest, where samples of coarse resolution repeat
+LARGEST_READING = 1e10  # SI: no sensor reads more, in whatever unit of its log
+RUN_PROBABILITY = 1e-9  # below it, a run of equal samples is a fault
+LEAST_LENGTH = 1e-9  # m/s² or rad: shorter vectors have no direction
+LEAP = 0.3 * G_STANDARD  # within 0.1 s, at the median: larger than the vibration of a device at rest
 
 
 def mixed_rows(reduction: Reduction, log: LogSpec) -> list[str]:
-    """Accelerometers that leap from sample to sample all the time, as rows of several sensors do where they are read
-    as those of one; their unit is right."""
+    """Return a fault if accelerometers leap all the time, as when rows of several sensors are mixed."""
     leaps = np.concatenate([each.accel.ends - each.accel.means for each in reduction.files])
     leap = float(np.median(np.linalg.norm(leaps, axis=1))) * np.sqrt(3 / leaps.shape[1])
-    if leap < LEAPING:
+    if leap < LEAP:
         return []
     return [
         f"the accelerometers leap by {leap:.2g} m/s^2 from sample to sample, most of the time: columns "
@@ -42,17 +35,17 @@ def mixed_rows(reduction: Reduction, log: LogSpec) -> list[str]:
     ]
 
 
-RADIAL, CONSTANT, LENGTHENS = 0.25, 1e-3, 1e-5
-"""Accelerometers whose magnitude is constant to RADIAL of their noise across gravity and to CONSTANT of itself, in all
-attitudes and on the way, have it from a driver: sensors have the same noise along gravity as across, and their errors
-beside. A vibration v across gravity of raw ones lengthens them by v²/2g, which is told from LENGTHENS of g on."""
-LEAST_FORCE = 1e-9
-"""m/s²: of a shorter vector no direction is known."""
+RADIAL_NOISE, CONSTANT_MAGNITUDE = 0.25, 1e-3
+"""Spread of the magnitude, relative to the noise across gravity and to itself, below which it was normalised: raw
+sensors have the same noise along gravity as across, and errors beside."""
+VIBRATION_LENGTHENS = 1e-5
+"""In g: a vibration v across gravity lengthens raw readings by v²/2g, which is visible from this size on."""
 
 
 def normalised(reduction: Reduction, rests: Sequence[Stretch], to_body: Array) -> list[str]:
-    """Accelerometers that a driver has divided by their magnitude: it is constant to rounding in motion too, and tells
-    nothing of their biases and scale factors. `to_body` (3, n) makes vectors of readings."""
+    """Return a fault if the magnitude of the accelerometers is constant also in motion, as a driver has divided by it.
+
+    `to_body` (3, n) converts readings to vectors."""
     if not rests:
         return []
     length = np.linalg.norm(np.concatenate([each.accel.ends for each in reduction.files]) @ to_body.T, axis=1)
@@ -61,17 +54,17 @@ def normalised(reduction: Reduction, rests: Sequence[Stretch], to_body: Array) -
     squares, lengthened = list[float](), list[float]()
     for rest in rests:
         samples = files[rest.file].accel.ends[rest.first : rest.last] @ to_body.T
-        up = samples.mean(axis=0) / max(float(np.linalg.norm(samples.mean(axis=0))), LEAST_FORCE)
+        up = samples.mean(axis=0) / max(float(np.linalg.norm(samples.mean(axis=0))), LEAST_LENGTH)
         off = samples - samples.mean(axis=0)
         square = ((off - np.outer(off @ up, up)) ** 2).sum(axis=1)
         squares.append(0.5 * float(square.mean()))
-        lengthened.append(0.5 * float(square.std()) / max(magnitude, LEAST_FORCE))
-    noise, longer = float(np.sqrt(np.median(squares))), float(np.median(lengthened))
-    limit = CONSTANT * magnitude
-    if longer > LENGTHENS * magnitude:
+        lengthened.append(0.5 * float(square.std()) / max(magnitude, LEAST_LENGTH))
+    noise, by_vibration = float(np.sqrt(np.median(squares))), float(np.median(lengthened))
+    limit = CONSTANT_MAGNITUDE * magnitude
+    if by_vibration > VIBRATION_LENGTHENS * magnitude:
         steps = [channel.step for channel in reduction.accel_channels if np.isfinite(channel.step)]
-        limit = min(limit, max([longer, *steps]))
-    if spread >= min(RADIAL * noise, limit):
+        limit = min(limit, max([by_vibration, *steps]))
+    if spread >= min(RADIAL_NOISE * noise, limit):
         return []
     return [
         f"the magnitude of the accelerometers is {magnitude:.6g} m/s^2 at rest and on the way, constant to "
@@ -80,61 +73,62 @@ def normalised(reduction: Reduction, rests: Sequence[Stretch], to_body: Array) -
     ]
 
 
-FEWEST_ZEROS, MORE_ZEROS = 5, 3.0
-"""Zeros at rest, beyond this number and so many times the values at the most frequent other place, are no chance."""
-PLACES, TIGHT, PULSES = 200.0, 20.0, 0.35
-"""Pulses whose intervals jitter stay in one of PLACES between zero and the median of what is read otherwise. They are
-such where so large a part of all is in one of TIGHT of these; of a smooth noise hardly two values are equal."""
-FINE = 3.0
-"""Steps of a channel: where what is read otherwise is mostly nearer to zero, coarse resolution makes the zeros."""
+FEWEST_ZEROS, ZEROS_RATIO = 5, 3.0
+"""Zeros at rest are a dead zone if there are more than this number and, beyond it, this many times the values at the
+most frequent other place."""
+PULSE_PLACES, PULSE_WIDTHS, PULSE_SHARE = 200.0, 20.0, 0.35
+"""Pulses with jittering intervals: values within one of PULSE_PLACES between zero and the median are taken as one. They
+are pulses if more than this share is in one of PULSE_WIDTHS; hardly two values of smooth noise are equal."""
+FINE_STEPS = 3.0  # steps of a channel; if other values are mostly closer to zero, coarse resolution makes the zeros
 
 
 def dead_zones(reduction: Reduction, rests: Sequence[Stretch], channels: Channels) -> list[str]:
-    """Gyros whose driver writes 0 for small rates: at rest they read exactly 0 more often than their resolution makes
-    them, while all other values are at least some way from it."""
+    """Return gyros whose driver writes 0 for small rates.
+
+    At rest they read 0 more often than their resolution explains, and no other small values."""
     files = reduction.by_file
     ends = [files[rest.file].gyro.ends[rest.first : rest.last] for rest in rests]
     at_rest = np.concatenate(ends) if ends else np.empty((0, len(channels.columns)))
-    every = np.concatenate([each.gyro.ends for each in reduction.files])
-    found = []
+    samples = np.concatenate([each.gyro.ends for each in reduction.files])
+
+    def most_equal(values: Array) -> int:
+        return int(np.unique(values, return_counts=True)[1].max())
+
+    faults = []
     for i, (column, state) in enumerate(zip(channels.columns, reduction.gyro_channels, strict=True)):
         sizes, step = np.abs(at_rest[:, i]), state.step if np.isfinite(state.step) else 0.0
         zeros, others = int((sizes == 0.0).sum()), sizes[sizes > 0.0]
-        anywhere = np.abs(every[:, i])
+        anywhere = np.abs(samples[:, i])
         if zeros <= FEWEST_ZEROS or not anywhere.any():
             continue
         least = float(anywhere[anywhere > 0.0].min())
-        usual, busiest = least, 0
+        typical, busiest = least, 0
         if len(others):
-            usual = float(np.median(others))
-            pulses = _most_alike(np.round(TIGHT * others / usual)) > PULSES * len(others)
-            busiest = _most_alike(np.floor(PLACES * others / usual) if pulses else others)
-        if usual >= FINE * step and zeros > FEWEST_ZEROS + MORE_ZEROS * busiest:
-            found.append(
+            typical = float(np.median(others))
+            pulses = most_equal(np.round(PULSE_WIDTHS * others / typical)) > PULSE_SHARE * len(others)
+            busiest = most_equal(np.floor(PULSE_PLACES * others / typical) if pulses else others)
+        if typical >= FINE_STEPS * step and zeros > FEWEST_ZEROS + ZEROS_RATIO * busiest:
+            faults.append(
                 f"column {column!r} reads exactly 0 in {100.0 * zeros / len(sizes):.3g} % of the samples at rest, and "
                 f"never less than {least / DEGREE:.2g} °/s otherwise: a dead zone of the driver, in which biases and "
                 "slow rates are lost; switch it off"
             )
-    return found
+    return faults
 
 
-def _most_alike(values: Array) -> int:
-    """How often the most frequent of values is there."""
-    return int(np.unique(values, return_counts=True)[1].max())
-
-
-FADES, RETURNS, TILTED = 0.5, 0.3, 0.5
-"""Part of the squares of what gyros read at rest that goes with the turns before; part of the angle that gyros read in
-a turn that is left in the end, where its vertical was turned by more than TILTED, rad."""
-FEWEST_TURNED = 5
-"""Turns, in which chance shows neither."""
+DECAY_CORRELATION = 0.5  # squared correlation of the readings at the start of a rest with the turn before
+REMAINING_ANGLE, TILTED = 0.3, 0.5
+"""Part of the angle of a turn that remains in the integral of the gyros, and least change of the vertical, rad."""
+FEWEST_TURNS = 5
 
 
 def high_passed(reduction: Reduction, rests: Sequence[Stretch]) -> list[str]:
-    """Gyros behind a high-pass filter of time constant τ. After a turn by θ they read −θ/τ, which fades: what they read
-    at the start of a rest beyond what they read at its end goes against the turn before. Of a turn that lasts longer
-    than τ hardly anything is left in their integral, whatever the vertical was turned by."""
-    files, starts, turns, left = reduction.by_file, list[Array](), list[Array](), list[float]()
+    """Return a fault if the gyros are behind a high-pass filter.
+
+    With a time constant τ, they read −θ/τ after a turn by θ, which decays: readings at the start of a rest, less those
+    at its end, are opposite to the turn before. Little of a turn that lasts longer than τ remains in their integral,
+    whatever the change of the vertical."""
+    files, starts, turns, remaining = reduction.by_file, list[Array](), list[Array](), list[float]()
     for before, rest in pairwise(rests):
         f = files[rest.file]
         if before.file != rest.file:
@@ -144,15 +138,16 @@ def high_passed(reduction: Reduction, rests: Sequence[Stretch]) -> list[str]:
         angles = np.diff(f.edges)[between, None] * (f.gyro.means[between] - later)
         starts.append(f.gyro.means[rest.first : rest.first + half].mean(axis=0) - later)
         turns.append(angles.sum(axis=0))
-        ends = (f.accel.means[span.first : span.last].mean(axis=0) for span in (before, rest))
-        if np.linalg.norm(np.subtract(*map(unit_vector, ends))) > TILTED and len(angles):
+        verticals = (unit_vector(f.accel.means[span.first : span.last].mean(axis=0)) for span in (before, rest))
+        if np.linalg.norm(np.subtract(*verticals)) > TILTED and len(angles):
             path = float(np.linalg.norm(angles, axis=1).sum())
-            left.append(float(np.linalg.norm(turns[-1])) / max(path, LEAST_FORCE))
+            remaining.append(float(np.linalg.norm(turns[-1])) / max(path, LEAST_LENGTH))
     r, θ = np.array(starts), np.array(turns)
     along = float((r * θ).sum())
-    if len(r) >= FEWEST_TURNED and along < 0.0 and along**2 > FADES * float((r**2).sum() * (θ**2).sum()):
+    decays = len(r) >= FEWEST_TURNS and along < 0.0
+    if decays and along**2 > DECAY_CORRELATION * float((r**2).sum() * (θ**2).sum()):
         seen = "at rest the gyros read a rate against the turn before, which fades"
-    elif len(left) >= FEWEST_TURNED and np.median(left) < RETURNS:
+    elif len(remaining) >= FEWEST_TURNS and np.median(remaining) < REMAINING_ANGLE:
         seen = "in the integral of the gyros next to nothing is left of a turn once it is over"
     else:
         return []
@@ -163,77 +158,71 @@ def high_passed(reduction: Reduction, rests: Sequence[Stretch]) -> list[str]:
 
 
 def channel_faults(reduction: Reduction, log: LogSpec) -> list[str]:
-    """Channels that are dead, stuck, clipped or damaged, in sentences."""
+    """Return the channels that are dead, stuck, clipped or damaged."""
     accel, gyros = block_means(reduction)
-    faults = list(_of_kind(reduction.accel_channels, accel, log.accel, reduction.rate, "use a larger range"))
+    faults = list(_faults_of_kind(reduction.accel_channels, accel, log.accel, reduction.rate, "use a larger range"))
     if log.gyro is not None:
         advice = "use a larger range or turn more slowly"
-        faults += _of_kind(reduction.gyro_channels, gyros, log.gyro, reduction.rate, advice)
+        faults += _faults_of_kind(reduction.gyro_channels, gyros, log.gyro, reduction.rate, advice)
     return faults
 
 
 def block_means(reduction: Reduction) -> tuple[Array, Array]:
-    """Mean readings (K, n), SI, of the blocks of all files: of the accelerometers and, empty without any, of the
-    gyros."""
+    """Return the mean readings (K, n), SI, of the blocks of all files, of the accelerometers and of the gyros."""
     accel, gyro = ([getattr(each, kind).means for each in reduction.files] for kind in ("accel", "gyro"))
     return np.concatenate(accel), np.concatenate(gyro)
 
 
-def _of_kind(
+def _faults_of_kind(
     states: tuple[ChannelState, ...], means: Array, channels: Channels, rate: float, advice: str
 ) -> Iterator[str]:
-    """Faults of the channels of one kind of sensors; `means` (K, n) are those of blocks, in SI."""
+    """Yield the faults of the channels of one kind of sensor; `means` (K, n) are those of blocks, SI."""
+
+    def logged(value: float, sensor: int) -> str:
+        """Return a reading (SI) as in the log."""
+        number = value / channels.unit.per_second(rate) * channels.scale[sensor] + channels.offset[sensor]
+        return f"{number:.6g} {channels.unit_name}"
+
     for i, (column, state) in enumerate(zip(channels.columns, states, strict=True)):
-        if said := _damaged(state, channels, i, rate):
-            yield f"column {column!r} is {said}"
-        elif said := _clipped(state, means[:, i], channels.range):
-            yield f"column {column!r} is clipped: {said}, up to {state.extreme_stop:.2f} s; {advice}"
-        elif state.run >= rate and _no_accident(state, state.run, state.run):
-            value = _logged(state.run_value, channels, i, rate)
+        extreme = max(state.minimum, state.maximum, key=abs)
+        if abs(extreme) > LARGEST_READING:
+            yield (
+                f"column {column!r} is damaged: it reads {logged(extreme, i)}, which no sensor does; remove such rows "
+                "or write nan in them"
+            )
+        elif state.minimum == state.maximum:
+            yield f"column {column!r} is dead: all {state.samples} samples are {logged(state.minimum, i)}"
+        elif clipped := _clipped(state, means[:, i], channels.range):
+            yield f"column {column!r} is clipped: {clipped}, up to {state.extreme_stop:.2f} s; {advice}"
+        elif state.run >= rate and _is_fault(state, state.run, state.run):
+            value = logged(state.run_value, i)
             yield f"column {column!r} is stuck: {state.run} samples in a row are {value}, up to {state.run_stop:.2f} s"
 
 
-def _damaged(state: ChannelState, channels: Channels, sensor: int, rate: float) -> str:
-    """What makes a channel of no use whatever: numbers that no sensor reads, or one number only."""
-    extreme = max(state.minimum, state.maximum, key=abs)
-    if abs(extreme) > IMPOSSIBLE:
-        read = _logged(extreme, channels, sensor, rate)
-        return f"damaged: it reads {read}, which no sensor does; remove such rows or write nan in them"
-    if state.minimum == state.maximum:
-        return f"dead: all {state.samples} samples are {_logged(state.minimum, channels, sensor, rate)}"
-    return ""
-
-
 def _clipped(state: ChannelState, means: Array, full_scale: float | None) -> str:
-    """How a channel shows that its range is too small; `means` (K,) are those of blocks."""
+    """Return how a channel shows that its range is too small; `means` (K,) are those of blocks."""
     at_end = np.isclose(means[:, None], [state.minimum, state.maximum], rtol=1e-12, atol=0.0).any(axis=1)
     saturated = max(state.extreme_run, round(float(at_end.mean()) * state.samples))
     if full_scale is not None and max(abs(state.minimum), abs(state.maximum)) >= 0.9999 * full_scale:
         return f"it reaches its range, {state.extreme_run or 1} samples in a row"
-    if state.extreme_run >= 5 and _no_accident(state, state.extreme_run, saturated):
+    if state.extreme_run >= 5 and _is_fault(state, state.extreme_run, saturated):
         return f"{state.extreme_run} samples in a row at its extreme value"
     return ""
 
 
-def _logged(value: float, channels: Channels, sensor: int, rate: float) -> str:
-    """A reading (SI) as the log has it."""
-    number = value / channels.unit.per_second(rate) * channels.scale[sensor] + channels.offset[sensor]
-    return f"{number:.6g} {channels.unit_name}"
-
-
-def _no_accident(state: ChannelState, run: int, explained: int) -> bool:
-    """Whether a row of `run` equal samples is beyond chance, given how often neighbours are equal elsewhere than in
-    the `explained` samples; those may all be at rest, as they are where the resolution is coarse."""
-    elsewhere = max(state.repeats - explained, 0) / (REST_SHARE * state.samples)
-    return float(state.samples * min(max(elsewhere, 1e-6), 1.0) ** (run - 1)) < CHANCE
+def _is_fault(state: ChannelState, run: int, explained: int) -> bool:
+    """Return True if a run of equal samples is too unlikely, given how often neighbours are equal outside the
+    `explained` samples; all those may be at rest, as with a coarse resolution."""
+    equal = max(state.repeats - explained, 0) / (LEAST_REST_SHARE * state.samples)
+    return float(state.samples * min(max(equal, 1e-6), 1.0) ** (run - 1)) < RUN_PROBABILITY
 
 
 # ---- accelerometers that do not read gravity
 
 
 def accelerometer_faults(reduction: Reduction, session: Session) -> list[str]:
-    """Accelerometers that do not read gravity at the median: exchanged with gyros, or in a unit or with a scale or
-    offset that cannot be right."""
+    """Return why the accelerometers do not read gravity at the median: they are exchanged with the gyros, or in another
+    unit, or their scale or offset is wrong."""
     channels, gyro, g, rate = session.log.accel, session.log.gyro, session.site.gravity, reduction.rate
     accel, gyros = block_means(reduction)
     force = accel @ onto_body(channels.axes).T
@@ -244,18 +233,18 @@ def accelerometer_faults(reduction: Reduction, session: Session) -> list[str]:
         {} if channels.raw else {name: u.per_second(rate) for name, u in ACCEL_UNITS.items() if u.kind == kind}
         for kind in ("rate", "increment")
     )
-    of_g = channels.unit.per_second(rate) * g
+    unit_of_g = channels.unit.per_second(rate) * g
     if gyro is not None:  # what the columns of the gyros would read as accelerometers, as vectors in SI
         n = min(gyros.shape[1], len(channels.columns))
         logged = gyros[:, :n] / gyro.unit.factor * gyro.scale[:n] + gyro.offset[:n]
-        meant = (logged - channels.offset[:n]) / channels.scale[:n] * channels.unit.factor
-        meant = meant @ onto_body(channels.axes[:n]).T
-        of_gyros = float(np.median(np.linalg.norm(meant, axis=1)))
-        like = _like_gravity(meant)
-        in_a_unit = magnitude < 0.5 * g and bool(fitting_units(of_gyros / of_g, rates))
-        if fitting_units(magnitude / of_g, rates):  # as a bias of gyros may: what has many directions is gravity
-            in_a_unit = in_a_unit and like and not _like_gravity(force)
-        if (is_near_one(of_gyros / g) and like) or in_a_unit:
+        by_gyros = (logged - channels.offset[:n]) / channels.scale[:n] * channels.unit.factor
+        by_gyros = by_gyros @ onto_body(channels.axes[:n]).T
+        gyro_magnitude = float(np.median(np.linalg.norm(by_gyros, axis=1)))
+        like_gravity = _like_gravity(by_gyros)
+        in_a_unit = magnitude < 0.5 * g and bool(fitting_units(gyro_magnitude / unit_of_g, rates))
+        if fitting_units(magnitude / unit_of_g, rates):  # a gyro bias may be near g; gravity has many directions
+            in_a_unit = in_a_unit and like_gravity and not _like_gravity(force)
+        if (is_near_one(gyro_magnitude / g) and like_gravity) or in_a_unit:
             return [
                 f"accelerometer and gyro columns are exchanged: the accelerometers read {magnitude:.3g} m/s^2 and the "
                 f"gyro columns have the magnitude of gravity; exchange [log.accel] columns and [log.gyro] columns"
@@ -263,7 +252,7 @@ def accelerometer_faults(reduction: Reduction, session: Session) -> list[str]:
     read = f"the accelerometers read {magnitude:.4g} m/s^2 at the median, expected {g:.4g} m/s^2"
     if channels.raw:
         return [f"{read}: {_scale_or_offset(force, magnitude, channels, g)}"]
-    units = fitting_units(magnitude / of_g, rates | (increments if _like_gravity(force) else {}))
+    units = fitting_units(magnitude / unit_of_g, rates | (increments if _like_gravity(force) else {}))
     if units:
         fit = " or ".join(f'"{name}"' for name in units)
         return [f'{read}: the unit of [log.accel] is not "{channels.unit_name}"; {fit} would fit']
@@ -273,27 +262,27 @@ def accelerometer_faults(reduction: Reduction, session: Session) -> list[str]:
 
 
 def _scale_or_offset(force: Array, magnitude: float, channels: Channels, g: float) -> str:
-    """What is wrong with raw accelerometers: the offset where gravity shows about the middle of the readings, else
+    """Return what is wrong with raw accelerometers: the offset if readings have the radius g about their middle, else
     the scale."""
     middle = 0.5 * (force.min(axis=0) + force.max(axis=0))
-    about = float(np.median(np.linalg.norm(force - middle, axis=1)))
-    if np.linalg.norm(middle) > 2.0 * g and abs(about / g - 1.0) < 2.0 * UNIT_TOLERANCE:
+    radius = float(np.median(np.linalg.norm(force - middle, axis=1)))
+    if np.linalg.norm(middle) > 2.0 * g and abs(radius / g - 1.0) < 2.0 * UNIT_TOLERANCE:
         raw = channels.offset + channels.scale * (channels.axes @ middle) / channels.unit.factor
         return f"the offset of [log.accel] is wrong; about {', '.join(f'{v:.4g}' for v in raw)} would fit"
     per = {name: ACCEL_UNITS[name].factor for name in ("m/s^2", "g")}
     for name in fitting_units(magnitude / channels.unit.factor / g, per):
         return f'the scale of [log.accel] would fit with scale_per = "{name}"'
-    return f"the nominal scale of [log.accel] is about {times_wrong(magnitude / g)}, or its offset is wrong"
+    return f"the nominal scale of [log.accel] is about {scale_error(magnitude / g)}, or its offset is wrong"
 
 
-def times_wrong(ratio: float) -> str:
-    """How wrong a nominal scale is whose readings are `ratio` times what they should be."""
+def scale_error(ratio: float) -> str:
+    """Return the error of a nominal scale whose readings are `ratio` times too large."""
     return f"{ratio:.3g} times too small" if ratio > 1.0 else f"{1.0 / ratio:.3g} times too large"
 
 
 def _like_gravity(force: Array) -> bool:
-    """Whether vectors (K, 3) have one length and many directions: not what is left where gravity was removed."""
+    """Return True if vectors (K, 3) have one length and many directions, unlike those without gravity."""
     length = np.linalg.norm(force, axis=1)
     low, median, high = np.quantile(length, [0.25, 0.5, 0.75])
-    about = float(np.median(np.linalg.norm(force - np.median(force, axis=0), axis=1)))
-    return bool(high - low < UNIT_TOLERANCE * median and about > UNIT_TOLERANCE * median)
+    spread = float(np.median(np.linalg.norm(force - np.median(force, axis=0), axis=1)))
+    return bool(high - low < UNIT_TOLERANCE * median and spread > UNIT_TOLERANCE * median)

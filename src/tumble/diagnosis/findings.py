@@ -1,4 +1,4 @@
-"""What is said of an estimate: a sentence, what it concerns, and what follows."""
+"""Findings about an estimate, and the units and words of their sentences."""
 
 from __future__ import annotations
 
@@ -7,22 +7,33 @@ from dataclasses import dataclass
 
 from tumble.inference.estimate import Outcome
 from tumble.sensors.parameters import sensor_kind
+from tumble.units import DEGREE, G_STANDARD
+
+BIAS_UNITS: dict[str, tuple[float, str]] = {"accel": (1e-6 * G_STANDARD, "µg"), "gyro": (DEGREE / 3600.0, "°/h")}
+"""Unit (SI, name) of biases in sentences, by kind of sensor."""
+SENSORS = {"accel": "accelerometers", "gyro": "gyros"}
+
+
+def with_unit(value: float, unit: tuple[float, str]) -> str:
+    """Return a quantity (SI) with two digits in a unit (SI, name)."""
+    size, name = unit
+    return f"{value / size:.2g} {name}".replace(" °", "°")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Finding:
-    """A finding about an estimate, of which an outcome is made.
+    """A finding about an estimate, from which its outcome is made.
 
     Attributes
     ----------
     sentence : str
-        What is there, with cause and remedy.
+        What was found, with cause and remedy.
     concerns : tuple of str
-        The kinds of sensors ("gyro") or groups of parameters ("gyro.bias") that it concerns, all where none is named.
+        Kinds of sensors ("gyro") or groups of parameters ("gyro.bias") that it concerns; empty for all.
     refuses : bool
-        Whether what it concerns cannot be used; else it is a remark.
+        Whether they cannot be used; otherwise the finding is a remark.
     causes : tuple of str
-        Names of the causes that it gives, the most likely first.
+        Names of possible causes, the most likely first.
     """
 
     sentence: str
@@ -32,32 +43,32 @@ class Finding:
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """The kind of sensors that it concerns; none where it concerns both."""
+        """The kind of sensor that it concerns; empty if it concerns both."""
         kinds = {sensor_kind(part) for part in self.concerns}
         return tuple(kinds) if len(kinds) == 1 else ()
 
 
 def remark(sentence: str, *concerns: str) -> Finding:
-    """A finding that is said beside a result."""
+    """Return a finding that does not refuse anything."""
     return Finding(sentence=sentence, concerns=concerns)
 
 
 def refusal(sentence: str, *concerns: str) -> Finding:
-    """A finding by which what it concerns cannot be used."""
+    """Return a finding that refuses the parameters it concerns."""
     return Finding(sentence=sentence, concerns=concerns, refuses=True)
 
 
 def outcome_of(findings: Iterable[Finding], unobservable: tuple[str, ...] = ()) -> Outcome:
-    """The outcome of findings, in their order, and of parameters that the data do not determine."""
-    every = tuple(findings)
+    """Build an `Outcome` from findings, in their order, and the names of undetermined parameters."""
+    findings = tuple(findings)
     return Outcome(
-        reasons=tuple(each.sentence for each in every if each.refuses),
-        remarks=tuple(each.sentence for each in every if not each.refuses),
+        reasons=tuple(finding.sentence for finding in findings if finding.refuses),
+        remarks=tuple(finding.sentence for finding in findings if not finding.refuses),
         unobservable=unobservable,
-        concerns={each.sentence: each.concerns for each in every if each.concerns},
+        concerns={finding.sentence: finding.concerns for finding in findings if finding.concerns},
     )
 
 
 def causes_of(findings: Iterable[Finding]) -> tuple[str, ...]:
-    """The names of the causes that findings give, each once."""
-    return tuple(dict.fromkeys(cause for each in findings for cause in each.causes))
+    """Return the names of the causes of findings, without duplicates."""
+    return tuple(dict.fromkeys(cause for finding in findings for cause in finding.causes))

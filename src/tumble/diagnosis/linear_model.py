@@ -1,23 +1,20 @@
-"""What a method of the linear model takes as nothing, and what it has of it in its u; and whether the session shows it.
+"""Uncertainty of a linear model by the groups of parameters that it omits.
 
-The methods beside `joint`, and `joint` with linear terms, have bias, scale factor and axis angles alone, and take what
-else there is for one of these: a quadratic term of the accelerometers for a bias and scale factors. Groups of usual
-size σ, beyond bias, scale factor and axis angles, add B φ to what is observed: to readings at rest β ∂K/∂θ φ, to
-rotations of turns −∂φ/∂θ φ. With the derivative G of the result by what is observed, the parameters move by
+Methods of the linear model estimate bias, scale factor and axis angles alone. Omitted groups φ of usual sizes σ, such
+as a quadratic term of the accelerometers, add B φ to the data: to readings at rest β ∂K/∂θ φ, to rotations of turns
+−∂φ/∂θ φ. With the derivative G of the result with respect to the data, the parameters are shifted by
 
     ΔX = G B φ,   cov(ΔX) = G B Σ (G B)ᵀ,   cov(ΔX, −φ) = −G B Σ,   Σ = diag(σ²)
 
-which is in u, of all of these methods. The groups stay at nothing, so that −φ is their error. With it the corrected
-force in the attitudes of the rests is as well known as the fit has it, and in others as badly as the groups allow.
-Where the session shows another size than σ, it is the root mean square of what `joint` finds of it (`left_out_sizes`).
-Scatter is judged beside the groups: of residuals that these explain none is left for it, else they would be in u twice.
+which is added to the covariance. The groups are in the result as zero, so −φ is their error. With these covariances,
+corrected forces are as certain as the fit in the attitudes of the rests, and in others as uncertain as the groups
+allow. If `joint` finds a group larger than usual, σ is the root mean square of its size (`omitted_sizes`). Residuals
+are judged about the joint estimate with all groups (`converged_joint`), as scatter that the groups explain would be in
+u twice.
 
-G is of the methods of the paper the derivative of their passes; of `ellipsoid` A⁺, A being the linear columns with the
-weights that the fit has and B what no turn of the vertical reaches; and of `joint` with linear terms N⁻¹ Aᵀ of its
-normal equations, which gives N_AA⁻¹ N_AB with those of the whole instrument.
-
-Residuals are judged about the estimate that `joint` makes with all groups (`by_joint`): what these explain is in u, and
-the turns show most of what rests alone can be fitted to.
+G is, for the methods of the turntable paper, the derivative of their passes; for `ellipsoid` A⁺, with the weighted
+linear columns A and columns B less their part along rotations of the vertical; for `joint` with linear terms N⁻¹ Aᵀ of
+its normal equations, and with those of the whole instrument N_AA⁻¹ N_AB.
 
 This is docs/explanation/mathematics.md (36) with usual sizes; the columns are those of Eq. (12) of the turntable paper,
 for any number of sensors.
@@ -45,57 +42,73 @@ from tumble.inference.uncertainty_budget import contributions
 from tumble.reduction.observations import Observations
 from tumble.rotation import unit_vector
 from tumble.sensors.instrument import functions
-from tumble.sensors.model import beyond_body, beyond_turning
+from tumble.sensors.model import left_null_space, tilt_null_space
 from tumble.sensors.parameters import FORCE, ParameterGroup, group_of
 from tumble.units import Array
 
-_NOTHING = 1e-9
-"""Of the largest singular value: what rests do not determine is moved by nothing that they show."""
+RELATIVE_RANK = 1e-9  # of the largest singular value; rests do not determine smaller ones
 
 
-def by_joint(observations: Observations, intervals: bool = True) -> Estimate | None:
-    """What `joint` makes of observations, integrated for `intervals`; None where it does not converge or leaves a
-    linear parameter open."""
+def converged_joint(observations: Observations, intervals: bool = True) -> Estimate | None:
+    """Return the estimate by `joint`, integrated with `intervals`; None unless it converges and determines all linear
+    parameters."""
     try:
-        found = joint(observations, intervals=intervals)
+        estimate = joint(observations, intervals=intervals)
     except np.linalg.LinAlgError:
         return None
-    return found if found.converged and not linear_names(found.unobservable) else None
+    return estimate if estimate.converged and not linear_names(estimate.unobservable) else None
 
 
-def left_out_sizes(problem: Problem, beside: Estimate | None) -> Array:
-    """The standard deviations (k,) of what a problem has beyond the linear model: the usual ones, as many times larger
-    as the estimate `beside` says."""
-    sizes, posterior = problem.usual_u[1:].copy(), {}
-    if beside is not None:
-        posterior = {h.name: h.root_mean_square for h in beside.hyperparameters}
-    for group in () if beside is None else beside.groups:
+def omitted_sizes(problem: Problem, full: Estimate | None) -> Array:
+    """Return the standard deviations (k,), SI, of the parameters of a problem beyond the linear model.
+
+    They are the usual ones, times the ratio found by the estimate `full` of the whole instrument."""
+    sizes, rms = problem.usual_u[1:].copy(), {}
+    if full is not None:
+        rms = {h.name: h.root_mean_square for h in full.hyperparameters}
+    for group in () if full is None else full.groups:
         if group.name in problem.instrument.members:
-            larger = posterior.get(group_of(group.name).sized_with or group.name, group.prior_widened)
-            sizes[problem.instrument.members[group.name]] *= larger
+            ratio = rms.get(group_of(group.name).sized_with or group.name, group.prior_widened)
+            sizes[problem.instrument.members[group.name]] *= ratio
     return np.asarray(sizes[problem.instrument.linear_count :])
 
 
-def whole_problem(observations: Observations) -> Problem:
-    """The likelihood of the instrument with all groups whose usual size the observations know, without those that a
-    method of the linear model does not see: lever arms and delays, which act on velocities, and the lag."""
-    whole = instruments_of(observations)[0]
-    further = tuple(group for group in whole.further if left_out(group))
-    return Problem.of(observations, instrument=replace(whole, further=further), usual=observations.usual)
-
-
-def left_out(group: ParameterGroup) -> bool:
-    """Whether a group is one that methods of the linear model leave out and that acts on what they see."""
+def is_omitted(group: ParameterGroup) -> bool:
+    """Return True if methods of the linear model omit a group that affects their data, which lags and the groups of
+    velocities (lever arms, delays) do not."""
     return group.variable != "lag" and group.motion is None
 
 
-def left_out_by_rests(
+def whole_problem(observations: Observations) -> Problem:
+    """Return the likelihood of the instrument with all omitted groups whose usual size is known."""
+    whole = instruments_of(observations)[0]
+    further = tuple(group for group in whole.further if is_omitted(group))
+    return Problem.of(observations, instrument=replace(whole, further=further), usual=observations.usual)
+
+
+def omitted_by_rests(
     observations: Observations, linear: Array, sigma: Array | None = None
 ) -> tuple[Problem, Array, Array]:
-    """The likelihood with what a fit of the accelerometers to rests leaves out that has the parameters `linear` (m,),
-    by how much one of each group moves these (m, k), and what it leaves in its rows (r, k), in units of the standard
-    deviations `sigma` (N,) of the rests, equal ones where None. Powers are of the forces that the fit makes of the
-    readings, which may have a zero of many g."""
+    """Return the effect of omitted groups on a fit of the accelerometers to rests.
+
+    Parameters
+    ----------
+    observations
+        Observations with N rests.
+    linear : (m,) array
+        Parameters found by the fit. Powers are of the corrected forces, as readings may have a zero of many g.
+    sigma : (N,) array, optional
+        Standard deviations of the rests, equal by default.
+
+    Returns
+    -------
+    problem : Problem
+        The likelihood with the groups.
+    shift : (m, k) array
+        Shift of the parameters by one of each parameter of the groups.
+    rows : (r, k) array
+        What the fit leaves of the columns of the groups, in units of `sigma`.
+    """
     seen = observations.of_accelerometers()
     problem = whole_problem(seen)
     instrument, block, g = problem.instrument, seen.accel_block, seen.site.gravity
@@ -105,124 +118,122 @@ def left_out_by_rests(
     changes = np.einsum("ipb,pbm->ipm", beta, D)
     changing, base = problem.change_columns
     changes[:, :, changing] = changes[:, :, base] * problem.regressors[0][:, None]
-    across = beyond_turning(instrument.coefficients(block, values)[:, FORCE], force / g)
+    across = tilt_null_space(instrument.coefficients(block, values)[:, FORCE], force / g)
     rows = np.einsum("ipr,ipm->irm", across, changes).reshape(-1, len(values))
     if sigma is not None:
         rows = rows / np.repeat(sigma, block.size - 2)[:, None]
     A, B = np.split(rows, [instrument.linear_count], axis=1)
-    moves = np.linalg.pinv(A, rcond=_NOTHING) @ B
-    return problem, moves, B - A @ moves
+    shift = np.linalg.pinv(A, rcond=RELATIVE_RANK) @ B
+    return problem, shift, B - A @ shift
 
 
-def groups_in_data(observations: Observations) -> tuple[Problem, Array]:
-    """The likelihood with all groups, and what one of each group adds (d, k) to the data of the methods of the paper:
-    the readings of accelerometers, then gyros, at rest, in body axes those of triads, the errors of the turns, the
-    integrals over them of the readings of more than three gyros, and gravity."""
+def group_columns(observations: Observations) -> tuple[Problem, Array]:
+    """Return the likelihood with all omitted groups, and their columns (d, k) in the data of the paper's methods.
+
+    The data are the readings of accelerometers and gyros at rest (those of triads in body axes), the errors of turns,
+    the integrals over them of the readings of more than three gyros, and gravity."""
     problem = whole_problem(observations)
-    rows, first, shown, last = initial_linearisation(problem), problem.instrument.linear_count, list[Array](), 0
+    rows, first, columns, last = initial_linearisation(problem), problem.instrument.linear_count, list[Array](), 0
     for block in problem.instrument.blocks:
         of_rests = rows.rest[:, last : last + block.size, 4 + first : -1]
-        shown.append(block.axes.T @ of_rests if block.triad else of_rests)
+        columns.append(block.axes.T @ of_rests if block.triad else of_rests)
         last += block.size
-    shown.append(rows.turn[:, :3, 7 + first : -1])
+    columns.append(rows.turn[:, :3, 7 + first : -1])
     if observations.turn_readings is not None:
-        free = beyond_body(problem.instrument.blocks[1].axes)
-        shown.append(free.T @ rows.turn[:, -len(free) :, 7 + first : -1])
-    groups = len(problem.instrument.names) - first
-    every = [each.reshape(-1, groups) for each in shown]
-    return problem, np.concatenate([*every, np.zeros((1, groups))])
+        free = left_null_space(problem.instrument.blocks[1].axes)
+        columns.append(free.T @ rows.turn[:, -len(free) :, 7 + first : -1])
+    k = len(problem.instrument.names) - first
+    return problem, np.concatenate([*(each.reshape(-1, k) for each in columns), np.zeros((1, k))])
 
 
 def linear_joint(observations: Observations) -> Estimate:
-    """The estimate by `joint` of the linear model, with what it leaves out. Scatter and in-run biases are those that
-    stand beside all groups, where there is an estimate with these: else the groups would count twice."""
-    beside, problem = by_joint(observations), whole_problem(observations)
-    estimate = joint(replace(observations, usual={}), components=None if beside is None else components_in(beside))
+    """Return the estimate of the linear model by `joint`, with the omitted groups in its u.
+
+    Scatter and in-run biases are those of the estimate with all groups, if there is one."""
+    full, problem = converged_joint(observations), whole_problem(observations)
+    estimate = joint(replace(observations, usual={}), components=None if full is None else rms_components(full))
     linear, instrument = estimate.linearised, problem.instrument
     assert linear is not None
     values = np.append(linear.point.values, np.zeros(len(instrument.names) - instrument.linear_count))
     point = replace(linear.point, values=values)
     about = None if linear.about is None else IntegratedTurns.of(observations, instrument, values)
-    moves = moves_by_likelihood(replace(linearise(problem, point, about), noise=linear.noise))
-    if beside is not None and estimate.converged:
-        assert beside.budget is not None
+    shift = shift_by_likelihood(replace(linearise(problem, point, about), noise=linear.noise))
+    if full is not None and estimate.converged:
+        assert full.budget is not None
         assert estimate.budget is not None
-        sources = {each.name: each for each in beside.budget.sources}
+        sources = {each.name: each for each in full.budget.sources}
         estimate = replace(
             estimate,
-            linearised=beside.linearised,
-            hyperparameters=beside.hyperparameters,
-            degrees=None if beside.degrees is None else beside.degrees[: instrument.linear_count],
+            linearised=full.linearised,
+            hyperparameters=full.hyperparameters,
+            degrees=None if full.degrees is None else full.degrees[: instrument.linear_count],
             budget=replace(estimate.budget, sources=tuple(sources.get(s.name, s) for s in estimate.budget.sources)),
         )
-    return with_left_out(estimate, problem, moves, left_out_sizes(problem, beside))
+    return with_omitted_groups(estimate, problem, shift, omitted_sizes(problem, full))
 
 
-def components_in(estimate: Estimate) -> VarianceComponents:
-    """Scatter and in-run biases of the sizes that count in the u of an estimate, the roots of their mean squares."""
+def rms_components(estimate: Estimate) -> VarianceComponents:
+    """Return scatter and in-run biases of the root mean square size in the posterior."""
     assert estimate.linearised is not None
     names = (*SCATTER, "accel_in_run", "gyro_in_run")
     sizes: dict[str, Any] = {h.name: h.root_mean_square for h in estimate.hyperparameters if h.name in names}
     return replace(estimate.linearised.components, **sizes)
 
 
-def moves_by_likelihood(rows: Linearisation) -> Array:
-    """By how much one of each group moves the parameters (m, k) of the linear model in a fit by the likelihood:
-    −C_AB C_BB⁻¹ of the covariance C that it gives with groups of any size.
+def shift_by_likelihood(rows: Linearisation) -> Array:
+    """Return the shift (m, k) of the linear parameters by one of each parameter of the groups, for a fit by likelihood:
+    −C_AB C_BB⁻¹ of the covariance C with the groups.
 
     Parameters
     ----------
     rows
-        The likelihood of the instrument with all groups, whose priors of the linear parameters count, with the noise of
-        a fit of the linear model.
+        The likelihood of the instrument with all groups, with the noise of a fit of the linear model.
     """
     covariance = np.sum(list(contributions(solve(rows)).values()), axis=0)[1:, 1:]
     A, B = np.split(covariance[:, rows.problem.instrument.linear_count :], [rows.problem.instrument.linear_count])
     return np.asarray(-np.linalg.solve(B, A.T).T)
 
 
-def with_left_out(estimate: Estimate, problem: Problem, moves: Array, sizes: Array) -> Estimate:
-    """An estimate with the groups it leaves out, which are nothing within their sizes, and their part in its
-    covariance.
+def with_omitted_groups(estimate: Estimate, problem: Problem, shift: Array, sizes: Array) -> Estimate:
+    """Return an estimate with the omitted groups at zero, and their part in its covariance.
 
     Parameters
     ----------
     estimate
-        Of the m parameters of the linear model.
+        Estimate of the m parameters of the linear model.
     problem
         The likelihood with the groups.
-    moves : (m, k)
-        By how much one of each parameter of the groups moves those of the linear model.
-    sizes : (k,)
+    shift : (m, k) array
+        Shift of the linear parameters by one of each parameter of the groups.
+    sizes : (k,) array
         Standard deviations of the parameters of the groups, SI.
     """
-    instrument, first, moved = problem.instrument, problem.instrument.linear_count, moves * sizes
-    k, crossed, usual = len(sizes), -moved * sizes, problem.usual_u[1 + first :]
-    linear = estimate.covariance + moved @ moved.T
+    instrument, first, shifted = problem.instrument, problem.instrument.linear_count, shift * sizes
+    k, crossed, usual = len(sizes), -shifted * sizes, problem.usual_u[1 + first :]
+    linear = estimate.covariance + shifted @ shifted.T
     covariance = np.block([[linear, crossed], [crossed.T, np.diag(sizes**2)]])
     values = np.append(estimate.values, np.zeros(k))
     degrees = estimate.degrees
     if degrees is not None:
         degrees = np.append(degrees * (np.diag(linear) / np.diag(estimate.covariance)) ** 2, np.full(k, np.inf))
-    groups = (
+    members = {name: slice(own.start - first, own.stop - first) for name, own in instrument.members.items()}
+    groups = tuple(
         GroupFinding(
-            name=name,
+            name=group.name,
             kept=True,
-            prior=float(usual[members.start - first]),
-            prior_widened=float((sizes / usual)[members.start - first]),
-            learned=(0.0,) * (members.stop - members.start),
+            prior=float(usual[members[group.name].start]),
+            prior_widened=float((sizes / usual)[members[group.name].start]),
+            learned=(0.0,) * (members[group.name].stop - members[group.name].start),
         )
-        for name, members in ((group.name, instrument.members[group.name]) for group in instrument.further)
+        for group in instrument.further
     )
     budget = estimate.budget
     if budget is not None:
-        wide = np.vstack([np.eye(first), np.zeros((k, first))])
-        budget = budget.carried(wide)
-        for name, members in instrument.members.items():
-            own = slice(members.start - first, members.stop - first)
-            by = np.vstack([-moved, np.diag(sizes)])[:, own]
-            size, unit = float(sizes[own.start]), instrument.units[members.start]
-            budget = budget.with_source(source(f"prior.{name}", size, unit), by @ by.T)
+        budget = budget.carried(np.vstack([np.eye(first), np.zeros((k, first))]))
+        for name, own in members.items():
+            by_group = np.vstack([-shifted, np.diag(sizes)])[:, own]
+            prior = source(f"prior.{name}", float(sizes[own.start]), instrument.units[first + own.start])
+            budget = budget.with_source(prior, by_group @ by_group.T)
     rate = None if estimate.prediction is None else estimate.prediction.at_rate
     return replace(
         estimate,
@@ -235,15 +246,14 @@ def with_left_out(estimate: Estimate, problem: Problem, moves: Array, sizes: Arr
         null=np.pad(estimate.null, ((0, 0), (0, k))),
         increments=tuple(np.append(step, np.zeros(k)) for step in estimate.increments),
         instrument=instrument,
-        groups=tuple(groups),
+        groups=groups,
         degrees=degrees,
         prediction=prediction(instrument, values, covariance, gravity=problem.observations.site.gravity, rate=rate),
     )
 
 
 def linear_part(estimate: Estimate) -> Estimate:
-    """The bias, scale factor and axis angles of an estimate that takes other groups as nothing, whose part stays in
-    their covariance."""
+    """Return an estimate without its omitted groups, whose part in the covariance of the others stays."""
     instrument = estimate.instrument
     if instrument is None:
         return estimate
@@ -264,8 +274,8 @@ def linear_part(estimate: Estimate) -> Estimate:
     )
 
 
-def taken_as_nothing(estimate: Estimate) -> tuple[str, ...]:
-    """That groups are nothing in an estimate of the linear model and in its u by their size, as a note."""
+def omitted_groups_note(estimate: Estimate) -> tuple[str, ...]:
+    """Return a note that an estimate of the linear model has omitted groups in its u; none without such groups."""
     if not estimate.groups:
         return ()
     method = f"method {estimate.method}" + (" with linear terms" if estimate.method == "joint" else "")

@@ -1,16 +1,15 @@
-"""Samples that are missing, or held where one is missing, in all turns or in one.
+"""Samples that are missing, or held in place of missing ones, in one turn or in all.
 
-Without time stamps nothing in a log says that rows are missing. A turn says it: what it lacks is a rotation δ about its
-own axis a, so that it does not carry the vertical from rest to rest; and of the specific force, which turned by δ from
-there on, the velocity has lost
+Without time stamps only the turns show that rows are missing. A turn lacks a rotation δ about its own axis a, so that
+it does not carry the vertical from rest to rest. The specific force is turned by δ from there on, so the velocity
+lacks
 
     ΔV = δ a × g u (T − s),    0 ≤ s ≤ T
 
-where the samples were lost after s of a turn that began with the vertical u and lasted T: a device that rests before
-and after has gained none. Both are tested, as every cause, for each turn by itself, and the least probability times the
-number of turns is taken. For the few turns of a short session there are always parameters that explain their rotations,
-and then the velocities alone show it: they are in an estimate of all groups of parameters, and not in that of the
-linear model.
+if the samples are missing s after the start of a turn of duration T that begins with the vertical u; a device at rest
+before and after gains no velocity. Both columns are fitted to each turn, and the smallest p-value is multiplied by the
+number of turns. In a short session some parameters explain the rotations of its few turns. Then only the velocities
+show the loss; an estimate of all groups of parameters has them, one of the linear model has not.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ import numpy as np
 
 from tumble.diagnosis.causes import Candidate, Cause
 from tumble.diagnosis.linearised_session import SHORTEST_TURN, LinearisedSession
-from tumble.diagnosis.projection import SumOfSquares, falls_by_place, judged_solution
+from tumble.diagnosis.projection import SumOfSquares, approximate_drops, diagnostic_solution
 from tumble.inference.integrated_turns import IntegratedTurns
 from tumble.inference.linearisation import Linearisation
 from tumble.inference.noise import SCATTER, VarianceComponents
@@ -31,158 +30,163 @@ from tumble.recording.rows.gaps import REGULAR_HINT
 from tumble.reduction.observations import Observations
 from tumble.rotation import tangent_basis
 from tumble.sensors.parameters import RATE
-from tumble.units import Array
+from tumble.units import DEGREE, Array
 
-OF_TURNS = ("gyro.scale", "gyro.axis")
-"""Groups of parameters that turns tell."""
-FEWEST_HELD = 3
-LEAST = 1e-12
-"""Of a mean square of residuals in units of their noise: less is none."""
-ROUNDS = 4
-"""Of the scatter of turns that are to blame for all."""
-CLEARLY = 3.0
-"""Standard deviations of a covariance that is there."""
-JITTERING = 3e-3
-"""Of an interval: time stamps that jitter by less are right, as far as any turn shows."""
+TURN_GROUPS = ("gyro.scale", "gyro.axis")  # groups of parameters that are determined by turns
+FEWEST_HELD = 3  # samples
+LEAST_MEAN_SQUARE = 1e-12  # of residuals in units of their noise; less counts as this
+SCATTER_ROUNDS = 4  # iterations of the scatter of turns
+JITTER_SIGMAS = 3.0  # standard deviations of a covariance between intervals that show jitter
+SMALLEST_JITTER = 3e-3  # in intervals: jitter of time stamps that has no visible effect on turns
 
 
-def stamps_remedy(jitter: str) -> str:
-    """What to do about the stamps of a log whose turns err as if samples were missing, by what `jittering` says."""
-    return jitter.removeprefix("; ") or "record with time stamps"
+def jitter_hint(observations: Observations) -> str:
+    """Return the advice "; or the time stamps jitter …" if the stamps jitter about even rows, else an empty text.
 
-
-def jittering(observations: Observations) -> str:
-    """What to try where time stamps jitter about even rows, for the turns err then as much as if the rows did.
-
-    Times between such stamps have the covariance −σ² from one to the next, over one interval or over several where the
-    stamps are of bursts; lost samples or a rate that changes have not."""
+    Intervals between such stamps have the covariance −σ² from one to the next, or over several intervals if the stamps
+    are those of bursts. Lost samples, or a varying rate, have no such covariance."""
     samples = observations.turn_samples
     if samples is None or not len(samples.start):
         return ""
-    every = [samples.samples.read(a, b)[2] for a, b in zip(samples.start.tolist(), samples.stop.tolist(), strict=True)]
-    interval = float(np.median(np.concatenate(every)))
-    off = [np.where(np.abs(dt - interval) < 0.5 * interval, dt - interval, 0.0) for dt in every]
-    jitter = 0.0
-    for count in 2 ** np.arange(7):
-        sums = [each[: len(each) // count * count].reshape(-1, count).sum(axis=1) for each in off]
+    intervals = [
+        samples.samples.read(a, b)[2] for a, b in zip(samples.start.tolist(), samples.stop.tolist(), strict=True)
+    ]
+    interval = float(np.median(np.concatenate(intervals)))
+    off = [np.where(np.abs(dt - interval) < 0.5 * interval, dt - interval, 0.0) for dt in intervals]
+    for burst in 2 ** np.arange(7):
+        sums = [each[: len(each) // burst * burst].reshape(-1, burst).sum(axis=1) for each in off]
         products = np.concatenate([[0.0], *(each[1:] * each[:-1] for each in sums)])
-        if -products.sum() > CLEARLY * np.sqrt((products**2).sum()):
+        if -products.sum() > JITTER_SIGMAS * np.sqrt((products**2).sum()):
             jitter = float(np.sqrt(-products.sum() / (len(products) - 1)))
+            if jitter > SMALLEST_JITTER * interval:
+                return f"; or the time stamps jitter by {1e3 * jitter:.2g} ms: {REGULAR_HINT}"
             break
-    return (
-        f"; or the time stamps jitter by {1e3 * jitter:.2g} ms: {REGULAR_HINT}" if jitter > JITTERING * interval else ""
-    )
+    return ""
 
 
-def of_turns(session: LinearisedSession, whole: Solution) -> list[Candidate]:
-    """A loss in the turn of each session that lacks samples most likely, by what is left of residuals with the
-    components of variance of the estimate; none where time stamps would show it."""
-    if not (any(session.turned) and session.observations.unstamped):
+def stamps_remedy(observations: Observations) -> str:
+    """Return what to do about the time stamps of a log whose turns err as if samples were missing."""
+    return jitter_hint(observations).removeprefix("; ") or "record with time stamps"
+
+
+def lost_in_one_turn(session: LinearisedSession, with_scatter: Solution) -> list[Candidate]:
+    """Return a loss of samples in the turn of each session where it is most likely; none if time stamps would show it.
+
+    `with_scatter` is the solution with the variance components of the estimate."""
+    if not (any(session.has_turns) and session.observations.unstamped):
         return []
-    turn = _columns(session)
-    columns = whole.equations.turn_whitening @ turn
-    falls = falls_by_place(np.eye(len(turn)), columns, *whole.turn_residuals)
-    most, places = np.zeros(len(turn)), list[list[str]]()
+    turn = _loss_columns(session)
+    columns = with_scatter.equations.turn_whitening @ turn
+    drops = approximate_drops(np.eye(len(turn)), columns, *with_scatter.turn_residuals)
+    chosen, sentences = np.zeros(len(turn)), list[str]()
     for part, observed in zip(session.problem.parts, session.observed, strict=True):
-        places.append(["", ""])
-        if falls[part.turns].any() and observed.turns is not None:
-            worst = int(np.argmax(falls[part.turns]))
-            most[part.turns.start + worst] = 1.0
-            places[-1] = [observed.turn_named(worst), str(observed.turns.first[worst] + 1)]
-    loss = session.nothing(turn.shape[2])[0], turn * most[:, None, None]
-    tried = max(part.turns.stop - part.turns.start for part in session.problem.parts)
-    return [Candidate(name="lost samples", concerns="both", columns=loss, places=places, tried=tried)]
+        name = number = ""
+        if drops[part.turns].any() and observed.turns is not None:
+            worst = int(np.argmax(drops[part.turns]))
+            chosen[part.turns.start + worst] = 1.0
+            name, number = observed.turn_named(worst), str(observed.turns.first[worst] + 1)
+        sentences.append(
+            f"{name} errs about its own axis by {{size}}: samples are missing or held there; leave it out by turn = "
+            f"{number} in [[exclude]], and record with time stamps"
+        )
+    return [
+        Candidate(
+            name="lost samples",
+            concerns=(),
+            columns=(session.zero_columns(turn.shape[2])[0], turn * chosen[:, None, None]),
+            unit=(DEGREE, "°"),
+            sentences=sentences,
+            places=max(part.turns.stop - part.turns.start for part in session.problem.parts),
+        )
+    ]
 
 
-def _turned_about(about: IntegratedTurns, turns: slice) -> Array:
-    """The axis (K, 3) that each turn was about, of length 0 where nothing turned."""
+def _turn_axes(about: IntegratedTurns, turns: slice) -> Array:
+    """Return the axis (K, 3) of each turn, zero where nothing turned."""
     path = np.einsum("kipp->ki", about.moments.Phi[turns][..., RATE])
-    axis = path / np.maximum(np.linalg.norm(path, axis=1, keepdims=True), 1e-9)
-    return np.asarray(axis)
+    return np.asarray(path / np.maximum(np.linalg.norm(path, axis=1, keepdims=True), 1e-9))
 
 
-def _columns(session: LinearisedSession) -> Array:
-    """The columns (K, t, q) of a loss in each turn: of the rotation, and, where velocities are seen, of what that does
-    to them."""
-    about, rows = session.linearised.about, session.linearised
+def _loss_columns(session: LinearisedSession) -> Array:
+    """Return the columns (K, t, q) of a loss in each turn: of its rotation and, if observed, of its velocity."""
+    about = session.linearised.about
     assert about is not None
-    axis = np.where(about.moments.T[:, None] < SHORTEST_TURN, 0.0, _turned_about(about, slice(None)))
-    seen = session.problem.instrument.in_velocities
-    _, turn = session.nothing(2 if seen else 1)
+    axis = np.where(about.moments.T[:, None] < SHORTEST_TURN, 0.0, _turn_axes(about, slice(None)))
+    in_velocities = session.problem.instrument.in_velocities
+    _, turn = session.zero_columns(2 if in_velocities else 1)
     turn[:, :3, 0] = axis
-    if seen:
-        turn[:, 3:6, 1] = np.cross(axis, rows.gained)
+    if in_velocities:
+        turn[:, 3:6, 1] = np.cross(axis, session.linearised.gained)
     return turn
 
 
 def samples_held(observations: Observations) -> Cause | None:
-    """Samples of turns whose accelerometers and gyros all read what they read in the sample before, where that is not
-    for want of resolution."""
+    """Return the cause that whole samples repeat the one before, if that is not due to coarse resolution."""
     samples = observations.turn_samples
     if samples is None:
         return None
     rows = same = 0
-    fewest = np.zeros(6, dtype=np.int64)
+    same_in_column = np.zeros(6, dtype=np.int64)
     for start, stop in zip(samples.start.tolist(), samples.stop.tolist(), strict=True):
         rates, forces, _ = samples.samples.read(start, stop)
         equal = [column[1:] == column[:-1] for column in (*rates.T, *forces.T)]
         rows, same = rows + len(equal[0]), same + int(np.count_nonzero(np.logical_and.reduce(equal)))
-        fewest += [np.count_nonzero(column) for column in equal]
-    if same < FEWEST_HELD or same < 0.8 * fewest.min() or fewest.min() > 0.5 * rows:
+        same_in_column += [np.count_nonzero(column) for column in equal]
+    fewest = same_in_column.min()
+    if same < FEWEST_HELD or same < 0.8 * fewest or fewest > 0.5 * rows:
         return None
     return Cause(
         name="lost samples",
-        concerns="both",
+        concerns=(),
         sentence=f"{same} of {rows} samples of the turns are copies of the one before, {100.0 * same / rows:.2g} %: "
         "the log holds the last sample where one is missing; record all of them",
     )
 
 
-def turns_to_blame(linearised: Linearisation) -> Solution:
-    """What is left of residuals where rotations and velocities of turns alone scatter, each by as much as its residuals
-    do, and groups of parameters are of their usual sizes: lost samples make rotations err, and an estimate may have
-    taken that for rests that scatter, or for groups; accelerometers that are late err in velocities, and the rotations
-    must not be blamed for it. What jerky turns err by, which goes with the axis too, is told by their samples."""
-    Z, of = linearised.noise.turn_directions
+def scatter_of_turns_only(linearised: Linearisation) -> Solution:
+    """Solve with scatter in the rotations and velocities of turns alone, and groups of parameters of usual size.
+
+    The estimate may have taken errors of rotations for scatter of rests or for large groups. Rotations and velocities
+    have a scatter each, as late accelerometers affect velocities only. The scatter of jerky turns is kept, as it
+    depends on the axis too and is determined from their samples."""
+    Z, component = linearised.noise.turn_directions
     names = ("turn", "velocity") if linearised.problem.instrument.in_velocities else ("turn",)
-    along = {name: Z[:, :, of == SCATTER.index(name)] for name in names}
+    directions = {name: Z[:, :, component == SCATTER.index(name)] for name in names}
     components = VarianceComponents(aliased=linearised.components.aliased)
-    remaining = judged_solution(linearised, components, usual=True)
-    for step in range(ROUNDS):
-        W, scatter = remaining.equations.turn_whitening, dict[str, Any]()
+    solution = diagnostic_solution(linearised, components, usual_sizes=True)
+    for step in range(SCATTER_ROUNDS):
+        W, scatter = solution.equations.turn_whitening, dict[str, Any]()
         for name in names:
-            square, before = SumOfSquares.along(W @ along[name], *remaining.turn_residuals), getattr(components, name)
-            variance = square.excess if step == 0 else before**2 * square.square / max(square.mean, LEAST)
-            scatter[name] = float(np.sqrt(variance))
+            square = SumOfSquares.along(W @ directions[name], *solution.turn_residuals)
+            variance = getattr(components, name) ** 2 * square.square / max(square.mean, LEAST_MEAN_SQUARE)
+            scatter[name] = float(np.sqrt(square.excess_variance if step == 0 else variance))
         components = replace(components, **scatter)
-        remaining = judged_solution(linearised, components, usual=True)
-    return remaining
+        solution = diagnostic_solution(linearised, components, usual_sizes=True)
+    return solution
 
 
-def lost_in_all_turns(session: LinearisedSession, s: int, blamed: Solution) -> Cause:
-    """Rotations of turns of session s that err about their own axis, with the angle, more than across it, where turns
-    are to blame: samples that are missing or held. Both are scatter, so that what is compared is one with the other.
-    Every sample that is lost makes a turn shorter, so that scale factors of the gyros are less by the share that is
-    lost, and err in their axes too, which the same turns tell: that is no scatter, and no scatter tells its size. Time
-    stamps that jitter make turns err either way."""
+def lost_in_all_turns(session: LinearisedSession, s: int, turns_only: Solution) -> Cause:
+    """Return the cause that samples are missing or held in the turns of session s, from the scatter of their rotations
+    about their own axes, in proportion to the angle, against that across them.
+
+    Lost samples also reduce the scale factors of the gyros by the share that is lost, and change their axes. This is
+    not scatter, and its size is not known from scatter. Jitter of time stamps has either sign, and no such effect.
+    `turns_only` is the solution of `scatter_of_turns_only`."""
     about, observed, part = session.linearised.about, session.observed[s], session.problem.parts[s].turns
     assert about is not None
-    axis = _turned_about(about, part)
-    size = np.sqrt(about.moments.body_rates[part][:, [0, 3, 5]].sum(axis=1))[:, None, None]
-    W, (residual, covariance) = (
-        blamed.equations.turn_whitening[part, :, :3],
-        (each[part] for each in blamed.turn_residuals),
-    )
+    axis = _turn_axes(about, part)
+    angle = np.sqrt(about.moments.body_rates[part][:, [0, 3, 5]].sum(axis=1))[:, None, None]
+    W = turns_only.equations.turn_whitening[part, :, :3]
+    residual, covariance = (each[part] for each in turns_only.turn_residuals)
     along, across = (
-        SumOfSquares.along(W @ (size * of), residual, covariance)
-        for of in (axis[..., None], np.swapaxes(tangent_basis(axis), 1, 2))
+        SumOfSquares.along(W @ (angle * directions), residual, covariance)
+        for directions in (axis[..., None], np.swapaxes(tangent_basis(axis), 1, 2))
     )
-    jitter = jittering(observed)
     return Cause(
         name="lost samples",
-        concerns="gyro",
-        probability=along.chance_beside(across),
-        by_group={} if jitter else dict.fromkeys(OF_TURNS, np.inf),
+        concerns=("gyro",),
+        p_value=along.p_value_against(across),
+        by_group={} if jitter_hint(observed) else dict.fromkeys(TURN_GROUPS, np.inf),
         sentence="turns that err about their own axis, with their angle: samples are missing or held in the log; "
-        + stamps_remedy(jitter),
+        + stamps_remedy(observed),
     )

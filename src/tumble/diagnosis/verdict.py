@@ -1,4 +1,4 @@
-"""The outcome of an estimate: whether it may be used, its accelerometers and gyros each for itself, and why not."""
+"""Outcome of an estimate: which parameters may be used, and why others may not."""
 
 from __future__ import annotations
 
@@ -11,13 +11,7 @@ from tumble.diagnosis.findings import Finding, outcome_of, refusal, remark
 from tumble.diagnosis.in_motion import in_motion
 from tumble.diagnosis.misfit import misfit
 from tumble.diagnosis.projection import FALSE_ALARMS
-from tumble.diagnosis.undetermined import (
-    as_six_faces_give,
-    faces_alone,
-    gravity_wanted,
-    linear_names,
-    undetermined,
-)
+from tumble.diagnosis.undetermined import faces_alone, linear_names, six_faces, uncertain_gravity, undetermined
 from tumble.earth import normal_gravity
 from tumble.inference.estimate import FIT_SIGMAS, Estimate, Outcome
 from tumble.inference.integral import is_poorly_sampled
@@ -27,19 +21,16 @@ from tumble.reduction.rests.segmentation import Segmentation
 from tumble.sensors.parameters import group_name, limits_of, sensor_kind
 from tumble.units import DEGREE, G_STANDARD, two_digits
 
-SCATTER_LIMIT, TURN_SCATTER_LIMIT = 1e-3 * G_STANDARD, 1.0 * DEGREE
-"""Of readings at rest by the methods that have one scatter and leave nothing out, and of turns by all."""
-MOST_LEFT_OUT = 1.0 / 3.0
-"""Of the rests or turns: where more do not fit, it is not they that are wrong."""
-NO_BIAS = 5.0
-"""Times the limit: no gyro has such a bias."""
-OF_USUAL = 2.0
-"""Degrees of freedom for which the usual spread of scale factors counts: it is right within a factor of about two."""
+REST_SCATTER_LIMIT = 1e-3 * G_STANDARD  # of readings at rest, for methods with one scatter that leave nothing out
+TURN_SCATTER_LIMIT = 1.0 * DEGREE
+LARGEST_SHARE = 1.0 / 3.0  # of rests or turns that do not fit: if there are more, the model is wrong
+IMPOSSIBLE_BIAS = 5.0  # in limits of a gyro bias
+SPREAD_DEGREES = 2.0  # degrees of freedom of the usual spread of scale factors, which is right within a factor of two
 MILLIGAL = 1e-5  # m/s²
-GRAVITY_DOUBTED = 300.0 * MILLIGAL
-GRAVITY_REFUSED = 1100.0 * MILLIGAL
-"""Anomalies of gravity on Earth reach 300 mGal on land in a few places; nowhere 1,000. The limit lets the value through
-that imu_tk takes for its recording, 1,091 mGal more than normal gravity, which published results rest on."""
+DOUBTFUL_ANOMALY = 300.0 * MILLIGAL  # anomalies of gravity on land reach it in a few places
+IMPOSSIBLE_ANOMALY = 1100.0 * MILLIGAL
+"""No anomaly on Earth reaches 1,000 mGal. imu_tk takes a value 1,091 mGal above normal gravity for its recording, on
+which published results rest."""
 
 
 def verdict(
@@ -50,81 +41,71 @@ def verdict(
     Parameters
     ----------
     estimate
-        Of any method.
+        Estimate of any method.
     observations
-        What it was made from.
+        Observations it was made from.
     gravity_confirmed
-        Whether gravity is what is stated, however far from normal gravity.
+        Whether gravity is as stated, however far from normal gravity.
     search
-        Whether to search for causes; without, residuals are judged by their size alone.
+        Whether to search for causes of residuals; otherwise these are judged by their size alone.
 
     Returns
     -------
     Outcome
-        Whether it may be used, its accelerometers and gyros each for itself, and which groups of parameters where these
-        are not judged alike. Reasons are in the order: what is not determined, what concerns both kinds of sensors,
-        what concerns the accelerometers, the gyros.
+        Whether the accelerometers, the gyros and their groups of parameters may be used. Reasons come in the order:
+        undetermined parameters, both kinds of sensors, accelerometers, gyros.
     """
     missing, site = linear_names(estimate.unobservable), observations.site
-    of_gravity = (*(() if gravity_confirmed else _impossible_gravity(site)), *gravity_wanted(site))
+    of_gravity = (*(() if gravity_confirmed else _impossible_gravity(site)), *uncertain_gravity(site))
     if observations.links is not None:
         return outcome_of((*in_motion(estimate, observations, missing), *of_gravity), missing)
     faces = faces_alone(estimate, missing)
     weak = [] if estimate.reasons or faces else undetermined(estimate, observations, missing)
-    findings = [
-        *(refusal(reason) for reason in estimate.reasons),
-        *([] if missing and not faces else _not_converged(estimate)),
-        *of_gravity,
-        *_beyond_scatter(estimate, observations),
-        *([as_six_faces_give(estimate, observations, missing)] if faces else []),
-        *(each for each in weak if not each.refuses),
-        *_not_fitting(estimate, observations),
-        *_beyond_any_bias(estimate),
-        *map(remark, estimate.remarks),
-        *_judged(estimate, missing, search),
-        *_few_points(estimate),
-    ]
-    of_kinds = ((), ("accel",), ("gyro",))
-    refusals = sorted((each for each in findings if each.refuses), key=lambda each: of_kinds.index(each.kinds))
-    remarks = (each for each in findings if not each.refuses)
-    return outcome_of([*(each for each in weak if each.refuses), *refusals, *remarks], missing)
-
-
-def _not_converged(estimate: Estimate) -> Iterator[Finding]:
-    """That the iteration ran out."""
-    if not estimate.converged:
-        yield refusal(
-            "the estimate did not converge: the data contradict the model; look at the rests with `tumble inspect`"
+    findings = [refusal(reason) for reason in estimate.reasons]
+    if not estimate.converged and (faces or not missing):
+        findings.append(
+            refusal(
+                "the estimate did not converge: the data contradict the model; look at the rests with `tumble inspect`"
+            )
         )
-
-
-def _few_points(estimate: Estimate) -> Iterator[Finding]:
-    """That the integral over the hyperparameters has an error that counts."""
+    findings += [*of_gravity, *_excessive_scatter(estimate, observations)]
+    if faces:
+        findings.append(six_faces(estimate, observations, missing))
+    findings += [finding for finding in weak if not finding.refuses]
+    findings += [*_not_fitting(estimate, observations), *_impossible_bias(estimate), *map(remark, estimate.remarks)]
+    findings += _residual_findings(estimate, missing, search)
     if estimate.integral is not None and is_poorly_sampled(estimate.integral):
-        yield remark(
-            "u rests on a few points of the integral over what the model does not know of itself: it is a rough one"
+        findings.append(
+            remark(
+                "u rests on a few points of the integral over what the model does not know of itself: it is a rough one"
+            )
         )
+    order = ((), ("accel",), ("gyro",))
+    refusals = sorted((finding for finding in findings if finding.refuses), key=lambda each: order.index(each.kinds))
+    remarks = (finding for finding in findings if not finding.refuses)
+    return outcome_of([*(finding for finding in weak if finding.refuses), *refusals, *remarks], missing)
 
 
 def _impossible_gravity(site: Site) -> Iterator[Finding]:
-    """Gravity that no place on Earth has."""
-    difference = gravity_difference(site)
-    if difference is not None and abs(difference) > GRAVITY_REFUSED:
+    """Refuse gravity that no place on Earth has."""
+    anomaly = gravity_anomaly(site)
+    if anomaly is not None and abs(anomaly) > IMPOSSIBLE_ANOMALY:
         yield refusal(
-            f"{gravity_said(site)}, more than {GRAVITY_REFUSED / MILLIGAL:.0f}: every scale factor of the "
+            f"{gravity_text(site)}, more than {IMPOSSIBLE_ANOMALY / MILLIGAL:.0f}: every scale factor of the "
             "accelerometers would be wrong with it; correct gravity, latitude_deg or height_m in [site], or write "
             "gravity_confirmed = true",
             "accel.scale",
         )
 
 
-def _beyond_any_bias(estimate: Estimate) -> Iterator[Finding]:
-    """A bias of the gyros far beyond its limit, which a device that turned steadily would show too."""
-    at = np.array([group_name(name) == "gyro.bias" for name in estimate.names]) & estimate.observable
-    if at.any():
-        name, value = max(zip(np.array(estimate.names)[at], estimate.values[at], strict=True), key=lambda x: abs(x[1]))
+def _impossible_bias(estimate: Estimate) -> Iterator[Finding]:
+    """Report a gyro bias far beyond its limit, which a steady rotation of the device would also produce."""
+    biases = np.array([group_name(name) == "gyro.bias" for name in estimate.names]) & estimate.observable
+    if biases.any():
+        names = np.array(estimate.names)[biases]
+        name, value = max(zip(names, estimate.values[biases], strict=True), key=lambda pair: abs(pair[1]))
         limit = float(limits_of([name])[0])
-        if abs(value) > NO_BIAS * limit:
+        if abs(value) > IMPOSSIBLE_BIAS * limit:
             yield remark(
                 f"{name} of {value / DEGREE:.4g} °/s is far beyond any usual one, up to {limit / DEGREE:.2g} °/s: is "
                 "the unit right, or did the device turn?",
@@ -132,10 +113,10 @@ def _beyond_any_bias(estimate: Estimate) -> Iterator[Finding]:
             )
 
 
-def _beyond_scatter(estimate: Estimate, observations: Observations) -> Iterator[Finding]:
-    """Rests and turns that scatter by more than any model bears."""
+def _excessive_scatter(estimate: Estimate, observations: Observations) -> Iterator[Finding]:
+    """Refuse scatter of rests and turns that is too large for any model."""
     rests, turns = estimate.fits.get("accelerometers"), estimate.fits.get("gyro turns")
-    if rests is not None and rests.scatter > SCATTER_LIMIT and estimate.left_out is None:
+    if rests is not None and rests.scatter > REST_SCATTER_LIMIT and estimate.left_out is None:
         yield refusal(
             f"the rests scatter by {rests.scatter / G_STANDARD * 1e3:.2g} mg, more than 1 mg: the device moved at "
             "rest, or the accelerometers do not follow the model",
@@ -150,20 +131,21 @@ def _beyond_scatter(estimate: Estimate, observations: Observations) -> Iterator[
         )
 
 
-def _judged(estimate: Estimate, missing: tuple[str, ...], search: bool) -> Iterator[Finding]:
-    """What the residuals show; where parameters of one kind of sensor are missing, of the other kind."""
+def _residual_findings(estimate: Estimate, missing: tuple[str, ...], search: bool) -> Iterator[Finding]:
+    """Yield the findings from residuals; if parameters of one kind of sensor are missing, those of the other kind."""
     without = {sensor_kind(name) for name in missing}
     if not estimate.converged or (without and (estimate.gyro is None or len(without) > 1)):
         return
-    for found in misfit(estimate, search):
-        if not without or (found.kinds and not without & {*found.kinds}):
-            yield found
+    for finding in misfit(estimate, search):
+        if not without or (finding.kinds and not without & {*finding.kinds}):
+            yield finding
 
 
 def _not_fitting(estimate: Estimate, observations: Observations) -> Iterator[Finding]:
-    """Rests and turns that do not fit, or that were left out because they do not. A method that leaves out has them in
-    no parameter, or fits them within its scatter; for one that does not they are reasons, and so they are where they
-    are many."""
+    """Yield rests and turns that do not fit, or were left out for it.
+
+    They are remarks for methods that leave out what does not fit, unless too much was left out, and refuse estimates
+    of other methods."""
     rests, turns, out = observations.rests, observations.turns, estimate.left_out
     N, K = len(rests), 0 if turns is None else len(turns)
     none, by_gyros = np.zeros(N, dtype=bool), np.zeros(N, dtype=bool)
@@ -175,37 +157,39 @@ def _not_fitting(estimate: Estimate, observations: Observations) -> Iterator[Fin
         ("gyro", "rests by their gyros", gyro),
         ("gyro", "turns", turn),
     ):
-        if omitted.sum() > MOST_LEFT_OUT * len(omitted):
+        if omitted.sum() > LARGEST_SHARE * len(omitted):
             yield refusal(
                 f"{omitted.sum()} of {len(omitted)} {what} do not fit, more than a third: the data contradict the "
                 "model; look at the rests with `tumble inspect`",
                 kind,
             )
+
+    def misses(sigmas: float, left_out: bool, by: str = "") -> str:
+        if left_out:
+            return f" was left out{by}: {sigmas:.1f} sigma from what the others say"
+        return f" does not fit{by}: {sigmas:.1f} sigma"
+
     for i in np.flatnonzero((estimate.rest_sigmas > FIT_SIGMAS) | accel | gyro):
-        left = accel[i] or gyro[i]
-        gyros = bool(gyro[i] and not accel[i]) if left else bool(by_gyros[i])
-        rest = f"{observations.rest_named(int(i))} ({rests.start[i]:z.1f}–{rests.stop[i]:z.1f} s)"
-        how = _how_far(estimate.rest_sigmas[i], bool(left), " by its gyros" if gyros else "")
-        how += "" if gyros else f", residual {estimate.rest_residual[i]:.2g} m/s^2"
-        yield Finding(sentence=rest + how, concerns=("gyro",) if gyros else (), refuses=out is None)
+        left_out = bool(accel[i] or gyro[i])
+        gyros = bool(gyro[i] and not accel[i]) if left_out else bool(by_gyros[i])
+        sentence = f"{observations.rest_named(int(i))} ({rests.start[i]:z.1f}–{rests.stop[i]:z.1f} s)"
+        sentence += misses(estimate.rest_sigmas[i], left_out, " by its gyros" if gyros else "")
+        sentence += "" if gyros else f", residual {estimate.rest_residual[i]:.2g} m/s^2"
+        yield Finding(sentence=sentence, concerns=("gyro",) if gyros else (), refuses=out is None)
     for k in np.flatnonzero((estimate.turn_sigmas > FIT_SIGMAS) | turn) if len(estimate.turn_sigmas) else ():
-        sentence = observations.turn_named(int(k)) + _how_far(estimate.turn_sigmas[k], bool(turn[k]))
+        sentence = observations.turn_named(int(k)) + misses(estimate.turn_sigmas[k], bool(turn[k]))
         yield Finding(sentence=sentence, concerns=() if out is None else ("gyro",), refuses=out is None)
 
 
-def _how_far(sigmas: float, left_out: bool, by: str = "") -> str:
-    """That a rest or turn does not fit, or was left out, and how far it is from the fit."""
-    if left_out:
-        return f" was left out{by}: {sigmas:.1f} sigma from what the others say"
-    return f" does not fit{by}: {sigmas:.1f} sigma"
+# -------------------- recordings --------------------
 
 
 def no_rests(segmentation: Segmentation) -> Outcome:
-    """The outcome of a log in which nothing rests."""
+    """Return the outcome of a log without rests."""
     reason = (
         f"no rest found: expected the device to lie still for at least {segmentation.tuning.still} s in each position"
     )
-    reason += "".join(f"; {said}" for said in segmentation.passed_over())
+    reason += "".join(f"; {sentence}" for sentence in segmentation.passed_over())
     if segmentation.rejected:
         longest = max(segmentation.rejected, key=lambda r: r.stop - r.start)
         reason += f"; the longest quiet stretch, {longest.start:z.1f}–{longest.stop:z.1f} s, is none: {longest.reason}"
@@ -217,13 +201,14 @@ def no_rests(segmentation: Segmentation) -> Outcome:
     return Outcome(reasons=(f"{reason}; {advice}",))
 
 
-def little_used(segmentation: Segmentation, *, in_motion: bool = False) -> tuple[str, ...]:
-    """That much of the quiet time of a log is no rest that the estimate has, as a remark. One `in_motion` has what
-    moves, but not what is shaken."""
+def unused_quiet_time(segmentation: Segmentation, *, in_motion: bool = False) -> tuple[str, ...]:
+    """Return a remark if more than a third of the quiet time of a log is not used as rests.
+
+    With `in_motion`, only shaken rests are unused, as moving ones are part of the motion."""
     used = sum(rest.stop - rest.start for rest in segmentation.rests)
     left_out = segmentation.shaken if in_motion else segmentation.rejected
     unused = sum(stretch.stop - stretch.start for stretch in left_out)
-    if unused <= MOST_LEFT_OUT * (used + unused):
+    if unused <= LARGEST_SHARE * (used + unused):
         return ()
     return (
         f"{unused:.0f} s of {used + unused:.0f} s in which the device was quiet are not used as rests, more than a "
@@ -231,58 +216,54 @@ def little_used(segmentation: Segmentation, *, in_motion: bool = False) -> tuple
     )
 
 
-# -------------------- gravity of the site against normal gravity of its latitude and height --------------------
+# -------------------- gravity of the site --------------------
 
 
-def gravity_difference(site: Site) -> float | None:
-    """Gravity of a site less normal gravity, m/s²; None where the latitude is not known."""
+def gravity_anomaly(site: Site) -> float | None:
+    """Return gravity of a site less normal gravity, m/s²; None if the latitude is unknown."""
     return None if site.latitude is None else site.gravity - normal_gravity(site.latitude, site.height)
 
 
-def against_normal(site: Site) -> str | None:
-    """How far gravity is from normal gravity; where it is that to the last digit and no better known than a milligal,
-    which any measurement is, none was measured: then the uncertainty it has. None where the latitude is not known."""
-    difference = gravity_difference(site)
-    if difference is None:
+def anomaly_text(site: Site) -> str | None:
+    """Return the difference to normal gravity in words; None if the latitude is unknown.
+
+    Gravity equal to normal gravity whose uncertainty exceeds a milligal was not measured; its uncertainty is given."""
+    anomaly = gravity_anomaly(site)
+    if anomaly is None:
         return None
-    if difference == 0.0 and site.gravity_u > MILLIGAL:
+    if anomaly == 0.0 and site.gravity_u > MILLIGAL:
         return f"normal gravity assumed, u {two_digits(1e6 * site.gravity_u / site.gravity)} ppm"
-    return f"{difference / MILLIGAL:+z.0f} mGal from normal gravity"
+    return f"{anomaly / MILLIGAL:+z.0f} mGal from normal gravity"
 
 
-def gravity_said(site: Site) -> str:
-    """Gravity, and where the latitude is known what it is against normal gravity."""
-    against = against_normal(site)
-    return f"gravity {site.gravity:.6f} m/s^2" + ("" if against is None else f", {against}")
+def gravity_text(site: Site) -> str:
+    """Return gravity, with its difference to normal gravity if the latitude is known."""
+    anomaly = anomaly_text(site)
+    return f"gravity {site.gravity:.6f} m/s^2" + ("" if anomaly is None else f", {anomaly}")
 
 
-def gravity_doubted(site: Site) -> tuple[str, ...]:
-    """Gravity that few places have, as a note."""
-    difference = gravity_difference(site)
-    if difference is None or abs(difference) <= GRAVITY_DOUBTED:
+def doubtful_gravity(site: Site) -> tuple[str, ...]:
+    """Return a note if gravity is one that few places have."""
+    anomaly = gravity_anomaly(site)
+    if anomaly is None or abs(anomaly) <= DOUBTFUL_ANOMALY:
         return ()
     return (
-        f"{gravity_said(site)}, more than {GRAVITY_DOUBTED / MILLIGAL:.0f}: look at gravity, latitude_deg and height_m "
-        f"in [site]; if that is wrong, the scale factors of the accelerometers are off by "
-        f"{difference / site.gravity * 1e6:+.0f} ppm",
+        f"{gravity_text(site)}, more than {DOUBTFUL_ANOMALY / MILLIGAL:.0f}: look at gravity, latitude_deg and "
+        f"height_m in [site]; if that is wrong, the scale factors of the accelerometers are off by "
+        f"{anomaly / site.gravity * 1e6:+.0f} ppm",
     )
 
 
-# -------------------- time base of the log against the scale factors of the gyros --------------------
+# -------------------- time base of the log --------------------
 
 
-def time_base_doubted(estimate: Estimate, usual: float) -> tuple[str, ...]:
-    """Scale factors of the gyros that err alike by more than they differ, as all do by a wrong time base.
-
-    The mean of n scale-factor errors of an instrument is N(0, σ²/n) beside its own uncertainty, that of the time base
-    included. σ is by the spread s of the n and by the `usual` one of the grade, which counts as OF_USUAL degrees of
-    freedom: σ² = (OF_USUAL usual² + (n − 1) s²)/(OF_USUAL + n − 1). What stands out by Student's t, with the degrees of
-    freedom of Welch and Satterthwaite, is said.
+def doubtful_time_base(estimate: Estimate, usual: float) -> tuple[str, ...]:
+    """Return a remark if the scale factors of the gyros have a common error, as by a wrong time base.
 
     Parameters
     ----------
     estimate : Estimate
-        With gyros.
+        Estimate with gyros.
     usual : float
         Standard deviation of scale-factor errors over instruments of the grade.
 
@@ -290,15 +271,22 @@ def time_base_doubted(estimate: Estimate, usual: float) -> tuple[str, ...]:
     -------
     tuple of str
         A remark, or nothing.
+
+    Notes
+    -----
+    The mean of n scale-factor errors is N(0, σ²/n), beside its own uncertainty, that of the time base included. σ is
+    estimated from the spread s of the n errors and the usual one, which counts as SPREAD_DEGREES degrees of freedom ν₀:
+    σ² = (ν₀ usual² + (n − 1) s²)/(ν₀ + n − 1). The mean is tested by Student's t with the degrees of freedom of Welch
+    and Satterthwaite.
     """
-    at = [i for i, name in enumerate(estimate.names) if group_name(name) == "gyro.scale"]
-    n = len(at)
-    if n < len("xyz") or not estimate.observable[at].all():
+    gyro_scale = [i for i, name in enumerate(estimate.names) if group_name(name) == "gyro.scale"]
+    n = len(gyro_scale)
+    if n < len("xyz") or not estimate.observable[gyro_scale].all():
         return ()
-    scale, degrees = estimate.values[at], OF_USUAL + n - 1
+    scale, degrees = estimate.values[gyro_scale], SPREAD_DEGREES + n - 1
     mean, spread = float(scale.mean()), float(scale.std(ddof=1))
-    by_spread = (OF_USUAL * usual**2 + (n - 1) * spread**2) / degrees / n
-    variance = by_spread + float(estimate.covariance[np.ix_(at, at)].mean())
+    by_spread = (SPREAD_DEGREES * usual**2 + (n - 1) * spread**2) / degrees / n
+    variance = by_spread + float(estimate.covariance[np.ix_(gyro_scale, gyro_scale)].mean())
     t = mean / np.sqrt(variance)
     if 2.0 * scipy.special.stdtr(degrees * (variance / by_spread) ** 2, -abs(t)) > FALSE_ALARMS:
         return ()

@@ -1,7 +1,7 @@
-"""Identification of the columns of text and Parquet files: as the user states them, by their names and units, and where
-these leave it open by their numbers.
+"""Identification of the columns of text and Parquet files: as stated by the user, by names and units, and by numbers.
 
-Names and units are taken as given. Numbers decide only which columns without telling names are sensors or a time."""
+Names and units are taken as given; numbers only decide which columns without telling names are sensors or a time.
+"""
 
 from __future__ import annotations
 
@@ -15,65 +15,62 @@ import numpy as np
 import polars as pl
 
 from tumble.drafting.containers import NAMED, NoLogError, check_format, check_is_text
-from tumble.drafting.dialects import as_tables
-from tumble.drafting.foreign_log import LONGEST, SAMPLE_ROWS, ForeignLog, Stated, samples_in
-from tumble.drafting.repairs import nanoseconds_of, with_signs
-from tumble.drafting.sensors_apart import are_sensors_apart, of_sensors_apart
+from tumble.drafting.dialects import copy_as_tables
+from tumble.drafting.foreign_log import LONGEST, SAMPLE_ROWS, ForeignLog, StatedColumns, count_samples
+from tumble.drafting.repairs import nanoseconds_column, with_signs
+from tumble.drafting.sensors_apart import are_sensors_apart, join_sensors
 from tumble.drafting.times import grows_mostly, times_of_column
 from tumble.errors import InputError
 from tumble.files import OutputFolder, whole_file
 from tumble.recording.columns.names import ACCEL, GYRO, columns_by_name, is_no_sensor, time_unit, unit_of_name
-from tumble.recording.columns.numbers import columns_by_data, grows, guesses, time_by_data
+from tumble.recording.columns.numbers import columns_by_data, grows, guess_remarks, time_by_data
 from tumble.recording.log_source import readable
 from tumble.recording.readers import ENDINGS, source_of
 from tumble.recording.text.dialect import LINE_BYTES, SEEN_BYTES, Dialect, dialect_of, is_clock
 from tumble.recording.text.pieces import opened
 
-_FEWEST_ROWS, _LONGEST_ROW = 50, 4096
-_GROWING = 0.9  # of the steps of stamps that are those of rows
+_FEWEST_FILES, _LONGEST_ROW = 50, 4096  # of files of a row each; bytes
+_GROWING_SHARE = 0.9  # of the steps of stamps that are those of rows
 _DELIMITER_WORDS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "blanks"}
+_NOTHING: Mapping[str, Any] = MappingProxyType({})
 
 
-_NONE: Mapping[str, Any] = MappingProxyType({})
-
-
-def identified_log(
-    files: Sequence[Path], folder: OutputFolder, stated: Stated = _NONE, units: Mapping[str, str] = _NONE
+def identify_log(
+    files: Sequence[Path], folder: OutputFolder, stated: StatedColumns = _NOTHING, units: Mapping[str, str] = _NOTHING
 ) -> ForeignLog:
-    """One log of text and Parquet files, with its columns identified as far as they are not `stated`, and stated
-    `units`.
+    """Return one log of text and Parquet files, with its columns identified.
 
-    Files that are written alike and whose columns have no telling names are identified together: a file of one position
-    does not show which columns are sensors, all of them do. Raises InputError for files that are no logs, or not
-    alike."""
+    `stated` and `units` are the user's statements by role and by kind of sensor. Files that are written alike and whose
+    columns have no telling names are identified together: sensors show in all positions, not in a file of one. Raises
+    InputError for files that are no logs, or not written alike."""
     logs: list[ForeignLog] = []
-    without: list[NoLogError] = []
+    errors: list[NoLogError] = []
     omitted: tuple[str, ...] = ()
-    # text without rows beside logs that have some, as the metadata that a phone writes, is left out
-    for file in _joined(files, folder):
+    # text without rows beside logs, as the metadata of a phone, is left out
+    for file in _joined_rows(files, folder):
         try:
             logs += [log.with_stated(stated, units) for log in _logs_in(file, folder)]
         except NoLogError as error:
-            without.append(error)
+            errors.append(error)
             omitted += (f"{file.name} has no rows of readings and is left out",)
     if not logs:
-        raise without[0]
-    logs = [_with_thermometers(_with_finest_time(log) if len(log.columns.times) > 1 else log) for log in logs]
-    parts = _sensors_with_times_of_their_own(logs[0]) if len(logs) == 1 else []
+        raise errors[0]
+    logs = [_without_empty_thermometers(_with_finest_time(log)) for log in logs]
+    parts = _parts_with_own_times(logs[0]) if len(logs) == 1 else []
     if parts or are_sensors_apart(logs):
-        apart = of_sensors_apart(parts or logs, folder)
-        return replace(apart, remarks=(*apart.remarks, *omitted))
-    whole = [log for log in logs if ACCEL in log.columns.triads]
-    beside = [log for log in logs if whole and log not in whole and not log.unnamed]
-    omitted += tuple(f"{log.files[0].name} has no accelerometers and is left out" for log in beside)
-    logs = [log for log in logs if log not in beside]
+        joined = join_sensors(parts or logs, folder)
+        return replace(joined, remarks=(*joined.remarks, *omitted))
+    named = [log for log in logs if ACCEL in log.columns.triads]
+    without_accel = [log for log in logs if named and log not in named and not log.unnamed]
+    omitted += tuple(f"{log.files[0].name} has no accelerometers and is left out" for log in without_accel)
+    logs = [log for log in logs if log not in without_accel]
     first = logs[0]
     alike = all(log.cells and (log.keys, set(log.cells)) == (first.keys, set(first.cells)) for log in logs)
-    if len(logs) > 1 and not whole and alike:
-        numeric = _numeric(first)
+    if len(logs) > 1 and not named and alike:
+        numeric = _numeric_columns(first)
         time = first.columns.time or time_by_data(numeric, first.read(numeric, rows=LONGEST // 10))
         logs = [replace(first.with_columns(time=time), files=tuple(file for log in logs for file in log.files))]
-    logs = [_by_numbers(_with_time(_with_gravity(log)) if log in whole else log) for log in logs]
+    logs = [_with_columns_by_data(_with_time(_with_gravity(log)) if log in named else log) for log in logs]
     first = logs[0]
     for log in logs[1:]:
         if (log.keys, log.columns.triads, log.columns.time) != (first.keys, first.columns.triads, first.columns.time):
@@ -82,15 +79,15 @@ def identified_log(
                 "sessions of their own"
             )
     first.check_has_sensors(gyros_suffice=True)
-    taken = tuple(file for log in logs for file in log.files)
+    all_files = tuple(file for log in logs for file in log.files)
     kept = {path: source for log in logs for path, source in log.kept.items()}
-    several = (f"{len(taken)} files, each a recording of its own",) if len(taken) > 1 else ()
-    return replace(first, files=taken, remarks=(*first.remarks, *several, *omitted), kept=kept)
+    several = (f"{len(all_files)} files, each a recording of its own",) if len(all_files) > 1 else ()
+    return replace(first, files=all_files, remarks=(*first.remarks, *several, *omitted), kept=kept)
 
 
-def _joined(files: Sequence[Path], folder: OutputFolder) -> Sequence[Path]:
-    """Many files of a row each, as the oxts/data of KITTI, as one log in their order; others as they are."""
-    if len(files) < _FEWEST_ROWS or any(file.stat().st_size > _LONGEST_ROW for file in files):
+def _joined_rows(files: Sequence[Path], folder: OutputFolder) -> Sequence[Path]:
+    """Join many files of one row each, as the oxts/data of KITTI; return other files as they are."""
+    if len(files) < _FEWEST_FILES or any(file.stat().st_size > _LONGEST_ROW for file in files):
         return files
     rows = [file.read_bytes().strip() for file in files]
     if any(not row or b"\n" in row for row in rows):
@@ -101,31 +98,31 @@ def _joined(files: Sequence[Path], folder: OutputFolder) -> Sequence[Path]:
 
 
 def _logs_in(file: Path, folder: OutputFolder) -> list[ForeignLog]:
-    """The log in a file; one for each sensor if its rows are of single sensors."""
+    """Return the log in a file, or one for each sensor if each row is of one sensor."""
     check_format(file, recording=file.suffix.lower() in NAMED)
     if file.suffix.lower() == ".parquet":
         return [ForeignLog(files=(file,), keys={}, columns=columns_by_name(source_of(file).names))]
     with readable(file), opened(file) as stream:
-        seen = stream.read(SEEN_BYTES)
-    if not seen:
+        start = stream.read(SEEN_BYTES)
+    if not start:
         raise NoLogError(f"{file}: expected a log, found an empty file")
-    check_is_text(file, seen)
-    if (copied := as_tables(file, seen, folder)) is not None:
+    check_is_text(file, start)
+    if (copied := copy_as_tables(file, start, folder)) is not None:
         parts, remarks = copied
         return [replace(log, remarks=(*remarks, *log.remarks)) for part in parts for log in _logs_in(part, folder)]
-    dialect_and_top = dialect_of(seen)
-    if dialect_and_top is None and max(map(len, seen.split(b"\n"))) > LINE_BYTES // 2:
+    dialect_and_top = dialect_of(start)
+    if dialect_and_top is None and max(map(len, start.split(b"\n"))) > LINE_BYTES // 2:
         raise InputError(f"{file}: expected a log of rows of numbers, found something else; is it a recording?")
     if dialect_and_top is not None:
         dialect, top = dialect_and_top
-        lines = seen.decode(dialect.encoding, errors="replace").split("\n")[top.lines : top.lines + SAMPLE_ROWS]
+        lines = start.decode(dialect.encoding, errors="replace").split("\n")[top.lines : top.lines + SAMPLE_ROWS]
         rows = [row for line in lines if len(row := dialect.cells(line)) == len(top.names)]
     if dialect_and_top is None or len(rows) < 2:
         raise NoLogError(f"{file}: expected rows of readings below the names of the columns, found none")
     cells = {name: [row[j] for row in rows] for j, name in enumerate(top.names) if name}
     filled = {name: [cell for cell in column if cell.strip()] for name, column in cells.items()}
     numbers = {name for name, column in filled.items() if any(dialect.is_number(c) or is_clock(c) for c in column)}
-    words = {name for name, column in filled.items() if column} - numbers
+    text = {name for name, column in filled.items() if column} - numbers
     how = [f"{_DELIMITER_WORDS[dialect.delimiter]} between the values"]
     how += ["decimal commas"] if dialect.decimal == "," else []
     how += [dialect.encoding] if dialect.encoding != "utf-8" else []
@@ -135,7 +132,7 @@ def _logs_in(file: Path, folder: OutputFolder) -> list[ForeignLog]:
     log = ForeignLog(
         files=(file,),
         keys={} if plain else dialect.keys(),
-        columns=columns_by_name([name for name in top.names if name not in words]),
+        columns=columns_by_name([name for name in top.names if name not in text]),
         preamble=top.preamble,
         cells=cells,
         remarks=() if plain else (f"text: {', '.join(how)}",),
@@ -145,8 +142,8 @@ def _logs_in(file: Path, folder: OutputFolder) -> list[ForeignLog]:
     return [log.with_columns(time=clock) if log.columns.time is None else log]
 
 
-def _numeric(log: ForeignLog) -> list[str]:
-    """Names of the columns of numbers."""
+def _numeric_columns(log: ForeignLog) -> list[str]:
+    """Return the names of the columns of numbers."""
     if not log.cells:
         schema = pl.scan_parquet(log.files[0], glob=False).collect_schema()
         return [name for name, kind in schema.items() if kind.is_numeric()]
@@ -154,23 +151,25 @@ def _numeric(log: ForeignLog) -> list[str]:
     return [name for name, cells in log.cells.items() if sum(map(is_number, cells)) > len(cells) // 2]
 
 
-def _by_numbers(log: ForeignLog) -> ForeignLog:
-    """Identify sensors that are not named by their numbers: accelerometers and gyros among columns whose names do not
-    say that they are something else, or, beside named accelerometers, gyros among columns without names."""
-    named, names, numeric = log.columns, list(log.names), _numeric(log)
+def _with_columns_by_data(log: ForeignLog) -> ForeignLog:
+    """Identify sensors by their numbers where names leave them open.
+
+    Accelerometers and gyros are sought among columns whose names do not exclude it; beside named accelerometers, gyros
+    are sought among columns without names."""
+    named, names = log.columns, list(log.names)
     accel = named.triads[ACCEL].columns if ACCEL in named.triads else ()
     taken = {column for sensors in named.triads.values() for column in sensors.columns} | {named.time}
-    free = [name for name in numeric if name not in taken and not is_no_sensor(name)]
+    free = [name for name in _numeric_columns(log) if name not in taken and not is_no_sensor(name)]
     if accel:
         free = [name for name in free if name.isdecimal() and GYRO not in named.triads]
-    if len(free) < len("xyz"):
+    if len(free) < 3:
         return log
-    read = with_signs(log.read([*accel, *free]))
-    read = read[: samples_in(read)]
-    read = read[np.isfinite(read).any(axis=1)]  # without rows of others
-    every = np.full((len(read), len(names)), np.nan)
-    every[:, [names.index(name) for name in (*accel, *free)]] = read
-    by_data = columns_by_data(names, every)
+    numbers = with_signs(log.read([*accel, *free]))
+    numbers = numbers[: count_samples(numbers)]
+    numbers = numbers[np.isfinite(numbers).any(axis=1)]
+    table = np.full((len(numbers), len(names)), np.nan)
+    table[:, [names.index(name) for name in (*accel, *free)]] = numbers
+    by_data = columns_by_data(names, table)
     if accel and (GYRO not in by_data.triads or set(by_data.triads[ACCEL].columns) != set(accel)):
         unused = f"columns without names, {', '.join(free)}, are not used"
         doubt = f"{unused}: the accelerometers alone are calibrated; state --gyro if some are gyros"
@@ -178,60 +177,63 @@ def _by_numbers(log: ForeignLog) -> ForeignLog:
     if ACCEL not in by_data.triads:
         return log
     triads = {kind: replace(s, unit=unit_of_name(kind, s.columns[0])) for kind, s in by_data.triads.items()}
-    near = "columns are told by their numbers, and others would fit too: all values hang on it; state --accel, --gyro"
-    log = replace(log, doubts=(near,)) if by_data.unsure and not accel else log
-    remarks = guesses(by_data, named.triads)
+    remarks = guess_remarks(by_data, named.triads)
     if accel:
         return log.with_columns(remarks, triads={**triads, **named.triads})
+    doubt = "columns are told by their numbers, and others would fit too: all values hang on it; state --accel, --gyro"
+    log = replace(log, doubts=(doubt,)) if by_data.ambiguous else log
     return log.with_columns(
         remarks, triads={**triads, **named.triads}, time=named.time or by_data.time, others=(), times=()
     )
 
 
 def _with_gravity(log: ForeignLog) -> ForeignLog:
-    """Take the triad of accelerometers that reads gravity if the first does not: phones write several."""
+    """Take the second triad of accelerometers if it reads gravity and the first does not: phones write several."""
     first = log.columns.triads[ACCEL].columns
-    further = columns_by_name([name for name in log.cells if name not in first]).triads.get(ACCEL)
-    if further is None or log.reads_gravity(first) or not log.reads_gravity(further.columns):
+    second = columns_by_name([name for name in log.cells if name not in first]).triads.get(ACCEL)
+    if second is None or log.reads_gravity(first) or not log.reads_gravity(second.columns):
         return log
-    remark = f"accel: {', '.join(further.columns)}, since {', '.join(first)} do not read gravity"
-    others = (*(name for name in log.columns.others if name not in further.columns), *first)
-    return log.with_columns([remark], triads={**log.columns.triads, ACCEL: further}, others=others)
+    remark = f"accel: {', '.join(second.columns)}, since {', '.join(first)} do not read gravity"
+    others = (*(name for name in log.columns.others if name not in second.columns), *first)
+    return log.with_columns([remark], triads={**log.columns.triads, ACCEL: second}, others=others)
 
 
 def _with_finest_time(log: ForeignLog) -> ForeignLog:
-    """Of several times take the first that grows from row to row, else the first that grows at all."""
+    """Take the first of several times that grows from row to row, else the first that grows at all."""
+    if len(log.columns.times) < 2:
+        return log
     growing: list[ForeignLog] = []
     for name in dict.fromkeys((log.columns.time, *log.columns.times)):
         trial = log.with_columns(time=name, time_unit=time_unit(name or ""))
         stamps = trial.stamps()
         steps = np.zeros(1) if stamps is None else np.diff(stamps.values)
-        finest = np.mean(steps > 0.0) > _GROWING
-        whole_seconds = np.mean(steps >= 0.0) > _GROWING and np.any(steps > 0.0) and nanoseconds_of(trial) is not None
+        is_finest = np.mean(steps > 0.0) > _GROWING_SHARE
+        has_nanoseconds = np.any(steps > 0.0) and nanoseconds_column(trial) is not None
         is_time = stamps is not None and times_of_column(stamps) is not None
-        if whole_seconds or (finest and is_time):
+        if (np.mean(steps >= 0.0) > _GROWING_SHARE and has_nanoseconds) or (is_finest and is_time):
             return trial
         growing += [trial] if is_time else []
     return next(iter(growing), log)
 
 
-def _with_thermometers(log: ForeignLog) -> ForeignLog:
+def _without_empty_thermometers(log: ForeignLog) -> ForeignLog:
     """Leave out thermometers without readings."""
     empty = [name for name in log.columns.temperatures if not len(log.readings(name))]
     if not empty:
         return log
     named = log.columns
     sensors = [column for triad in named.triads.values() for column in triad.columns]
-    anew = columns_by_name([n for n in (*sensors, *named.temperatures, *named.others) if n not in empty])
+    rest = columns_by_name([n for n in (*sensors, *named.temperatures, *named.others) if n not in empty])
     remark = f"temperature: {', '.join(empty)} is left out, for it reads nothing or cannot be read"
-    return _with_thermometers(log.with_columns([remark], temperatures=anew.temperatures, others=anew.others))
+    return _without_empty_thermometers(log.with_columns([remark], temperatures=rest.temperatures, others=rest.others))
 
 
-def _sensors_with_times_of_their_own(log: ForeignLog) -> list[ForeignLog]:
-    """A log of each kind of sensors in a table where each has another time before its columns; none of other tables."""
-    names, triads = list(log.names), {k: s for k, s in log.columns.triads.items() if k in (ACCEL, GYRO)}
-    numeric, parts = _numeric(log), list[ForeignLog]()
-    for kind, sensors in triads.items():
+def _parts_with_own_times(log: ForeignLog) -> list[ForeignLog]:
+    """Return a log for each kind of sensor in a table in which each has another time before its columns."""
+    names, numeric, parts = list(log.names), _numeric_columns(log), list[ForeignLog]()
+    for kind, sensors in log.columns.triads.items():
+        if kind not in (ACCEL, GYRO):
+            continue
         first = min(map(names.index, sensors.columns))
         before = names[first - 1] if first else ""
         stamps = log.read([before])[:, 0] if before in numeric else np.empty(0)
@@ -243,11 +245,11 @@ def _sensors_with_times_of_their_own(log: ForeignLog) -> list[ForeignLog]:
 
 
 def _with_time(log: ForeignLog) -> ForeignLog:
-    """Take a column that grows as times do, if no name says which is the time."""
+    """Take a column that grows as times do if no column is named as the time."""
     if log.columns.time is not None:
         return log
-    named = {c for triad in log.columns.triads.values() for c in triad.columns}
-    names = [name for name in _numeric(log) if name not in named]
+    sensors = {c for triad in log.columns.triads.values() for c in triad.columns}
+    names = [name for name in _numeric_columns(log) if name not in sensors]
     time = time_by_data(names, log.read(names, rows=LONGEST // 10)) if names else None
     if time is None:
         return log

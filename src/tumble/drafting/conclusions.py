@@ -1,5 +1,5 @@
-"""Conclusions from the hypothesis of least cost: units, scales and times of a draft, remarks on how they were found,
-and doubts about what would fit too."""
+"""Units, scales and times of a draft from the hypothesis of least cost, with remarks on how they were found and doubts
+about hypotheses that are hardly less likely."""
 
 from __future__ import annotations
 
@@ -10,39 +10,37 @@ from typing import Any
 
 import numpy as np
 
-from tumble.diagnosis.turn_likelihood import WIDTHS, Widths, columns_said
+from tumble.diagnosis.turn_likelihood import WIDTHS, Widths, columns_text
 from tumble.drafting.draft import Draft
-from tumble.drafting.hypotheses import Evidence, Hypothesis, evidence_of, ranked
+from tumble.drafting.hypotheses import Evidence, Hypothesis, gather_evidence, ranked_hypotheses
 from tumble.errors import InputError, TumbleError
-from tumble.recording.columns.names import ACCEL, GYRO
-from tumble.recording.columns.patterns import WITHOUT_GRAVITY
-from tumble.recording.columns.scales import ONE, PER, KnownScale
+from tumble.recording.columns.names import ACCEL, GYRO, WITHOUT_GRAVITY
+from tumble.recording.columns.scales import COUNTS_PER, COUNTS_PER_SI, SensorScale
 from tumble.run.observed import Progress, inspect_session
 from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS
 
-_TOLERANCE = 0.3
-"""Part of gravity by which the magnitude of accelerometers in a stated unit may be off."""
-_LARGEST_BIAS = 20.0  # °/s: what reads more at rest has an offset
-_MOST_RATES = 8
+_GRAVITY_TOLERANCE = 0.3  # of gravity, for accelerometers in a stated unit
+_LARGEST_BIAS = 20.0  # °/s: gyros that read more at rest have an offset
+_MOST_RATES = 8  # in a doubt
 _TIME_KEYS = ("time", "time_unit", "regular", "rate_hz")
 
 
-def completed(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> tuple[Draft, list[str]]:
-    """Complete a draft, whose sensors are raw numbers, by what its rests and turns show: with units, scales and times,
-    and the faults of its recording. `widths` are the standard deviations of the cost of hypotheses."""
-    shown = evidence_of(draft, progress, widths)
-    every = ranked(shown, draft, widths)
-    best = every[0]
-    near = [hypothesis for hypothesis in every[1:] if hypothesis.cost < best.cost + widths.near]
+def complete_draft(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> tuple[Draft, list[str]]:
+    """Add units, scales and times to a draft whose sensors are raw numbers, and list the faults of its recording.
+
+    `widths` are the standard deviations of the cost of hypotheses."""
+    evidence = gather_evidence(draft, progress, widths)
+    best, *others = ranked_hypotheses(evidence, draft, widths)
+    rivals = [hypothesis for hypothesis in others if hypothesis.cost < best.cost + widths.near]
     log = {key: value for key, value in draft.log.items() if key not in _TIME_KEYS} | best.times.keys
-    remarks = _of_times(draft, best)
+    remarks = _time_remarks(draft, best)
     if ACCEL in draft.triads:
-        log[ACCEL], of_accel = _accel(draft, best, shown)
-        remarks += of_accel
+        log[ACCEL], accel_remarks = _accel_table(draft, best, evidence)
+        remarks += accel_remarks
     if best.gyro is not None:
-        log[GYRO], of_gyro = _gyro(draft, best, best.gyro, shown, near)
-        remarks += of_gyro
-    doubts = (*_no_gravity(draft, best, shown), *_doubts(draft, log, best, near), *draft.doubts)
+        log[GYRO], gyro_remarks = _gyro_table(draft, best, best.gyro, evidence, rivals)
+        remarks += gyro_remarks
+    doubts = (*_doubts_of_gravity(draft, best, evidence), *_doubts_of_units(draft, log, best, rivals), *draft.doubts)
     log |= {"doubt": "; ".join(doubts)} if doubts else {}
     content = {**draft.content, "log": log}
     out = replace(draft, content=content, remarks=(*draft.remarks, *remarks), doubts=doubts, rate=best.times.rate)
@@ -55,8 +53,8 @@ def completed(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> tupl
     if best.profile is None or best.gyro is None:
         return out, faults
     if best.profile.exchanged:
-        faults = [f"the gyros carry the vertical from rest to rest only where {columns_said(best.profile.exchange)}"]
-    if not (best.gyro.known or best.accel.unit is None or draft.whole[GYRO]):
+        faults = [f"the gyros carry the vertical from rest to rest only where {columns_text(best.profile.exchange)}"]
+    if not (best.gyro.listed or best.accel.unit is None or draft.whole[GYRO]):
         written = f"; column {best.times.keys['time']!r} is taken as it is written" if best.times.stamped else ""
         faults.append(
             f"the gyros carry the vertical only with {best.gyro.value:.4g} numbers per deg/s, as in no unit and on no "
@@ -65,42 +63,45 @@ def completed(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> tupl
     return out, faults
 
 
-def _no_gravity(draft: Draft, best: Hypothesis, shown: Evidence) -> Iterator[str]:
-    """Doubts about accelerometers that do not read gravity, in the unit of their names or in any unit. Raises
-    InputError if they read none and are named as linear acceleration."""
+def _doubts_of_gravity(draft: Draft, best: Hypothesis, evidence: Evidence) -> Iterator[str]:
+    """Yield doubts about accelerometers that do not read gravity in a unit.
+
+    Raises InputError if they do not and are named as linear acceleration."""
     if ACCEL not in draft.triads:
         return
     unit, columns = draft.unit(ACCEL), draft.triads[ACCEL].columns
     if unit is not None and ACCEL_UNITS[unit].kind != "raw":
-        length = shown.length * ACCEL_UNITS[unit].per_second(best.times.rate) / ONE[ACCEL]
-        if abs(length - 1.0) > _TOLERANCE:
-            read = f"the accelerometers read {length:.3g} g at rest in {unit}, as their names say"
-            yield f"{read}: if another unit is right, state --accel-unit; without gravity none is calibrated"
-    elif not (best.accel.known or draft.whole[ACCEL] or unit == "V"):
+        length = evidence.length * ACCEL_UNITS[unit].per_second(best.times.rate) / COUNTS_PER_SI[ACCEL]
+        if abs(length - 1.0) > _GRAVITY_TOLERANCE:
+            reading = f"the accelerometers read {length:.3g} g at rest in {unit}, as their names say"
+            yield f"{reading}: if another unit is right, state --accel-unit; without gravity none is calibrated"
+    elif not (best.accel.listed or draft.whole[ACCEL] or unit == "V"):
         if WITHOUT_GRAVITY.search(columns[0]):
             raise InputError(
                 f"{draft.files[0]}: expected readings of accelerometers, found linear acceleration, which a filter has "
                 f"taken gravity off ({', '.join(columns)[:120]}); log the raw accelerometers"
             )
-        seen = "the accelerometers read no whole numbers as counts are, and gravity in no unit"
-        if shown.rests >= 4 and shown.length_u < _TOLERANCE:
-            yield f"{seen}: rests in several attitudes read {shown.length:.4g} per g, which is taken for their scale"
+        finding = "the accelerometers read no whole numbers as counts are, and gravity in no unit"
+        if evidence.rests >= 4 and evidence.length_u < _GRAVITY_TOLERANCE:
+            rests = f"rests in several attitudes read {evidence.length:.4g} per g, which is taken for their scale"
+            yield f"{finding}: {rests}"
         else:
             yield (
-                f"{seen}: if they are volts, state --accel-unit V; what a filter has left without gravity cannot be "
+                f"{finding}: if they are volts, state --accel-unit V; what a filter has left without gravity cannot be "
                 "calibrated"
             )
 
 
-def _doubts(draft: Draft, log: Mapping[str, Any], best: Hypothesis, near: Sequence[Hypothesis]) -> Iterator[str]:
-    """Doubts about units and rate: the consequence of each, and the option that settles it."""
+def _doubts_of_units(
+    draft: Draft, log: Mapping[str, Any], best: Hypothesis, rivals: Sequence[Hypothesis]
+) -> Iterator[str]:
+    """Yield doubts about units and the rate: the consequence of each, and the option that settles it."""
     for kind, sensors, scale in ((ACCEL, "accelerometers", best.accel), (GYRO, "gyros", best.gyro)):
         if scale is None or kind not in draft.triads:
             continue
-        with_accel = ACCEL in draft.triads
-        alone = "the accelerometers alone are calibrated, " if with_accel else ""
-        rivals = [h.accel if kind == ACCEL else h.gyro for h in near if kind in h.differs(best)]
-        others = " or ".join(dict.fromkeys(rival.label for rival in rivals if rival is not None and rival.known))
+        alone = "the accelerometers alone are calibrated, " if ACCEL in draft.triads else ""
+        scales = [h.accel if kind == ACCEL else h.gyro for h in rivals if kind in h.differs(best)]
+        others = " or ".join(dict.fromkeys(rival.label for rival in scales if rival is not None and rival.listed))
         if log[kind]["unit"] == "count" and "scale" not in log[kind]:
             yield (
                 f"no turn tells what the gyros' counts are worth: {alone}noise is as if one were 1 deg/s; put the data "
@@ -111,7 +112,7 @@ def _doubts(draft: Draft, log: Mapping[str, Any], best: Hypothesis, near: Sequen
                 f"{sensors} in {scale.label} by a guess, {others} would fit too: all their values hang on it; state "
                 f"--{kind}-unit"
             )
-    rates = [h.times.rate for h in near if "time" in h.differs(best)]
+    rates = [h.times.rate for h in rivals if "time" in h.differs(best)]
     if draft.rate_guessed or rates:
         how = "by the turns" if best.profile is not None else "by a guess"
         others = ", ".join(f"{rate:g}" for rate in list(dict.fromkeys(rates))[:_MOST_RATES])
@@ -120,8 +121,8 @@ def _doubts(draft: Draft, log: Mapping[str, Any], best: Hypothesis, near: Sequen
         yield f"{best.times.rate:g} samples per second {how}{also}: {hang} on it; state --sample-rate"
 
 
-def _of_times(draft: Draft, best: Hypothesis) -> list[str]:
-    """Remarks on the times or the rate."""
+def _time_remarks(draft: Draft, best: Hypothesis) -> list[str]:
+    """Return remarks on the times or the rate."""
     first, taken = draft.times, best.times
     remarks = list(first.remarks)
     if taken.keys == first.keys and (taken.stamped or not first.rivals):
@@ -134,83 +135,88 @@ def _of_times(draft: Draft, best: Hypothesis) -> list[str]:
         why = ": in no unit do the gyros fit it" if turned else ", by its steps"
         remarks = [f"time: column {first.keys['time']!r} counts samples or ticks{why}"]
     if turned and best.gyro is not None:
-        found = _found(best, best.gyro) * taken.rate / best.gyro.value
-        guess = f"rate_hz = {taken.rate:g} from the turns ({found:.4g} found): a guess to some percent"
+        rate = _measured_gyro_scale(best, best.gyro) * taken.rate / best.gyro.value
+        guess = f"rate_hz = {taken.rate:g} from the turns ({rate:.4g} found): a guess to some percent"
         remarks.append(f"time: {guess}; put the log's rate there")
     return remarks
 
 
-def _found(best: Hypothesis, gyro: KnownScale) -> float:
-    """Reading of the gyros for 1 °/s by the turns, near the scale of a hypothesis."""
+def _measured_gyro_scale(best: Hypothesis, gyro: SensorScale) -> float:
+    """Return the reading of the gyros for 1 °/s by the turns, near the scale of a hypothesis."""
     assert best.profile is not None
     rate = best.times.rate
-    return best.profile.found(math.log(gyro.reads(rate) * rate / DEGREE)) * DEGREE / rate
+    return best.profile.found(math.log(gyro.reading(rate) * rate / DEGREE)) * DEGREE / rate
 
 
-def _comes_near(kind: str, scale: KnownScale, shown: Evidence, best: Hypothesis) -> str:
-    """A unit or a count beside the length of gravity or the rate that the recording shows."""
-    found, per = shown.length if kind == ACCEL else _found(best, scale), PER[kind]
-    off = f"({math.log(found / scale.reads(best.times.rate)):+.1%})"
+def _scale_remark(kind: str, scale: SensorScale, evidence: Evidence, best: Hypothesis) -> str:
+    """Return a nominal scale in words, beside the measured one."""
+    measured = evidence.length if kind == ACCEL else _measured_gyro_scale(best, scale)
+    off, per = f"({math.log(measured / scale.reading(best.times.rate)):+.1%})", COUNTS_PER[kind]
     if scale.unit is not None:
-        return f"{scale.unit} (a guess): one {per} reads {found:.4g} {off}"
-    if scale.known:
-        return f"counts: {scale.value:.6g} counts per {per} as in data sheets, {found:.4g} found {off}"
-    return f"counts: {found:.4g} counts per {per} found, and no data sheet has a value near it"
+        return f"{scale.unit} (a guess): one {per} reads {measured:.4g} {off}"
+    if scale.listed:
+        return f"counts: {scale.value:.6g} counts per {per} as in data sheets, {measured:.4g} found {off}"
+    return f"counts: {measured:.4g} counts per {per} found, and no data sheet has a value near it"
 
 
-def _counts(columns: list[str], scale: float, per: str, zero: Any, unit: str = "count") -> dict[str, Any]:
-    """The table of sensors in counts or volts."""
+def _raw_table(columns: list[str], scale: float, per: str, zero: Any, unit: str = "count") -> dict[str, Any]:
+    """Return the table of sensors in counts or volts."""
     value = float(f"{scale:.6g}")
     return {"columns": columns, "unit": unit, "scale": value, "scale_per": per, "offset": zero}
 
 
-def _accel(draft: Draft, best: Hypothesis, shown: Evidence) -> tuple[dict[str, Any], list[str]]:
-    """The table [log.accel] and remarks on it."""
+def _accel_table(draft: Draft, best: Hypothesis, evidence: Evidence) -> tuple[dict[str, Any], list[str]]:
+    """Return the table [log.accel] and remarks on it."""
     columns, scale = list(draft.triads[ACCEL].columns), best.accel
-    named, unit, found = f"accelerometers: {', '.join(columns)}", draft.unit(ACCEL), shown.length
+    subject, unit, length = f"accelerometers: {', '.join(columns)}", draft.unit(ACCEL), evidence.length
     if unit is not None and ACCEL_UNITS[unit].kind != "raw":
-        remarks = [f"{named} in {unit} (from the name or the format), magnitude {found:.6g}"]
+        remarks = [f"{subject} in {unit} (from the name or the format), magnitude {length:.6g}"]
         return {"columns": columns, "unit": unit}, remarks
-    zero: Any = shown.zero[0] if len(set(shown.zero)) == 1 else shown.zero
-    seen = f"from {shown.rests} rests" if shown.rests >= 4 else "a guess from too few rests: state the data sheet's"
-    seen = seen if shown.rests else "a guess, for there are no rests, from their median magnitude"
-    about = f", zero at {zero}" if zero or scale.unit is None else ""
-    near_to = f"V: {found:.4g} V per g found" if unit == "V" else _comes_near(ACCEL, scale, shown, best)
-    remarks = [f"{named} in {near_to}{about} ({seen})"]
+    zero: Any = evidence.zero[0] if len(set(evidence.zero)) == 1 else evidence.zero
+    if not evidence.rests:
+        how = "a guess, for there are no rests, from their median magnitude"
+    elif evidence.rests < 4:
+        how = "a guess from too few rests: state the data sheet's"
+    else:
+        how = f"from {evidence.rests} rests"
+    at_zero = f", zero at {zero}" if zero or scale.unit is None else ""
+    nominal = f"V: {length:.4g} V per g found" if unit == "V" else _scale_remark(ACCEL, scale, evidence, best)
+    remarks = [f"{subject} in {nominal}{at_zero} ({how})"]
     if scale.unit is not None and not zero:
         return {"columns": columns, "unit": scale.unit}, remarks
     raw = "V" if unit == "V" else "count"
-    return _counts(columns, scale.value if scale.known else float(f"{found:.4g}"), "g", zero, raw), remarks
+    return _raw_table(columns, scale.value if scale.listed else float(f"{length:.4g}"), "g", zero, raw), remarks
 
 
-def _gyro(
-    draft: Draft, best: Hypothesis, gyro: KnownScale, shown: Evidence, near: Sequence[Hypothesis]
+def _gyro_table(
+    draft: Draft, best: Hypothesis, gyro: SensorScale, evidence: Evidence, rivals: Sequence[Hypothesis]
 ) -> tuple[dict[str, Any], list[str]]:
-    """The table [log.gyro] and remarks on it."""
+    """Return the table [log.gyro] and remarks on it."""
     columns, stated = list(draft.triads[GYRO].columns), draft.unit(GYRO)
-    named, table = f"gyros: {', '.join(columns)} in", {"columns": columns, "unit": gyro.unit}
-    centred = [float(f"{b:.6g}") for b in shown.bias]
+    subject, table = f"gyros: {', '.join(columns)} in", {"columns": columns, "unit": gyro.unit}
+    bias = [float(f"{b:.6g}") for b in evidence.bias]
     if gyro.unit is not None and stated == gyro.unit:
-        return table, [f"{named} {gyro.unit} (from the name or the format)"]
-    rivals = {h.gyro.value for h in near if h.gyro is not None and h.gyro.known and h.gyro.unit is None}
-    alone = shown.turns == 1 and not draft.rate_guessed  # else the turn shows the product of scale and rate
-    open_scale = alone and gyro.unit is None and bool(rivals - {gyro.value})
-    if best.profile is not None and not open_scale:
-        by = f"by {shown.turns} turns" if shown.turns > 1 else "by one turn"
-        remark = f"{named} {_comes_near(GYRO, gyro, shown, best)} ({by})"
+        return table, [f"{subject} {gyro.unit} (from the name or the format)"]
+    scales = {h.gyro.value for h in rivals if h.gyro is not None and h.gyro.listed and h.gyro.unit is None}
+    # a single turn at an unknown rate gives the product of scale and rate
+    single = evidence.turns == 1 and not draft.rate_guessed
+    undecided = single and gyro.unit is None and bool(scales - {gyro.value})
+    if best.profile is not None and not undecided:
+        by = f"by {evidence.turns} turns" if evidence.turns > 1 else "by one turn"
+        remark = f"{subject} {_scale_remark(GYRO, gyro, evidence, best)} ({by})"
         if gyro.unit is not None:
             return table, [remark]
-        offset = centred if np.abs(shown.bias).max() > _LARGEST_BIAS * gyro.value else 0.0
-        return _counts(columns, gyro.value, "deg/s", offset), [remark]
+        offset = bias if np.abs(evidence.bias).max() > _LARGEST_BIAS * gyro.value else 0.0
+        return _raw_table(columns, gyro.value, "deg/s", offset), [remark]
     if gyro.unit is None:
-        fitting = " or ".join(f"{value:.6g}" for value in sorted(rivals | {gyro.value}))
-        shows = f"{fitting} per deg/s fit the only turn" if open_scale else "no turns show it"
-        unknown = f"the offset is their reading at rest, the scale is unknown, for {shows}"
-        counts = {"columns": columns, "unit": "count", "scale_per": "deg/s", "offset": centred}
-        return counts, [f"{named} counts; {unknown}: put that of the data sheet there"]
-    remarks = [f"{named} {gyro.unit} (a guess)"]
-    if shown.rests:
-        length = float(np.linalg.norm(shown.bias))
+        fitting = " or ".join(f"{value:.6g}" for value in sorted(scales | {gyro.value}))
+        reason = f"{fitting} per deg/s fit the only turn" if undecided else "no turns show it"
+        unknown = f"the offset is their reading at rest, the scale is unknown, for {reason}"
+        counts = {"columns": columns, "unit": "count", "scale_per": "deg/s", "offset": bias}
+        return counts, [f"{subject} counts; {unknown}: put that of the data sheet there"]
+    remarks = [f"{subject} {gyro.unit} (a guess)"]
+    if evidence.rests:
+        length = float(np.linalg.norm(evidence.bias))
         sizes = (f"{length * GYRO_UNITS[u].factor / DEGREE:.2g} °/s in {u}" for u in ("rad/s", "deg/s", "mdeg/s"))
         remarks.append(f"gyros: no turn shows their unit; at rest they read {length:.3g}: {', '.join(sizes)}")
     return table, remarks

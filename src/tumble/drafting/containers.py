@@ -1,4 +1,4 @@
-"""Files of a log: a file, a folder, a pattern or an archive; and files that hold no readings, refused by name."""
+"""Files of a log, given as a file, a folder, a pattern or an archive; formats that cannot be read are refused."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ _PIECE_BYTES = 1 << 20
 _HIDDEN = re.compile(r"(^|/)(\.(?!/)|__MACOSX)")
 _NO_LOGS = (".toml", ".json", ".md", ".pdf", ".png", ".jpg", ".html", ".zip")
 _DAMAGED = (zipfile.BadZipFile, NotImplementedError, RuntimeError, ValueError, EOFError, zlib.error, lzma.LZMAError)
-_SEEN_BYTES = 4096
-_NO_TEXT = re.compile(rb"[\x01-\x08\x0e-\x1a\x1c-\x1f\x7f]")
-_NO_TEXT_SHARE = 0.02
+_START_BYTES = 4096
+_BINARY = re.compile(rb"[\x01-\x08\x0e-\x1a\x1c-\x1f\x7f]")
+_BINARY_SHARE = 0.02  # of the bytes of a text, at most
 NAMED = (".parquet", ".gz", ".zst")
 """Endings of files that are no text, beside those of recordings."""
 _FORMATS = tomllib.loads((Path(__file__).parent / "formats.toml").read_text(encoding="utf-8"))
 
 
 def files_of(log: Path) -> list[Path]:
-    """Files of a path: itself, those of a folder, or those that match a pattern.
+    """Return the files of a path: itself, those of a folder, or those that match a pattern.
 
     They are in the order of the numbers in their names: pos2 before pos10. Raises InputError if there are none."""
     pattern = not log.exists() and bool(set(log.name) & set("*?["))
@@ -46,15 +46,15 @@ def files_of(log: Path) -> list[Path]:
     if not files:
         raise InputError(f"{log}: expected {missing}")
 
-    def natural(path: Path) -> list[tuple[int, str]]:
+    def natural_order(path: Path) -> list[tuple[int, str]]:
         parts = re.split(r"([0-9]+)", path.name)
         return [(int(part) if re.fullmatch("[0-9]{1,18}", part) else -1, part) for part in parts]
 
-    return sorted(files, key=natural)
+    return sorted(files, key=natural_order)
 
 
 def unzipped(archive: Path, folder: OutputFolder) -> list[Path]:
-    """Files of an archive, written into a folder; a file that is no archive as it is.
+    """Write the files of an archive into a folder; return any other file as it is.
 
     Hidden files and those that are no logs are left out. Raises InputError for an archive that is damaged or locked,
     empty, or larger than readings are."""
@@ -71,7 +71,7 @@ def unzipped(archive: Path, folder: OutputFolder) -> list[Path]:
                     f"{archive}: expected 1 to {_MOST_FILES} files of at most {limit / 1e6:.3g} MB together, found "
                     f"{len(members)}, {sum(m.file_size for m in members) / 1e6:.3g} MB; unpack it and name the logs"
                 )
-            for member in members:  # of which no more than it states comes out
+            for member in members:  # zipfile reads no more than the stated size
                 files.append(folder.new_file(PurePosixPath(member.filename.replace("\\", "/")).name))
                 with opened.open(member) as stream, whole_file(files[-1]) as part, part.open("wb") as out:
                     while piece := stream.read(_PIECE_BYTES):
@@ -87,15 +87,16 @@ class NoLogError(InputError):
 
 
 def check_format(file: Path, *, recording: bool) -> None:
-    """Raise NoLogError that names the format of a file that cannot be read, by its first bytes, and what to do;
-    `recording`: its ending is that of one, or in NAMED."""
+    """Raise NoLogError that names the format of a file that cannot be read, by its first bytes, and what to do.
+
+    `recording`: the file has the ending of a recording, or one in NAMED."""
     with readable(file), file.open("rb") as stream:
-        start = stream.read(_SEEN_BYTES)
+        start = stream.read(_START_BYTES)
     for at, mark, name, advice in _FORMATS["refused"] + ([] if recording else _FORMATS["misnamed"]):
         if start[at : at + len(mark)].lower() == mark.encode("latin-1").lower():
             raise NoLogError(f"{file}: expected a log, found {name}; {advice}")
     wide = encoding_of(start).startswith("utf-16")
-    if not recording and not wide and len(_NO_TEXT.findall(start)) > _NO_TEXT_SHARE * len(start):
+    if not recording and not wide and len(_BINARY.findall(start)) > _BINARY_SHARE * len(start):
         raise NoLogError(
             f"{file}: expected a log, found bytes that are no text, of a format unknown here; "
             "export its readings as CSV"

@@ -1,4 +1,4 @@
-"""A session.toml as far as it is known, and its text with comments on what has to be filled in."""
+"""A draft of session.toml, and its text with comments on what has to be filled in."""
 
 from __future__ import annotations
 
@@ -20,30 +20,26 @@ from tumble.recording.text.dialect import DIALECT_KEYS
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Draft:
-    """Content of a session.toml as far as it is known, and remarks on how each part was determined."""
+    """Content of a session.toml as far as it is known, and how each part was found.
+
+    `doubts` are uncertainties, each with its consequence and the option that settles it. `magnetometer` is the table
+    [log.magnetometer], written as a comment because iron nearby spoils its readings. `whole` is True for kinds of
+    sensors that read whole numbers only; `rate` is in Hz. `magnitude` is the median reading of the accelerometers in
+    the first rows, `largest` the largest of the gyros without single outliers, both as written; `step` is the
+    resolution of a data sheet, °/s, of which their readings are multiples. `kept` are readers of files by path."""
 
     content: Mapping[str, Any]
     remarks: tuple[str, ...]
     doubts: tuple[str, ...] = ()
-    """What is not sure, each with what hangs on it and how it is settled."""
     magnetometer: Mapping[str, Any] | None = None
-    """The table [log.magnetometer], offered as a comment: iron nearby spoils it, and not the rest."""
     triads: Mapping[str, Sensors] = field(default_factory=dict)
-    """The columns of the accelerometers, "accel", and of the gyros, "gyro"."""
     times: Times = field(default_factory=lambda: at_rate(ASSUMED_RATE, 0.0))
-    """When the rows were taken, and what else it may be."""
     whole: Mapping[str, bool] = field(default_factory=dict)
-    """Whether sensors read whole numbers alone, as counts are."""
     rate: float = 1.0
-    """Samples per second, Hz."""
     magnitude: float = 1.0
-    """The median one of what the accelerometers read in the first rows, as written."""
     largest: float = 0.0
-    """What the gyros read at most in the first rows, some single readings aside."""
     step: float | None = None
-    """Of data sheets, °/s, of which the gyros' readings are multiples."""
     kept: Mapping[Path, LogSource] = field(default_factory=dict)
-    """The files of the log as far as they were read, by their paths."""
 
     @property
     def log(self) -> Mapping[str, Any]:
@@ -53,7 +49,7 @@ class Draft:
 
     @property
     def rate_guessed(self) -> bool:
-        """Whether no column has the times, and no rate is stated."""
+        """Whether neither a column nor the user states the rate."""
         return bool(self.times.rivals) and not self.times.stamped
 
     @property
@@ -63,28 +59,29 @@ class Draft:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The files of the log."""
+        """Paths of the files of the log."""
         file = self.log["file"]
         return tuple(map(Path, [file] if isinstance(file, str) else file))
 
     def unit(self, kind: str) -> str | None:
-        """The unit in the names of sensors."""
+        """Return the unit in the names of sensors of a kind."""
         return self.triads[kind].unit
 
     def with_log(self, remarks: Sequence[str] = (), /, **tables: Any) -> Draft:
-        """A copy with tables and keys of [log] replaced, and further remarks."""
+        """Return a copy with tables and keys of [log] replaced, and further remarks."""
         return replace(self, content={**self.content, "log": {**self.log, **tables}}, remarks=(*self.remarks, *remarks))
 
     def session(self) -> Session:
-        """The session of the content; files that were read already are not read again."""
+        """Return the session of the content, without reading files again."""
         session = session_of(self.content) if "accel" in self.log else session_of_gyros(self.content)
         files = tuple(self.kept.get(Path(str(file)), file) for file in session.log.files)
         return replace(session, log=replace(session.log, files=files))
 
 
 def session_text(draft: Draft, folder: Path, programme: str | None, *, named: bool) -> str:
-    """Text of session.toml (session.toml.j2), with comments on what has to be filled in; the serial number too, unless
-    it was `named`. Numbers, strings and lists are written alike in TOML and JSON."""
+    """Return the text of session.toml (session.toml.j2); `named` if the user has stated the serial number.
+
+    Numbers, strings and lists are written alike in TOML and JSON."""
     from jinja2 import Environment
 
     environment = Environment(trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True, autoescape=False)

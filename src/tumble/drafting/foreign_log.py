@@ -1,4 +1,4 @@
-"""A log of unknown origin: its files, how they are written, and what its columns are."""
+"""A log of unknown origin: its files, how they are written, and its columns by kind."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from tumble.errors import GyrosAloneError, InputError, LogError, did_you_mean
 from tumble.recording.columns.names import (
     ACCEL,
     GYRO,
+    MAGNETOMETER,
     TIME_KIND,
     Columns,
     Sensors,
@@ -31,30 +32,27 @@ from tumble.recording.text.dialect import Dialect, is_clock
 from tumble.reduction.blocks.tuning import USUAL
 from tumble.units import Array
 
-LONGEST = 2_000_000
-"""Rows that are read at most to identify a log."""
-
+LONGEST = 2_000_000  # rows that are read to identify a log
 HEAD_ROWS = 20_000
 SAMPLE_ROWS = 200
-_FUSED = re.compile(r"grav|(user|free|linear)_?acc(?!.*cov)|\blacc", re.IGNORECASE)
-SHOWN = 12
-_NEAR = 0.1
+SHOWN_NAMES = 12  # in a message
+_FILTERED = re.compile(r"grav|(user|free|linear)_?acc(?!.*cov)|\blacc", re.IGNORECASE)
+_GRAVITY_TOLERANCE = 0.1  # of gravity
 _FEWEST_ROWS = 50
-_SHORTEST_SESSION = 4 * USUAL.rest
-"""s: duration of four rests; fewer determine nothing."""
-_FILLED = 50
-"""Identical rows at the end of a log that are no samples, at least."""
+_SHORTEST_SESSION = 4 * USUAL.rest  # s: four rests; fewer determine nothing
+_FILLING = 50  # identical rows at the end of a log that are no samples, at least
 
-Stated = Mapping[str, Sequence[str]]
+StatedColumns = Mapping[str, Sequence[str]]
 """Columns by role: three for "accel" and for "gyro", one for "time"."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ForeignLog:
-    """Files of one kind, written alike, with identified columns.
+    """Files that are written alike, with identified columns.
 
-    `keys` are those of [log] that describe the text, `preamble` the lines above the numbers that are neither names nor
-    units, `cells` the first rows by column, and `remarks` sentences for the user."""
+    `keys` are the keys of [log] that describe the text, `preamble` the lines above the numbers that are neither names
+    nor units, `cells` the first rows by column, `remarks` and `doubts` sentences for the user, and `kept` the readers
+    of files that have been read, by path."""
 
     files: tuple[Path, ...]
     keys: Mapping[str, Any]
@@ -63,17 +61,15 @@ class ForeignLog:
     cells: Mapping[str, Sequence[str]] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
-    """What is not certain: its consequence, and how the user settles it."""
     dialect: Dialect | None = None
     kept: dict[Path, LogSource] = field(default_factory=dict)
-    """Files that have been read, by path: none is read twice."""
 
     def with_columns(self, remarks: Sequence[str] = (), /, **changed: Any) -> ForeignLog:
-        """A copy with some attributes of `columns` changed, and further remarks."""
+        """Return a copy with some attributes of `columns` changed, and further remarks."""
         return replace(self, columns=replace(self.columns, **changed), remarks=(*self.remarks, *remarks))
 
     def sources(self) -> Iterator[LogSource]:
-        """Readers of the files."""
+        """Yield readers of the files."""
         for file in self.files:
             path = file.resolve()
             if path not in self.kept:
@@ -101,7 +97,7 @@ class ForeignLog:
 
         The columns that a session needs are read together, so that a file is parsed once."""
         named = self.columns
-        sensors = [c for kind in ("accel", "gyro") if kind in named.triads for c in named.triads[kind].columns]
+        sensors = [c for kind in (ACCEL, GYRO) if kind in named.triads for c in named.triads[kind].columns]
         together = [c for c in (named.time, *sensors) if c is not None]
         wanted = together if set(columns) <= set(together) else columns
         parts, count = [np.empty((0, len(columns)))], 0
@@ -115,8 +111,7 @@ class ForeignLog:
         return np.concatenate(parts)
 
     def readings(self, column: str) -> Array:
-        """Numbers of a column in the first rows, or in all rows where the first have none; empty where it cannot be
-        read."""
+        """Return the numbers of a column in the first rows, or in all rows if the first have none."""
         with suppress(LogError):
             for rows in (HEAD_ROWS, LONGEST):
                 numbers = self.read([column], rows=rows)[:, 0]
@@ -124,19 +119,23 @@ class ForeignLog:
                     return numbers[np.isfinite(numbers)]
         return np.empty(0)
 
+    def magnitude(self, columns: Sequence[str]) -> float:
+        """Return the median magnitude of three columns in the first rows; 0 without readings."""
+        lengths = np.linalg.norm(self.read(columns, rows=HEAD_ROWS), axis=1) if columns else np.empty(0)
+        return float(np.nanmedian(lengths)) if np.isfinite(lengths).any() else 0.0
+
     def reads_gravity(self, columns: Sequence[str]) -> bool:
-        """Whether the median length of three columns is that of gravity in a known unit; false for no columns."""
-        length = np.linalg.norm(self.read(columns, rows=HEAD_ROWS), axis=1) if columns else np.empty(0)
-        median = float(np.nanmedian(length)) if np.isfinite(length).any() else 0.0
-        return any(c.unit is not None and abs(median / c.value - 1.0) < _NEAR for c in CANDIDATES[ACCEL])
+        """Return whether the magnitude of three columns is gravity in a known unit; False for no columns."""
+        units = [scale.value for scale in CANDIDATES[ACCEL] if scale.unit is not None]
+        return any(abs(self.magnitude(columns) / one_g - 1.0) < _GRAVITY_TOLERANCE for one_g in units)
 
     def is_clock(self, column: str) -> bool:
-        """Whether most cells of a column are times of day or dates."""
+        """Return whether most cells of a column are times of day or dates."""
         cells = [cell for cell in self.cells.get(column, ()) if cell]
         return bool(cells) and sum(map(is_clock, cells)) > len(cells) // 2
 
     def stamps(self) -> Stamps | None:
-        """Time stamps of the first file; None without a time column. Times of day continue past midnight."""
+        """Return the time stamps of the first file, continued past midnight; None without a time column."""
         column = self.columns.time
         if column is None:
             return None
@@ -146,7 +145,7 @@ class ForeignLog:
         return Stamps(column=column, values=values, unit=self.columns.time_unit, clock=clock)
 
     def times(self, rate: float | None) -> Times:
-        """Times of the rows; `rate`, Hz, is the user's and overrides a time column."""
+        """Return the times of the rows; a stated `rate`, Hz, replaces a time column."""
         if rate is not None:
             return times_without_column(rate, ())
         stamps = self.stamps()
@@ -163,11 +162,11 @@ class ForeignLog:
         remark = f"time: column {stamps.column!r} does not grow and is not used"
         return replace(assumed, remarks=(remark, *assumed.remarks))
 
-    def with_stated(self, stated: Stated, units: Mapping[str, str]) -> ForeignLog:
+    def with_stated(self, stated: StatedColumns, units: Mapping[str, str]) -> ForeignLog:
         """Assign sensors and time as the user states them, by column name or number from 1, and their units.
 
-        A column that is stated loses any other role. Raises InputError for a column that does not exist."""
-        columns = {kind: tuple(self._named(kind, c.strip()) for c in listed) for kind, listed in stated.items()}
+        A stated column loses any other role. Raises InputError for a column that does not exist."""
+        columns = {kind: tuple(self._column(kind, c.strip()) for c in listed) for kind, listed in stated.items()}
         taken = [c for listed in columns.values() for c in listed]
         for kind, listed in columns.items():
             if len(listed) != (1 if kind == TIME_KIND else 3) or any(taken.count(c) > 1 for c in listed):
@@ -192,8 +191,8 @@ class ForeignLog:
             temperatures=tuple(c for c in named.temperatures if c not in taken),
         )
 
-    def _named(self, kind: str, column: str) -> str:
-        """Name of the column with this name, or with this number from 1."""
+    def _column(self, kind: str, column: str) -> str:
+        """Return the name of the column with this name, or with this number from 1."""
         names = self.names
         if column in names:
             return column
@@ -201,45 +200,49 @@ class ForeignLog:
             return names[int(column) - 1]
         raise InputError(
             f"{self.files[0]}: --{kind}: expected names of columns, or numbers from 1 to {len(names)}, found "
-            f"{column!r}; there are {', '.join(names[:SHOWN])[:200]}{did_you_mean(column, names)}"
+            f"{column!r}; there are {', '.join(names[:SHOWN_NAMES])[:200]}{did_you_mean(column, names)}"
         )
 
     def check_has_sensors(self, *, gyros_suffice: bool) -> None:
-        """Raise InputError if there are no accelerometers (or gyros, where these suffice), and for a short table
-        without times, which is a table of positions."""
+        """Raise InputError without accelerometers (or gyros, where these suffice), and for a table of positions.
+
+        A table of positions is one of few rows without times."""
+        triads, names = self.columns.triads, self.names
+        name = self.files[0].name
         rows = max(map(len, self.cells.values()), default=_FEWEST_ROWS)
-        alone = len(self.files) == 1 and self.columns.time is None and GYRO not in self.columns.triads
-        if rows < _FEWEST_ROWS and alone:
+        if rows < _FEWEST_ROWS and len(self.files) == 1 and self.columns.time is None and GYRO not in triads:
             raise InputError(
                 f"{self.files[0]}: expected a recording, found a table of {rows} rows; a table of mean readings, a row "
-                f"a position, is calibrated by `tumble ellipsoid {self.files[0].name}`"
+                f"a position, is calibrated by `tumble ellipsoid {name}`"
             )
-        if ACCEL in self.columns.triads or (gyros_suffice and GYRO in self.columns.triads):
+        if ACCEL in triads or (gyros_suffice and GYRO in triads):
             return
-        names, found = self.names, ", ".join(self.names[:SHOWN])[:200]
+        found, field = ", ".join(names[:SHOWN_NAMES])[:200], triads.get(MAGNETOMETER)
         expected = "columns named as accelerometers are, such as ax, ay, az or acc_x, acc_y, acc_z"
         remedy = "log the readings of the accelerometers too"
-        if GYRO in self.columns.triads:
-            found = f"gyros alone ({', '.join(self.columns.triads[GYRO].columns)[:120]})"
-            remedy += f"; of gyros alone tumble calibrate {self.files[0].name} tells the biases, tumble noise the noise"
-        elif len(names) == len("xyz") and all(map(str.isdecimal, names)):
+        if GYRO in triads:
+            found = f"gyros alone ({', '.join(triads[GYRO].columns)[:120]})"
+            remedy += f"; of gyros alone tumble calibrate {name} tells the biases, tumble noise the noise"
+        elif field is not None and sum(not is_no_sensor(n) for n in names if n not in field.columns) < 3:
+            expected, found = "readings of accelerometers", f"a magnetometer alone ({', '.join(field.columns)[:120]})"
+            remedy = "log the accelerometers in the same rows; tumble calibrate calibrates the magnetometer with them"
+        elif len(names) == 3 and all(map(str.isdecimal, names)):
             expected, found = "a recording", "three columns without names that are no sensor by their numbers"
             remedy = "of a table with a row a position write `x,y,z` above the rows and give it to `tumble ellipsoid`"
-        elif any(_FUSED.search(name) for name in names):
+        elif any(_FILTERED.search(n) for n in names):
             expected = "readings of accelerometers"
             found = f"gravity and acceleration without it, which a filter has made of them ({found[:120]})"
             remedy = "log the raw accelerometers"
-        elif sum(not is_no_sensor(name) for name in names) >= len("xyz"):
+        elif sum(not is_no_sensor(n) for n in names) >= 3:
             remedy = "state which they are (--accel N,N,N, names or numbers from 1)"
-        kind = GyrosAloneError if GYRO in self.columns.triads else InputError
+        kind = GyrosAloneError if GYRO in triads else InputError
         raise kind(f"{self.files[0]}: expected {expected}; found {found}; {remedy}")
 
 
-def samples_in(read: Array) -> int:
-    """Number of rows (m, n) before a long stretch of identical or empty rows at the end, with which a logger fills
-    memory in advance; m where there is none."""
-    if not len(read):
+def count_samples(table: Array) -> int:
+    """Return the number of rows (m, n) before the identical or empty ones with which a logger fills its memory."""
+    if not len(table):
         return 0
-    alike = ((read == read[-1]) | ~np.isfinite(read)).all(axis=1)
-    last = int(np.flatnonzero(~alike)[-1]) + 1 if not alike.all() else len(read)
-    return last if len(read) - last >= _FILLED else len(read)
+    alike = ((table == table[-1]) | ~np.isfinite(table)).all(axis=1)
+    last = int(np.flatnonzero(~alike)[-1]) + 1 if not alike.all() else len(table)
+    return last if len(table) - last >= _FILLING else len(table)

@@ -1,19 +1,19 @@
-"""One cost for every hypothesis of what a log is: units or counts of accelerometers and gyros, the times or the rate of
-its rows, the order and signs of the gyros' columns.
+"""Cost of the hypotheses about a log: units or counts of accelerometers and gyros, times or rate of its rows, order and
+signs of the gyros' columns.
 
-Each predicts numbers of the recording: gravity has the length L_h in raw numbers, a turn of one radian the sum Q_h of
-the gyros'. A hypothesis costs −2 times the logarithm of its probability, up to what all have in common:
+A hypothesis h predicts two numbers of the recording: the length L_h of gravity in raw numbers, and the sum Q_h of the
+gyros' raw numbers over a turn of one radian. Its cost is −2 ln of its probability, up to a common constant:
 
-    (ln L/L_h)² / s²  +  min over δ of [turns(ln Q_h + δ) + δ²/s²]  +  what gyros do not read  +  what it assumes,
+    (ln L/L_h)² / s²  +  min over δ of [turns(ln Q_h + δ) + δ²/s²]  +  implausible readings  +  assumptions,
 
-with s the usual scale error of a device. What it assumes is how often units, counts and rates are met in logs that do
-not say them (`recording/columns/scales.py`, `drafting/times.py`); a unit in the name of a column is believed. A scale
-or a rate of no table is taken as it is found, and pays for all it might have been: the density of a Gaussian of width s
-over an even one of so many orders of magnitude, 2 ln(range / (s √2π)).
+with s the usual scale error of a device. The cost of an assumption follows from the frequency of units, counts and
+rates in logs that do not state them (`recording/columns/scales.py`, `drafting/times.py`); a unit in a column's name is
+certain. A scale or rate that is in no table is taken as measured, at the cost of its prior: the density of a Gaussian
+of width s relative to a uniform one over the orders of magnitude that were possible, 2 ln(range / (s √2π)).
 
-The log is read once, as raw numbers at a rate that need not be its own; rests are found by the accelerometers, whose
-scatter needs no unit. The rests give the length of gravity, the zero about which it turns and the gyros' readings, the
-turns between them the likelihood of Q (`turn_likelihood`).
+The log is read once, as raw numbers at a rate that need not be right. Rests are found by the accelerometers, whose
+scatter needs no unit. They give the length of gravity, the zero of the accelerometers and the gyros' readings at rest;
+the turns between them give the likelihood of Q (`turn_likelihood`).
 """
 
 from __future__ import annotations
@@ -30,16 +30,25 @@ from tumble.diagnosis.turn_likelihood import (
     WIDTHS,
     TurnLikelihood,
     Widths,
-    cost_of_any,
+    cost_of_free_scale,
     ends_tilted,
     turn_likelihoods,
 )
 from tumble.drafting.draft import Draft
-from tumble.drafting.times import ASSUMED_RATE, RATES_OF_LOGS, UNUSUAL, USUAL_RATES, Times, at_rate
+from tumble.drafting.times import ASSUMED_RATE, RATE_LIMITS, UNUSUAL_SHARE, USUAL_RATES, Times, at_rate
 from tumble.errors import TumbleError
 from tumble.recording.columns.names import ACCEL, GYRO
 from tumble.recording.columns.numbers import MIDDLES
-from tumble.recording.columns.scales import CANDIDATES, FASTEST, MET, NEAR, ON_NO_SHEET, ONE, KnownScale, off_table
+from tumble.recording.columns.scales import (
+    CANDIDATES,
+    COUNTS_PER_SI,
+    FASTEST,
+    FREQUENCIES,
+    SCALE_TOLERANCE,
+    UNLISTED_COUNTS,
+    SensorScale,
+    log_distance_to_table,
+)
 from tumble.recording.log import open_log
 from tumble.reduction.blocks.reducer import Reduction, reduce_log
 from tumble.reduction.blocks.tuning import USUAL, Tuning
@@ -51,56 +60,42 @@ from tumble.sensors.model import Block
 from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, GYRO_UNITS, Array
 
 _TRIAD = Block(kind="accel", axes=np.eye(3))
-_CLIPPED, _BELOW = 3, 0.97
-_NO_OFFSET, _LEAST_SINGULAR, _ALIKE = 0.3, 0.05, 0.05
-_MOVING = 0.2
-"""What the median magnitude of accelerometers that are never at rest may be off gravity, part of it."""
-_UNEVEN, _STEPS_TO_CENTRE = 0.01, 4
-"""What readings of one g differ by from attitude to attitude, part of it, beside their offsets."""
-_USUAL = 0.8
-"""The quantile of what the gyros read in a turn that is taken as that of its midst."""
-_RATES = 0.25, 1.0, 4.0
-"""Times the assumed rate: where the rate is unclear, rests are sought by these; by too high a one they seem too
-short."""
-
-_RATE_RANGE = math.log(RATES_OF_LOGS[1] / RATES_OF_LOGS[0])
-"""The range of the logarithm of a rate of which nothing is known."""
-COUNTS = KnownScale(value=1.0, shares=(1.0, 1.0))
-"""Of gyros that nothing turned, whatever they are worth."""
-_ZERO = 0.1
-"""Standard deviation of the zero of accelerometers in a unit, part of gravity."""
-_RAW_IN_A_UNIT = 0.1
-"""Share of sensors that are in a unit though their name says that they are raw: `gyroADC` of Betaflight."""
-_FEWEST_COUNTS = 2.0
-"""Per g, with which accelerometers tell anything."""
-_HOPELESS = 40.0
-"""An accelerometer's unit that costs so much more than the best is not combined with others."""
-_LARGEST_BIAS, _LARGEST_NOISE = 20.0 * DEGREE, 0.17 * DEGREE
-"""rad/s: of small gyros, and how they scatter in a second."""
-_BEYOND = 0.25
-"""Standard deviation of ln of what is read beyond these."""
-_AT_MOST = 12.0
-"""What that costs: the device may have moved without its accelerometers showing it."""
-SHORT_REST = 0.6
-"""s: rests are no shorter, at the median."""
-_ON_A_TABLE = 0.015
-"""m/s² in a second: accelerometers that scatter more are held in a hand, or on a machine that runs."""
-_TOO_FAST, _IN_STEPS = 30.0, -12.0
-"""What it costs to read more than any gyro can, and that readings are multiples of a step of data sheets in °/s."""
+_CLIPPED_RUN, _BELOW_CLIPPING = 3, 0.97  # largest readings in a row; part of the largest reading
+_NO_OFFSET, _LEAST_SINGULAR, _ALIKE = 0.3, 0.05, 0.05  # of gravity; of the largest singular value; of gravity
+_LENGTH_IN_MOTION_U = 0.2
+"""Relative standard uncertainty of gravity as the median magnitude of accelerometers that are never at rest."""
+_UNEVEN, _CENTRE_STEPS = 0.01, 4
+"""Relative differences of readings of one g between attitudes, beside the offsets; Gauss–Newton steps."""
+_TURN_QUANTILE = 0.8  # of the readings in a turn, for its middle
+_RATE_FACTORS = 0.25, 1.0, 4.0
+"""Times the assumed rate, at which rests are sought where the rate is unclear; too high a one makes them too short."""
+_LN_RATE_RANGE = math.log(RATE_LIMITS[1] / RATE_LIMITS[0])
+COUNTS = SensorScale(value=1.0, shares=(1.0, 1.0))
+"""Counts of gyros in a recording without turns, of any worth."""
+_ZERO = 0.1  # of gravity: standard deviation of the zero of accelerometers in a unit
+_NAMED_RAW_SHARE = 0.1  # of sensors named as raw that are in a unit, as `gyroADC` of Betaflight
+_FEWEST_COUNTS = 2.0  # per g, of accelerometers in counts
+_HOPELESS = 40.0  # units of accelerometers that cost so much more than the best are not combined with other hypotheses
+_LARGEST_BIAS, _LARGEST_NOISE = 20.0 * DEGREE, 0.17 * DEGREE  # rad/s, of small gyros; noise in a mean over a second
+_LN_EXCESS = 0.25  # standard deviation of ln(reading / limit) for readings beyond a limit
+_MOST_EXCESS_COST = 12.0  # the device may have moved although its accelerometers do not show it
+SHORTEST_REST = 0.6  # s, at the median
+_TABLE_NOISE = 0.015  # m/s² in a mean over a second: more is a hand, or a machine that runs
+_TOO_FAST_COST, _RESOLUTION_COST = 30.0, -12.0
+"""Readings beyond the range of any gyro; readings that are multiples of a resolution of data sheets in °/s."""
 
 
-# -------------------- what rests and turns show --------------------
+# -------------------- evidence of rests and turns --------------------
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Evidence:
-    """Length of gravity, readings at rest and turns of a recording, in raw numbers, with durations counted at `rate`,
-    Hz.
+    """Length of gravity, readings at rest and turns of a recording, in raw numbers, with durations counted at `rate`.
 
-    `rests` and `turns` are counts; `length` is that of gravity, `length_u` its relative standard uncertainty, and
-    `zero` the offset of the accelerometers. At the rests: readings of the gyros `gyro` (N, 3), numbers of `samples`
-    (N,) and the scatter of a sample, for accelerometers relative to gravity. `turning` is the usual reading of the
-    gyros in a turn, `profiles` the likelihoods of the turns, first that with the columns as they are."""
+    `rate` is in Hz. `length` is that of gravity, `length_u` its relative standard uncertainty, `zero` the offset of the
+    accelerometers; `rests` and `turns` are numbers. At the rests there are readings of the gyros `gyro` (N, 3), numbers
+    of `samples` (N,) and the scatter of a sample, for accelerometers relative to gravity. `turning` is the typical
+    reading of the gyros in a turn, `profiles` the likelihoods of the turns, first that with the columns as they are."""
 
     rate: float
     length: float
@@ -121,55 +116,56 @@ class Evidence:
         return np.median(self.gyro, axis=0) if len(self.gyro) else np.zeros(3)
 
 
-def evidence_of(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> Evidence:
-    """Evidence of a draft's log.
+def gather_evidence(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> Evidence:
+    """Return the evidence of a draft's log.
 
-    Where the rate is unclear, rows are counted instead of times, and rests are sought with windows for several rates;
-    the trial is taken whose turns are least likely for gyros that read noise, or that has most rests."""
+    If the rate is unclear, rows are counted instead of times, and rests are sought with windows for several rates. The
+    trial is taken whose turns are least likely for gyros that read noise, or that has most rests."""
     log = {key: value for key, value in draft.log.items() if key != "temperature"}
-    stated, factors = draft.times.rate / ASSUMED_RATE, [1.0]
+    ratio, factors = draft.times.rate / ASSUMED_RATE, [1.0]
     if draft.times.rivals:
         log = {key: value for key, value in log.items() if key not in ("time", "time_unit", "regular")}
         log["rate_hz"] = ASSUMED_RATE
-        factors = sorted({*_RATES, round(min(max(stated, 0.05), 20.0), 2)}, key=lambda f: abs(np.log(f / stated)))
+        nominal = round(min(max(ratio, 0.05), 20.0), 2)
+        factors = sorted({*_RATE_FACTORS, nominal}, key=lambda f: abs(np.log(f / ratio)))
     session = replace(draft, content={**draft.content, "log": log}).session()
     try:
         opened = open_log(session)
         reduction = reduce_log(opened, session.accel_block, session.gyro_block, progress(opened))
     except (TumbleError, np.linalg.LinAlgError):
-        return Evidence(rate=draft.rate, length=draft.magnitude, length_u=_MOVING)
+        return Evidence(rate=draft.rate, length=draft.magnitude, length_u=_LENGTH_IN_MOTION_U)
     if ACCEL not in draft.triads:
         means = np.concatenate([file.accel.means for file in reduction.files])  # gyros, at rest most of the time
         middle = np.median(means, axis=0)
         scatter = 1.4826 * float(np.median(np.abs(means - middle))) * math.sqrt(reduction.files[0].size)
-        return Evidence(rate=reduction.rate, length=1.0, length_u=_MOVING, gyro=middle[None], gyro_scatter=scatter)
-    trials = [_with_windows(reduction, factor, draft.magnitude, widths) for factor in factors]
+        unknown = Evidence(rate=reduction.rate, length=1.0, length_u=_LENGTH_IN_MOTION_U)
+        return replace(unknown, gyro=middle[None], gyro_scatter=scatter)
+    trials = [_evidence_at(reduction, factor, draft.magnitude, widths) for factor in factors]
     return max(trials, key=lambda t: (max((p.unturned - p.least for p in t.profiles), default=0.0), t.rests))
 
 
-def _with_windows(reduction: Reduction, factor: float, magnitude: float, widths: Widths) -> Evidence:
-    """Evidence with rests sought in windows `factor` times as long; without rests, gravity has the given
-    `magnitude`."""
-    seconds = (f.name for f in fields(Tuning) if f.metadata["unit"] == "s")
-    tuning = replace(USUAL, **{name: factor * getattr(USUAL, name) for name in seconds})
+def _evidence_at(reduction: Reduction, factor: float, magnitude: float, widths: Widths) -> Evidence:
+    """Return the evidence with rests sought in windows `factor` times as long; without rests gravity is `magnitude`."""
+    durations = (f.name for f in fields(Tuning) if f.metadata["unit"] == "s")
+    tuning = replace(USUAL, **{name: factor * getattr(USUAL, name) for name in durations})
     channels, files = (*reduction.accel_channels, *reduction.gyro_channels), reduction.by_file
     spans: tuple[Stretch, ...] = ()
     if max(max(-c.minimum, c.maximum) for c in channels) < LARGEST_SQUARED:
-        with np.errstate(invalid="ignore"):  # of a stretch of zeros
-            found = find_rests(replace(reduction, tuning=tuning), _TRIAD, None).rests
-        spans = tuple(s for s in found if files[s.file].accel.means[s.first : s.last].any())
+        with np.errstate(invalid="ignore"):  # a stretch of zeros
+            rests = find_rests(replace(reduction, tuning=tuning), _TRIAD, None).rests
+        spans = tuple(s for s in rests if files[s.file].accel.means[s.first : s.last].any())
     if not spans:
-        return Evidence(rate=reduction.rate, length=magnitude, length_u=_MOVING)
+        return Evidence(rate=reduction.rate, length=magnitude, length_u=_LENGTH_IN_MOTION_U)
     accel = [files[s.file].accel.means[s.first : s.last] for s in spans]
     gyro = [files[s.file].gyro.means[s.first : s.last] for s in spans]
     length, length_u, zero, gravity = length_and_zero(np.array([blocks.mean(axis=0) for blocks in accel]), widths)
     up, rates = unit_vector(gravity), np.array([np.median(blocks, axis=0) for blocks in gyro])
     turns = _turns(reduction, spans, up, rates) if rates.size else []
-    scatters = []  # of a sample, by that of the means of blocks
-    for of_rests in (accel, gyro):
-        of_blocks = [np.sqrt(blocks.var(axis=0).mean()) for blocks in of_rests if blocks.size]
-        scatters.append(float(np.median(of_blocks)) * np.sqrt(reduction.files[0].size) if of_blocks else 0.0)
-    readings = [np.quantile(np.linalg.norm(sums, axis=1), _USUAL) for sums, _, _ in turns]
+    scatters = []  # of a sample, from the scatter of means of blocks
+    for rests_of_kind in (accel, gyro):
+        block_scatter = [np.sqrt(blocks.var(axis=0).mean()) for blocks in rests_of_kind if blocks.size]
+        scatters.append(float(np.median(block_scatter)) * np.sqrt(reduction.files[0].size) if block_scatter else 0.0)
+    turn_readings = [np.quantile(np.linalg.norm(sums, axis=1), _TURN_QUANTILE) for sums, _, _ in turns]
     return Evidence(
         rate=reduction.rate,
         rests=len(spans),
@@ -181,198 +177,196 @@ def _with_windows(reduction: Reduction, factor: float, magnitude: float, widths:
         samples=np.array([(s.last - s.first) * files[s.file].size for s in spans]),
         accel_scatter=scatters[0] / max(length, 1e-300),
         gyro_scatter=scatters[1],
-        turning=float(np.median(readings)) if turns else 0.0,
+        turning=float(np.median(turn_readings)) if turns else 0.0,
         profiles=turn_likelihoods(turns, widths),
     )
 
 
 def length_and_zero(means: Array, widths: Widths = WIDTHS) -> tuple[float, float, list[float], Array]:
-    """Length of gravity and zero of accelerometers from mean readings (N, 3) at rest.
+    """Estimate gravity and the zero of accelerometers from mean readings (N, 3) at rest.
 
-    The zero is the centre of the sphere through the readings, or exactly 0 or the middle of a converter if the centre
-    is near to that, or if the readings determine no sphere. The length is a least-squares solution of |m − c| = r with
-    offsets of the usual size from a known zero, so that few rests do not move it far.
-
-    Returns the raw numbers for one g with their relative standard uncertainty, the zero of each sensor, to five digits,
-    and the readings (N, 3) relative to the centre."""
+    Returns the raw numbers for one g with their relative standard uncertainty, the zero of each sensor to five digits,
+    and the readings (N, 3) relative to the zero. The zero is the centre of the sphere through the readings, or exactly
+    0 or the middle of a converter if the centre is near to that or undetermined. The length solves |m − c| = r by least
+    squares, with a prior for the offsets from a known zero, so that few rests do not move it far."""
     length = float(np.median(np.linalg.norm(means, axis=1)))
     zero, offset = np.zeros(3), widths.offset
     if len(means) >= 4:
         alike = float(np.linalg.norm(means.std(axis=0))) < _ALIKE * length
-        spread = np.linalg.svd(means - means.mean(axis=0), compute_uv=False)
-        if spread[2] > _LEAST_SINGULAR * spread[0] and not (alike and off_table(ACCEL, length) < NEAR):
+        singular = np.linalg.svd(means - means.mean(axis=0), compute_uv=False)
+        in_table = alike and log_distance_to_table(ACCEL, length) < SCALE_TOLERANCE
+        if singular[2] > _LEAST_SINGULAR * singular[0] and not in_table:
             centre, radius = sphere_through(means)
             middles = MIDDLES if (means > 0.0).all() else ()
-            known = next((m for m in (0.0, *middles) if np.abs(centre - m).max() < _NO_OFFSET * radius), None)
-            zero = centre if known is None else np.full(3, known)
-            offset = np.inf if known is None else max(offset, float(np.abs(centre - zero).max()) / radius)
+            nominal = next((m for m in (0.0, *middles) if np.abs(centre - m).max() < _NO_OFFSET * radius), None)
+            zero = centre if nominal is None else np.full(3, nominal)
+            offset = np.inf if nominal is None else max(offset, float(np.abs(centre - zero).max()) / radius)
     centre, length_u = zero, offset
     length = float(np.median(np.linalg.norm(means - zero, axis=1)))
-    for _ in range(_STEPS_TO_CENTRE if length > 0.0 else 0):
+    for _ in range(_CENTRE_STEPS if length > 0.0 else 0):
         away = means - centre
-        rows = np.vstack([np.column_stack([unit_vector(away), np.ones(len(away))]) / _UNEVEN, np.eye(4)[:3] / offset])
-        left = (np.linalg.norm(away, axis=1) / length - 1.0) / _UNEVEN
-        inverse = np.linalg.pinv(rows)
-        *moved, longer = inverse @ np.concatenate([left, (zero - centre) / length / offset])
-        centre, length_u = centre + length * np.array(moved), float(np.linalg.norm(inverse[3]))
-        length *= 1.0 + longer
+        design = np.vstack([np.column_stack([unit_vector(away), np.ones(len(away))]) / _UNEVEN, np.eye(4)[:3] / offset])
+        residual = (np.linalg.norm(away, axis=1) / length - 1.0) / _UNEVEN
+        inverse = np.linalg.pinv(design)
+        *step, growth = inverse @ np.concatenate([residual, (zero - centre) / length / offset])
+        centre, length_u = centre + length * np.array(step), float(np.linalg.norm(inverse[3]))
+        length *= 1.0 + growth
     return length, length_u, [float(f"{z:.5g}") for z in zero], means - centre
 
 
 def _turns(
     reduction: Reduction, spans: tuple[Stretch, ...], up: Array, rates: Array
 ) -> list[tuple[Array, Array, Array]]:
-    """Turns between rests of different attitude, the shortest first: integrals of the gyros above their bias (m, 3),
-    and the vertical before and after.
+    """Return turns between rests of different attitude, the shortest first: integrals of the gyros above their bias
+    (m, 3), and the vertical before and after.
 
-    Turns are left out in which a gyro is clipped: it reads its largest value of all turns several times in a row, and
-    rarely a little less."""
+    Turns with a clipped gyro are left out: it repeats its largest reading, and rarely reads a little less."""
     files, samples, bias = reduction.by_file, reduction.samples, np.median(rates, axis=0)
     assert samples is not None
-    read = []
+    candidates = []
     for k, (before, behind) in enumerate(pairwise(spans)):
         if before.file == behind.file and ends_tilted(up[k], up[k + 1]):
             blocks = files[before.file]
             rate, _, dt = samples.read(blocks.sample_at(before.last), blocks.sample_at(behind.first))
-            if len(rate) >= _CLIPPED and np.isfinite(rate).all():
-                read.append((k, rate, dt))
-    limit = np.max([np.abs(rate).max(axis=0) for _, rate, _ in read], axis=0) if read else np.zeros(3)
+            if len(rate) >= _CLIPPED_RUN and np.isfinite(rate).all():
+                candidates.append((k, rate, dt))
+    limit = np.max([np.abs(rate).max(axis=0) for _, rate, _ in candidates], axis=0) if candidates else np.zeros(3)
     turns = []
-    for k, rate, dt in sorted(read, key=lambda turn: len(turn[1])):
-        ends, below = np.abs(rate) == limit, np.abs(rate) > _BELOW * limit
-        rows = (ends[2:] & ends[1:-1] & ends[:-2]).any(axis=0)
-        if not (rows & (2 * ends.sum(axis=0) > below.sum(axis=0))).any():
+    for k, rate, dt in sorted(candidates, key=lambda turn: len(turn[1])):
+        at_limit, near_limit = np.abs(rate) == limit, np.abs(rate) > _BELOW_CLIPPING * limit
+        in_a_row = (at_limit[2:] & at_limit[1:-1] & at_limit[:-2]).any(axis=0)
+        if not (in_a_row & (2 * at_limit.sum(axis=0) > near_limit.sum(axis=0))).any():
             turns.append(((rate - bias) * (reduction.rate * dt)[:, None], up[k], up[k + 1]))
     return turns[:MOST_TURNS]
 
 
-# -------------------- what that costs --------------------
+# -------------------- cost --------------------
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Hypothesis:
-    """Units, scales and times that a log may have, and their cost. `profile`, None without turns, has the exchange of
-    the gyros' columns."""
+    """Scales and times of a log, and their cost. `profile` has the exchange of gyro columns, None without turns."""
 
-    accel: KnownScale
-    gyro: KnownScale | None
+    accel: SensorScale
+    gyro: SensorScale | None
     times: Times
     profile: TurnLikelihood | None
     cost: float
 
     def differs(self, other: Hypothesis) -> set[str]:
-        """The parts in which two hypotheses differ."""
+        """Return the parts in which two hypotheses differ."""
         parts = {
             ACCEL: self.accel != other.accel,
             GYRO: self.gyro != other.gyro,
             "time": self.times.keys != other.times.keys,
             "axes": self.profile is not other.profile,
         }
-        return {part for part, unlike in parts.items() if unlike}
+        return {part for part, different in parts.items() if different}
 
 
-def ranked(shown: Evidence, draft: Draft, widths: Widths = WIDTHS) -> list[Hypothesis]:
-    """All hypotheses of a log, the least cost first."""
-    deviation = math.hypot(widths.scale, shown.length_u)
-    with_accel = ACCEL in draft.triads
-    accels = list(_assumed(ACCEL, draft, cost_of_any(deviation))) if with_accel else [(COUNTS, 0.0)]
-    gyros = list(_assumed(GYRO, draft, cost_of_any(widths.scale))) if GYRO in draft.triads else []
-    if not shown.profiles:  # what counts are worth nothing tells
-        counted = sum(math.exp(-0.5 * cost) for gyro, cost in gyros if gyro.unit is None and gyro.known)
-        units = [(gyro, cost) for gyro, cost in gyros if gyro.unit is not None]
-        gyros = [*([(COUNTS, -2.0 * math.log(counted))] if counted else []), *units]
-    if with_accel and draft.whole[ACCEL] and shown.length < _FEWEST_COUNTS:
-        accels = [(accel, assumed) for accel, assumed in accels if accel.unit is not None] or accels
-    stated = with_accel and ACCEL_UNITS[draft.unit(ACCEL) or "count"].kind != "raw"
-    samples = float(np.median(shown.samples)) if shown.rests else np.inf
-    out = []
-    for profile in shown.profiles or (None,):
-        for times, gyro, gyro_cost in _with_gyros(draft, shown, gyros, profile, widths):
-            shorter = math.log(max(SHORT_REST * times.rate / samples, 1.0)) / _BEYOND
-            of_accel = []
-            for accel, assumed in accels:
-                taken = accel if accel.known else replace(accel, value=shown.length)
-                off = math.log(shown.length / taken.reads(times.rate)) / deviation
-                away = max(map(abs, shown.zero)) / (_ZERO * shown.length) if accel.unit else 0.0
-                paired = with_accel and gyro is not None and gyro.known
-                pairs = MET["pairs"].get(accel.unit or "count", {})
+def ranked_hypotheses(evidence: Evidence, draft: Draft, widths: Widths = WIDTHS) -> list[Hypothesis]:
+    """Return all hypotheses about a log in the order of their cost."""
+    deviation = math.hypot(widths.scale, evidence.length_u)
+    has_accel = ACCEL in draft.triads
+    accels = list(_assumed_scales(ACCEL, draft, cost_of_free_scale(deviation))) if has_accel else [(COUNTS, 0.0)]
+    gyros = list(_assumed_scales(GYRO, draft, cost_of_free_scale(widths.scale))) if GYRO in draft.triads else []
+    if not evidence.profiles:  # nothing shows the worth of counts
+        listed = sum(math.exp(-0.5 * cost) for gyro, cost in gyros if gyro.unit is None and gyro.listed)
+        in_units = [(gyro, cost) for gyro, cost in gyros if gyro.unit is not None]
+        gyros = [*([(COUNTS, -2.0 * math.log(listed))] if listed else []), *in_units]
+    if has_accel and draft.whole[ACCEL] and evidence.length < _FEWEST_COUNTS:
+        accels = [(accel, cost) for accel, cost in accels if accel.unit is not None] or accels
+    unit_stated = has_accel and ACCEL_UNITS[draft.unit(ACCEL) or "count"].kind != "raw"
+    samples = float(np.median(evidence.samples)) if evidence.rests else np.inf
+    hypotheses = []
+    for profile in evidence.profiles or (None,):
+        for times, gyro, gyro_cost in _gyro_trials(draft, evidence, gyros, profile, widths):
+            short_rests = math.log(max(SHORTEST_REST * times.rate / samples, 1.0)) / _LN_EXCESS
+            accel_trials = []
+            for accel, assumption in accels:
+                scale = accel if accel.listed else replace(accel, value=evidence.length)
+                off = math.log(evidence.length / scale.reading(times.rate)) / deviation
+                zero = max(map(abs, evidence.zero)) / (_ZERO * evidence.length) if accel.unit else 0.0
+                pairs = FREQUENCIES["pairs"].get(accel.unit or "count", {})
+                paired = has_accel and gyro is not None and gyro.listed
                 odds = pairs.get(gyro.unit or "count", 1.0) if paired and gyro is not None else 1.0
-                cost = assumed - 2.0 * math.log(odds) + (0.0 if stated and accel.unit else off**2 + away**2)
-                of_accel.append((taken, cost))
-            least = min(cost for _, cost in of_accel)
-            before = times.cost + shorter**2 + gyro_cost
-            out += [
-                Hypothesis(accel=accel, gyro=gyro, times=times, profile=profile, cost=before + cost)
-                for accel, cost in of_accel
+                misfit = 0.0 if unit_stated and accel.unit else off**2 + zero**2
+                accel_trials.append((scale, assumption - 2.0 * math.log(odds) + misfit))
+            least = min(cost for _, cost in accel_trials)
+            common = times.cost + short_rests**2 + gyro_cost
+            hypotheses += [
+                Hypothesis(accel=accel, gyro=gyro, times=times, profile=profile, cost=common + cost)
+                for accel, cost in accel_trials
                 if cost < least + _HOPELESS
             ]
-    return sorted(out, key=lambda hypothesis: hypothesis.cost)
+    return sorted(hypotheses, key=lambda hypothesis: hypothesis.cost)
 
 
-def _with_gyros(
-    draft: Draft, shown: Evidence, gyros: list[tuple[KnownScale, float]], profile: TurnLikelihood | None, widths: Widths
-) -> Iterator[tuple[Times, KnownScale | None, float]]:
-    """Times and gyros with the cost of their turns, readings and assumptions. Where the rate is free, so is the one for
-    which the turns fit a unit best."""
-    every = (draft.times, *draft.times.rivals)
+def _gyro_trials(
+    draft: Draft,
+    evidence: Evidence,
+    gyros: list[tuple[SensorScale, float]],
+    profile: TurnLikelihood | None,
+    widths: Widths,
+) -> Iterator[tuple[Times, SensorScale | None, float]]:
+    """Yield times and gyro scales with the cost of turns, readings and assumptions.
+
+    Where the rate is free, the rate at which the turns fit a unit best is tried too."""
+    assumed_times = (draft.times, *draft.times.rivals)
     nominal = None if profile is None else profile.of_nominal(widths.scale)
     if not gyros:
-        yield from ((times, None, 0.0) for times in every)
-    of_rate = next((times.cost - USUAL_RATES[times.rate] for times in every[1:] if not times.stamped), None)
-    for gyro, assumed in gyros:
-        trials = every
-        if profile is not None and of_rate is not None and gyro.unit is not None and not gyro.increment:
+        yield from ((times, None, 0.0) for times in assumed_times)
+    free_rate = next((times.cost - USUAL_RATES[times.rate] for times in assumed_times[1:] if not times.stamped), None)
+    for gyro, assumption in gyros:
+        trials = assumed_times
+        if profile is not None and free_rate is not None and gyro.unit is not None and not gyro.increment:
             rate = profile.found() * DEGREE / gyro.value
-            if RATES_OF_LOGS[0] <= rate <= RATES_OF_LOGS[1]:
-                cost = of_rate - 2.0 * math.log(UNUSUAL) + cost_of_any(widths.scale, _RATE_RANGE)
-                trials = (*every, at_rate(float(f"{rate:.4g}"), cost))
+            if RATE_LIMITS[0] <= rate <= RATE_LIMITS[1]:
+                cost = free_rate - 2.0 * math.log(UNUSUAL_SHARE) + cost_of_free_scale(widths.scale, _LN_RATE_RANGE)
+                trials = (*assumed_times, at_rate(float(f"{rate:.4g}"), cost))
         for times in trials:
-            found, cost = gyro, assumed
-            if profile is not None and not gyro.known:
-                found = replace(gyro, value=float(f"{profile.found() * DEGREE / times.rate:.4g}"))
+            scale, cost = gyro, assumption
+            if profile is not None and not gyro.listed:
+                scale = replace(gyro, value=float(f"{profile.found() * DEGREE / times.rate:.4g}"))
             if nominal is not None:
-                cost += nominal.at(math.log(found.reads(times.rate) * times.rate / DEGREE))
+                cost += nominal.at(math.log(scale.reading(times.rate) * times.rate / DEGREE))
             if profile is not None or gyro.unit is not None:
-                cost += cost_of_readings(shown, found, times.rate, draft, widths)
-            yield times, found, cost
+                cost += _cost_of_readings(evidence, scale, times.rate, draft, widths)
+            yield times, scale, cost
 
 
-def _assumed(kind: str, draft: Draft, unknown: float) -> Iterator[tuple[KnownScale, float]]:
-    """Units and counts that sensors may have, each with the cost of the assumption.
+def _assumed_scales(kind: str, draft: Draft, unlisted: float) -> Iterator[tuple[SensorScale, float]]:
+    """Yield the units and counts that sensors may have, each with the cost of the assumption.
 
-    A unit in a name is taken as given; a name that says raw makes counts likelier. Counts of no data sheet may have any
-    scale, at the cost `unknown`."""
+    A unit in a name is certain; a name of raw numbers makes counts likelier. Counts of no data sheet may have any
+    scale, at the cost `unlisted`."""
     units, name = {ACCEL: ACCEL_UNITS, GYRO: GYRO_UNITS}[kind], draft.unit(kind)
     if name is not None and units[name].kind != "raw":
-        one = ONE[kind] / units[name].factor
-        increment = units[name].kind == "increment"
-        yield KnownScale(value=one, unit=name, shares=(1.0, 1.0), increment=increment), 0.0
+        one = COUNTS_PER_SI[kind] / units[name].factor
+        yield SensorScale(value=one, unit=name, shares=(1.0, 1.0), increment=units[name].kind == "increment"), 0.0
     elif name == "V":
-        yield ON_NO_SHEET, 0.0
+        yield UNLISTED_COUNTS, 0.0
     else:
-        for candidate in (*CANDIDATES[kind], ON_NO_SHEET):
-            share = candidate.shares[draft.whole[kind]]
-            share *= _RAW_IN_A_UNIT if name is not None and candidate.unit is not None else 1.0
-            yield candidate, -2.0 * math.log(share) + (0.0 if candidate.known else unknown)
+        for scale in (*CANDIDATES[kind], UNLISTED_COUNTS):
+            share = scale.shares[draft.whole[kind]]
+            share *= _NAMED_RAW_SHARE if name is not None and scale.unit is not None else 1.0
+            yield scale, -2.0 * math.log(share) + (0.0 if scale.listed else unlisted)
 
 
-def cost_of_readings(shown: Evidence, gyro: KnownScale, rate: float, draft: Draft, widths: Widths) -> float:
-    """Cost of a unit or scale of gyros by their readings.
-
-    Biases above 20 °/s, a scatter of 0.17 °/s in a second on a table, more than any range and turns faster than by hand
-    speak against it, steps of a data sheet for it."""
-    one, root = DEGREE / gyro.reads(rate), math.sqrt(rate)
-    limits = [(float(np.linalg.norm(shown.bias)), _LARGEST_BIAS)] if gyro.unit is not None else []
-    if shown.accel_scatter * G_STANDARD / root < _ON_A_TABLE:
-        limits.append((shown.gyro_scatter / root, _LARGEST_NOISE))
+def _cost_of_readings(evidence: Evidence, gyro: SensorScale, rate: float, draft: Draft, widths: Widths) -> float:
+    """Return the cost of a gyro scale by the bias, noise, range, turning rate and resolution of the readings."""
+    one, root = DEGREE / gyro.reading(rate), math.sqrt(rate)
+    limits = [(float(np.linalg.norm(evidence.bias)), _LARGEST_BIAS)] if gyro.unit is not None else []
+    if evidence.accel_scatter * G_STANDARD / root < _TABLE_NOISE:
+        limits.append((evidence.gyro_scatter / root, _LARGEST_NOISE))
     cost = 0.0
     for value, limit in limits:
         if value * one > limit:
-            cost += min((math.log(value * one / limit) / _BEYOND) ** 2, _AT_MOST)
+            cost += min((math.log(value * one / limit) / _LN_EXCESS) ** 2, _MOST_EXCESS_COST)
     if draft.largest * one > FASTEST:
-        cost += _TOO_FAST
-    if shown.turning:
-        cost += (math.log(shown.turning * one) / widths.turning) ** 2
+        cost += _TOO_FAST_COST
+    if evidence.turning:
+        cost += (math.log(evidence.turning * one) / widths.turning) ** 2
     if gyro.unit == "deg/s" and draft.step is not None:
-        cost += _IN_STEPS
+        cost += _RESOLUTION_COST
     return cost

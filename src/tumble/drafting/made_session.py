@@ -1,8 +1,9 @@
-"""The session that `calibrate LOG` makes beside a log, and finds again by the content of the log.
+"""The session that `calibrate LOG` makes beside a log and finds again by the content of the log.
 
-`made.json` in its folder has the hash of the log, what was stated, the version, and the files that were made. The same
-log with the same statements has the same session, corrected by hand or not, and under another name the serial number
-of its first name where none is stated; with others it is made anew, unless it was corrected by hand."""
+`made.json` in the session's folder has the hash of the log, the stated options, the version, and the files made. The
+same log with the same options gets the same session, corrected by hand or not; a renamed log keeps the serial number of
+its first name unless one is stated. With other options the session is made anew, unless it was corrected by hand.
+"""
 
 from __future__ import annotations
 
@@ -34,9 +35,9 @@ _RESULT = "calibration.json"
 def session_of_log(
     log: Path, given: Given, progress: Progress
 ) -> Iterator[tuple[Path, str, Sequence[str], Sequence[str]]]:
-    """Folder of the session of a log, where it comes from, remarks on each part, and faults.
+    """Give the folder of the session of a log, its origin in words, remarks on each part, and faults.
 
-    It is made if there is none, and removed, or put back as it was, if the block fails. Raises InputError for a log
+    A session that is made here is removed, or the former one put back, if the block fails. Raises InputError for a log
     that cannot be read, and if a session corrected by hand would be made anew."""
     log = log if log.name else log.resolve()
     stem = re.sub(r"[*?\[\]]", "", log.name)
@@ -47,11 +48,11 @@ def session_of_log(
     digest = _digest(log)
     folder = next((f for f in sorted(log.parent.glob("*-session")) if _made(f).get("log_sha256") == digest), None)
     made = {} if folder is None else _made(folder)
-    before = made.get("given", {}).get("serial", stem)
-    default = before if folder is not None and folder.name.startswith(f"{before}-") else stem  # of the first name
+    former = made.get("given", {}).get("serial", stem)
+    default = former if folder is not None and folder.name.startswith(f"{former}-") else stem
     whose = "" if given.serial or default == stem else f" (serial number {default!r})"
     given = replace(given, serial=given.serial or default)
-    stated, state = {key: value for key, value in asdict(given).items() if value}, ""
+    stated, origin = {key: value for key, value in asdict(given).items() if value}, ""
     content = {"log_sha256": digest, "given": json.loads(json.dumps(stated)), "version": __version__}
     if folder is not None:
         edited = made.get("session_sha256") != _sha256(folder / SESSION_FILE)
@@ -64,7 +65,9 @@ def session_of_log(
                 f"{folder}: expected the options with which the session of this log was made, found others, and the "
                 f"session corrected by hand; calibrate it as it is (tumble calibrate {folder}), or remove it"
             )
-        state = f"{folder}: replaces that of serial number {before!r}, with other options or by another version: anew; "
+        origin = (
+            f"{folder}: replaces that of serial number {former!r}, with other options or by another version: anew; "
+        )
     else:
         folder = log.with_name(f"{stem}-session")
         folder = folder if not folder.exists() else log.with_name(f"{stem}-{digest[:8]}-session")
@@ -74,13 +77,14 @@ def session_of_log(
         content["files"] = [file.name for file in output.written]
         with whole_file(output.new_file(MADE)) as temporary:
             temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-        yield folder, f"{state}kept in {folder / SESSION_FILE}", draft.remarks, faults
+        yield folder, f"{origin}kept in {folder / SESSION_FILE}", draft.remarks, faults
 
 
 @contextmanager
 def _put_aside(folder: Path) -> Iterator[None]:
-    """Move the folder of a session away while it is made anew: files made before go with it, others come back, and all
-    of them if the block fails."""
+    """Move the folder of a session away while it is made anew.
+
+    Files of the former session go with it; others come back afterwards, and all of them if the block fails."""
     if not folder.exists():
         yield
         return
@@ -95,8 +99,8 @@ def _put_aside(folder: Path) -> Iterator[None]:
 
 
 def _bring_back(parent: Path, names: str) -> None:
-    """Take back what was put aside of a folder: files of others where it is made anew, and all of it where it is not,
-    since the process was killed."""
+    """Take back what was put aside: the user's files if the session was made anew, all of it if the process was
+    killed before."""
     for aside in parent.glob(f".{names}.*/"):
         folder = parent / aside.name[1:].rpartition(".")[0]
         if not _made(folder):
@@ -111,7 +115,7 @@ def _bring_back(parent: Path, names: str) -> None:
 
 
 def _made(folder: Path) -> dict[str, Any]:
-    """Content of made.json; empty without one."""
+    """Return the content of made.json; empty without one."""
     with suppress(OSError, ValueError):
         made = json.loads((folder / MADE).read_bytes()) if (folder / SESSION_FILE).is_file() else {}
         return made if isinstance(made, dict) else {}
@@ -119,7 +123,7 @@ def _made(folder: Path) -> dict[str, Any]:
 
 
 def _digest(log: Path) -> str:
-    """SHA-256 of the content of a log; of several files that of all, in their order."""
+    """Return the SHA-256 of the content of all files of a log in order."""
     digest = hashlib.sha256()
     for file in files_of(log):
         for part in sorted(p for p in file.rglob("*") if p.is_file()) if file.is_dir() else [file]:

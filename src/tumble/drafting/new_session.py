@@ -1,10 +1,11 @@
-"""A first session.toml for a log, in one pass: its files (`containers`), the columns of sensors and times by name and
-unit, and by numbers where names leave them open (`columns`), mended copies (`repairs`), times (`times`), units and
-scales by rests and turns (`hypotheses`), and remarks (`conclusions`).
+"""A first session.toml for a log, in one pass.
 
-Accelerometers at rest read gravity, which determines their unit, and gyros carry the vertical from rest to rest, which
-determines theirs, the scale of counts, and the rate of a log without times. What no log shows (serial number, place,
-programme) is left to be filled in."""
+The steps are: files (`containers`), columns of sensors and times by name and unit, and by numbers where names leave
+them open (`columns`), repaired copies (`repairs`), times (`times`), units and scales by rests and turns (`hypotheses`),
+and remarks (`conclusions`). Accelerometers at rest read gravity, which determines their unit. Gyros carry the vertical
+from rest to rest, which determines their unit, the scale of counts, and the rate of a log without times. Serial number,
+place and programme are in no log and are left to be filled in.
+"""
 
 from __future__ import annotations
 
@@ -20,18 +21,18 @@ import numpy as np
 
 from tumble.arguments import checked
 from tumble.diagnosis.turn_likelihood import WIDTHS, Widths
-from tumble.drafting.columns import identified_log
-from tumble.drafting.conclusions import completed
+from tumble.drafting.columns import identify_log
+from tumble.drafting.conclusions import complete_draft
 from tumble.drafting.containers import check_format, files_of, unzipped
 from tumble.drafting.draft import Draft, session_text
 from tumble.drafting.foreign_log import HEAD_ROWS, SAMPLE_ROWS, ForeignLog
-from tumble.drafting.repairs import repaired
+from tumble.drafting.repairs import repair_log
 from tumble.drafting.sensors_apart import log_of_recording
 from tumble.errors import InputError, LogError, did_you_mean
 from tumble.files import FilePath, OutputFolder, nothing_left, whole_file
 from tumble.programme.positions import programmes
 from tumble.recording.columns.names import ACCEL, GYRO, MAGNETOMETER, TIME_KIND, Sensors, temperature_unit, unit_of_name
-from tumble.recording.columns.scales import step_in_deg_s
+from tumble.recording.columns.scales import resolution_in_deg_s
 from tumble.recording.formats import is_recording
 from tumble.recording.log import Log
 from tumble.recording.readers import source_of
@@ -42,20 +43,22 @@ from tumble.recording.session_file import SESSION_FILE
 from tumble.run.observed import Progress
 from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS, TEMPERATURE_UNITS
 
-_FAST = 0.99
-_SECONDS, _FEWEST_MEANS, _STEADY = 2.0, 3, 0.4
-"""Of accelerometers that turn slowly the mean over so long is most of gravity."""
+_FAST_QUANTILE = 0.99  # of the magnitudes of the gyros, without single outliers
+_MEAN_SECONDS, _FEWEST_MEANS, _GRAVITY_SHARE = 2.0, 3, 0.4
+"""Means over so long, of which at least so many, keep more than this share of readings that contain gravity."""
 _FIELDS = {"uT": (15.0, 150.0), "nT": (15e3, 150e3), "gauss": (0.15, 1.5), "T": (15e-6, 150e-6)}
-"""Fields on Earth, with iron about."""
+"""Magnetic fields on Earth, with iron nearby."""
 _SENSORS = {ACCEL: ("accelerometers", "m/s²", 1.0), GYRO: ("gyros", "°/s", DEGREE)}
-_LIKELY = {"degC": (-80.0, 150.0), "K": (190.0, 430.0)}  # of the middle temperature of a recording
+_PLAUSIBLE_TEMPERATURES = {"degC": (-80.0, 150.0), "K": (190.0, 430.0)}  # median of a recording
 _CORE_MOTION = re.compile(r"accelerometerAcceleration[XYZ]\(G\)")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Given:
-    """What the user states: serial number, latitude (°), height (m), rate (Hz), programme and message of a recording,
-    the columns of a log that are its accelerometers, gyros and time, by name or by number from 1, and their units."""
+    """Statements of the user about a log.
+
+    `latitude` is in °, `height` in m, `sample_rate` in Hz; `message` names a message of a recording; columns are names
+    or numbers from 1."""
 
     serial: str | None = None
     latitude: float | None = None
@@ -71,10 +74,9 @@ class Given:
 
     @property
     def units(self) -> dict[str, str]:
-        """Stated units by kind of sensor, in any spelling. Raises InputError for units that session.toml lacks."""
-        known = {ACCEL: (self.accel_unit, ACCEL_UNITS), GYRO: (self.gyro_unit, GYRO_UNITS)}
+        """Stated units by kind of sensor. Raises InputError for units that session.toml lacks."""
         out = {}
-        for kind, (unit, units) in known.items():
+        for kind, unit, units in ((ACCEL, self.accel_unit, ACCEL_UNITS), (GYRO, self.gyro_unit, GYRO_UNITS)):
             if unit is not None:
                 out[kind] = unit if unit in units else unit_of_name(kind, f"x [{unit}]") or ""
                 if not out[kind]:
@@ -102,31 +104,31 @@ def new_session(
 ) -> tuple[Draft, list[str]]:
     """Write a first session.toml for a log, with comments on what has to be filled in.
 
-    What a name or a unit says is believed; numbers fill in what names leave open.
+    Names and units are taken as given; numbers decide what they leave open.
 
     Parameters
     ----------
     folder
-        The session's folder, made if need be. Logs of which a session file cannot say what is needed, and those in
-        other formats than text and Parquet, are copied into it.
+        The session's folder, made if need be. Logs that a session file cannot describe, and those in other formats
+        than text and Parquet, are copied into it.
     logs
         Files, folders of files, or patterns.
     given
-        What the user knows.
+        Statements of the user.
     progress
         Shows how far the log is read.
 
     Returns
     -------
     draft : Draft
-        The content of the file, and in `remark` how each part of it came about.
+        The content of the file, and in `remarks` how each part was found.
     faults : list of str
-        What a look at the recording finds wrong with it.
+        Faults of the recording.
 
     Raises
     ------
     InputError
-        Where the folder has a session, and for a log that cannot be read or has no accelerometers; no new folder is
+        If the folder has a session, and for a log that cannot be read or has no accelerometers; no new folder is
         left behind.
 
     Examples
@@ -144,7 +146,7 @@ def new_session(
 def written_session(
     folder: OutputFolder, logs: FilePath | Sequence[FilePath], given: Given, progress: Progress, widths: Widths = WIDTHS
 ) -> tuple[Draft, list[str]]:
-    """`new_session` into a folder whose new files are left to the caller if it fails."""
+    """Run `new_session` in a folder whose new files are left to the caller if it fails."""
     path = folder.path / SESSION_FILE
     if path.exists():
         raise InputError(f"{path}: expected a folder without a session, found one; choose another folder")
@@ -164,8 +166,9 @@ def drafted_log(
     *,
     gyros_suffice: bool = False,
 ) -> tuple[Draft, list[str]]:
-    """The draft and the faults that `new_session` gives; with `gyros_suffice` also for a log of gyros alone. Copies of
-    logs are written into the folder."""
+    """Return the draft and the faults of `new_session`; with `gyros_suffice` also for a log of gyros alone.
+
+    Copies of logs are written into the folder."""
     listed = [logs] if isinstance(logs, str | os.PathLike) else logs
     files = [file for log in listed for file in files_of(Path(log))]
     if given.programme is not None and given.programme not in programmes():
@@ -183,7 +186,7 @@ def drafted_log(
     for file in filter(Path.is_file, recordings):
         check_format(file, recording=True)
     if not recordings:
-        log = identified_log(files, folder, given.columns, given.units)
+        log = identify_log(files, folder, given.columns, given.units)
         log.check_has_sensors(gyros_suffice=gyros_suffice)
     elif given.columns or given.units:
         options = [*given.columns, *(f"{kind}-unit" for kind in given.units)]
@@ -195,40 +198,40 @@ def drafted_log(
         raise InputError(f"{recordings[0]}: expected one recording, found other files too; give each its own session")
     else:
         log, imu = log_of_recording(recordings, folder, given.message)
-    draft = _of_log(repaired(log, folder, given.sample_rate), given.sample_rate)
+    draft = _draft_of_raw_numbers(repair_log(log, folder, given.sample_rate), given.sample_rate)
     place = {"latitude_deg": given.latitude, "height_m": given.height}
     site = {key: value for key, value in place.items() if value is not None}
     serial = given.serial or folder.path.resolve().name or "unknown"
     device = {"serial": serial, **({"imu": sensors_content(imu)} if imu else {})}
     draft = replace(draft, content={**draft.content, "device": device, "site": site})
-    draft.session()  # checked as a session is
-    draft, faults = completed(draft, progress, widths)
+    draft.session()  # which checks it
+    draft, faults = complete_draft(draft, progress, widths)
     if ACCEL not in draft.triads:
         return draft, faults
-    draft = _with_sign(draft)
+    draft = _with_apple_sign(draft)
     if draft.guessed:
-        draft = draft.with_log([_row_as_read(draft)])
+        draft = draft.with_log([_row_remark(draft)])
     return draft, faults
 
 
-# -------------------- what is known from names and first numbers --------------------
+# -------------------- names and first numbers --------------------
 
 
-def _of_log(log: ForeignLog, rate: float | None) -> Draft:
-    """Draft from names and first numbers, with sensors as raw numbers."""
-    known, times = log.columns, log.times(rate)
+def _draft_of_raw_numbers(log: ForeignLog, rate: float | None) -> Draft:
+    """Return a draft from names and first numbers, with sensors as raw numbers."""
+    columns, times = log.columns, log.times(rate)
     remarks = list(log.remarks)
-    if rate is not None and known.time is not None:
-        remarks.append(f"time: column {known.time!r} is not used, since the rate was given")
-    remarks += [f"also there, and not used: {', '.join(known.others)}"] if known.others else []
-    triads = {kind: known.triads[kind] for kind in (ACCEL, GYRO) if kind in known.triads}
-    read = {kind: log.read(sensors.columns, rows=HEAD_ROWS) for kind, sensors in triads.items()}
+    if rate is not None and columns.time is not None:
+        remarks.append(f"time: column {columns.time!r} is not used, since the rate was given")
+    remarks += [f"also there, and not used: {', '.join(columns.others)}"] if columns.others else []
+    triads = {kind: columns.triads[kind] for kind in (ACCEL, GYRO) if kind in columns.triads}
+    head = {kind: log.read(sensors.columns, rows=HEAD_ROWS) for kind, sensors in triads.items()}
     first = next(iter(triads))
-    magnitude = _magnitude(log, triads[first])
+    magnitude = log.magnitude(triads[first].columns)
     if magnitude == 0.0:
         raise LogError(
             f"{log.files[0]}: {', '.join(triads[first].columns)}: expected readings, found none in the first "
-            f"{len(read[first])} rows"
+            f"{len(head[first])} rows"
         )
     files = [str(file.resolve()) for file in log.files]
     table: dict[str, Any] = {"file": files[0] if len(files) == 1 else files, **log.keys, **times.keys}
@@ -236,27 +239,27 @@ def _of_log(log: ForeignLog, rate: float | None) -> Draft:
         table[kind] = {"columns": list(sensors.columns), "unit": "count", "scale": 1.0, "offset": 0.0}
     if GYRO not in triads:
         remarks.append("no gyros were found (--gyro states their columns): the accelerometers alone will be calibrated")
-    if known.temperatures:
-        thermometers, remark = _thermometers(log, known.temperatures)
+    if columns.temperatures:
+        thermometers, remark = _temperature_table(log, columns.temperatures)
         table |= {} if thermometers is None else {"temperature": thermometers}
         remarks.append(remark)
-    magnetometer, of_magnetometer = _magnetometer(log, known.triads.get(MAGNETOMETER))
-    largest = np.abs(read[GYRO][np.isfinite(read[GYRO]).all(axis=1)]).max(axis=1) if GYRO in triads else np.zeros(0)
-    whole = {kind: bool((r == np.floor(r))[np.isfinite(r)].all()) for kind, r in read.items()}
-    # accelerometers that read nearly nothing at the mean over two seconds read no gravity
-    force = read[ACCEL][np.isfinite(read[ACCEL]).all(axis=1)] if ACCEL in triads else np.empty((0, 3))
-    rows = max(int(_SECONDS * times.rate), 2)
+    magnetometer, magnetometer_remarks = _magnetometer_table(log, columns.triads.get(MAGNETOMETER))
+    rates = head[GYRO][np.isfinite(head[GYRO]).all(axis=1)] if GYRO in triads else np.empty((0, 3))
+    whole = {kind: bool((r == np.floor(r))[np.isfinite(r)].all()) for kind, r in head.items()}
+    # means of accelerometers over two seconds keep gravity
+    force = head[ACCEL][np.isfinite(head[ACCEL]).all(axis=1)] if ACCEL in triads else np.empty((0, 3))
+    rows = max(int(_MEAN_SECONDS * times.rate), 2)
     if (count := len(force) // rows) >= _FEWEST_MEANS:
         means = np.linalg.norm(force[: count * rows].reshape(-1, rows, 3).mean(axis=1), axis=1)
         share = float(np.median(means) / max(np.median(np.linalg.norm(force, axis=1)), 1e-300))
-        if share <= _STEADY:
+        if share <= _GRAVITY_SHARE:
             remarks.append(
-                f"accelerometers: at the mean over {_SECONDS:g} s they read {share:.0%} of what they read at a time: "
-                "gravity is not in them; what a filter has left of the readings cannot be calibrated"
+                f"accelerometers: at the mean over {_MEAN_SECONDS:g} s they read {share:.0%} of what they read at a "
+                "time: gravity is not in them; what a filter has left of the readings cannot be calibrated"
             )
     return Draft(
         content={"format": 1, "device": {"serial": "unknown"}, "log": table},
-        remarks=(*remarks, *of_magnetometer),
+        remarks=(*remarks, *magnetometer_remarks),
         doubts=log.doubts,
         magnetometer=magnetometer,
         triads=triads,
@@ -264,17 +267,17 @@ def _of_log(log: ForeignLog, rate: float | None) -> Draft:
         rate=times.rate,
         whole=whole,
         magnitude=magnitude,
-        largest=float(np.quantile(largest, _FAST)) if len(largest) else 0.0,
-        step=step_in_deg_s(read[GYRO]) if GYRO in triads and not whole[GYRO] else None,
+        largest=float(np.quantile(np.abs(rates).max(axis=1), _FAST_QUANTILE)) if len(rates) else 0.0,
+        step=resolution_in_deg_s(head[GYRO]) if GYRO in triads and not whole[GYRO] else None,
         kept=log.kept,
     )
 
 
-def _with_sign(draft: Draft) -> Draft:
-    """Set the sign of accelerometers named as in Apple's CoreMotion, which read −1 g on the axis that points up. No
-    recording shows it, because gyros carry the vertical up and down alike.
+def _with_apple_sign(draft: Draft) -> Draft:
+    """Set the sign of accelerometers named as in Apple's CoreMotion, which read −1 g on the axis that points up.
 
-    Source: Apple, CMAccelerometerData and CMMotionManager, Core Motion."""
+    No recording shows it, because gyros carry the vertical up and down alike. Source: Apple, CMAccelerometerData and
+    CMMotionManager, Core Motion."""
     accel = draft.log["accel"]
     if accel["unit"] != "g" or not all(_CORE_MOTION.fullmatch(name) for name in accel["columns"]):
         return draft
@@ -283,19 +286,19 @@ def _with_sign(draft: Draft) -> Draft:
     return draft.with_log([remark], accel=table)
 
 
-def _row_as_read(draft: Draft) -> str:
-    """The first complete row of the log, as written and in units."""
+def _row_remark(draft: Draft) -> str:
+    """Return the first complete row of the log in words, as written and in units."""
     log = draft.session().log
     time = [] if log.time is None else [log.time]
     sensors = {kind: channels for kind, channels in ((ACCEL, log.accel), (GYRO, log.gyro)) if channels is not None}
     columns = [*time, *(c for channels in sensors.values() for c in channels.columns)]
     source = source_of(log.files[0], log.dialect)
     first, _ = next(source.tables(columns, log.time if log.clock else None))
-    read = first.select(columns).head(SAMPLE_ROWS).to_numpy()
-    whole = np.flatnonzero(is_reading(read).all(axis=1))
+    table = first.select(columns).head(SAMPLE_ROWS).to_numpy()
+    whole = np.flatnonzero(is_reading(table).all(axis=1))
     if not len(whole):
-        return f"no row of the first {len(read)} is whole"
-    row = dict(zip(columns, read[whole[0]].tolist(), strict=True))
+        return f"no row of the first {len(table)} is whole"
+    row = dict(zip(columns, table[whole[0]].tolist(), strict=True))
     parts = [f"time {row[name] * log.time_factor:.10g} s ({name}: {row[name]:.10g})" for name in time]
     for kind, channels in sensors.items():
         name, unit, one = _SENSORS[kind]
@@ -306,17 +309,19 @@ def _row_as_read(draft: Draft) -> str:
     return f"row {whole[0] + 1} as it is read: {'; '.join(parts)}"
 
 
-def _thermometers(log: ForeignLog, columns: Sequence[str]) -> tuple[dict[str, Any] | None, str]:
-    """The table [log.temperature], None for raw numbers, and a remark. The unit is that of the name, or one in which
-    the numbers are temperatures of air; columns in several units are described as raw numbers with their scales."""
+def _temperature_table(log: ForeignLog, columns: Sequence[str]) -> tuple[dict[str, Any] | None, str]:
+    """Return the table [log.temperature], None for raw numbers, and a remark.
+
+    The unit is that of the name, or one in which the numbers are temperatures of air; columns in several units are
+    described as raw numbers with their scales."""
     listed, units, remarks = list(columns), list[str](), list[str]()
     if empty := [column for column in columns if not len(log.readings(column))]:
         return None, f"temperature: {', '.join(empty)} is left out, for it reads nothing or cannot be read"
     for column in columns:
         middle = float(np.median(log.readings(column)))
-        likely = next((unit for unit, (low, high) in _LIKELY.items() if low <= middle <= high), RAW)
+        plausible = next((u for u, (low, high) in _PLAUSIBLE_TEMPERATURES.items() if low <= middle <= high), RAW)
         named = temperature_unit(column)
-        units.append(named or likely)
+        units.append(named or plausible)
         remarks.append(f"{column} in {units[-1]} ({'from the name' if named else 'by its numbers'})")
         if units[-1] == RAW:
             return None, (
@@ -327,23 +332,17 @@ def _thermometers(log: ForeignLog, columns: Sequence[str]) -> tuple[dict[str, An
     whose = {1: "", 2: ", accelerometers and gyros"}.get(len(listed), ", one a sensor, accelerometers first")
     table: dict[str, Any] = {"columns": listed, "unit": units[0]}
     if len(set(units)) > 1:
-        worth = [TEMPERATURE_UNITS[unit] for unit in units]
-        scale, offset = [1.0 / gain for gain, _ in worth], [-shift / gain for gain, shift in worth]
+        factors = [TEMPERATURE_UNITS[unit] for unit in units]
+        scale, offset = [1.0 / gain for gain, _ in factors], [-shift / gain for gain, shift in factors]
         table |= {"unit": RAW, "scale": scale, "offset": offset}
     return table, f"temperature: {', '.join(dict.fromkeys(remarks))}{whose}"
 
 
-def _magnitude(log: ForeignLog, sensors: Sensors) -> float:
-    """Median magnitude of readings in the first rows; 0 without readings."""
-    read = np.linalg.norm(log.read(sensors.columns, rows=HEAD_ROWS), axis=1)
-    return float(np.nanmedian(read)) if np.isfinite(read).any() else 0.0
-
-
-def _magnetometer(log: ForeignLog, sensors: Sensors | None) -> tuple[dict[str, Any] | None, list[str]]:
-    """The table [log.magnetometer] and remarks: the unit by name, or the one in which the field is one on Earth."""
+def _magnetometer_table(log: ForeignLog, sensors: Sensors | None) -> tuple[dict[str, Any] | None, list[str]]:
+    """Return the table [log.magnetometer] and remarks; the unit is that of the name, or fits the field on Earth."""
     if sensors is None:
         return None, []
-    field, named = _magnitude(log, sensors), ", ".join(sensors.columns)
+    field, named = log.magnitude(sensors.columns), ", ".join(sensors.columns)
     unit = sensors.unit or next((unit for unit, (low, high) in _FIELDS.items() if low <= field <= high), None)
     if field == 0.0:
         return None, [f"magnetometers: {named} are left out; they have no readings"]

@@ -1,18 +1,19 @@
-"""Exports: a calibration as other programs read it.
+"""Exports: calibrations in the formats of other programs.
 
-`export_calibration` makes the bytes; nothing is written. What a target cannot hold comes with them in sentences. Most
-targets are templates, `targets/*.tmpl`; those of BUILT_IN need code. Other packages bring more (`tumble.plugins`).
+`export_calibration` returns the bytes of the file, and sentences on what the format cannot hold. Most targets are
+templates, `targets/*.tmpl`; those of BUILT_IN need code. Other packages bring more (`tumble.plugins`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from tumble.arguments import checked
+from tumble.documents import text_of_document, toml_of
 from tumble.errors import InputError, did_you_mean
 from tumble.files import FilePath
 from tumble.plugins import entry_points_of, load
@@ -20,53 +21,60 @@ from tumble.plugins import entry_points_of, load
 if TYPE_CHECKING:
     from tumble.export.exported import Exported
     from tumble.export.kalibr import NoiseDensities
-    from tumble.export.templates import Template
     from tumble.recording.session import Session
     from tumble.result.calibration import Calibration
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Target:
-    """A format that a calibration can be written in: `write` makes an `Exported` of an accepted calibration and of the
-    options, by keyword, that are given; it `takes` options of these names and `needs` some of them; names of its files
-    have an `ending`."""
+    """A format that a calibration can be written in.
+
+    `write` makes an `Exported` of an accepted calibration and of options, by keyword; it `takes` options of these names
+    and `needs` some of them. `about` says in a few words what the format is; files have the suffix `ending`."""
 
     write: Callable[..., Exported]
+    about: str = ""
     takes: tuple[str, ...] = ()
     needs: tuple[str, ...] = ()
     ending: str = ".txt"
 
 
-def _from(module: str, function: str) -> Callable[..., Exported]:
-    """A function of a module of this folder, which is imported when it is called."""
+def _built_in(function: str, about: str, ending: str, *takes: str) -> Target:
+    """Return a target whose function, "module.name" in this folder, is imported when it is called."""
 
     def write(calibration: Calibration, **options: Any) -> Exported:
-        exported: Exported = getattr(import_module(f"tumble.export.{module}"), function)(calibration, **options)
+        module, _, name = function.partition(".")
+        exported: Exported = getattr(import_module(f"tumble.export.{module}"), name)(calibration, **options)
         return exported
 
-    return write
+    return Target(write=write, about=about, ending=ending, takes=takes)
 
 
 BUILT_IN: Mapping[str, Target] = {
-    "px4": Target(write=_from("autopilots", "px4"), takes=("imu",), ending=".params"),
-    "px4-thermal": Target(write=_from("autopilots", "px4_thermal"), takes=("imu", "sensor_ids"), ending=".params"),
-    "ardupilot": Target(write=_from("autopilots", "ardupilot"), takes=("imu",), ending=".parm"),
-    "ardupilot-thermal": Target(write=_from("autopilots", "ardupilot_thermal"), takes=("imu",), ending=".parm"),
-    "kalibr": Target(write=_from("kalibr", "kalibr"), takes=("noise",), ending=".yaml"),
-    "c": Target(write=_from("c_header", "c_header"), ending=".h"),
-    "json": Target(write=_from("tables", "json_file"), ending=".json"),
-    "csv": Target(write=_from("tables", "csv_table"), ending=".csv"),
-    "csv-thermal": Target(write=_from("tables", "csv_thermal"), ending=".csv"),
-    "mat": Target(write=_from("tables", "mat"), ending=".mat"),
+    name: _built_in(*arguments)
+    for name, *arguments in (
+        ("px4", "autopilots.px4", "PX4: parameter file for QGroundControl", ".params", "imu"),
+        ("px4-thermal", "autopilots.px4_thermal", "PX4: offsets over temperature", ".params", "imu", "sensor_ids"),
+        ("ardupilot", "autopilots.ardupilot", "ArduPilot: parameter file for Mission Planner", ".parm", "imu"),
+        ("ardupilot-thermal", "autopilots.ardupilot_thermal", "ArduPilot: offsets over temperature", ".parm", "imu"),
+        ("kalibr", "kalibr.kalibr", "Kalibr and OpenVINS: kalibr_imu_chain.yaml", ".yaml", "noise"),
+        ("c", "c_header.c_header", "C and C++: header with functions", ".h"),
+        ("json", "tables.json_file", "correction with its formula", ".json"),
+        ("csv", "tables.csv_table", "table of all parameters with covariance", ".csv"),
+        ("csv-thermal", "tables.csv_thermal", "table of parameters over temperature", ".csv"),
+        ("mat", "tables.mat", "MATLAB and GNU Octave: MAT-file, version 5", ".mat"),
+    )
 }
 """Targets that need code, by name."""
 
 TEMPLATES = Path(__file__).with_name("targets")
-"""Where the templates that come with tumble are."""
+"""Folder of the templates that come with tumble."""
+FENCE = "+++\n"
+"""Line before and after the front matter of a template."""
 
 
 def targets() -> tuple[str, ...]:
-    """Names of all targets: those that need code, the templates, and those of other packages.
+    """Return the names of all targets: those that need code, the templates, and those of other packages.
 
     >>> from tumble.export import targets
     >>> targets()[:3]
@@ -76,27 +84,50 @@ def targets() -> tuple[str, ...]:
     return (*dict.fromkeys([*BUILT_IN, *templates, *entry_points_of("exports")]),)
 
 
+def described_targets() -> Iterator[tuple[str, str]]:
+    """Yield the names of all targets with a few words on each: those of a template are its `about`."""
+    for name in targets():
+        found = _find(name)
+        if isinstance(found, Path):
+            yield name, split_template(text_of_document(found), name)[0].get("about", "")
+        else:
+            yield name, "" if found is None else found.about
+
+
 def target(name: str) -> Target:
-    """The target of a name. Raises InputError for any other name."""
+    """Return the target with a name. Raises InputError for any other name."""
+    found = _find(name)
+    if found is None:
+        longer = next((each for each in targets() if name and each.startswith(name)), "")
+        advice = did_you_mean(longer or name, targets())
+        raise InputError(f"export: expected one of {', '.join(targets())}, found {name!r}{advice}")
+    return found if isinstance(found, Target) else _template_target(found, name)
+
+
+def _find(name: str) -> Target | Path | None:
+    """Return the target with a name, or the file of its template; None if there is none."""
     if name in BUILT_IN:
         return BUILT_IN[name]
     file = TEMPLATES / f"{name}.tmpl"
     if name and Path(name).name == name and file.is_file():
-        return _of_template(file, name)
-    brought = cast("Target | Path | None", load("exports", name, (Target, Path)))
-    if brought is None:
-        longer = next((each for each in targets() if name and each.startswith(name)), "")
-        advice = did_you_mean(longer or name, targets())
-        raise InputError(f"export: expected one of {', '.join(targets())}, found {name!r}{advice}")
-    return brought if isinstance(brought, Target) else _of_template(brought, name)
+        return file
+    return cast("Target | Path | None", load("exports", name, (Target, Path)))
 
 
-def _of_template(file: Path, name: str | None = None) -> Target:
+def split_template(text: str, name: str) -> tuple[dict[str, Any], str]:
+    """Return the front matter of a template and its body. Raises InputError without a front matter."""
+    front, fence, body = text.removeprefix(FENCE).partition(f"\n{FENCE}")
+    if not text.startswith(FENCE) or not fence:
+        raise InputError(f"{name}: expected a front matter of TOML between two lines +++, found none")
+    return toml_of(front, name), body
+
+
+def _template_target(file: Path, name: str | None = None) -> Target:
     from tumble.export.templates import read_template
 
-    template: Template = read_template(file, name)
+    template = read_template(file, name)
     takes = ("counts",) if template.front.counts is not None else ()
-    return Target(write=template.write, takes=takes, ending=template.front.ending)
+    return Target(write=template.write, about=template.front.about, takes=takes, ending=template.front.ending)
 
 
 @checked
@@ -113,39 +144,38 @@ def export_calibration(
 ) -> Exported:
     """Export a calibration in the format of another program.
 
-    Where the accelerometers or the gyros alone are accepted, they are written, and the others named as absent.
+    If only the accelerometers or only the gyros are accepted, these are exported and the others named as absent.
 
     Parameters
     ----------
     calibration
-        One that was accepted, or its file.
+        An accepted calibration, or its file.
     to
         The name of the target, one of `tumble.export.targets()`.
     template
-        The file of a template of one's own instead (`tumble.export.templates`).
+        The file of your own template instead (`tumble.export.templates`).
     noise
-        For `kalibr`: noise densities, or a session whose longest rest shows them; those of the calibration's rests by
-        default.
+        For `kalibr`: noise densities, or a session from whose longest rest they are estimated; default: from the rests
+        of the calibration.
     imu
-        For PX4 and ArduPilot: the number of the IMU whose parameters are to be written, from 1, where the recording
-        does not say it.
+        For PX4 and ArduPilot: the number, from 1, of the IMU whose parameters are written, if the recording has none.
     sensor_ids
-        For `px4-thermal`: the device ids of accelerometer and gyro, where the recording does not say them.
+        For `px4-thermal`: the device ids of accelerometer and gyro, if the recording has none.
     counts
-        For targets that work in counts: how many a g and a °/s are, where the recording was not in counts.
+        For targets that work in counts: counts per g and per °/s, if the recording was not in counts.
     **further
         Options of targets that other packages bring.
 
     Returns
     -------
     Exported
-        The content of the file, and what it cannot hold, in at most four notes.
+        The content of the file, and at most four notes on what it cannot hold.
 
     Raises
     ------
     InputError
-        For a calibration that was not accepted or that the format has no place for, and for an option that the target
-        does not take.
+        For a calibration that was not accepted or that the format cannot hold, and for an option that the target does
+        not take.
 
     Examples
     --------
@@ -162,21 +192,21 @@ def export_calibration(
         stated = "neither" if to is None else "both"
         raise InputError(f"export: expected --to with the name of a target, or --template with a file, found {stated}")
     calibration = accepted_part(calibration_from(calibration))
-    chosen = _of_template(Path(template)) if template is not None else target(to or "")
+    chosen = _template_target(Path(template)) if template is not None else target(to or "")
     options = {"noise": noise, "imu": imu, "sensor_ids": sensor_ids, "counts": counts} | further
     chosen_options = {name: value for name, value in options.items() if value is not None}
     name = to or "a template"
     for option in chosen_options:
         if option not in chosen.takes:
-            takes = " and ".join(map(_option, chosen.takes)) or "no options"
-            raise InputError(f"export to {name}: expected {takes}, found {_option(option)}")
+            takes = " and ".join(map(_option_name, chosen.takes)) or "no options"
+            raise InputError(f"export to {name}: expected {takes}, found {_option_name(option)}")
     for option in chosen.needs:
         if option not in chosen_options:
-            raise InputError(f"export to {name}: expected {_option(option)}, found none")
+            raise InputError(f"export to {name}: expected {_option_name(option)}, found none")
     exported = chosen.write(calibration, **chosen_options)
     return replace(exported, losses=(*calibration.provenance.absent, *exported.losses))
 
 
-def _option(name: str) -> str:
-    """An option as the command line has it."""
+def _option_name(name: str) -> str:
+    """Return an option as on the command line."""
     return f"--{name.replace('_', '-')}"

@@ -1,18 +1,18 @@
-"""PX4 and ArduPilot: parameter files of one accelerometer and one gyro, as they are and over temperature.
+"""PX4 and ArduPilot: parameter files of one accelerometer and one gyro, also over temperature.
 
     acceleration = (reading − offset) · factor        rate = reading − offset
 
-in the sensor's axes, m/s² and rad/s, single precision; board rotations come afterwards. The offsets are the biases b.
-The factors are 1/Mᵢᵢ: what is left of the accelerometers' matrix then has a unit diagonal. A magnetometer, in the units
-of the autopilot, Gauss or thousandths, has a symmetric matrix S: of M⁻¹ = R S, R a rotation, S is held; R, how the
-magnetometer is mounted, an autopilot has in other settings. What its own procedure refuses is not written, and that is
-said.
+in the axes of the sensor, m/s² and rad/s, single precision; board rotations come afterwards. The offsets are the biases
+b. The factors are 1/Mᵢᵢ, which gives the accelerometers' matrix a unit diagonal. A magnetometer, in the units of the
+autopilot, gauss or milligauss, has a symmetric matrix S: of M⁻¹ = R S, R a rotation, S is exported; R, the mounting of
+the magnetometer, is another setting of autopilots. A magnetometer that the autopilot's own procedure would refuse is
+not exported, with a note.
 
-What each autopilot is, its formulas and limits with their source, and the names of its parameters stand in its layout,
-`layouts/px4.params.j2` and `layouts/ardupilot.parm.j2`.
+The layouts `layouts/px4.params.j2` and `layouts/ardupilot.parm.j2` have a description of each autopilot, its formulas
+and limits with their source, and the names of its parameters.
 
-The biases of a calibration are polynomials of the third degree at most, so a cubic holds them whole; TMIN and TMAX are
-the ends of what was measured. Scale factors have one value each, that at the reference temperature.
+The biases of a calibration are polynomials of degree three at most, so a cubic represents them completely; TMIN and
+TMAX are the ends of the measured range. Scale factors have one value each, that at the reference temperature.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from tumble.export.exported import (
     shown,
     triads,
 )
-from tumble.export.templates import front_of, laid_out
+from tumble.export.templates import front_of, render_layout
 from tumble.result.calibration import Calibration
 from tumble.result.correction import linear_example
 from tumble.result.temperature_curves import Range, changing, measured_range, warm_rests
@@ -47,22 +47,19 @@ from tumble.sensors.model import SensorKind, SensorModel
 from tumble.sensors.parameters import OVER_TEMPERATURE, group_name
 from tumble.units import DEGREE, TESLA, Array
 
-LEAST = 0.01
-"""Length of the shortest offset (m/s², rad/s) and of the smallest change of scale that every release of PX4 takes
-over."""
+MIN_CHANGE = 0.01  # length of offsets (m/s², rad/s) and changes of scale that some releases of PX4 ignore
 _HELD = frozenset(f"{kind}.bias.{t}" for kind in ("accel", "gyro") for t in OVER_TEMPERATURE)
 """Groups that the targets over temperature hold."""
 
 
 class Autopilot(BaseModel):
-    """What an autopilot can hold, as its layout says.
+    """Front matter of the layout of an autopilot.
 
-    `about`, `formula` and `source` say what it is, what it computes, and where that is written; `at_reference` and
-    `of_gyros` what of the file holds at the reference temperature, and what there is to say of gyros. It calibrates so
-    many `imus`, over temperature so many `compensated`; kinds of sensors have `thermometers` together; its polynomials
-    are about the temperature `centre`, °C, None for the reference, with coefficients in the unit `worth`, SI. Of a
-    magnetometer: unit and sign of the offsets, how long they may be in that unit, and between what diagonal and
-    elements beside it may be."""
+    `about`, `formula` and `source` describe the autopilot; `at_reference` and `of_gyros` are notes on the file. It
+    calibrates so many `imus`, and over temperature so many `compensated`; `thermometers` are groups of sensors with one
+    thermometer. Its polynomials are about the temperature `centre`, °C (None: the reference), with coefficients in
+    units of `worth`, SI. Of a magnetometer: `unit` and `sign` of the offsets, how long they may be, the range of the
+    diagonal, and the largest element beside it."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -84,18 +81,18 @@ class Autopilot(BaseModel):
 
 
 PX4, ARDUPILOT = "px4.params.j2", "ardupilot.parm.j2"
-"""The layouts."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Triad:
-    """What an autopilot applies to the readings of the three sensors of one kind, of the IMU of this number in the
-    autopilot, from 1, and of the device with this id, None where it is not known: `offset` (3,), the biases, SI, and
-    `factor` (3,), 1/Mᵢᵢ, so that what comes out is (1 + E) true; factors of gyros are 1. `known` says whether these
-    were calibrated; where only changes over temperature were, the file leaves them as they are.
+    """Correction of the three sensors of one kind by an autopilot.
 
-    Over temperature: between which temperatures it was `measured`, °C; the `reference`, °C; `slopes` (3, 3), how the
-    biases change per K, K² and K³ about it; and `coefficients` (3, 3), those of the autopilot's cubic by axis."""
+    `number` is that of the IMU in the autopilot, from 1, `id` that of the device, None if it is not known. `offset`
+    (3,) are the biases, SI, `factor` (3,) is 1/Mᵢᵢ, one for gyros. `known` is False if only changes over temperature
+    were calibrated.
+
+    Over temperature: the `measured` range and the `reference`, °C; `slopes` (3, 3), the changes of the biases per K, K²
+    and K³; and `coefficients` (3, 3), those of the autopilot's cubic by axis."""
 
     kind: SensorKind
     model: SensorModel
@@ -110,21 +107,21 @@ class Triad:
     coefficients: Array = field(default_factory=lambda: np.zeros((3, 3)))
 
     def steepest(self) -> float:
-        """The largest change of a bias per K within what was measured, SI."""
+        """Return the largest slope of a bias within the measured range, SI per K."""
         linear, square, cube = self.slopes.T
         assert self.measured is not None
         d = self.measured.temperatures()[:, None] - self.reference
         return float(np.abs(linear + (2.0 * square + 3.0 * cube * d) * d).max())
 
     def correct(self, readings: Array) -> Array:
-        """What the autopilot makes of readings (..., 3) at the reference temperature, SI."""
+        """Return the autopilot's correction of readings (..., 3) at the reference temperature, SI."""
         return np.asarray((readings - self.offset) * self.factor)
 
     def example(self, calibration: Calibration) -> str:
-        """A reading, what the autopilot makes of it and what it is; over temperature at the warmer end."""
+        """Return a worked example, over temperature at the warm end of the range."""
         model, offset, where = self.model, self.offset, ""
         if self.measured is not None:
-            celsius = warm_end(self.measured)
+            celsius = example_temperature(self.measured)
             model, where = calibration.compensator.model(self.kind, celsius), f" at {celsius:g} degC"
             warmer = celsius - self.reference
             offset = offset + self.slopes @ [warmer, warmer**2, warmer**3]
@@ -134,12 +131,11 @@ class Triad:
 
 
 def _triads(pilot: Autopilot, target: str, calibration: Calibration, imu: int | None, *, thermal: bool) -> list[Triad]:
-    """What an autopilot applies: to the sensors that were recorded, else to those of the first IMU, or of the number
-    `imu`, from 1.
+    """Return the corrections of an autopilot, for the IMU that was recorded, else for the first or the `imu`-th.
 
-    Raises InputError unless every channel senses its own axis of the frame, X, Y, Z, positive, where other sensors than
-    those of the number were recorded, and over temperature where nothing changes with it."""
-    models, out = triads(calibration, target, needed=()), []
+    Raises InputError unless every channel senses its own axis of the frame, X, Y, Z, positively, if another IMU than
+    `imu` was recorded, and over temperature if no parameter changes with it."""
+    models, corrections = triads(calibration, target, needed=()), []
     for kind, model in models.items():
         if (np.argmax(model.matrix, axis=1) != np.arange(3)).any() or (np.diag(model.matrix) <= 0.5).any():
             raise InputError(
@@ -164,16 +160,16 @@ def _triads(pilot: Autopilot, target: str, calibration: Calibration, imu: int | 
     for kind, model in models.items():
         recorded_as, over_temperature = calibration.imu.get(kind), dict[str, Any]()
         if thermal:
-            together = next(kinds for kinds in pilot.thermometers if kind in kinds)
-            reference = float(np.mean(compensator.reference(next(each for each in together if each in models))))
+            sharing = next(kinds for kinds in pilot.thermometers if kind in kinds)
+            reference = float(np.mean(compensator.reference(next(each for each in sharing if each in models))))
             slopes = compensator.changes(kind, "bias")
             over_temperature = {
-                "measured": range_of(calibration, target),
+                "measured": temperature_range(calibration, target),
                 "reference": reference,
                 "slopes": slopes,
                 "coefficients": _cubic(pilot, slopes, reference),
             }
-        out.append(
+        corrections.append(
             Triad(
                 kind=kind,
                 model=model,
@@ -185,46 +181,47 @@ def _triads(pilot: Autopilot, target: str, calibration: Calibration, imu: int | 
                 **over_temperature,
             )
         )
-    return out
+    return corrections
 
 
 def _cubic(pilot: Autopilot, slopes: Array, reference: float) -> Array:
-    """Coefficients (3, 3) of the first to the third power of the temperature, by axis: θ₁ (t − d) + θ₂ (t − d)² +
-    θ₃ (t − d)³ with d = T₀ − `about`, without what does not depend on t."""
+    """Return the coefficients (3, 3) of the first to third power of the autopilot's temperature variable t, by axis.
+
+    They are those of θ₁ (t − d) + θ₂ (t − d)² + θ₃ (t − d)³ with d = T₀ − centre, without the constant term."""
     linear, square, cube = slopes.T
     d = 0.0 if pilot.centre is None else reference - pilot.centre
     first = linear - (2.0 * square - 3.0 * cube * d) * d
     return np.stack([first, square - 3.0 * cube * d, cube], axis=1) / pilot.worth
 
 
-def _one_thermometer(pilot: Autopilot, calibration: Calibration, applied: Sequence[Triad]) -> list[str]:
-    """Where sensors that have one thermometer in the target have several in the calibration: by how much these differ
-    at rests other than in the mean, which the references contain."""
-    out = []
-    for together in pilot.thermometers:
-        by_kind = {each.kind: each for each in applied if each.kind in together and each.measured is not None}
+def _shared_thermometers(pilot: Autopilot, calibration: Calibration, applied: Sequence[Triad]) -> list[str]:
+    """Describe the errors from sensors that have several thermometers in the calibration, but one in the target: by how
+    much these differ at rests, beyond their mean difference, which the references contain."""
+    notes = []
+    for sharing in pilot.thermometers:
+        by_kind = {each.kind: each for each in applied if each.kind in sharing and each.measured is not None}
         names = dict.fromkeys(chain(*(calibration.temperature.thermometers.get(kind, ()) for kind in by_kind)))
         if len(names) < 2:
             continue
-        apart = 0.0
+        largest = 0.0
         for rest in warm_rests(calibration):
             sensors = ((kind, getattr(rest, kind)) for kind in by_kind)
-            off = [
+            deviations = [
                 np.array(at_rest.temperature) - calibration.compensator.reference(kind)
                 for kind, at_rest in sensors
                 if at_rest is not None and at_rest.temperature
             ]
-            apart = max(apart, float(np.ptp(np.concatenate(off))) if off else 0.0)
-        error = " and ".join(in_units(kind, apart * each.steepest()) for kind, each in by_kind.items())
-        out.append(
+            largest = max(largest, float(np.ptp(np.concatenate(deviations))) if deviations else 0.0)
+        error = " and ".join(in_units(kind, largest * each.steepest()) for kind, each in by_kind.items())
+        notes.append(
             f"thermometers of their own ({', '.join(names)}): the target has one for these sensors; at the rests they "
-            f"differ by up to {apart:.1f} K more or less than in the mean, an error of up to {error}"
+            f"differ by up to {largest:.1f} K more or less than in the mean, an error of up to {error}"
         )
-    return out
+    return notes
 
 
-def range_of(calibration: Calibration, target: str) -> Range:
-    """The temperatures at which a calibration was measured. Raises InputError where there is nothing over them."""
+def temperature_range(calibration: Calibration, target: str) -> Range:
+    """Return the temperatures at which a calibration was measured. Raises InputError if nothing changes over them."""
     measured = measured_range(calibration)
     if calibration.reference_temperature is None or not changing(calibration):
         raise InputError(
@@ -238,8 +235,8 @@ def range_of(calibration: Calibration, target: str) -> Range:
     return measured
 
 
-def warm_end(measured: Range) -> float:
-    """A tenth of a degree at the warmer end of the range, °C, where examples are."""
+def example_temperature(measured: Range) -> float:
+    """Return the warm end of the range, rounded down to 0.1 °C, at which worked examples are."""
     return math.floor(10.0 * measured.high) / 10.0
 
 
@@ -249,9 +246,8 @@ def warm_end(measured: Range) -> float:
 def _autopilot(
     target: str, calibration: Calibration, *, imu: int | None = None, sensor_ids: tuple[int, int] | None = None
 ) -> Exported:
-    """The file of a calibration, of the IMU of this number, from 1, or of that which was recorded; for PX4 over
-    temperature with the device ids of accelerometer and gyro, where the recording has not said them. Remarks, examples
-    and notes are its comments."""
+    """Return the file of a calibration, for the recorded IMU or the `imu`-th, with remarks, examples and notes as
+    comments. `sensor_ids` are the device ids of accelerometer and gyro, if the recording has none."""
     layout, thermal = PX4 if target.startswith("px4") else ARDUPILOT, target.endswith("-thermal")
     pilot = Autopilot(**front_of(layout))
     applied = _triads(pilot, target, calibration, imu, thermal=thermal)
@@ -270,28 +266,28 @@ def _autopilot(
     if thermal:
         references = dict.fromkeys(f"{each.reference:g}" for each in applied)
         remarks.append(pilot.at_reference.format(" and ".join(references)))
-        see_to += _over_temperature(applied, tracked=layout == ARDUPILOT, found=layout == ARDUPILOT or both is not None)
+        see_to += _thermal_advice(applied, px4=layout == PX4, has_ids=both is not None)
     changes = {f"{each.kind} offsets": each.offset for each in applied if each.known}
     changes |= {f"{each.kind} scales": each.factor - 1.0 for each in applied[:1] if each.kind == "accel" and each.known}
-    small = [name for name, three in changes.items() if np.linalg.norm(three) <= LEAST]
+    small = [name for name, change in changes.items() if np.linalg.norm(change) <= MIN_CHANGE]
     if layout == PX4 and small:
         see_to.append(
             "some releases of PX4 ignore corrections shorter than 0.01 (m/s^2, 1, rad/s), as here: "
             f"{', '.join(small)}; see `sensors status`"
         )
-    compass, about_it, lost = _compass(pilot, calibration)
+    compass, compass_remarks, lost = _compass(pilot, calibration)
     notes = notes_of(
         calibration,
         corrections={each.kind: each.correct for each in applied},
-        left=_one_thermometer(pilot, calibration, applied),
+        left=_shared_thermometers(pilot, calibration, applied),
         held={MAGNETOMETER} | (_HELD if thermal else set()),
         lacks=["uncertainties", *lost],
         see_to=see_to,
     )
     examples = (each.example(calibration) for each in applied)
-    comments = [*origin(calibration), *remarks, *examples, *about_it, *notes]
+    comments = [*origin(calibration), *remarks, *examples, *compass_remarks, *notes]
     place = 0 if imu is None else imu - 1
-    text = laid_out(layout, comments=comments, triads=applied, compass=compass, place=place, ids=signed, both=both)
+    text = render_layout(layout, comments=comments, triads=applied, compass=compass, place=place, ids=signed, both=both)
     return Exported(content=text.encode(), losses=notes)
 
 
@@ -299,10 +295,9 @@ px4, px4_thermal = partial(_autopilot, "px4"), partial(_autopilot, "px4-thermal"
 ardupilot, ardupilot_thermal = partial(_autopilot, "ardupilot"), partial(_autopilot, "ardupilot-thermal")
 
 
-def _over_temperature(applied: Sequence[Triad], *, tracked: bool, found: bool) -> Iterator[str]:
-    """What there is to see to over temperature: of a target that does not take up every change, and that does not find
-    the curves."""
-    if not tracked:
+def _thermal_advice(applied: Sequence[Triad], *, px4: bool, has_ids: bool) -> Iterator[str]:
+    """Yield advice on corrections over temperature; PX4 finds its curves by the ids of both sensors."""
+    if px4:
         errors = " and ".join(in_units(each.kind, each.steepest()) for each in applied)
         yield (
             "PX4 takes up new offsets when the temperature has changed by more than 1 degC: until then an error of up "
@@ -313,7 +308,7 @@ def _over_temperature(applied: Sequence[Triad], *, tracked: bool, found: bool) -
             f"outside {measured.low:.1f} to {measured.high:.1f} degC nothing was measured: the target keeps the "
             "offsets of the nearer end"
         )
-    if not found:
+    if px4 and not has_ids:
         yield (
             "TC_*_ID are not in this file: set them to CAL_ACC*_ID and CAL_GYRO*_ID, or give --sensor-ids; without "
             "them PX4 compensates nothing"
@@ -321,12 +316,12 @@ def _over_temperature(applied: Sequence[Triad], *, tracked: bool, found: bool) -
 
 
 def _signed(device: int) -> int:
-    """A device id as PX4 has it, a whole number with a sign."""
+    """Return a device id as the signed integer of PX4."""
     return device - 2**32 if device >= 2**31 else device
 
 
 def _compass(pilot: Autopilot, calibration: Calibration) -> tuple[Mapping[str, Array] | None, list[str], list[str]]:
-    """The numbers of the calibration's magnetometer, a remark on them, and why there are none."""
+    """Return the parameters of the magnetometer with a remark, or the reason why they are not exported."""
     model = calibration.mag
     if model is None:
         return None, [], []

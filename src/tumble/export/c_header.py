@@ -1,23 +1,23 @@
-"""A C header (C99, C++): bias and inverse matrix as constants, and functions that apply them, in double and in float.
+"""A C header (C99, C++): bias and inverse matrix as constants, and functions that apply them, in double and float.
 
     out = inverse · (reading − bias)        inverse = M⁻¹, or the pseudo-inverse for more than three sensors
 
-The sum runs from the first sensor to the last. Where the calibration has quadratic, cubic or asymmetric terms or a
-g-sensitivity of the gyros, the functions take them off in the fixed-point steps of `tumble.sensors.compensation`:
+The sum runs from the first sensor to the last. If the calibration has quadratic, cubic or asymmetric terms or a
+g-sensitivity of the gyros, the functions remove them by the fixed-point steps of `tumble.sensors.compensation`:
 
-    out ← inverse · (reading − bias − what is not linear in out)
+    out ← inverse · (reading − bias − nonlinear terms in out)
 
-Where parameters change with temperature, there are functions with a temperature too: with d = T − T₀ in °C
+If parameters change with temperature, there are also functions of a temperature: with d = T − T₀ in °C
 
     out = inverse · ((reading − bias − d (b₁ + d (b₂ + d b₃))) / (1 + d (s₁ + d s₂)))
 
-sensor by sensor. Where sensors lag behind the thermometer by λ, a function for each kind follows it from reading to
-reading, exact where the temperature is straight between two (`tumble.reduction.rests.thermometer`): over h seconds,
-with g = 1 − e^(−h/λ),
+sensor by sensor. If sensors lag behind the thermometer by λ, a function for each kind follows their temperature from
+reading to reading, exact where the temperature is linear between two (`tumble.reduction.rests.thermometer`): over h
+seconds, with g = 1 − e^(−h/λ),
 
     y₁ = y₀ + g (T₀ − y₀) + (T₁ − T₀) (1 − g λ/h)
 
-Nothing needs a library.
+The header needs no library.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 
 from tumble.export.exported import Exported, example_line, models, notes_of, numbers, origin, shown
-from tumble.export.templates import laid_out
+from tumble.export.templates import render_layout
 from tumble.reduction.rests.thermometer import followed
 from tumble.result.calibration import Calibration
 from tumble.result.correction import beyond_linear, examples, over_temperature
@@ -40,37 +40,39 @@ from tumble.sensors.parameters import OVER_TEMPERATURE
 from tumble.units import Array
 
 LAG_EXAMPLE = ((20.0, 0.0), (21.0, 10.0), (23.0, 10.0), (23.0, 60.0))
-"""Readings of a thermometer, degC, and the seconds since the one before."""
+"""Readings of a thermometer, degC, and the seconds since the reading before."""
 
 HELD = frozenset(
     {"accel.quadratic", "accel.cubic", "accel.asymmetry", "gyro.asymmetry", "gyro.cubic", "gyro.g_sensitivity"}
 )
-"""Groups of parameters beyond the linear model that the functions apply."""
+"""Groups beyond the linear model that the functions apply."""
 
-HELD_AT = frozenset(f"{kind}.{what}.{t}" for kind in UNITS for what in ("bias", "scale") for t in OVER_TEMPERATURE)
-"""Those that the functions with a temperature apply."""
+HELD_OVER_TEMPERATURE = frozenset(
+    f"{kind}.{what}.{t}" for kind in UNITS for what in ("bias", "scale") for t in OVER_TEMPERATURE
+)
+"""Groups that the functions of a temperature apply."""
 
-WHAT: Mapping[SensorKind, str] = {"accel": "true specific force", "gyro": "true angular rate"}
+TRUE_QUANTITY: Mapping[SensorKind, str] = {"accel": "true specific force", "gyro": "true angular rate"}
 
 
 def c_header(calibration: Calibration) -> Exported:
-    """The header of a calibration."""
+    """Return the header of a calibration."""
     by_kind, compensator = models(calibration), calibration.compensator
-    warm = bool(changing(calibration)) and calibration.reference_temperature is not None
-    lags = {kind: lag for kind, lag in compensator.lags.items() if warm and lag != 0.0 and kind in by_kind}
-    held = HELD | (HELD_AT if warm else frozenset()) | {f"{kind}.lag" for kind in lags}
+    thermal = bool(changing(calibration)) and calibration.reference_temperature is not None
+    lags = {kind: lag for kind, lag in compensator.lags.items() if thermal and lag != 0.0 and kind in by_kind}
+    held = HELD | (HELD_OVER_TEMPERATURE if thermal else frozenset()) | {f"{kind}.lag" for kind in lags}
     losses = notes_of(calibration, held=held)
     comments = origin(calibration)
     for kind, worked in examples(compensator, list(by_kind)).items():
-        felt = " in that specific force" if "accel" in by_kind else " without a specific force"
-        where = felt if "by_force" in beyond_linear(compensator, kind) else ""
+        force = " in that specific force" if "accel" in by_kind else " without a specific force"
+        where = force if "by_force" in beyond_linear(compensator, kind) else ""
         comments.append(example_line(kind, worked.reading, worked.true, where=where))
-    if warm:
+    if thermal:
         measured = measured_range(calibration)
-        known_from = "" if measured is None else f", measured from {measured.low:.1f} to {measured.high:.1f}"
+        span = "" if measured is None else f", measured from {measured.low:.1f} to {measured.high:.1f}"
         comments.append(
             f"functions without a temperature are for {calibration.reference_temperature:g} degC; those in _at take "
-            f"it, in degC{known_from}"
+            f"it, in degC{span}"
         )
         comments += own_thermometers(calibration)
     readings = "; ".join(f"{celsius:g} after {seconds:g} s" for celsius, seconds in LAG_EXAMPLE)
@@ -79,20 +81,20 @@ def c_header(calibration: Calibration) -> Exported:
             f"{kind} lags behind the thermometer by {lag:.6g} s: give imu_correct_{kind}_at what imu_{kind}_celsius "
             "makes of every reading, with a state for each thermometer",
             f"example {kind} lag: the thermometer reads {readings}; the sensors have "
-            f"{shown(_sensors_celsius(lag).round(9))}",
+            f"{shown(_lagged_example(lag).round(9))}",
         ]
     functions = [
         _function(compensator, kind, model, single=single, at=at)
         for kind, model in by_kind.items()
         for single in (False, True)
-        for at in ([None, calibration] if warm else [None])
+        for at in ([None, calibration] if thermal else [None])
     ]
-    text = laid_out("imu_calibration.h.j2", comments=[*comments, *losses], lags=lags, functions=functions)
+    text = render_layout("imu_calibration.h.j2", comments=[*comments, *losses], lags=lags, functions=functions)
     return Exported(content=text.encode(), losses=losses)
 
 
-def _sensors_celsius(lag: float) -> Array:
-    """Temperatures, °C, of the sensors with the readings of LAG_EXAMPLE."""
+def _lagged_example(lag: float) -> Array:
+    """Return the temperatures, °C, of sensors with a lag, for the readings of LAG_EXAMPLE."""
     out = [LAG_EXAMPLE[0][0]]
     for (before, _), (now, seconds) in pairwise(LAG_EXAMPLE):
         out.append(float(followed(np.array([before, now]), seconds, abs(lag), first=out[-1])[1]))
@@ -101,7 +103,7 @@ def _sensors_celsius(lag: float) -> Array:
 
 
 def _constant(number: str, name: str, values: Array) -> str:
-    """A constant array of C, double or float, whose numbers read back to the same ones."""
+    """Return a constant array of C, double or float, whose numbers read back exactly."""
 
     def row(each: Array) -> str:
         texts = map(repr, numbers(each)) if number == "double" else (f"{v!s}f" for v in each.astype(np.float32))
@@ -116,8 +118,8 @@ def _constant(number: str, name: str, values: Array) -> str:
 def _function(
     compensator: Compensator, kind: SensorKind, model: SensorModel, *, single: bool, at: Calibration | None
 ) -> dict[str, Any]:
-    """The words of the function of the sensors of a kind, in double or in single precision; with their temperature,
-    `at` the calibration that knows what that changes."""
+    """Return the names in the layout of a function for one kind of sensor, in double or single precision; with the
+    temperature of the sensors, if `at` is a calibration."""
     number, n, beyond = "float" if single else "double", len(model.bias), beyond_linear(compensator, kind)
     tables = {"bias": model.bias, "inverse": model.inverse()} | beyond
     by_force, apart, reference = "by_force" in beyond, False, ""
@@ -131,7 +133,7 @@ def _function(
         needs += " and their temperatures, degC" if apart else " and a temperature, degC"
         argument += f"const {number} celsius[{n}], " if apart else f"{number} celsius, "
     return {
-        "what": WHAT[kind],
+        "what": TRUE_QUANTITY[kind],
         "unit": UNITS[kind],
         "n": n,
         "kind": kind,

@@ -1,8 +1,8 @@
-"""What every export is made of: the models of a calibration, worked examples, and notes on what a target cannot hold.
+"""Common parts of all exports: models of a calibration, worked examples, notes on what a target cannot hold.
 
-A target that has matrix and bias alone gets those that fit the whole model best (`tumble.result.correction`). An export
-has at most three notes: by how much the target is off, what it has no place for, and what the user has to see to.
-Readings are those of the calibration file: SI, after nominal scale and offset.
+A target with only matrix and bias gets those that fit the whole model best (`tumble.result.correction`). An export has
+at most three notes: how large the target's errors are, what it has no place for, and what the user has to do. Readings
+are those of the calibration file: SI, after nominal scale and offset.
 """
 
 from __future__ import annotations
@@ -30,15 +30,11 @@ from tumble.sensors.parameters import (
 from tumble.units import DEGREE, G_STANDARD, Array
 
 MAGNETOMETER = "mag"
-"""In the groups that a target holds: matrix and bias of the magnetometer."""
-NEGLIGIBLE = 0.1
-"""Of the standard uncertainty of a reading: it adds less than √(1 + 0.1²) − 1 = 0.5 % to that."""
-WARMER, HOUR = 10.0, 3600.0
-"""K and s over which changes are stated."""
-HEATING = 1.0 / 60.0
-"""K/s at which the effect of a lag is stated."""
-ROUNDING = 1e-6
-"""Relative errors of single precision, which are not stated one by one."""
+"""Matrix and bias of the magnetometer, as a group of parameters."""
+NEGLIGIBLE = 0.1  # of the u of a reading: adds less than √(1 + 0.1²) − 1 = 0.5 % to it
+WARMING, HOUR = 10.0, 3600.0  # K and s, over which changes are stated
+HEATING_RATE = 1.0 / 60.0  # K/s, at which the effect of a lag is stated
+ROUNDING = 1e-6  # relative errors of single precision, which are not stated
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, repr=False)
@@ -50,7 +46,7 @@ class Exported(Brief):
     content
         The bytes of the file.
     losses
-        What the format cannot hold, one sentence each.
+        Notes on what the format cannot hold.
     """
 
     content: bytes
@@ -58,17 +54,17 @@ class Exported(Brief):
 
 
 def example_line(kind: SensorKind, reading: Array, true: Array, becomes: Array | None = None, where: str = "") -> str:
-    """A worked example as a comment: a reading, what the target makes of it where that is something else, and what it
-    is, SI."""
-    what = f"is {shown(true.round(9))}"
+    """Return a worked example as a comment: a reading, the result of the target if it differs, and the true vector,
+    SI."""
+    result = f"is {shown(true.round(9))}"
     if becomes is not None:
         near, exact = shown(becomes.round(6)), shown(true.round(6))
-        what = f"is {exact}" if near == exact else f"becomes {near}; it is {exact}"
-    return f"example {kind}{where}: reading {shown(reading)} {what} {UNITS[kind]}"
+        result = f"is {exact}" if near == exact else f"becomes {near}; it is {exact}"
+    return f"example {kind}{where}: reading {shown(reading)} {result} {UNITS[kind]}"
 
 
 def models(calibration: Calibration) -> dict[SensorKind, SensorModel]:
-    """The models a calibration has, by kind. Raises InputError where it has none."""
+    """Return the models of a calibration by kind of sensor. Raises InputError if it has none."""
     both: dict[SensorKind, SensorModel | None] = {"accel": calibration.accel, "gyro": calibration.gyro}
     present = {kind: model for kind, model in both.items() if model is not None}
     if not present:
@@ -82,9 +78,10 @@ def triads(
     needed: Sequence[SensorKind] = ("accel", "gyro"),
     held: Container[str] = (),
 ) -> dict[SensorKind, SensorModel]:
-    """The accelerometers and the gyros that there are, three of each, those that are `needed` among them, as the matrix
-    and bias that fit the whole model best but for the groups that the target has `held` itself. Raises InputError
-    otherwise."""
+    """Return the linear models of the accelerometers and gyros that fit the whole model best, apart from the groups
+    `held` by the target itself.
+
+    Raises InputError if a `needed` kind is missing or has other than three sensors."""
     by_kind = models(calibration)
     for kind in needed:
         if kind not in by_kind:
@@ -100,7 +97,7 @@ def triads(
 
 
 def origin(calibration: Calibration) -> list[str]:
-    """Where the numbers come from, line by line."""
+    """Return comments on the device, the calibration and its recording."""
     made_by = calibration.provenance
     device = calibration.serial if calibration.model is None else f"{calibration.serial} ({calibration.model})"
     lines = [
@@ -116,29 +113,29 @@ def origin(calibration: Calibration) -> list[str]:
 
 
 def one_line(text: str) -> str:
-    """A text that can stand in a comment of any format: one line, nothing that ends or continues it."""
+    """Return a text that can stand in a comment of any format: one line, with nothing that ends or continues it."""
     shown = "".join(c if c.isprintable() else " " for c in text)
     return " ".join(shown.replace("*/", "* /").replace("\\", "/").split())
 
 
 def numbers(values: Array) -> list[float]:
-    """An array as plain floats, row by row."""
+    """Return an array as a list of floats, row by row."""
     return [float(value) for value in np.ravel(values)]
 
 
 def shown(values: Array) -> str:
-    """Numbers as text that reads back to the same ones."""
+    """Format numbers so that they read back exactly."""
     return " ".join(map(repr, numbers(values)))
 
 
 def yaml_number(value: float) -> str:
-    """A number as every YAML reader takes it for one: YAML 1.1, and so PyYAML, reads 2e-05 as a text."""
+    """Format a number so that every YAML reader takes it for one: YAML 1.1, and PyYAML, reads 2e-05 as a text."""
     mantissa, e, exponent = repr(float(value)).partition("e")
     return mantissa + (".0" if e and "." not in mantissa else "") + e + exponent
 
 
 def yaml_list(values: Array) -> str:
-    """Numbers as a list in YAML, on one line."""
+    """Format numbers as a YAML list on one line."""
     return f"[{', '.join(map(yaml_number, numbers(values)))}]"
 
 
@@ -146,7 +143,7 @@ def yaml_list(values: Array) -> str:
 
 
 Correct = Callable[[Array], Array]
-"""What a target makes of readings (N, 3): vectors (N, 3), SI."""
+"""Correction of readings (N, 3) by a target, SI."""
 
 
 def notes_of(
@@ -158,36 +155,35 @@ def notes_of(
     lacks: Iterable[str] = ("uncertainties",),
     see_to: Iterable[str] = (),
 ) -> tuple[str, ...]:
-    """What a target cannot hold, in at most three notes, with the largest errors in physical units.
+    """Return at most three notes on what a target cannot hold, with the largest errors in physical units.
 
-    `corrections` are what the target makes of readings, `left` what else there is to say of that. It holds the groups
-    of parameters `held` beyond matrix and bias, MAGNETOMETER where it holds that, and `lacks` what else it has no place
-    for; `see_to` is what the user has to see to."""
-    off = (left_by(calibration, kind, correct, held) for kind, correct in corrections.items())
-    errors = ", ".join(filter(None, off))
-    first = [*left, *not_known(calibration), *([f"off by what is not in this file: {errors}"] if errors else [])]
-    lost = [*lacks, *groups_not_held(calibration, held)]
+    `corrections` are those of readings by the target, and `left` further sentences on its errors. It holds the groups
+    of parameters `held` beyond matrix and bias (MAGNETOMETER included), and `lacks` a place for other things; `see_to`
+    is what the user has to do."""
+    largest = (_largest_errors(calibration, kind, correct, held) for kind, correct in corrections.items())
+    errors = ", ".join(filter(None, largest))
+    first = [*left, *_missing_kinds(calibration), *([f"off by what is not in this file: {errors}"] if errors else [])]
+    lost = [*lacks, *_groups_not_held(calibration, held)]
     no_place = f"no place in this file for {'; '.join(lost)}" if lost else ""
     return tuple(note for note in ("; ".join(first), no_place, "; ".join(see_to)) if note)
 
 
-def not_known(calibration: Calibration) -> list[str]:
-    """The kinds of sensors that a calibration does not have, in a sentence each."""
+def _missing_kinds(calibration: Calibration) -> list[str]:
     known = models(calibration)
     return [f"{words}: not known, left as they are" for kind, words in WORDS.items() if kind in UNITS.keys() - known]
 
 
-def not_held(calibration: Calibration) -> tuple[str, ...]:
-    """The notes on a table of all parameters: sensors that are not known, and what is beside matrices and biases."""
+def table_notes(calibration: Calibration) -> tuple[str, ...]:
+    """Return notes on a table of all parameters: missing sensors, and errors of matrices and biases."""
     by_kind = models(calibration).items()
-    off = filter(None, (left_by(calibration, kind, model.apply, ()) for kind, model in by_kind))
-    lost = [*off, *groups_not_held(calibration)]
-    return (*not_known(calibration), *([f"not in matrices and biases: {'; '.join(lost)}"] if lost else []))
+    errors = filter(None, (_largest_errors(calibration, kind, model.apply, ()) for kind, model in by_kind))
+    lost = [*errors, *_groups_not_held(calibration)]
+    return (*_missing_kinds(calibration), *([f"not in matrices and biases: {'; '.join(lost)}"] if lost else []))
 
 
-def left_by(calibration: Calibration, kind: SensorKind, correct: Correct, held: Container[str]) -> str:
-    """By how much corrected readings are off at rest and at the rate of the session, at the reference temperature;
-    nothing where rounding is all."""
+def _largest_errors(calibration: Calibration, kind: SensorKind, correct: Correct, held: Container[str]) -> str:
+    """Describe the errors of corrected readings at 1 g and at the rate of the session, at the reference temperature;
+    empty if they are mere rounding."""
     errors = errors_left(calibration, kind, correct, held)
     rate = session_rate(calibration)
     if errors.max() < ROUNDING * (G_STANDARD if kind == "accel" else rate):
@@ -197,19 +193,19 @@ def left_by(calibration: Calibration, kind: SensorKind, correct: Correct, held: 
     return f"{WORDS[kind]} by up to {most} (rms {rms}) {where}"
 
 
-def groups_not_held(calibration: Calibration, held: Container[str] = ()) -> list[str]:
-    """The effects of motion, temperature and time, and the magnetometer, that a calibration has and a target does not
-    hold; effects far below the uncertainty of a reading are not named."""
+def _groups_not_held(calibration: Calibration, held: Container[str] = ()) -> list[str]:
+    """Return the magnetometer and the effects of motion, temperature and time that a target does not hold, without
+    those that are negligible against the uncertainty of a reading."""
     prediction, present = calibration.prediction, positions_by_group(p.name for p in calibration.parameters)
-    of_kind = {
+    by_kind = {
         "accel": (calibration.accel, 0.0 if prediction is None else prediction.force_u),
         "gyro": (calibration.gyro, 0.0 if prediction is None else prediction.rate_u or 0.0),
     }
     out = ["matrix and bias of the magnetometer"] if calibration.mag and MAGNETOMETER not in held else []
-    for kind, (model, u) in of_kind.items():
+    for kind, (model, u) in by_kind.items():
         lost = [g for g in groups() if g.kind == kind and g.regressors is None and not g.linear]
         lost = [g for g in lost if model is not None and g.name in present and g.name not in held]
-        errors = sorted(((*_largest(calibration, group), group) for group in lost), key=lambda each: -each[0])
+        errors = sorted(((*_largest_effect(calibration, group), group) for group in lost), key=lambda each: -each[0])
         out += [
             f"{group.words.partition(',')[0]} ({in_units(group.kind, error)} {where})"
             for error, where, group in errors
@@ -219,32 +215,32 @@ def groups_not_held(calibration: Calibration, held: Container[str] = ()) -> list
 
 
 def in_units(kind: SensorKind, error: float) -> str:
-    """An error of accelerometers or gyros, SI, in mg or deg/s."""
+    """Format an error of accelerometers or gyros, SI, in mg or deg/s."""
     return f"{error / (1e-3 * G_STANDARD):.3g} mg" if kind == "accel" else f"{error / DEGREE:.3g} deg/s"
 
 
-def _largest(calibration: Calibration, group: ParameterGroup) -> tuple[float, str]:
-    """The largest effect of a group on a reading, SI, and where."""
+def _largest_effect(calibration: Calibration, group: ParameterGroup) -> tuple[float, str]:
+    """Return the largest effect of a group on a reading, SI, and under which conditions."""
     rate = session_rate(calibration)
     at_rate = f"at {rate / DEGREE:.3g} deg/s"
-    felt, where = (G_STANDARD, "in 1 g") if group.kind == "accel" else (rate, at_rate)
+    input_size, where = (G_STANDARD, "in 1 g") if group.kind == "accel" else (rate, at_rate)
     values = {p.name: p.value for p in calibration.parameters}
     members = np.array([value for name, value in values.items() if group_name(name) == group.name])
     if group.motion == "lever":
         return rate**2 * float(np.linalg.norm(members.reshape(-1, 3), axis=1).max()), at_rate
     if group.motion is not None:  # delays
         return rate * G_STANDARD * float(np.abs(members).max()), f"in 1 g {at_rate}"
-    if group.base is None:  # a lag, on a bias
+    if group.base is None:  # a lag, by its effect on the bias
         slopes = [abs(value) for name, value in values.items() if group_name(name) == f"{group.kind}.bias.t1"]
-        return abs(float(members[0])) * HEATING * max(slopes, default=0.0), "at 1 K/min"
-    span, over = (HOUR, "after an hour") if group.variable == "time" else (WARMER, f"in {WARMER:.0f} K")
+        return abs(float(members[0])) * HEATING_RATE * max(slopes, default=0.0), "at 1 K/min"
+    span, over = (HOUR, "after an hour") if group.variable == "time" else (WARMING, f"in {WARMING:.0f} K")
     if group.variable == "hysteresis":
         span, over = 1.0, "on the way up or down"
     power = 1 + THERMAL.index(group.variable) if group.variable in THERMAL else 1
     change = float(np.abs(members).max()) * span**power
-    return (change, over) if within_kind(group.base) == "bias" else (change * felt, f"{over} {where}")
+    return (change, over) if within_kind(group.base) == "bias" else (change * input_size, f"{over} {where}")
 
 
 def g_sensitivity(calibration: Calibration) -> Array:
-    """The g-sensitivity (n, 3) of the gyros by channel, rad/s per m/s²; zero where it is not known."""
+    """Return the g-sensitivity (n, 3) of the gyros, rad/s per m/s²; zero if it is not known."""
     return np.array(calibration.compensator.gyro_coefficients[:, FORCE])

@@ -1,14 +1,14 @@
-"""Kalibr / OpenVINS: the file kalibr_imu_chain.yaml of OpenVINS, whose IMU model "kalibr" is that of Kalibr.
+"""Kalibr and OpenVINS: the file kalibr_imu_chain.yaml of OpenVINS, whose IMU model "kalibr" is that of Kalibr.
 
     a_m = Ta R_IMUtoACC a + b_a
     w_m = Tw R_IMUtoGYRO w + Tg a + b_g        Ta, Tw lower triangular
 
-so a = R_IMUtoACCᵀ Ta⁻¹ (a_m − b_a) and w = R_IMUtoGYROᵀ Tw⁻¹ (w_m − b_g − Tg a). The accelerometers fix the IMU frame,
-R_IMUtoACC = 1, which is the frame `accelerometer`: with M = L Q, L lower triangular with a positive diagonal and Q a
-rotation, Ta = L of the accelerometers, and of the gyros seen in the frame Q of the accelerometers Tw = L, R_IMUtoGYRO =
-Q. Nothing of either matrix is lost. Kalibr calls them M and C_gyro_i.
+so a = R_IMUtoACCᵀ Ta⁻¹ (a_m − b_a) and w = R_IMUtoGYROᵀ Tw⁻¹ (w_m − b_g − Tg a). The accelerometers define the IMU
+frame, R_IMUtoACC = 1. With M = L Q, L lower triangular with a positive diagonal and Q a rotation, Ta = L of the
+accelerometers, and, of the gyros in the frame Q of the accelerometers, Tw = L and R_IMUtoGYRO = Q. Both matrices are
+represented completely. Kalibr calls them M and C_gyro_i.
 
-The noise densities are continuous-time, those that stand for the processes of `noise`: `densities`.
+The noise densities are continuous-time, those of the processes of `tumble noise`.
 
 Source: OpenVINS, documentation and VioManagerOptions; Kalibr, wiki "IMU noise model" and "Multi IMU and IMU intrinsic
 calibration"; Rehder et al., Extending Kalibr, ICRA 2016.
@@ -30,11 +30,11 @@ from tumble.export.exported import (
     shown,
     triads,
 )
-from tumble.export.templates import laid_out
+from tumble.export.templates import render_layout
 from tumble.files import FilePath
 from tumble.recording.session import Session
 from tumble.recording.session_file import session_from
-from tumble.reduction.noise.densities import Densities, densities
+from tumble.reduction.noise.wavelet_moments import FilterDensities, filter_densities
 from tumble.result.calibration import Calibration
 from tumble.result.correction import linear_example
 from tumble.result.parts import SensorsAtRest
@@ -45,66 +45,69 @@ from tumble.units import Array
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class NoiseDensities:
-    """Noise of both kinds of sensors, the sample rate, Hz, None where it is not known, and where it was seen."""
+    """Noise densities of both kinds of sensors, the sample rate, Hz, None if it is not known, and their source."""
 
-    accel: Densities
-    gyro: Densities
+    accel: FilterDensities
+    gyro: FilterDensities
     rate: float | None
     source: str
 
 
 def noise_densities(session: Session) -> NoiseDensities:
-    """The noise that the longest rest of a session shows, as `tumble noise` does. Raises InputError without a rest or
-    without gyros."""
+    """Estimate noise densities from the longest rest of a session, as `tumble noise` does.
+
+    Raises InputError without a rest or without gyros."""
     record = longest_rest(session)
     panels = noise_panels([record])
     if len(panels) != 2:
         raise InputError(f"{session.name}: expected accelerometers and gyros to take the noise from, found no gyros")
-    accel, gyro = (densities(panel, record.rate) for panel in panels)
+    accel, gyro = (filter_densities(panel, record.rate) for panel in panels)
     return NoiseDensities(accel=accel, gyro=gyro, rate=record.rate, source=record.source)
 
 
-DRIFT_OF_WALK = 1.2
-"""Variance of the drift of a rest, its slope times T, over K² T: 6/5 of a random walk of the bias alone."""
+DRIFT_VARIANCE = 1.2
+"""Variance of the drift within a rest (slope times T) over K² T, for a random walk of the bias: 6/5."""
 
 
-def noise_of_rests(calibration: Calibration) -> NoiseDensities:
-    """The noise within the rests of a calibration: the median density, and the random walk that their drifts allow.
+def _noise_of_rests(calibration: Calibration) -> NoiseDensities:
+    """Return the median noise density within the rests of a calibration, and the random walk of their drifts.
+
     Raises InputError for a calibration without rests or gyros."""
     densities = []
     seconds = np.array([rest.stop - rest.start for rest in calibration.evidence.rests])
     for kind in UNITS:
         rests: list[SensorsAtRest | None] = [getattr(rest, kind) for rest in calibration.evidence.rests]
-        sensors_of_rests = [sensors for sensors in rests if sensors is not None]
-        if not sensors_of_rests or len(sensors_of_rests) < len(rests):
+        sensors_at_rest = [sensors for sensors in rests if sensors is not None]
+        if not sensors_at_rest or len(sensors_at_rest) < len(rests):
             raise InputError(
                 "export to kalibr: expected --noise, found none, nor rests of accelerometers and gyros in the "
                 "calibration; give a session of the device"
             )
-        white = np.median([sensors.noise for sensors in sensors_of_rests], axis=0).max()
-        walks = np.array([sensors.drift for sensors in sensors_of_rests]) ** 2 / (DRIFT_OF_WALK * seconds[:, None])
+        white = np.median([sensors.noise for sensors in sensors_at_rest], axis=0).max()
+        walks = np.array([sensors.drift for sensors in sensors_at_rest]) ** 2 / (DRIFT_VARIANCE * seconds[:, None])
         bound = (
             "random walks are the largest that the drifts within the rests allow: record an hour at rest and give it "
             "with --noise"
         )
         walk = float(np.sqrt(walks.mean(axis=0).max()))
-        densities.append(Densities(white=float(white), walk=walk, bounds=(bound,)))
+        densities.append(FilterDensities(white=float(white), walk=walk, bounds=(bound,)))
     source = f"{len(calibration.evidence.rests)} rests of the calibration"
     return NoiseDensities(accel=densities[0], gyro=densities[1], rate=calibration.provenance.sample_rate, source=source)
 
 
 def kalibr(calibration: Calibration, *, noise: NoiseDensities | Session | FilePath | None = None) -> Exported:
-    """The file of a calibration of three accelerometers and three gyros, both right-handed, and of the noise densities
-    of its device: YAML below the line `%YAML:1.0`, as OpenCV reads it. `noise` are the densities, or a session whose
-    longest rest shows them; by default those of the calibration's rests."""
+    """Return the file of a calibration of right-handed triads: YAML below the line `%YAML:1.0`, as OpenCV reads it.
+
+    `noise` are noise densities, or a session from whose longest rest they are estimated; default: from the rests of the
+    calibration."""
     held = {"gyro.g_sensitivity"}
     by_kind = triads(calibration, "kalibr", held=held)
     if noise is None:
-        noise = noise_of_rests(calibration)
+        noise = _noise_of_rests(calibration)
     elif not isinstance(noise, NoiseDensities):
         noise = noise_densities(session_from(noise))
-    Ta, to_accel = _lower_times_rotation(by_kind["accel"].matrix, "accelerometers")
-    Tw, to_gyro = _lower_times_rotation(by_kind["gyro"].matrix @ to_accel.T, "gyros")
+    Ta, to_accel = _lq(by_kind["accel"].matrix, "accelerometers")
+    Tw, to_gyro = _lq(by_kind["gyro"].matrix @ to_accel.T, "gyros")
     sensitivity = g_sensitivity(calibration)
     biases = " and ".join(f"{shown(by_kind[kind].bias.round(9))} {unit}" for kind, unit in UNITS.items())
     losses = notes_of(
@@ -114,11 +117,11 @@ def kalibr(calibration: Calibration, *, noise: NoiseDensities | Session | FilePa
         lacks=[f"biases, which OpenVINS estimates while it runs: {biases}", "noise of single axes", "uncertainties"],
         see_to=dict.fromkeys([*noise.accel.bounds, *noise.gyro.bounds]),
     )
-    same_frame = np.allclose(to_accel, np.eye(3), rtol=0.0, atol=1e-12)
+    is_same_frame = np.allclose(to_accel, np.eye(3), rtol=0.0, atol=1e-12)
     comments = [
         *origin(calibration),
         f"noise from {noise.source}",
-        *([] if same_frame else [f"IMU frame: rows in the frame of the calibration {shown(to_accel)}"]),
+        *([] if is_same_frame else [f"IMU frame: rows in the frame of the calibration {shown(to_accel)}"]),
         "set rostopic" if noise.rate is not None else "set rostopic, add update_rate",
         *(
             example_line(kind, worked.reading, to_accel @ worked.true)
@@ -128,12 +131,12 @@ def kalibr(calibration: Calibration, *, noise: NoiseDensities | Session | FilePa
         *losses,
     ]
     matrices = {"Tw": Tw, "R_IMUtoGYRO": to_gyro, "Ta": Ta, "R_IMUtoACC": np.eye(3), "Tg": sensitivity @ to_accel.T}
-    text = laid_out("kalibr_imu_chain.yaml.j2", comments=comments, noise=noise, matrices=matrices)
+    text = render_layout("kalibr_imu_chain.yaml.j2", comments=comments, noise=noise, matrices=matrices)
     return Exported(content=text.encode(), losses=losses)
 
 
-def _lower_times_rotation(matrix: Array, kind: str) -> tuple[Array, Array]:
-    """L and Q of M = L Q, L lower triangular with a positive diagonal, Q a rotation."""
+def _lq(matrix: Array, kind: str) -> tuple[Array, Array]:
+    """Factor M = L Q: L lower triangular with a positive diagonal, Q a rotation."""
     Q, R = np.linalg.qr(matrix.T)
     signs = np.sign(np.diag(R))
     lower, rotation = R.T * signs, signs[:, None] * Q.T

@@ -1,17 +1,17 @@
 """Tables for spreadsheets and scripts, and a file for MATLAB (version 5) and GNU Octave.
 
-`json` is the correction as it is applied, with its formula (`tumble.result.correction`).
+`json` holds the correction with its formula (`tumble.result.correction`).
 
 `csv` has one quantity a row: name, value, u, unit, and for a parameter its prior, learned fraction, k, degrees of
-freedom and its covariance with every parameter, in a column of that name. `accel.matrix.2.1` is row 2, column 1 of M,
+freedom, and its covariance with every parameter in a column of that name. `accel.matrix.2.1` is row 2, column 1 of M,
 `accel.bias_of.2` the bias of channel 2, both counted from 1:
 
     reading = matrix · true + bias
 
 `csv-thermal` has one temperature a row, within the measured range: the temperature in °C, then the value of each
-parameter that changes with it and U (95.45 %), in a column of that name, SI.
+parameter that changes with it and its U (95.45 %), SI.
 
-`mat` has the same as `csv` as arrays:
+`mat` has the content of `csv` as arrays:
 
     true = accel_matrix \\ (reading - accel_bias)    columns: one sample each; least squares for more than three sensors
 """
@@ -26,16 +26,16 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from tumble.export.autopilots import range_of, warm_end
+from tumble.export.autopilots import example_temperature, temperature_range
 from tumble.export.exported import (
     Exported,
     example_line,
     in_units,
     models,
-    not_held,
     notes_of,
     numbers,
     origin,
+    table_notes,
 )
 from tumble.result.calibration import Calibration
 from tumble.result.correction import linear_example
@@ -46,14 +46,14 @@ from tumble.sensors.parameters import THERMAL, group_name, groups, variable_of
 from tumble.units import Array
 
 NOT_RESULTS = "rests, turns, launches and iterations of the calibration have no place in this file"
-_MORE = ("prior", "learned", "k", "dof")
-_STEPS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
-_MOST_ROWS = 25
+_FURTHER = ("prior", "learned", "k", "dof")
+_STEPS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)  # K
+_MAX_ROWS = 25
 
 
 def json_file(calibration: Calibration) -> Exported:
-    """The .json file of a calibration: what a reading is, and the correction with its formula."""
-    models(calibration)  # that there are some
+    """Return the .json file of a calibration: its readings, and the correction with its formula."""
+    models(calibration)  # raises InputError without any
     content, held = content_of(calibration), {group.name for group in groups() if group.variable in THERMAL}
     losses = notes_of(calibration, held=held)
     about = ["y: readings in SI, (raw - offset) / scale of the columns in readings", *origin(calibration), *losses]
@@ -63,15 +63,15 @@ def json_file(calibration: Calibration) -> Exported:
 
 
 def csv_table(calibration: Calibration) -> Exported:
-    """The .csv file of a calibration."""
-    losses = (NOT_RESULTS, *not_held(calibration))
+    """Return the .csv file of a calibration."""
+    losses = (NOT_RESULTS, *table_notes(calibration))
     names = [p.name for p in calibration.parameters]
-    rows = [["name", "value", "u", "unit", *_MORE, *names]]
-    empty, no_more = [""] * len(names), [""] * len(_MORE)
+    rows = [["name", "value", "u", "unit", *_FURTHER, *names]]
+    empty = [""] * (len(_FURTHER) + len(names))
     for i, p in enumerate(calibration.parameters):
-        more = ["" if (value := getattr(p, name)) is None else repr(value) for name in _MORE]
-        shared = empty if calibration.covariance is None else [repr(c) for c in numbers(calibration.covariance[i])]
-        rows.append([p.name, repr(p.value), "" if p.u is None else repr(p.u), p.unit, *more, *shared])
+        further = ["" if (value := getattr(p, name)) is None else repr(value) for name in _FURTHER]
+        row = [""] * len(names) if calibration.covariance is None else map(repr, numbers(calibration.covariance[i]))
+        rows.append([p.name, repr(p.value), "" if p.u is None else repr(p.u), p.unit, *further, *row])
     for kind, model in models(calibration).items():
         worked, matrix = linear_example(kind, model), enumerate(model.matrix, 1)
         entries = [(f"matrix.{p}.{q}", value, "1") for p, row in matrix for q, value in enumerate(numbers(row), 1)]
@@ -81,11 +81,11 @@ def csv_table(calibration: Calibration) -> Exported:
             ("example.true", worked.true),
         ):
             entries += [(f"{name}.{p}", value, UNITS[kind]) for p, value in enumerate(numbers(vector), 1)]
-        rows += [[f"{kind}.{name}", repr(value), "", unit, *no_more, *empty] for name, value, unit in entries]
-    return _written((*origin(calibration), "reading = matrix * true + bias, SI", *losses), rows, losses)
+        rows += [[f"{kind}.{name}", repr(value), "", unit, *empty] for name, value, unit in entries]
+    return _csv_file((*origin(calibration), "reading = matrix * true + bias, SI", *losses), rows, losses)
 
 
-def _written(comments: Iterable[str], rows: Iterable[Sequence[str]], losses: tuple[str, ...]) -> Exported:
+def _csv_file(comments: Iterable[str], rows: Iterable[Sequence[str]], losses: tuple[str, ...]) -> Exported:
     buffer = io.StringIO()
     buffer.writelines(f"# {comment}\n" for comment in comments)
     csv.writer(buffer, lineterminator="\n").writerows(rows)
@@ -93,27 +93,27 @@ def _written(comments: Iterable[str], rows: Iterable[Sequence[str]], losses: tup
 
 
 def csv_thermal(calibration: Calibration) -> Exported:
-    """The .csv file of a calibration over temperature."""
+    """Return the .csv file of a calibration over temperature."""
     by_kind = models(calibration)
-    measured = range_of(calibration, "csv-thermal")
-    celsius = temperatures(measured, float(calibration.reference_temperature or 0.0))
+    measured = temperature_range(calibration, "csv-thermal")
+    celsius = _row_temperatures(measured, float(calibration.reference_temperature or 0.0))
     curves = [curve(calibration, name, celsius) for name in changing(calibration)]
-    made_of = {group_name(p.name) for p in calibration.parameters if variable_of(group_name(p.name)) in THERMAL}
-    between, middle = dict.fromkeys(by_kind, 0.0), 0.5 * (celsius[1:] + celsius[:-1])
+    thermal_groups = {group_name(p.name) for p in calibration.parameters if variable_of(group_name(p.name)) in THERMAL}
+    errors, middle = dict.fromkeys(by_kind, 0.0), 0.5 * (celsius[1:] + celsius[:-1])  # of linear interpolation
     for each in curves:
         kind = next((kind for kind in by_kind if group_name(each.name) == f"{kind}.bias"), None)
         if kind is not None:
-            straight = 0.5 * (each.value[1:] + each.value[:-1])
-            off = np.abs(straight - curve(calibration, each.name, middle).value).max()
-            between[kind] = max(between[kind], float(off))
-    within = " and ".join(in_units(kind, error) for kind, error in between.items())
+            interpolated = 0.5 * (each.value[1:] + each.value[:-1])
+            error = np.abs(interpolated - curve(calibration, each.name, middle).value).max()
+            errors[kind] = max(errors[kind], float(error))
+    within = " and ".join(in_units(kind, error) for kind, error in errors.items())
     losses = notes_of(
         calibration,
         left=[f"biases on straight lines between the rows are within {within}"],
-        held={group_name(each.name) for each in curves} | made_of,
+        held={group_name(each.name) for each in curves} | thermal_groups,
         lacks=["parameters that do not change with temperature", "covariances"],
     )
-    warm = warm_end(measured)
+    warm = example_temperature(measured)
     comments = [
         *origin(calibration),
         f"reference temperature {calibration.reference_temperature:g} degC; measured from {measured.low:.1f} to "
@@ -133,27 +133,27 @@ def csv_thermal(calibration: Calibration) -> Exported:
         for each in curves:
             row += [f"{each.value[i]:.9g}", "" if each.expanded is None else f"{each.expanded[i]:.4g}"]
         rows.append(row)
-    return _written(comments, rows, losses)
+    return _csv_file(comments, rows, losses)
 
 
-def temperatures(measured: Range, reference: float) -> Array:
-    """Temperatures of the rows, °C: round ones, the reference, and both ends of the range."""
+def _row_temperatures(measured: Range, reference: float) -> Array:
+    """Return the temperatures of the rows, °C: round ones, the reference, and both ends of the range."""
     span = measured.high - measured.low
-    step = next((step for step in _STEPS if span / step <= _MOST_ROWS), _STEPS[-1])
+    step = next((step for step in _STEPS if span / step <= _MAX_ROWS), _STEPS[-1])
     first, last = math.ceil(measured.low / step), math.floor(measured.high / step)
     round_ones = np.round(np.arange(first, last + 1) * step, 1)
     return np.unique(np.concatenate([[measured.low, reference, measured.high], round_ones]))
 
 
 def mat(calibration: Calibration) -> Exported:
-    """The .mat file of a calibration."""
+    """Return the .mat file of a calibration."""
     from scipy.io import savemat
 
     parameters = calibration.parameters
-    losses = (NOT_RESULTS, *not_held(calibration))
+    losses = (NOT_RESULTS, *table_notes(calibration))
     numeric = {
         f"parameter_{name}": np.array([np.nan if (value := getattr(p, name)) is None else value for p in parameters])
-        for name in ("value", *_MORE, "u")
+        for name in ("value", *_FURTHER, "u")
     }
     content = {
         "serial": calibration.serial,

@@ -1,4 +1,4 @@
-"""Exports that a template describes: a text file for each target, which anybody can write.
+"""Exports described by a template: a text file for each target, which anybody can write.
 
 A template has a front matter of TOML between two lines `+++`, and a body of Jinja that becomes the file:
 
@@ -18,25 +18,24 @@ A template has a front matter of TOML between two lines `+++`, and a body of Jin
     zero: {{ accel.zero | yaml }}
     gain: {{ accel.gain | yaml }}
 
-`numbers` are what the file holds, each an expression of the calibration and of those above it; `corrected` is what the
-target makes of a `reading`, both SI. By that the export states in its
-comments a worked example and how large the errors are that the target leaves. Expressions and body are Jinja in a
-sandbox: `matrix`, `bias` and `inverse` of the sensors, `counts`, counts a unit of SI, `g_sensitivity`, `force` (zero),
-and the functions of FUNCTIONS.
+`numbers` are the content of the file, each an expression of the calibration and of the numbers above it; `corrected` is
+what the target computes from a `reading`, both SI. From these the export computes a worked example and the errors that
+the target leaves, which stand in the comments. Expressions and body are Jinja in a sandbox, with the names `matrix`,
+`bias` and `inverse` of the sensors, `counts` (per SI unit), `g_sensitivity`, `force` (zero), and FUNCTIONS.
 
-    key          what it says
-    about        the target, one sentence
-    formula      what it does with the numbers, as its documentation has it
-    source       where that is written
-    ending       of the file's name, ".txt" by default
-    counts       [a g, a deg/s]: the target works in counts, usually so many
+    key          meaning
+    about        the target, in one sentence
+    formula      what the target computes, as in its documentation
+    source       that documentation
+    ending       suffix of the file, ".txt" by default
+    counts       [per g, per deg/s]: usual counts, of a target that works in counts
     needs        ["accel"], ["gyro"] or both: sensors that a calibration must have
     holds        groups of parameters beyond matrix and bias that are in the file, such as "gyro.g_sensitivity"
-    notes        what the user has to see to
+    notes        what the user has to do or to check
     [accel], [gyro]
       numbers, corrected
-      limits     of numbers by name, [lowest, highest]
-      zeroed     the target takes off the bias itself: in which words that is said
+      limits     [lowest, highest] of numbers, by name
+      zeroed     sentence for a target that estimates the bias itself
     [test.accel], [test.gyro]
       matrix, bias, reading, corrected: a test vector, which is checked whenever the template is read
 """
@@ -56,8 +55,9 @@ from pydantic import BaseModel, ConfigDict, Field
 from scipy.linalg import polar
 from scipy.spatial.transform import Rotation
 
-from tumble.documents import text_of_document, toml_of, validated
+from tumble.documents import text_of_document, validated
 from tumble.errors import InputError
+from tumble.export import FENCE, split_template
 from tumble.export.exported import (
     Correct,
     Exported,
@@ -80,10 +80,8 @@ if TYPE_CHECKING:
     from jinja2.sandbox import SandboxedEnvironment
 
 LAYOUTS = Path(__file__).with_name("layouts")
-"""Where the files are that need code."""
-_FENCE = "+++\n"
-_TEST_DIGITS = 1e-6
-"""By how much what a formula gives may differ from a template's test vector, m/s² or rad/s."""
+"""Folder of the layouts of targets that need code."""
+_TEST_TOLERANCE = 1e-6  # m/s² or rad/s, of a template's test vector
 
 
 class _Table(BaseModel):
@@ -95,7 +93,7 @@ _Three = Annotated[list[float], Field(min_length=3, max_length=3)]
 
 
 class Sensors(_Table):
-    """What a target does with the sensors of one kind."""
+    """Front matter on the sensors of one kind."""
 
     numbers: dict[str, str] = {}
     limits: dict[str, _Two] = {}
@@ -104,7 +102,7 @@ class Sensors(_Table):
 
 
 class WorkedExample(_Table):
-    """A model, a reading, and what the target makes of it."""
+    """Test vector: a model, a reading, and the result of the target."""
 
     matrix: list[_Three] = Field(min_length=3, max_length=3)
     bias: _Three
@@ -113,7 +111,7 @@ class WorkedExample(_Table):
 
 
 class Front(_Table):
-    """The front matter of a template."""
+    """Front matter of a template."""
 
     about: str
     formula: str
@@ -128,26 +126,26 @@ class Front(_Table):
     test: dict[Literal["accel", "gyro"], WorkedExample] = {}
 
     def sensors(self, kind: SensorKind) -> Sensors | None:
-        """What is said of the sensors of a kind."""
+        """Front matter on the sensors of a kind."""
         return self.accel if kind == "accel" else self.gyro
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Correction:
-    """What a target makes of readings, `matrix` (3, 3) @ reading + `offset` (3,), and the numbers by which it does."""
+    """Correction by a target, `matrix` (3, 3) @ reading + `offset` (3,), and the numbers of the file that define it."""
 
     numbers: Mapping[str, Array]
     matrix: Array
     offset: Array
 
-    def of(self, reading: Array) -> Array:
-        """The vectors (..., 3) that the target gives for readings (..., 3), SI."""
+    def apply(self, reading: Array) -> Array:
+        """Return the vectors (..., 3) that the target computes from readings (..., 3), SI."""
         return np.asarray(reading @ self.matrix.T + self.offset)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Template:
-    """A template that was read: its name in messages, its front matter, its body and the line before that."""
+    """A template: its name in messages, front matter, body, and the number of the line before the body."""
 
     name: str
     front: Front
@@ -155,8 +153,10 @@ class Template:
     line: int
 
     def write(self, calibration: Calibration, *, counts: tuple[float, float] | None = None) -> Exported:
-        """The file of a calibration; `counts` are those a g and a °/s. Raises InputError for a calibration that the
-        target cannot hold, and for an expression or a body that cannot be computed."""
+        """Return the file of a calibration; `counts` are those per g and per °/s.
+
+        Raises InputError for a calibration that the target cannot hold, and for an expression or a body with an
+        error."""
         front = self.front
         needs: list[SensorKind] = [*front.needs]
         by_kind = triads(calibration, self.name, needed=needs, held=front.holds)
@@ -170,19 +170,19 @@ class Template:
             if sensors is None or sensors.zeroed:
                 remarks.append(f"{words}: not in this file" if sensors is None else sensors.zeroed)
                 bias = np.zeros(3) if sensors is None else model.bias
-                corrections[kind] = Correction(numbers={}, matrix=np.eye(3), offset=-bias).of
+                corrections[kind] = Correction(numbers={}, matrix=np.eye(3), offset=-bias).apply
                 continue
             per_si = 1.0
             if front.counts is not None:
-                per_si, whence = counts_per_si(calibration, kind, front.counts, counts)
-                comments.append(whence)
+                per_si, source = counts_per_si(calibration, kind, front.counts, counts)
+                comments.append(source)
             correction = self.correction(kind, model, per_si, g_sensitivity(calibration))
             numbers[kind] = {name: value.tolist() for name, value in correction.numbers.items()}
             worked = linear_example(kind, model)
-            comments.append(example_line(kind, worked.reading, worked.true, correction.of(worked.reading)))
-            corrections[kind] = correction.of
+            comments.append(example_line(kind, worked.reading, worked.true, correction.apply(worked.reading)))
+            corrections[kind] = correction.apply
         losses = notes_of(calibration, corrections=corrections, left=remarks, held=front.holds, see_to=front.notes)
-        text = self._rendered(
+        text = self._render(
             comments=[*comments, *losses],
             serial=one_line(calibration.serial),
             model=one_line(calibration.model or ""),
@@ -191,9 +191,8 @@ class Template:
         )
         return Exported(content=text.encode(), losses=losses)
 
-    def correction(self, kind: SensorKind, model: SensorModel, counts: float, by_force: Array) -> Correction:
-        """What the target does with the readings of sensors of a model, `counts` a unit of SI, with a g-sensitivity
-        `by_force` (3, 3)."""
+    def correction(self, kind: SensorKind, model: SensorModel, counts: float, sensitivity: Array) -> Correction:
+        """Return the correction of readings by the target, for `counts` per SI unit and a g-sensitivity (3, 3)."""
         sensors = self.front.sensors(kind)
         if sensors is None:
             raise InputError(f"{self.name}: [test.{kind}]: expected a table [{kind}] too, found none")
@@ -202,7 +201,7 @@ class Template:
             "bias": model.bias,
             "inverse": model.inverse(),
             "counts": counts,
-            "g_sensitivity": by_force,
+            "g_sensitivity": sensitivity,
             "force": np.zeros(3),
         }
         numbers: dict[str, Array] = {}
@@ -216,35 +215,35 @@ class Template:
                     + advice
                 )
 
-        def at(reading: Array) -> Array:
+        def corrected(reading: Array) -> Array:
             names = given | numbers | {"reading": reading}
             return self._value(f"[{kind}] corrected", sensors.corrected, names, shape=(3,))
 
-        offset, once = at(np.zeros(3)), np.array([3.0, -5.0, 7.0])
-        matrix = np.column_stack([at(axis) - offset for axis in np.eye(3)])
-        if not np.allclose(at(once), matrix @ once + offset, rtol=1e-9, atol=1e-9):
+        offset, probe = corrected(np.zeros(3)), np.array([3.0, -5.0, 7.0])
+        matrix = np.column_stack([corrected(axis) - offset for axis in np.eye(3)])
+        if not np.allclose(corrected(probe), matrix @ probe + offset, rtol=1e-9, atol=1e-9):
             raise InputError(f"{self.name}: [{kind}] corrected: expected A reading + b, found what is not linear")
         return Correction(numbers=numbers, matrix=matrix, offset=offset)
 
     def check(self) -> None:
-        """Raises InputError unless the formulas give the test vectors."""
+        """Raise InputError unless the formulas reproduce the test vectors."""
         for kind, test in self.front.test.items():
             model = SensorModel(matrix=np.array(test.matrix), bias=np.array(test.bias))
             counts = 1.0 if self.front.counts is None else _usual_counts(kind, self.front.counts)
-            result = self.correction(kind, model, counts, np.zeros((3, 3))).of(np.array(test.reading))
-            if np.abs(result - test.corrected).max() > _TEST_DIGITS:
+            result = self.correction(kind, model, counts, np.zeros((3, 3))).apply(np.array(test.reading))
+            if np.abs(result - test.corrected).max() > _TEST_TOLERANCE:
                 raise InputError(
                     f"{self.name}: [test.{kind}] corrected: expected what the formula gives, "
                     f"{shown(result.round(9))}, found {shown(np.array(test.corrected))}"
                 )
 
     def _value(self, where: str, text: str, names: Mapping[str, Any], shape: tuple[int, ...] | None = None) -> Array:
-        """The value of an expression. Raises InputError, one line, where it has none."""
+        """Evaluate an expression. Raises InputError if it has no finite value of this shape."""
         from jinja2 import Undefined
 
         try:
-            found = _environment().compile_expression(text, undefined_to_none=False)(**names)
-            value = np.asarray(str(found) if isinstance(found, Undefined) else found)  # whose text is an error
+            result = _environment().compile_expression(text, undefined_to_none=False)(**names)
+            value = np.asarray(str(result) if isinstance(result, Undefined) else result)  # str() of it raises
             if not np.issubdtype(value.dtype, np.number) or not np.all(np.isfinite(value)):
                 raise ValueError("no finite numbers")
             if shape is not None and value.shape != shape:
@@ -254,7 +253,7 @@ class Template:
             raise InputError(f"{self.name}: {where}: expected an expression with a value, found {reason}") from None
         return value
 
-    def _rendered(self, **names: Any) -> str:
+    def _render(self, **names: Any) -> str:
         from jinja2 import TemplateSyntaxError
 
         try:
@@ -266,97 +265,86 @@ class Template:
 
 
 def read_template(file: Path, name: str | None = None) -> Template:
-    """A template from its file, called by its path in messages or by the name of its target. Raises InputError, one
-    line, for a file that is none and for a formula that does not give its test vector."""
-    called, text = name or str(file), text_of_document(file)
-    front, body = _parts(text, called)
+    """Read a template, called by its path in messages or by the `name` of its target.
+
+    Raises InputError for a file that is not a template, and for a formula that does not give its test vector."""
+    name, text = name or str(file), text_of_document(file)
+    front, body = split_template(text, name)
     line = text.count("\n") - body.count("\n")
-    template = Template(name=called, front=validated(Front, front, called), body=body, line=line)
+    template = Template(name=name, front=validated(Front, front, name), body=body, line=line)
     template.check()
     return template
-
-
-def _parts(text: str, called: str) -> tuple[dict[str, Any], str]:
-    """The front matter of a template and its body."""
-    front, fence, body = text.removeprefix(_FENCE).partition(f"\n{_FENCE}")
-    if not text.startswith(_FENCE) or not fence:
-        raise InputError(f"{called}: expected a front matter of TOML between two lines +++, found none")
-    return toml_of(front, called), body
 
 
 def counts_per_si(
     calibration: Calibration, kind: SensorKind, usual: list[float], given: tuple[float, float] | None
 ) -> tuple[float, str]:
-    """How many counts an m/s² or a rad/s is, and in words where that is from: of a calibration in counts, the recording
-    says it."""
+    """Return the counts per SI unit, as given, as in the recording or as usual, with a sentence that names the
+    source."""
     size, unit = (G_STANDARD, "g") if kind == "accel" else (DEGREE, "deg/s")
     readings = calibration.provenance.readings.get(kind)
     if given is not None:
-        counts, whence = _usual_counts(kind, given), "--counts"
+        counts, source = _usual_counts(kind, given), "--counts"
     elif readings is not None and readings.unit == "count" and np.ptp(readings.scale) == 0.0:
-        counts, whence = float(readings.scale[0]), "the recording"
+        counts, source = float(readings.scale[0]), "the recording"
     else:
         counts = _usual_counts(kind, usual)
-        whence = "the usual range of the chip: see that it is yours, or give --counts"
-    return counts, f"{kind}: {counts * size:.6g} counts a {unit}, by {whence}"
+        source = "the usual range of the chip: see that it is yours, or give --counts"
+    return counts, f"{kind}: {counts * size:.6g} counts a {unit}, by {source}"
 
 
 def _usual_counts(kind: SensorKind, counts: list[float] | tuple[float, float]) -> float:
-    """Counts an m/s² or a rad/s, of those a g and a °/s."""
+    """Convert counts per g and per °/s to counts per SI unit."""
     return counts[0] / G_STANDARD if kind == "accel" else counts[1] / DEGREE
 
 
-# -------------------- the language of templates --------------------
-
-
-def _whole(values: Any) -> Array:
-    return np.asarray(np.rint(values), dtype=np.int64)
+# -------------------- functions and filters of templates --------------------
 
 
 def _single(values: Any) -> Array:
-    """Numbers of single precision, as the shortest decimals that read back to them."""
+    """Round to single precision, as the shortest decimals that read back to the same numbers."""
     values = np.asarray(values, dtype=np.float32)
     return np.array([float(str(value)) for value in values.ravel()]).reshape(values.shape)
 
 
 def cardan_angles(matrix: Array) -> Array:
-    """Roll, pitch and yaw, °, of the rotation that is nearest to a matrix (3, 3): R = R_x R_y R_z."""
+    """Return roll, pitch and yaw, °, of the rotation R = R_x R_y R_z that is nearest to a matrix (3, 3)."""
     return np.asarray(Rotation.from_matrix(polar(matrix)[0]).as_euler("XYZ", degrees=True))
 
 
 def cardan_matrix(angles: Array) -> Array:
-    """R_x R_y R_z (3, 3) of roll, pitch and yaw, °."""
+    """Return R_x R_y R_z (3, 3) of roll, pitch and yaw, °."""
     return np.asarray(Rotation.from_euler("XYZ", angles, degrees=True).as_matrix())
 
 
 FUNCTIONS: Mapping[str, Callable[..., Array]] = {
-    "dot": np.dot,  # products of matrices and vectors
+    "dot": np.dot,
     "transpose": np.transpose,
     "inverted": np.linalg.inv,
     "diagonal": np.diagonal,
     "lengths": lambda matrix: np.linalg.norm(matrix, axis=1),  # of the rows
-    "column": lambda vector: vector[:, None],  # matrix / column(vector): rows over numbers
+    "column": lambda vector: vector[:, None],  # matrix / column(vector) divides row by row
     "beside": lambda matrix, vector: np.column_stack([matrix, vector]),
-    "with_one": lambda vector: np.append(vector, 1.0),  # what [A | b] multiplies
+    "with_one": lambda vector: np.append(vector, 1.0),  # argument of [A | b]
     "degrees": lambda radians: radians / DEGREE,
     "radians": lambda degrees: degrees * DEGREE,
-    "round": _whole,
+    "round": lambda values: np.asarray(np.rint(values), dtype=np.int64),
     "single": _single,
     "cardan_angles": cardan_angles,
     "cardan_matrix": cardan_matrix,
 }
-"""Functions of expressions."""
+"""Functions in expressions."""
 
 
 def front_of(layout: str) -> dict[str, Any]:
-    """The front matter of a file of `layouts/`."""
-    return _parts(text_of_document(LAYOUTS / layout), layout)[0]
+    """Return the front matter of a layout."""
+    return split_template(text_of_document(LAYOUTS / layout), layout)[0]
 
 
-def laid_out(layout: str, **names: Any) -> str:
-    """The text of a file of `layouts/`, below its front matter where it has one, with these names."""
+def render_layout(layout: str, **names: Any) -> str:
+    """Render a layout, without its front matter, with these names."""
     text = text_of_document(LAYOUTS / layout)
-    body = _parts(text, layout)[1] if text.startswith(_FENCE) else text
+    body = split_template(text, layout)[1] if text.startswith(FENCE) else text
     return str(_environment().from_string(body).render(names))
 
 
@@ -366,7 +354,7 @@ def _environment() -> SandboxedEnvironment:
     from jinja2.sandbox import ImmutableSandboxedEnvironment
 
     class Environment(ImmutableSandboxedEnvironment):
-        """The sandbox of Jinja, in which arrays have no attributes: some of theirs write files."""
+        """Sandbox of Jinja without access to attributes of arrays, some of which write files."""
 
         def is_safe_attribute(self, obj: Any, attr: str, value: Any) -> bool:
             return not isinstance(obj, np.ndarray | np.generic) and super().is_safe_attribute(obj, attr, value)
@@ -380,7 +368,7 @@ def _environment() -> SandboxedEnvironment:
 
 
 def _as_json(value: Any, indent: int | None = None) -> str:
-    return json.dumps(value, indent=indent, allow_nan=False, default=str)  # of what is undefined: an error
+    return json.dumps(value, indent=indent, allow_nan=False, default=str)  # str() of an undefined name raises
 
 
 def _as_yaml(value: Any) -> str:
@@ -388,11 +376,11 @@ def _as_yaml(value: Any) -> str:
 
 
 def _as_float32(value: float) -> str:
-    """A number with as many digits as it takes to read it back in single precision, without an exponent."""
+    """Format a number with the fewest digits that read back to it in single precision, without an exponent."""
     return np.format_float_positional(np.float32(value), trim="0")
 
 
 def identifier(text: str) -> str:
-    """A text as a name of most languages: letters, digits and underscores, a letter first."""
+    """Return a text as an identifier of most languages: letters, digits and underscores, a letter first."""
     name = re.sub(r"[^A-Za-z0-9_]", "_", text)
     return name if name[:1].isalpha() else f"imu_{name}"

@@ -66,7 +66,7 @@ from tumble.inference.normal_equations import (
 )
 from tumble.inference.problem import Problem
 from tumble.inference.variables import at_two_temperatures, ramps_up_and_down
-from tumble.sensors.parameters import group_of, poorer, prior_sizes, variable_of
+from tumble.sensors.parameters import group_of, next_poorer_grade, prior_sizes, variable_of
 from tumble.units import Array, BoolArray, IntArray
 
 # Prior standard deviation of ln σ_b and ln τ_b: 90 % within ÷× 30, so that the process can follow a drift, which has no
@@ -282,7 +282,7 @@ def size_factors(
     sheet
         Names of groups whose sizes are from a data sheet.
     """
-    worse = poorer(grade) if guessed else None
+    worse = next_poorer_grade(grade) if guessed else None
     in_worse = {} if worse is None else prior_sizes(worse)
     return {
         name: SHEET if name in sheet else GUESSED if in_worse.get(name, 0.0) > size else STATED

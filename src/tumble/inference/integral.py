@@ -83,9 +83,7 @@ from tumble.inference.normal_equations import (
 from tumble.inference.uncertainty_budget import contributions, scaled_to
 from tumble.units import Array, IntArray
 
-MOST_PARAMETERS = (
-    200  # of an array with more the posterior is that at the maximum: a point costs a hundred times as much
-)
+MOST_PARAMETERS = 200  # limit for integration: a point of a larger array costs a hundred times as much
 FIRST_POINTS = 32  # points of ψ in the first round, of both sequences; twice as many without sizes of groups
 SPARE_POINTS = 3  # least number of points of a sequence beyond the elements of ψ, for a covariance of full rank
 ROUND_POINTS, ROUNDS = 64, 13  # points of each sequence in further rounds, and largest number of rounds

@@ -32,7 +32,7 @@ from tumble.inference.variables import GROWING
 from tumble.reduction.turns.links import PARTS, joined_parts, noise_of_links
 from tumble.rotation import UP, rotation_matrix, rotation_vector, skew
 from tumble.sensors.instrument import functions
-from tumble.sensors.model import Block, beyond_body
+from tumble.sensors.model import Block, left_null_space
 from tumble.sensors.parameters import CONSTANT, FORCE, OWN_CUBE, OWN_SIZE, PAIRS, PRODUCTS, RATE
 from tumble.units import Array
 
@@ -514,7 +514,7 @@ def _spare_rows(
     if readings is None:
         return np.zeros((len(turns), 0, 1 + problem.width)), np.zeros((0, gyro.size))
     K, D = (of[problem.instrument.accel.size :] for of in model)
-    free, beta = beyond_body(K[:, RATE]), about.in_body(gyro.size)
+    free, beta = left_null_space(K[:, RATE]), about.in_body(gyro.size)
     beta[..., CONSTANT], beta[..., RATE] = turns.duration[:, None], 0.0
     y = readings.integral - np.einsum("kpb,pb->kp", beta, K)
     beta[..., RATE] = (y @ np.linalg.pinv(K[:, RATE]).T)[:, None]

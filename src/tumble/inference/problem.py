@@ -53,7 +53,7 @@ from tumble.reduction.observations import Observations
 from tumble.reduction.turns.links import PARTS
 from tumble.rotation import UP, rotation_matrix, skew
 from tumble.sensors.instrument import Instrument
-from tumble.sensors.model import SensorModel, beyond_body
+from tumble.sensors.model import SensorModel, left_null_space
 from tumble.sensors.parameters import Variable, limits_of, sensor_kind, variable_of
 from tumble.units import Array, IntArray
 
@@ -589,7 +589,7 @@ def _constant_noise(problem: Problem) -> NoiseModel:
             blocks.append(turns.velocity_covariance)
         if (readings := observations.turn_readings) is not None:
             assert gyro is not None
-            free = beyond_body(gyro.axes)
+            free = left_null_space(gyro.axes)
             blocks.append(free @ readings.covariance @ free.T)
         turn, jumps, aliased = _block_diagonal(blocks), np.sqrt(turns.jumps), np.sqrt(turns.aliased)
         Z[:, :, :t] = np.eye(t)

@@ -1,10 +1,8 @@
-"""What a certificate says that no recording knows: who calibrated what for whom, when, where and by which rule it is
-judged; from a TOML file, whose laboratory and signatories may stand in a file of their own.
-docs/howto/reports.md has every key.
+"""Administrative data of a calibration certificate, read from a TOML file (docs/howto/reports.md has every key).
 
 number = "2026-0042"            # unique, stands on every page
 country = "DE"                  # where the certificate is issued, ISO 3166-1
-laboratory = "laboratory.toml"  # [laboratory] and [[person]]; or the table [laboratory] itself
+laboratory = "laboratory.toml"  # a file with [laboratory] and [[person]]; or the table [laboratory] itself
 
 [customer]
 name = "A customer"
@@ -25,11 +23,11 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validat
 
 from tumble.documents import is_plain, shown, text_of_document, toml_of, validated
 from tumble.errors import InputError
-from tumble.lab.limits import Limits, Occasion, limits_of
+from tumble.lab.limits import Limits, Occasion, read_limits
 from tumble.result.calibration import Calibration, read_calibration
 from tumble.result.further import recorded_on
 
-RELATES = (
+SCOPE_STATEMENT = (
     "This certificate relates only to the item described in it, in the state in which it was calibrated; it may be "
     "reproduced only as a whole, unless the laboratory agrees in writing."
 )
@@ -38,7 +36,7 @@ STATES: Mapping[str, str] = {
     "as-left": "as left: calibrated after adjustment",
     "unchanged": "not adjusted: as found and as left",
 }
-"""The state of the item when it was calibrated."""
+"""States of the item when it was calibrated."""
 Place = Literal["laboratory", "customer", "laboratoryBranch", "customerBranch", "other"]
 PLACES: Mapping[Place, str] = {
     "laboratory": "laboratory",
@@ -47,7 +45,7 @@ PLACES: Mapping[Place, str] = {
     "customerBranch": "branch of the customer",
     "other": "elsewhere",
 }
-"""Where an item was calibrated."""
+"""Places of calibration."""
 
 
 def _without_control_characters(text: str) -> str:
@@ -62,7 +60,7 @@ _Country = Annotated[_Str, Field(pattern="^[A-Z]{2}$", description="two capital 
 _Path = Annotated[_Str, Field(min_length=1)]
 
 _ACCREDITED = ("procedure", "traceability", "issued")
-"""Without these a certificate is not one of ISO/IEC 17025, 7.8."""
+"""Keys that a certificate under accreditation needs (ISO/IEC 17025, 7.8)."""
 
 
 class _CertificateTable(BaseModel):
@@ -70,7 +68,8 @@ class _CertificateTable(BaseModel):
 
 
 class Party(_CertificateTable):
-    """A laboratory or a customer: `code` is the laboratory's accreditation number, `logo` the path of its picture."""
+    """A laboratory or a customer. `code` is the accreditation number of a laboratory, `logo` the path of its
+    picture."""
 
     name: _Text
     city: _Text
@@ -91,19 +90,20 @@ class Party(_CertificateTable):
 
 
 class Person(_CertificateTable):
-    """Who answers for a certificate."""
+    """A person who signs a certificate."""
 
     name: _Text
     role: _Text | None = None
 
 
 class Certificate(_CertificateTable):
-    """The administrative part of a calibration certificate. Without `begin` and `end` the date is that of the
-    recording. `state` is that of the item when it was calibrated: before an adjustment, after it, or without one;
-    `as_found` the calibration file from before. `limits` is the file of acceptance limits, `check` which of its checks
-    the statement of conformity is about, `agreed` how they and the decision rule were agreed with the customer,
-    `traceability` how gravity, time and table are traced, `replaces` the number of a certificate that this one takes
-    the place of. A key with a title stands on the first page under this title."""
+    """Administrative data of a calibration certificate.
+
+    Without `begin` and `end` the date is that of the recording. `state` is that of the item when it was calibrated,
+    with `as_found` the calibration file from before an adjustment. `limits` is a file of acceptance limits, `check`
+    selects one of its checks, `agreed` says how limits and decision rule were agreed with the customer, `traceability`
+    how gravity, time and table are traced; `replaces` is the number of an earlier certificate. Keys with a title are
+    shown on the first page."""
 
     number: _Text
     country: _Country
@@ -143,7 +143,9 @@ class Certificate(_CertificateTable):
         return self
 
     def days(self, calibration: Calibration) -> tuple[date, date]:
-        """First and last day of the calibration: as stated, or those of the recordings. Raises InputError without."""
+        """Return the first and the last day of the calibration, by default those of the recordings.
+
+        Raises InputError if neither is known."""
         recorded = [date.fromisoformat(moment[:10]) for moment in recorded_on(calibration)]
         begin = self.begin or (min(recorded) if recorded else self.end)
         end = self.end or (max(recorded) if recorded else self.begin)
@@ -155,7 +157,7 @@ class Certificate(_CertificateTable):
         return begin, end
 
     def facts(self, calibration: Calibration) -> tuple[tuple[str, str], ...]:
-        """What the first page says of the certificate. Raises InputError without a day of the calibration."""
+        """Return titles and texts for the first page. Raises InputError if the day of calibration is not known."""
         first, last = self.days(calibration)
         titled = [(key.title, getattr(self, name)) for name, key in type(self).model_fields.items() if key.title]
         return (
@@ -169,9 +171,11 @@ class Certificate(_CertificateTable):
 
 
 def check_certificate(certificate: Certificate, calibration: Calibration) -> Calibration | None:
-    """Check that a certificate fits the calibration it is of: received before calibrated before issued, every recording
-    within the days of the calibration, and as found the same device in the same frame by an earlier recording. Returns
-    the calibration from before an adjustment. Raises InputError, one line."""
+    """Check that a certificate is consistent with its calibration.
+
+    The item must be received before it is calibrated and calibrated before the certificate is issued, all recordings
+    must be within the days of the calibration, and the calibration as found must be of the same device, in the same
+    frame and recorded earlier. Returns the calibration as found, None without. Raises InputError."""
     begin, end = certificate.days(calibration)
     order = (("received", certificate.received), ("begin", begin), ("end", end), ("issued", certificate.issued))
     stated = [(name, day) for name, day in order if day is not None]
@@ -179,7 +183,7 @@ def check_certificate(certificate: Certificate, calibration: Calibration) -> Cal
         if second < first:
             raise InputError(f"certificate: {later}: expected a day not before {earlier}, {first}, found {second}")
     recordings = recorded_on(calibration)
-    for day in (date.fromisoformat(recorded[:10]) for recorded in recordings):
+    for day in (date.fromisoformat(moment[:10]) for moment in recordings):
         if not begin <= day <= end:
             raise InputError(
                 f"certificate: begin, end: expected days that hold every recording, found {begin} to {end} and a "
@@ -202,33 +206,35 @@ def check_certificate(certificate: Certificate, calibration: Calibration) -> Cal
     return as_found
 
 
-def judged_by(certificate: Certificate) -> Limits | None:
-    """The acceptance limits of the check that a certificate states conformity with; None without limits. Raises
-    InputError where its file has limits of both checks and the certificate does not say which, or none of that."""
+def certificate_limits(certificate: Certificate) -> Limits | None:
+    """Return the acceptance limits, of one check, that a certificate states conformity with; None without limits.
+
+    Raises InputError if the file has limits of both checks and the certificate selects none, or selects another one."""
     if certificate.limits is None:
         return None
-    limits = limits_of(Path(certificate.limits))
+    limits = read_limits(Path(certificate.limits))
     checks = [occasion for occasion in limits.checks if limits.checks[occasion]]
-    kept = certificate.check or (checks[0] if len(checks) == 1 else None)
-    if kept not in checks:
+    selected = certificate.check or (checks[0] if len(checks) == 1 else None)
+    if selected not in checks:
         both = f"'incoming' or 'periodic', for {certificate.limits} has limits of both"
         expected = both if len(checks) > 1 else f"{checks[0]!r}, whose limits {certificate.limits} has"
-        raise InputError(f"certificate: check: expected {expected}, found {'none' if kept is None else repr(kept)}")
-    return replace(limits, checks={kept: limits.checks[kept]})
+        raise InputError(f"certificate: check: expected {expected}, found {repr(selected) if selected else 'none'}")
+    return replace(limits, checks={selected: limits.checks[selected]})
 
 
 def read_certificate(path: Path) -> Certificate:
-    """The administrative part of a certificate from its TOML file, and of the file of the laboratory that it names.
-    Paths are relative to the file they stand in. Raises InputError, one line."""
-    content = _parsed(path)
-    named = content.get("laboratory")
+    """Read the data of a certificate from its TOML file and the file of the laboratory that it names.
+
+    Paths are relative to the file in which they are written. Raises InputError."""
+    content = toml_of(text_of_document(path), str(path))
+    named, laboratory_folder = content.get("laboratory"), path.parent
     if isinstance(named, str):
         file = path.parent / named
-        content = {"person": [], **_parsed(file), **{key: content[key] for key in content if key != "laboratory"}}
-        content["laboratory"] = _with_paths(content.get("laboratory"), "logo", file.parent)
-    else:
-        content["laboratory"] = _with_paths(named, "logo", path.parent)
-    content = _with_paths(_with_paths(content, "as_found", path.parent), "limits", path.parent)
+        laboratory = toml_of(text_of_document(file), str(file))
+        content = {"person": [], **laboratory, **{key: content[key] for key in content if key != "laboratory"}}
+        laboratory_folder = file.parent
+    content["laboratory"] = _resolve_path(content.get("laboratory"), "logo", laboratory_folder)
+    content = _resolve_path(_resolve_path(content, "as_found", path.parent), "limits", path.parent)
     stated = {key: value for key, value in content.items() if value is not None}
     try:
         return validated(Certificate, stated, str(path))
@@ -236,12 +242,8 @@ def read_certificate(path: Path) -> Certificate:
         raise InputError(f"{error}; see docs/howto/reports.md") from None
 
 
-def _parsed(path: Path) -> dict[str, Any]:
-    return toml_of(text_of_document(path), str(path))
-
-
-def _with_paths(table: Any, key: str, folder: Path) -> Any:
-    """A table with the path under a key taken from a folder."""
+def _resolve_path(table: Any, key: str, folder: Path) -> Any:
+    """Return a table with the path under a key taken relative to a folder."""
     if isinstance(table, dict) and isinstance(table.get(key), str):
         return table | {key: str(folder / table[key])}
     return table

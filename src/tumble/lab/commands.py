@@ -1,4 +1,4 @@
-"""The commands of the laboratory: `registry` and `selftest`."""
+"""Commands of the laboratory: `registry` and `selftest`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _DAY: dict[str, Any] = {"type": click.DateTime(["%Y-%m-%d"]), "metavar": "YYYY-M
 _PLACE = ask.registry_place(required=True)
 
 
-def _new_file(out: Path | None, what: str) -> None:
+def _expect_new_file(out: Path | None, what: str) -> None:
     if out is not None and out.exists():
         raise InputError(f"{out}: expected a new file for the {what}, found one that exists")
 
@@ -55,14 +55,14 @@ def add(calibration: Path, day: datetime | None, every: bool, place: str, **part
     begun, performed = datetime.now(UTC), None if day is None else day.replace(tzinfo=UTC)
     with lab.open_registry(place, create=True) as opened:
         record = opened.add_calibration(calibration, performed=performed, **particulars)
-        said = "added as" if record.added >= begun else "the same calibration is there already:"
-        tell.say(f"{said} record {record.number} in {opened.name}")
+        action = "added as" if record.added >= begun else "the same calibration is there already:"
+        tell.say(f"{action} record {record.number} in {opened.name}")
         passed = _show_record(opened, record, every)
     sys.exit(0 if passed else 1)
 
 
 def _show_record(opened: Registry, record: Record, every: bool) -> bool:
-    """Print a record with the verdict on it. Returns whether it passes."""
+    """Print a record with its verdict, and return True if it passes."""
     from tumble.lab.registry.registry import logs_of
     from tumble.lab.registry.views import record_blocks
 
@@ -116,7 +116,7 @@ def show(number: int | None, model: str | None, out: Path | None, every: bool, p
             return
         record = opened.record(number or 0)
         if out is not None:
-            _new_file(out, "calibration")
+            _expect_new_file(out, "calibration")
             with whole_file(out) as temporary:
                 temporary.write_text(opened.file(record), encoding="utf-8")
             tell.say(f"written to {out}")
@@ -126,24 +126,23 @@ def show(number: int | None, model: str | None, out: Path | None, every: bool, p
 
 @registry.command
 @click.argument("serial")
-@click.argument("parameter", required=False)
 @_PLACE
 @ask.JSON
 @ask.EVERY
-def trend(serial: str, parameter: str | None, every: bool, place: str) -> None:
-    """Every parameter of the device SERIAL over its calibrations, or one PARAMETER in every calibration.
+def trend(serial: str, every: bool, place: str) -> None:
+    """Every parameter of the device SERIAL over its calibrations.
 
-    Exit status 1 if the device has changed since the calibration before by more than chance makes, in a parameter or
-    in all together, as `tumble compare` says it of both.
+    Exit status 1 if the device has changed significantly since the calibration before, in one parameter or in all
+    together, as in `tumble compare`.
     """
-    from tumble.lab.registry.views import history_blocks, trend_blocks
+    from tumble.lab.registry.views import trend_blocks
 
     with lab.open_registry(place) as opened:
-        found = opened.trend(serial, parameter)
-    tell.show(found, lambda: trend_blocks(found, every=every) if parameter is None else history_blocks(found))
-    if found.changed:
-        tell.say(f"changed: {', '.join(found.changed)}")
-    sys.exit(1 if found.changed else 0)
+        result = opened.trend(serial)
+    tell.show(result, lambda: trend_blocks(result, every=every))
+    if result.changed:
+        tell.say(f"changed: {', '.join(result.changed)}")
+    sys.exit(1 if result.changed else 0)
 
 
 @registry.command
@@ -162,11 +161,11 @@ def limits(model: str | None, file: Path | None, place: str) -> None:
     with lab.open_registry(place, create=file is not None) as opened:
         if model is not None and file is not None:
             record = opened.set_limits(model, file)
-            said = "in force for" if record.added >= begun else "were in force already for"
-            tell.say(f"limits {record.number} {said} {model} in {opened.name}")
+            state = "in force for" if record.added >= begun else "were in force already for"
+            tell.say(f"limits {record.number} {state} {model} in {opened.name}")
             return
-        every = opened.limits()
-    shown = [each for each in every if model is None or (each.model == model and each.in_force)]
+        records = opened.limits()
+    shown = [each for each in records if model is None or (each.model == model and each.in_force)]
     if model is not None and not shown:
         raise InputError(f"type {model!r}: expected a device type with limits, found none for it")
 
@@ -181,19 +180,19 @@ def limits(model: str | None, file: Path | None, place: str) -> None:
 @_PLACE
 @ask.JSON
 def due(day: datetime | None, place: str) -> None:
-    """What is to be calibrated again, and when: by the calendar, or before where a drift may meet a limit.
+    """When each device is to be calibrated again, the most urgent first.
 
-    A device that failed its latest check is withdrawn until it is calibrated again. The most urgent first. Exit status
-    1 if anything is withdrawn or overdue.
+    A device that failed its latest check is withdrawn until it is calibrated again. Exit status 1 if any device is
+    withdrawn or overdue.
     """
     from tumble.lab.registry.views import due_table
 
     with lab.open_registry(place) as opened:
         items = opened.due(None if day is None else day.date())
     tell.show({"devices": items}, lambda: [due_table(items)])
-    for word, of in (("withdrawn", [i for i in items if i.withdrawn]), ("overdue", [i for i in items if i.overdue])):
-        if of:
-            tell.warn(f"{word}: {', '.join(item.record.serial for item in of)}")
+    for state in ("withdrawn", "overdue"):
+        if serials := [item.record.serial for item in items if getattr(item, state)]:
+            tell.warn(f"{state}: {', '.join(serials)}")
     sys.exit(1 if any(item.withdrawn or item.overdue for item in items) else 0)
 
 
@@ -205,7 +204,7 @@ def selftest(out: Path | None, by: str | None) -> None:
     """Run the reference cases on this machine and compare them with published values, closed forms and truth."""
     from tumble.lab.selftest import run_selftest, selftest_blocks
 
-    _new_file(out, "record")
+    _expect_new_file(out, "record")
     record = run_selftest(by=by, progress=lambda name: tell.say(f"running: {name}"))
     tell.show(record, lambda: selftest_blocks(record))
     if out is not None:

@@ -1,16 +1,16 @@
-"""The data sheet of a device type: what its units in the registry are like, parameter by parameter.
+"""Data sheet of a device type: the distribution of its units in the registry, parameter by parameter.
 
-Of the n units of a parameter, each by its own recording (`Unit.alone`), the least, the mean and the largest value,
-their standard deviation s, and the interval that contains 95 % of all units of the type with 95 % confidence, if they
-are normally distributed,
+For the n units of a parameter, each estimated from its own recording (`Unit.estimates`): the least, the mean and the
+largest value, their standard deviation s, and the interval that contains 95 % of all units of the type with 95 %
+confidence if they are normally distributed,
 
     x̄ ± k s,   k:  √(2n/π) ∫₀^∞ P(χ²_{n−1} > (n − 1) r²(z)/k²) e^{−n z²/2} dz = 0.95                               (1)
 
-r²(z) being the 0.95 quantile of the noncentral χ² of one degree of freedom with noncentrality z². In-run biases, which
-are sizes, are judged by their logarithms. s contains u, what the recordings do not know of the units.
+where r²(z) is the 0.95 quantile of the noncentral χ² with one degree of freedom and noncentrality z². In-run biases are
+standard deviations, so their logarithms are used. s includes u, the uncertainty that the recordings leave.
 
-Terms are those of IEEE Std 2700, parameters of MEMS sensors, as far as its definitions are public. An in-run bias is no
-bias instability, which is flicker noise: it is the exponentially correlated noise of IEEE Std 952, annex C.
+The terms are those of IEEE Std 2700 for parameters of MEMS sensors, as far as its definitions are public. An in-run
+bias is not the bias instability, which is flicker noise, but exponentially correlated noise (IEEE Std 952, annex C).
 
 Source: ISO 16269-6:2014, annex of exact factors; Odeh & Owen, Tables for Normal Tolerance Limits (1980).
 """
@@ -18,6 +18,7 @@ Source: ISO 16269-6:2014, annex of exact factors; Odeh & Owen, Tables for Normal
 from __future__ import annotations
 
 import tomllib
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -30,7 +31,7 @@ from scipy.stats import chi2, ncx2
 from tumble.brief import Brief
 from tumble.errors import InputError
 from tumble.files import ending_in, whole_file
-from tumble.lab.device_type import FEWEST_UNITS, Unit, in_run_sizes, mean_temperature, run_to_run
+from tumble.lab.device_type import MIN_UNITS, Unit, in_run_sizes, mean_temperature, run_to_run
 from tumble.sensors.model import WORDS
 from tumble.sensors.parameters import group_name, group_of, shown_in
 from tumble.units import Array
@@ -40,15 +41,16 @@ from tumble.views.numbers import quantity_table
 CONTENT = CONFIDENCE = 0.95
 
 TERMS: Mapping[str, str] = tomllib.loads((Path(__file__).parent / "terms.toml").read_text(encoding="utf-8"))
-"""What IEEE Std 2700 calls groups of parameters, and IEEE Std 952 in-run biases."""
+"""Terms of IEEE Std 2700 for parameter groups, and of IEEE Std 952 for in-run biases."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DatasheetRow:
-    """A parameter of a type, SI, with the `term` of the standards (`TERMS`): least, mean and largest value of the units
-    and their standard deviation `between` them; the standard deviation from launch to launch, None if no unit has
-    several; `u`, the root mean square of the standard uncertainties that the recordings leave; and the tolerance
-    interval from `low` to `high`."""
+    """A parameter of a device type, SI, with its `term` in the standards.
+
+    `least`, `typical` (mean), `most` and `between` (standard deviation) describe the values of the units; `run_to_run`
+    is the standard deviation between launches, None if no unit has several; `u` the root mean square of the standard
+    uncertainties; `low` and `high` bound the tolerance interval."""
 
     name: str
     term: str
@@ -66,8 +68,8 @@ class DatasheetRow:
 
 @dataclass(frozen=True, kw_only=True, slots=True, repr=False)
 class Datasheet(Brief):
-    """What `units` units of a type are like at the temperature `reference`, °C, if it is known; tolerance intervals
-    have a `content` with a `confidence`."""
+    """Distribution of the `units` of a device type at a `reference` temperature in °C, None if it is not known.
+    Tolerance intervals have a `content` and a `confidence`."""
 
     model: str
     units: int
@@ -78,36 +80,36 @@ class Datasheet(Brief):
 
 
 def datasheet_of(units: Sequence[Unit], model: str) -> Datasheet:
-    """The data sheet of a type by its units, each once. Raises InputError for fewer than FEWEST_UNITS."""
-    if len(units) < FEWEST_UNITS:
-        raise InputError(f"type {model!r}: expected at least {FEWEST_UNITS} units in the registry, found {len(units)}")
-    reference, seen = mean_temperature(units), dict[str, list[tuple[float, float]]]()
+    """Return the data sheet of a type from its units. Raises InputError for fewer than MIN_UNITS."""
+    if len(units) < MIN_UNITS:
+        raise InputError(f"type {model!r}: expected at least {MIN_UNITS} units in the registry, found {len(units)}")
+    reference, estimates = mean_temperature(units), defaultdict[str, list[tuple[float, float]]](list)
     for unit in units:
-        for name, value_and_variance in unit.at(reference).alone().items():
-            seen.setdefault(name, []).append(value_and_variance)
+        for name, value_and_variance in unit.at(reference).estimates().items():
+            estimates[name].append(value_and_variance)
     rows = []
-    for name, each in seen.items():
-        if len(each) >= FEWEST_UNITS:
-            values, variances = np.array(each).T
-            row = _row(name, values, run_to_run=run_to_run(units, name), u=float(np.sqrt(variances.mean())))
-            rows.append(row)
+    for name, known in estimates.items():
+        if len(known) >= MIN_UNITS:
+            values, variances = np.array(known).T
+            u = float(np.sqrt(variances.mean()))
+            rows.append(_row(name, values, run_to_run=run_to_run(units, name), u=u))
     for kind in ("accel", "gyro"):
         sizes = in_run_sizes(units, kind)
-        if len(sizes) >= FEWEST_UNITS:
+        if len(sizes) >= MIN_UNITS:
             rows.append(_row(f"{kind}.in_run", sizes))
     return Datasheet(model=model, units=len(units), reference=reference, rows=tuple(rows))
 
 
 def _row(name: str, values: Array, *, run_to_run: float | None = None, u: float | None = None) -> DatasheetRow:
-    """The row of a parameter with these values of the units; of a size, if it is that of in-run biases."""
-    is_size = name.endswith(".in_run")
-    normal = np.log(values) if is_size else values
-    half = tolerance_factor(len(values)) * float(normal.std(ddof=1))
-    ends = np.array([normal.mean() - half, normal.mean() + half])
-    low, high = (np.exp(ends) if is_size else ends).tolist()
+    """Return the row of a parameter with these values of the units."""
+    is_deviation = name.endswith(".in_run")
+    normal = np.log(values) if is_deviation else values
+    half_width = tolerance_factor(len(values)) * float(normal.std(ddof=1))
+    interval = np.array([normal.mean() - half_width, normal.mean() + half_width])
+    low, high = (np.exp(interval) if is_deviation else interval).tolist()
     return DatasheetRow(
         name=name,
-        term=TERMS.get(name if is_size else group_name(name), ""),
+        term=TERMS.get(name if is_deviation else group_name(name), ""),
         unit=group_of(name.replace(".in_run", ".bias.x")).unit,
         units=len(values),
         least=float(values.min()),
@@ -123,19 +125,19 @@ def _row(name: str, values: Array, *, run_to_run: float | None = None, u: float 
 
 @cache
 def tolerance_factor(n: int) -> float:
-    """The factor k of two-sided tolerance intervals x̄ ± k s of n normal values with unknown mean, Eq. (1)."""
+    """Return k of the two-sided tolerance interval x̄ ± k s of n normal values, Eq. (1)."""
     nodes, weights = np.polynomial.legendre.leggauss(80)
     z = 0.5 * (nodes + 1.0) * 8.5 / np.sqrt(n)
     density = weights * 8.5 / np.sqrt(n) * 0.5 * np.sqrt(2.0 * n / np.pi) * np.exp(-0.5 * n * z**2)
     quantile = ncx2.ppf(CONTENT, 1, z**2)
 
-    def confident(k: float) -> float:
+    def excess_confidence(k: float) -> float:
         return float(density @ chi2.sf((n - 1) * quantile / k**2, n - 1)) - CONFIDENCE
 
-    return float(brentq(confident, 1.0, 1e4, xtol=1e-10))
+    return float(brentq(excess_confidence, 1.0, 1e4, xtol=1e-10))
 
 
-# -------------------- as tables, and as a page --------------------
+# -------------------- tables and page --------------------
 
 
 _MEANING = (
@@ -147,7 +149,7 @@ _MEANING = (
 
 
 def datasheet_blocks(sheet: Datasheet) -> list[Block]:
-    """The facts of a data sheet, a table for each kind of sensor, and what the columns are."""
+    """Return the facts of a data sheet, a table for each kind of sensor, and an explanation of the columns."""
     return [Facts(rows=_facts(sheet)), *_tables(sheet), Text(text=_MEANING, tone="small")]
 
 
@@ -157,7 +159,7 @@ def _facts(sheet: Datasheet) -> tuple[tuple[str, str], ...]:
 
 
 def _tables(sheet: Datasheet) -> Iterator[Table]:
-    """A table for each kind of sensor; a parameter is shown in the unit of its largest value."""
+    """Yield a table for each kind of sensor, with each parameter in the unit of its largest value."""
     for kind, words in WORDS.items():
         rows = [row for row in sheet.rows if row.name.startswith(f"{kind}.")]
         units = {
@@ -169,7 +171,7 @@ def _tables(sheet: Datasheet) -> Iterator[Table]:
 
 
 def _cells(row: DatasheetRow, size: float, unit: str) -> dict[str, str]:
-    """The cells of a parameter by their headings."""
+    """Return the cells of a parameter by column."""
 
     def cell(value: float | None, digits: int = 3) -> str:
         return "" if value is None else f"{float(f'{value / size:.{digits}g}'):.10g}"
@@ -190,9 +192,9 @@ def _cells(row: DatasheetRow, size: float, unit: str) -> dict[str, str]:
 
 
 def write_datasheet(sheet: Datasheet, out: Path, created: str) -> None:
-    """Write a data sheet, `created` at a time (ISO 8601), as a page (.html). Raises InputError for another ending."""
+    """Write a data sheet, `created` at a time (ISO 8601), as a page (.html). Raises InputError for another suffix."""
     ending_in(out, ".html")
-    sections = tuple(section(each.caption, replace(each, caption="")) for each in _tables(sheet))
+    sections = tuple(section(table.caption, replace(table, caption="")) for table in _tables(sheet))
     document = Document(
         title="Data sheet",
         device=sheet.model,

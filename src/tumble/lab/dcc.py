@@ -1,12 +1,12 @@
-"""A Digital Calibration Certificate: the XML of PTB's DCC, schema 3.3.0, with quantities in D-SI 2.2.1.
+"""Digital Calibration Certificate: the XML of PTB's DCC, schema 3.3.0, with quantities in D-SI 2.2.1.
 
-Every parameter of accelerometers and gyros is a quantity with its expanded uncertainty U = k u, of the
-probability 0.9545, with its own coverage factor k: Student's t where u was estimated (`coverage`). The matrices and
-biases of the model equation follow, and an example worked with it:
+Every parameter of accelerometers and gyros is a quantity with its expanded uncertainty U = k u for the probability
+0.9545, with its own coverage factor k: Student's t where u was estimated (`coverage`). The matrices and biases of the
+model equation follow, with a worked example:
 
     reading = matrix · true + bias,    true = matrix⁻¹ (reading − bias)
 
-The document is `templates/dcc.xml.j2`; what is computed for it is here. The file is neither signed nor sealed.
+The document is laid out in `templates/dcc.xml.j2`. It is neither signed nor sealed.
 
 Source: PTB, DCC schema 3.3.0 and D-SI schema 2.2.1.
 """
@@ -25,10 +25,17 @@ import numpy as np
 from tumble.documents import plain
 from tumble.errors import InputError
 from tumble.export import Target
-from tumble.export.exported import Exported, models, not_held, origin, shown
+from tumble.export.exported import Exported, models, origin, shown, table_notes
 from tumble.files import FilePath
-from tumble.lab.certificate import RELATES, STATES, Certificate, check_certificate, judged_by, read_certificate
-from tumble.lab.conformity import RISK, RULE, Verdict, verdicts
+from tumble.lab.certificate import (
+    SCOPE_STATEMENT,
+    STATES,
+    Certificate,
+    certificate_limits,
+    check_certificate,
+    read_certificate,
+)
+from tumble.lab.conformity import DECISION_RULE, RISK_DEFINITION, Verdict, judge_calibration
 from tumble.result.calibration import Calibration
 from tumble.result.correction import linear_example
 from tumble.result.coverage import PROBABILITY, degrees_of_freedom
@@ -51,16 +58,15 @@ _UNITS |= {"hPa": "hecto\\pascal"}
 _FACTOR = re.compile(r"(?P<over>[*/]|^)(?P<unit>[A-Za-z%]+|1)(?:\^(?P<power>\d))?")
 _CONFORMITY = {"conditional pass": "conditionalPass", "conditional fail": "conditionalFail"}
 _CONFORMITY |= {result: result for result in ("pass", "fail")}
-"""Outcomes as the schema has them; it has none for what is undecided."""
+"""Results in the schema, which has none for undecided."""
 
-U_DIGITS = 3
-"""Digits of u and U: two that matter, and one so that rounding adds nothing."""
+U_DIGITS = 3  # digits of u and U: two significant ones, and one that makes rounding negligible
 
 _TITLES = {"accel": "accelerometers", "gyro": "gyros"}
 
 
 def d_si(unit: str) -> str:
-    """A unit as D-SI writes it: d_si("m/s^2") is \\metre\\second\\tothe{-2}."""
+    """Return a unit in D-SI notation: d_si("m/s^2") is \\metre\\second\\tothe{-2}."""
     factors, parts = list(_FACTOR.finditer(unit)), []
     for factor in factors:
         power = int(factor["power"] or 1) * (-1 if factor["over"] == "/" else 1)
@@ -73,18 +79,18 @@ def d_si(unit: str) -> str:
 
 
 def dcc(calibration: Calibration, *, certificate: Certificate | FilePath) -> Exported:
-    """The XML file of a calibration with the administrative data of its certificate, or of its file."""
+    """Return the XML file of a calibration with the administrative data of a certificate, or of its file."""
     if not isinstance(certificate, Certificate):
         certificate = read_certificate(Path(certificate))
     by_kind = models(calibration)
     check_certificate(certificate, calibration)
-    limits = judged_by(certificate)
-    judged = () if limits is None else tuple(verdicts(calibration, limits))
-    losses = (*LOSSES, *not_held(calibration))
+    limits = certificate_limits(certificate)
+    checks = () if limits is None else tuple(judge_calibration(calibration, limits))
+    losses = (*LOSSES, *table_notes(calibration))
     inertial = [p for p in calibration.parameters if sensor_kind(p.name) != "mag"]
     provenance, circumstances = calibration.provenance, calibration.provenance.circumstances
     name, _, release = (provenance.software or "tumble 0").partition(" ")
-    alike = [verdict for verdict in judged if verdict.frame == calibration.frame]
+    same_frame = [verdict for verdict in checks if verdict.frame == calibration.frame]
     content = (
         _environment()
         .get_template("dcc.xml.j2")
@@ -94,29 +100,35 @@ def dcc(calibration: Calibration, *, certificate: Certificate | FilePath) -> Exp
             days=certificate.days(calibration),
             state=STATES[certificate.state],
             device=calibration.device,
-            declarations=[RELATES, *certificate.remarks],
+            declarations=[SCOPE_STATEMENT, *certificate.remarks],
             traced="; ".join((*certificate.traceability, *circumstances.equipment)),
             origin="; ".join(origin(calibration)),
             method=calibration.method,
             equipment=circumstances.equipment,
             conditions=_conditions(calibration),
             probability=f"{PROBABILITY:g}",
-            parameters=[_parameter(p, alike) for p in inertial],
+            parameters=[_parameter(p, same_frame) for p in inertial],
             models={_TITLES[kind]: _model(kind, model) for kind, model in by_kind.items()},
-            statements=[_conformity(verdict, certificate.agreed) for verdict in judged],
+            statements=[_conformity(verdict, certificate.agreed) for verdict in checks],
         )
     )
     lines = (line.strip() for line in content.splitlines())
     return Exported(content="\n".join(filter(None, lines)).encode() + b"\n", losses=losses)
 
 
-TARGET = Target(write=dcc, takes=("certificate",), needs=("certificate",), ending=".xml")
-"""What `tumble export --to dcc` writes."""
+TARGET = Target(
+    write=dcc,
+    about="Digital Calibration Certificate of PTB, XML",
+    takes=("certificate",),
+    needs=("certificate",),
+    ending=".xml",
+)
+"""Target of `tumble export --to dcc`."""
 
 
 @cache
 def _environment() -> Environment:
-    """What fills in the document: text is escaped, and on one line where it is free."""
+    """Return the Jinja environment of the document. Text is escaped; the filter `line` makes it a single line."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
@@ -131,7 +143,7 @@ def _environment() -> Environment:
 
 
 def _conditions(calibration: Calibration) -> list[dict[str, Any]]:
-    """Gravity and the air."""
+    """Return gravity and the conditions of the air as quantities."""
     air, site = calibration.provenance.circumstances.conditions, calibration.provenance.site
     stated: list[tuple[str, str, float | None, float | None, str]] = [
         ("temperature", "basic_temperature", air.temperature_degC, air.temperature_u, "degC"),
@@ -149,43 +161,43 @@ def _conditions(calibration: Calibration) -> list[dict[str, Any]]:
 
 
 def _conformity(verdict: Verdict, agreed: str | None) -> dict[str, Any]:
-    """The statement of conformity for a check, by the decision rule."""
+    """Return the statement of conformity for a check."""
     return {
         "name": f"{verdict.occasion} check against acceptance limits",
         "agreed": agreed and f"limits and decision rule as agreed: {agreed}",
         "norm": "ILAC-G8:09/2019",
-        "declaration": f"{RULE}. {RISK}.{verdict.whole_risk}",
+        "declaration": f"{DECISION_RULE}. {RISK_DEFINITION}.{verdict.risk_sentence}",
         "conformity": _CONFORMITY.get(verdict.result),
     }
 
 
-def _parameter(parameter: Parameter, judged: Sequence[Verdict]) -> dict[str, Any]:
-    """A parameter with U, in words, and the verdicts by limits in its frame."""
+def _parameter(parameter: Parameter, verdicts: Sequence[Verdict]) -> dict[str, Any]:
+    """Return a parameter with U, its description, and its statements of conformity in the checks `verdicts`."""
     statements = []
-    for verdict, judgement in ((check, each) for check in judged for each in check.judgements):
+    for verdict, judgement in ((check, judgement) for check in verdicts for judgement in check.judgements):
         if judgement.name == parameter.name and judgement.result in _CONFORMITY:
-            between = (judgement.low, judgement.high)
-            largest = max((abs(limit) for limit in between if np.isfinite(limit)), default=0.0)
+            interval = (judgement.low, judgement.high)
+            largest = max((abs(limit) for limit in interval if np.isfinite(limit)), default=0.0)
             size, unit = shown_in(judgement.name, judgement.unit, largest)
-            low, high = (f"{limit / size:.6g}" for limit in between)
+            low, high = (f"{limit / size:.6g}" for limit in interval)
             statement = {"name": f"{verdict.occasion} check", "agreed": None, "norm": None}
             statement |= {"declaration": f"limits {low} to {high} {unit}"}
             statements.append(statement | {"conformity": _CONFORMITY[judgement.result]})
-    behind = "no uncertainty is stated"
+    basis = "no uncertainty is stated"
     if parameter.u is not None:
         known, dof = "u is known (infinite degrees of freedom)", parameter.dof
-        behind = known if dof is None else f"u was estimated with {dof:.3g} degrees of freedom"
+        basis = known if dof is None else f"u was estimated with {dof:.3g} degrees of freedom"
     return {
         "name": parameter.name,
-        "words": "; ".join(filter(None, (described(parameter.name), behind))),
+        "words": "; ".join(filter(None, (described(parameter.name), basis))),
         "quantity": _real(parameter.value, parameter.u, parameter.unit, degrees_of_freedom(parameter)),
         "statements": statements,
     }
 
 
 def _real(value: float, u: float | None, unit: str, degrees: float) -> dict[str, Any]:
-    """A value with its expanded uncertainty, where it has one, of a u with so many degrees of freedom; with u where
-    these are too few."""
+    """Return a value with its expanded uncertainty for so many degrees of freedom; with u if these are too few for
+    U."""
     k = stated_factor(degrees)
     return {
         "value": to_digits(value, u),
@@ -198,7 +210,7 @@ def _real(value: float, u: float | None, unit: str, degrees: float) -> dict[str,
 
 
 def to_digits(value: float, u: float | None) -> str:
-    """A value to the last of the digits of its u that are given."""
+    """Return a value, rounded to the last digit of its u."""
     if not u or value == 0.0:
         return f"{value:.12g}"
     digits = U_DIGITS + floor(log10(abs(value))) - floor(log10(u))
@@ -206,7 +218,7 @@ def to_digits(value: float, u: float | None) -> str:
 
 
 def _model(kind: SensorKind, model: SensorModel) -> dict[str, dict[str, str]]:
-    """Matrix, bias and an example, by name."""
+    """Return matrix, bias and a worked example by name."""
     unit, worked, n = UNITS[kind], linear_example(kind, model), len(model.bias)
 
     def listed(label: str, vector: Array, axes: Sequence[Any] = range(1, n + 1)) -> dict[str, str]:
@@ -222,5 +234,5 @@ def _model(kind: SensorKind, model: SensorModel) -> dict[str, dict[str, str]]:
 
 
 def _list(labels: Sequence[str], numbers: str, units: Sequence[str]) -> dict[str, Any]:
-    """Numbers, as words, with a label and a unit each."""
+    """Return numbers in words, with a label and a unit each."""
     return {"labels": " ".join(labels), "numbers": numbers, "units": " ".join(map(d_si, units))}

@@ -1,28 +1,28 @@
-"""A device type by its units: a normal hierarchical model, and the prior that it gives for the next unit.
+"""Distribution of the units of a device type (normal hierarchical model), used as the prior of the next unit.
 
-The calibration of unit i says of its parameters, with the estimate x, C and the precisions P of its priors about zero
-taken out, so that no evidence counts twice,
+The calibration of unit i has the estimate x with covariance C, from which the precisions P of its priors about zero are
+removed, so that no evidence counts twice:
 
     Λ_i = C⁻¹ − P,   h_i = Λ_i x + P x                                                                          (1)
 
-Units differ from the mean of their type by d_i ~ N(0, B) with B = diag(b), b common to the parameters of a group. With
+Units differ from the mean of their type by d_i ~ N(0, B), B = diag(b), with b common to the parameters of a group. With
 W_i = (1 + Λ_i B)⁻¹ Λ_i and w_i = (1 + Λ_i B)⁻¹ h_i, the mean and its covariance are
 
     M = (P₀ + Σ W_i)⁻¹,   μ = M Σ w_i                                                                           (2)
 
-with P₀ the usual sizes of the grade less b: a combination of parameters that no recording shows, such as of bias and K₂
-at rest, stays unknown, however many units there are. The variances b are the maximum of the restricted likelihood
-(REML), which the iteration
+where P₀ is the precision of the grade's prior less b: a combination of parameters that no recording determines, such as
+bias and K₂ at rest, stays unknown for any number of units. The variances b maximise the restricted likelihood (REML) by
+the iteration
 
     b ← b √(Σ q²/Σ p),   q = w_i − W_i μ,   p = diag(W_i − W_i M W_i)                                           (3)
 
-reaches, the sums over all units and the parameters of a group. A parameter that differs more than the others of its
-group has its own b, (3) once without the root. To every b its standard error √(2/Σ p²) is added, and what is usual of
-the grade bounds it, since few units, or recordings that say little, leave b itself uncertain. The prior of the next
-unit is N(μ, M + B), with Σ b p degrees of freedom; where units are known by means of several launches, the variance
-from launch to launch is added.
+with sums over all units and the parameters of a group. A parameter that differs more than the others of its group gets
+its own b, by (3) once without the root. The standard error √(2/Σ p²) is added to every b, and the prior of the grade
+bounds it, since b is itself uncertain with few or short recordings. The prior of the next unit is N(μ, M + B), with
+Σ b p degrees of freedom. Where units were calibrated as means of several launches, the variance between launches is
+added.
 
-Each unit counts once, by its latest calibration. One that had a prior by its type is no evidence.
+Each unit counts once, by its latest calibration. Calibrations with a prior by the type are not used.
 
 Sources: Patterson & Thompson, Biometrika 58 (1971) 545 (REML); Zhou et al., J. Comput. Graph. Stat. 28 (2019) 350,
 the iteration (3); Laird & Ware, Biometrics 38 (1982) 963, the model.
@@ -43,25 +43,23 @@ from tumble.result.parts import Parameter
 from tumble.sensors.parameters import Variable, limits_of, positions_by_group, to_temperature, variable_of
 from tumble.units import Array
 
-FEWEST_UNITS = 3
-"""Two units are no type: their variance has one degree of freedom."""
-MOST_STEPS = 300
-STILL = 1e-3
-"""Relative change of b at which the iteration ends."""
-LEAST_LEARNED = 0.05
-"""Of the variance of a prior: a recording that takes off less says nothing of a parameter."""
+MIN_UNITS = 3  # the variance of two units would have one degree of freedom
+MAX_ITERATIONS = 300
+TOLERANCE = 1e-3  # relative change of b at which the iteration ends
+MIN_LEARNED = 0.05  # share of the prior variance that a recording must remove to count as an estimate
 
-_NO_PROPERTY: tuple[Variable, ...] = ("time", "launch", "lag")
-"""What parameters change with that are no property of a device, or are positive."""
+_NOT_OF_DEVICE: tuple[Variable, ...] = ("time", "launch", "lag")
+"""Variables of parameters that are not a property of a device, or are not normally distributed (lags)."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Unit:
-    """What the calibration of a unit says of its parameters by itself: their names (m,), and Λ (m, m) and h (m,) by Eq.
-    (1), SI (`information`, `shift`); the `usual` precisions (m,) that they have without a recording, of the priors, or
-    of the limits of the values; the temperature in °C to which they refer (`reference`), None if it is not known; the
-    standard deviations of the in-run biases of "accel" and "gyro", SI; and the variances from launch to launch, if the
-    calibration is the mean of several."""
+    """Information on the m parameters of one unit by its calibration, Eq. (1).
+
+    `information` is Λ (m, m) and `shift` h (m,), SI; `usual` the precisions (m,) without a recording: of the priors, or
+    of the limits of the values; `reference` the temperature in °C to which the parameters refer, None if it is not
+    known; `in_run` the standard deviations of the in-run biases of "accel" and "gyro", SI; `launches` the variances
+    between launches, if the calibration is the mean of several."""
 
     serial: str
     names: tuple[str, ...]
@@ -73,27 +71,28 @@ class Unit:
     launches: LaunchVariances | None = None
 
     def at(self, reference: float | None) -> Unit:
-        """The same at another temperature in °C, by slopes and curvatures."""
+        """Return the information at another temperature in °C, by slopes and curvatures."""
         if reference is None or self.reference is None:
             return self
         back = to_temperature(self.names, self.reference - reference)
         information = back.T @ self.information @ back
         return replace(self, information=information, shift=back.T @ self.shift, reference=reference)
 
-    def alone(self) -> dict[str, tuple[float, float]]:
-        """Value and variance of every parameter by the recording alone, all others within their usual sizes, SI."""
+    def estimates(self) -> dict[str, tuple[float, float]]:
+        """Return value and variance, SI, of each parameter without its own prior, but with those of the others."""
         covariance = _inverse(self.information + np.diag(self.usual))
         values, variances = covariance @ self.shift, np.diag(covariance)
-        by_data = 1.0 / variances - self.usual
+        precision = 1.0 / variances - self.usual
         return {
-            name: (float(values[i] / variances[i] / by_data[i]), float(1.0 / by_data[i]))
+            name: (float(values[i] / variances[i] / precision[i]), float(1.0 / precision[i]))
             for i, name in enumerate(self.names)
-            if by_data[i] * variances[i] > LEAST_LEARNED
+            if precision[i] * variances[i] > MIN_LEARNED
         }
 
 
 def unit_of(calibration: Calibration) -> Unit | None:
-    """What a calibration says by itself, in the frame `accelerometer`; None without a covariance or with a prior."""
+    """Return the information of a calibration, in the frame `accelerometer`; None without a covariance or if it has a
+    prior by the type."""
     framed = calibration.in_frame("accelerometer")
     if calibration.provenance.prior is not None or framed.covariance is None:
         return None
@@ -117,21 +116,21 @@ def unit_by(
     reference: float | None = None,
     launches: LaunchVariances | None = None,
 ) -> Unit:
-    """What parameters with a covariance (m, m) say by Eq. (1), without those that are no property of a device."""
-    kept = [i for i, p in enumerate(parameters) if p.u and variable_of(p.name) not in _NO_PROPERTY]
-    properties, C = [parameters[i] for i in kept], covariance[np.ix_(kept, kept)]
-    values = np.array([p.value for p in properties])
-    prior = np.array([0.0 if p.prior is None else p.prior**-2 for p in properties])
+    """Return the information of parameters with a covariance (m, m), Eq. (1), for those that are of the device."""
+    kept = [i for i, p in enumerate(parameters) if p.u and variable_of(p.name) not in _NOT_OF_DEVICE]
+    parameters, C = [parameters[i] for i in kept], covariance[np.ix_(kept, kept)]
+    values = np.array([p.value for p in parameters])
+    prior = np.array([0.0 if p.prior is None else p.prior**-2 for p in parameters])
     root = np.linalg.cholesky(C)
-    share, axes = np.linalg.eigh(root.T @ (prior[:, None] * root))  # of the prior in C⁻¹, at most all
-    alone = np.linalg.solve(root.T, axes)
-    information = (alone * np.clip(1.0 - share, 0.0, None)) @ alone.T
+    share, axes = np.linalg.eigh(root.T @ (prior[:, None] * root))  # share of the prior in C⁻¹, at most 1
+    directions = np.linalg.solve(root.T, axes)
+    information = (directions * np.clip(1.0 - share, 0.0, None)) @ directions.T
     return Unit(
         serial=serial,
-        names=tuple(p.name for p in properties),
+        names=tuple(p.name for p in parameters),
         information=information,
         shift=information @ values + prior * values,
-        usual=np.where(prior > 0.0, prior, limits_of(p.name for p in properties) ** -2.0),
+        usual=np.where(prior > 0.0, prior, limits_of(p.name for p in parameters) ** -2.0),
         reference=reference,
         in_run=in_run,
         launches=launches,
@@ -139,45 +138,46 @@ def unit_by(
 
 
 def in_run_sizes(units: Sequence[Unit], kind: str) -> Array:
-    """The standard deviations of the in-run biases of the accelerometers or gyros of units, SI."""
+    """Return the standard deviations of the in-run biases of the accelerometers or gyros of units, SI."""
     return np.array([unit.in_run[kind] for unit in units if unit.in_run.get(kind, 0.0) > 0.0])
 
 
 def mean_temperature(units: Sequence[Unit]) -> float | None:
-    """The mean of the temperatures, °C, at which units were calibrated; None if none is known."""
+    """Return the mean of the reference temperatures of units, °C; None if none is known."""
     references = [unit.reference for unit in units if unit.reference is not None]
     return float(np.mean(references)) if references else None
 
 
 def run_to_run(units: Sequence[Unit], name: str) -> float | None:
-    """Standard deviation of a parameter from launch to launch, SI; None if no calibration has several launches."""
-    of_units = [u.launches for u in units if u.launches is not None and name in u.launches.variances]
-    degrees = sum(each.degrees for each in of_units)
-    return float(np.sqrt(sum(e.degrees * e.variances[name][0] for e in of_units) / degrees)) if degrees else None
+    """Return the standard deviation of a parameter between launches, SI; None if no unit has several."""
+    launches = [u.launches for u in units if u.launches is not None and name in u.launches.variances]
+    degrees = sum(each.degrees for each in launches)
+    return float(np.sqrt(sum(e.degrees * e.variances[name][0] for e in launches) / degrees)) if degrees else None
 
 
 def prior_of(units: Sequence[Unit], model: str) -> DevicePrior:
-    """The prior for another unit of a type (module docstring), by the other units, each once: of the parameters that at
-    least FEWEST_UNITS of them have, and that the type narrows more than the grade; of none if there are fewer units.
-    `model` is the type, for messages."""
+    """Return the prior of another unit of a type, called `model` in messages, from other units (module docstring).
+
+    It has the parameters that at least MIN_UNITS units have and that the type determines better than the grade; none
+    with fewer units."""
     words = f"{len(units)} other units of the type {model!r}"
-    if len(units) < FEWEST_UNITS:
-        nothing, words = np.zeros(0), f"{words}, fewer than {FEWEST_UNITS}"
+    if len(units) < MIN_UNITS:
+        nothing, words = np.zeros(0), f"{words}, fewer than {MIN_UNITS}"
         return DevicePrior(words=words, names=(), mean=nothing, covariance=np.zeros((0, 0)), degrees=nothing)
     reference = mean_temperature(units)
     units = [unit.at(reference) for unit in units]
     counts = Counter(name for unit in units for name in unit.names)
-    names = tuple(name for name in counts if counts[name] >= FEWEST_UNITS)
+    names = tuple(name for name in counts if counts[name] >= MIN_UNITS)
     usual = [[u.usual[u.names.index(name)] for u in units if name in u.names] for name in names]
     size = np.array([min(each) for each in usual]) ** -0.5  # parameters in units of their usual sizes
-    evidence = [_of_names(unit, names) for unit in units]
-    information = np.array([data * np.outer(size, size) for data, _ in evidence])
-    shift = np.array([pull * size for _, pull in evidence])
+    marginals = [_marginal(unit, names) for unit in units]
+    information = np.array([each * np.outer(size, size) for each, _ in marginals])
+    shift = np.array([each * size for _, each in marginals])
     variances, degrees = _variances(information, shift, list(positions_by_group(names).values()))
     mean, M, _, _ = _mean(information, shift, variances)
     launches = np.array([(run_to_run(units, name) or 0.0) ** 2 for name in names])
     covariance = (M + np.diag(variances)) * np.outer(size, size) + np.diag(launches)
-    kept = np.flatnonzero(np.diag(covariance) < [1.0 / max(each) for each in usual])  # what says more than the grade
+    kept = np.flatnonzero(np.diag(covariance) < [1.0 / max(each) for each in usual])  # better than the grade
     sizes = {kind: in_run_sizes(units, kind) for kind in ("accel", "gyro")}
     return DevicePrior(
         words=words,
@@ -186,28 +186,28 @@ def prior_of(units: Sequence[Unit], model: str) -> DevicePrior:
         covariance=covariance[np.ix_(kept, kept)],
         degrees=degrees[kept],
         reference=reference,
-        in_run={kind: float(np.exp(np.log(s).mean())) for kind, s in sizes.items() if len(s) >= FEWEST_UNITS},
+        in_run={kind: float(np.exp(np.log(s).mean())) for kind, s in sizes.items() if len(s) >= MIN_UNITS},
     )
 
 
-def _of_names(unit: Unit, names: Sequence[str]) -> tuple[Array, Array]:
-    """Information (n, n) and shift (n,) on the parameters `names`; others are within their usual sizes."""
+def _marginal(unit: Unit, names: Sequence[str]) -> tuple[Array, Array]:
+    """Return information (n, n) and shift (n,) on the parameters `names`, the others eliminated with their priors."""
     rows = [i for i, name in enumerate(names) if name in unit.names]
-    places = [unit.names.index(names[i]) for i in rows]
-    others = [i for i in range(len(unit.names)) if i not in places]
-    by = unit.information[np.ix_(places, others)] @ _inverse(
+    kept = [unit.names.index(names[i]) for i in rows]
+    others = [i for i in range(len(unit.names)) if i not in kept]
+    gain = unit.information[np.ix_(kept, others)] @ _inverse(
         unit.information[np.ix_(others, others)] + np.diag(unit.usual[others])
     )
     information, shift = np.zeros((len(names), len(names))), np.zeros(len(names))
     information[np.ix_(rows, rows)] = (
-        unit.information[np.ix_(places, places)] - by @ unit.information[np.ix_(others, places)]
+        unit.information[np.ix_(kept, kept)] - gain @ unit.information[np.ix_(others, kept)]
     )
-    shift[rows] = unit.shift[places] - by @ unit.shift[others]
+    shift[rows] = unit.shift[kept] - gain @ unit.shift[others]
     return information, shift
 
 
 def _mean(information: Array, shift: Array, b: Array) -> tuple[Array, Array, Array, Array]:
-    """μ (m,) and M (m, m) by Eq. (2), and q and p (n, m) of Eq. (3), of units (n, m, m), (n, m)."""
+    """Return μ (m,) and M (m, m) by Eq. (2), and q and p (n, m) of Eq. (3), of units (n, m, m), (n, m)."""
     one = np.eye(len(b))
     W = np.linalg.solve(one + information * b, information)
     w = np.linalg.solve(one + information * b, shift[..., None])[..., 0]
@@ -218,15 +218,16 @@ def _mean(information: Array, shift: Array, b: Array) -> tuple[Array, Array, Arr
 
 
 def _variances(information: Array, shift: Array, groups: Sequence[Sequence[int]]) -> tuple[Array, Array]:
-    """The variances b (m,) between units with their standard errors added, and their degrees of freedom (m,)."""
+    """Return the variances b (m,) between units, with their standard errors added, and their degrees of freedom
+    (m,)."""
     b = np.full(shift.shape[1], 0.1)
-    for _ in range(MOST_STEPS):
+    for _ in range(MAX_ITERATIONS):
         _, _, q, p = _mean(information, shift, b)
         before = b.copy()
         for members in groups:
             b[members] *= np.sqrt((q[:, members] ** 2).sum() / max(p[:, members].sum(), 1e-300))
         b = np.clip(b, 1e-14, 1.0)
-        if np.all(np.abs(b - before) < STILL * before):
+        if np.all(np.abs(b - before) < TOLERANCE * before):
             break
     _, _, q, p = _mean(information, shift, b)
     b = np.maximum(b, b * (q**2).sum(axis=0) / np.maximum(p.sum(axis=0), 1e-300))
@@ -238,7 +239,7 @@ def _variances(information: Array, shift: Array, groups: Sequence[Sequence[int]]
 
 
 def _inverse(matrix: Array) -> Array:
-    """The inverse of a symmetric matrix whose rows may be of very different sizes."""
+    """Return the inverse of a symmetric matrix with rows of very different scale."""
     size = np.sqrt(np.diag(matrix))
     inverse = np.linalg.inv(matrix / np.outer(size, size)) / np.outer(size, size)
     return np.asarray(0.5 * (inverse + inverse.T))

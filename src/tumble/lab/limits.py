@@ -1,7 +1,7 @@
-"""Acceptance limits of a device type, and when its devices are to be calibrated again, from their file (TOML).
+"""Acceptance limits of a device type, and intervals between calibrations, read from a TOML file.
 
-[incoming] and [periodic] give them by parameter ("accel.bias.x") or by kind ("accel.bias"); the longer name goes
-before. A limit is "5 mg", which is ±5 mg about zero, or a table with min and max.
+[incoming] and [periodic] give limits of a parameter ("accel.bias.x") or a group ("accel.bias"); the longer name takes
+precedence. A limit is a text such as "5 mg", for ±5 mg, or a table with min and max.
 """
 
 from __future__ import annotations
@@ -20,19 +20,21 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from tumble.documents import text_of_document, toml_of, validated
 from tumble.errors import did_you_mean
 from tumble.sensors.frames import FRAMES, Frame
-from tumble.sensors.parameters import group_of, groups, meant_by, quantity_of
+from tumble.sensors.parameters import group_of, groups, name_covers, quantity_of
 
 Occasion = Literal["incoming", "periodic"]
 OCCASIONS: tuple[Occasion, ...] = get_args(Occasion)
-"""The checks that there may be limits for."""
+"""Checks that may have limits."""
 
 _FORMS = 'a text such as "5 mg", or a table with min and max'
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Limits:
-    """Acceptance limits of a device type: the lowest and the highest value (SI) by check and by parameter or kind;
-    months between the calibrations of a type, and of the devices, by serial number, that have their own."""
+    """Acceptance limits of a device type.
+
+    `checks` has the lowest and the highest value (SI) by check and by parameter or group; `months` is the interval
+    between calibrations, `device_months` those of single devices by serial number."""
 
     frame: str
     checks: Mapping[Occasion, Mapping[str, tuple[float, float]]]
@@ -40,23 +42,14 @@ class Limits:
     device_months: Mapping[str, int]
 
     def of(self, name: str, occasion: Occasion) -> tuple[float, float] | None:
-        """The lowest and the highest value (SI) of a parameter; None where it has no limit."""
+        """Return the lowest and the highest value (SI) of a parameter, None without a limit."""
         by_key = self.checks.get(occasion, {})
-        longest = max((key for key in by_key if meant_by(key, name)), key=len, default=None)
+        longest = max((key for key in by_key if name_covers(key, name)), key=len, default=None)
         return None if longest is None else by_key[longest]
-
-    def interval(self, serial: str) -> int | None:
-        """Months between calibrations of a device."""
-        return self.device_months.get(serial, self.months)
-
-    def due(self, serial: str, performed: date) -> date | None:
-        """The day the next calibration of a device is due; None without an interval."""
-        months = self.interval(serial)
-        return None if months is None else months_later(performed, months)
 
 
 def months_later(day: date, months: int) -> date:
-    """The same day so many months later, or the last one of a month that is too short."""
+    """Return the same day of a later month, or its last day if that month is shorter."""
     year, month = divmod(day.year * 12 + day.month - 1 + months, 12)
     return date(year, month + 1, min(day.day, calendar.monthrange(year, month + 1)[1]))
 
@@ -66,7 +59,7 @@ _MONTHS = "a whole number of months from 1 to 1200"
 
 
 class _LimitsFile(BaseModel):
-    """The tables and keys of a file of limits."""
+    """Schema of a file of limits."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
 
@@ -87,7 +80,7 @@ class _LimitsFile(BaseModel):
 
     @property
     def checks(self) -> dict[Occasion, dict[str, tuple[float, float]]]:
-        """The limits of each check, by the name of a parameter or a kind. Raises ValueError."""
+        """Limits of each check by the name of a parameter or a group. Raises ValueError."""
         return {
             occasion: {key: _limit(key, value, f"{occasion}: {key}") for key, value in getattr(self, occasion).items()}
             for occasion in OCCASIONS
@@ -96,8 +89,7 @@ class _LimitsFile(BaseModel):
 
 
 def _limit(key: str, value: Any, where: str) -> tuple[float, float]:
-    """The lowest and the highest value, SI, of a limit as it is typed, under the name of a parameter or a kind. Raises
-    ValueError."""
+    """Return the lowest and the highest value, SI, of a limit as it is written. Raises ValueError."""
     try:
         kind = group_of(key)
     except KeyError:
@@ -106,8 +98,8 @@ def _limit(key: str, value: Any, where: str) -> tuple[float, float]:
             f"{where}: {expected} {key!r}{did_you_mean(key, (group.name for group in groups()))}"
         ) from None
     typed = value if isinstance(value, dict) else {"size": value}
-    right_keys = set(typed) <= {"min", "max"} if isinstance(value, dict) else True
-    if not typed or not right_keys or not all(isinstance(text, str) for text in typed.values()):
+    known_keys = set(typed) <= {"min", "max"} if isinstance(value, dict) else True
+    if not typed or not known_keys or not all(isinstance(text, str) for text in typed.values()):
         raise ValueError(f"{where}: expected {_FORMS}, found {value!r}")
     try:
         sizes = {name: quantity_of(kind, text) for name, text in typed.items()}
@@ -122,14 +114,14 @@ def _limit(key: str, value: Any, where: str) -> tuple[float, float]:
     return low, high
 
 
-def limits_of(path: Path) -> Limits:
-    """The limits of a file. Raises InputError, one line."""
+def read_limits(path: Path) -> Limits:
+    """Read acceptance limits from a file. Raises InputError."""
     return parse_limits(text_of_document(path), str(path))
 
 
 @lru_cache(maxsize=64)
 def parse_limits(text: str, name: str) -> Limits:
-    """The limits of the text of a file, called so in messages. Raises InputError, one line."""
+    """Read acceptance limits from the text of a file, with its `name` for messages. Raises InputError."""
     file = validated(_LimitsFile, toml_of(text, name), name)
     return Limits(
         frame=file.frame,

@@ -1,7 +1,7 @@
-"""Reports with acceptance limits, and certificates: what the laboratory adds to `tumble.views.report`.
+"""Reports with acceptance limits, and certificates.
 
-Both have a section on the limits after the result. A certificate has laboratory, customer, dates, statements and
-signatures beside the result, and no causes and no advice.
+Both have a section on the limits after the result. A certificate also has laboratory, customer, dates, statements and
+signatures, but neither causes nor advice.
 """
 
 from __future__ import annotations
@@ -17,9 +17,25 @@ from typing import Literal
 from tumble.documents import check_regular
 from tumble.errors import InputError
 from tumble.files import FilePath, ending_in
-from tumble.lab.certificate import RELATES, Certificate, Party, check_certificate, judged_by, read_certificate
-from tumble.lab.conformity import RESULTS, RISK, RULE, LimitJudgement, Result, Verdict, in_percent, verdicts
-from tumble.lab.limits import Limits, limits_of
+from tumble.lab.certificate import (
+    SCOPE_STATEMENT,
+    Certificate,
+    Party,
+    certificate_limits,
+    check_certificate,
+    read_certificate,
+)
+from tumble.lab.conformity import (
+    DECISION_RULE,
+    RESULTS_WORST_FIRST,
+    RISK_DEFINITION,
+    LimitJudgement,
+    Result,
+    Verdict,
+    judge_calibration,
+    risk_text,
+)
+from tumble.lab.limits import Limits, read_limits
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import expanded
 from tumble.result.further import remarks
@@ -50,7 +66,7 @@ from tumble.views.report.document import (
     write_document,
 )
 from tumble.views.report.result import value_blocks, verdict_blocks
-from tumble.views.uncertainty_budget import SHOWN
+from tumble.views.uncertainty_budget import MIN_SHARE
 
 TONES: Mapping[Result, Tone] = {
     "pass": "good",
@@ -59,45 +75,44 @@ TONES: Mapping[Result, Tone] = {
     "undecided": "bad",
     "fail": "bad",
 }
-"""The colour of each result of a check."""
-_RULE = f"{RULE[0].upper()}{RULE[1:]}. {RISK[0].upper()}{RISK[1:]}."
+"""Tone of each result of a check."""
+_RULE = f"{DECISION_RULE[0].upper()}{DECISION_RULE[1:]}. {RISK_DEFINITION[0].upper()}{RISK_DEFINITION[1:]}."
 _CHECKS = {"incoming": "Incoming inspection", "periodic": "Periodic check"}
 _FOR_THE_OPERATOR = ("[", "`", "--", "tumble ", "let ")
-"""What only speaks to those who run the program has one of these: keys, commands, options, advice."""
+"""Clauses with one of these name keys, commands or options, or give advice, and have no place in a certificate."""
 
 
 def write_judged_report(
     calibrations: Calibration | FilePath | Sequence[Calibration | FilePath], out: FilePath, limits: FilePath
 ) -> list[str]:
-    """Write the report of calibrations of one device, or of their files, into an .html file, with the verdict by a file
-    of acceptance limits.
+    """Write the report of calibrations of one device into an .html file, with verdicts by a file of acceptance limits.
 
-    Returns why a calibration is not accepted, and what is not within the limits. Raises InputError for files that
+    Returns the reasons why calibrations are not accepted or not within the limits. Raises InputError for files that
     cannot be used, MissingExtraError without the extra `tumble[lab]`."""
     ending_in(Path(out), ".html")
-    acceptance, sources = limits_of(Path(limits)), sources_of(calibrations)
-    checks = [verdicts(source.calibration, acceptance) for source in sources]
-    document = report_of(sources, [[limits_section(acceptance, each)] for each in checks])
-    return _written(document, out, sources, checks)
+    acceptance, sources = read_limits(Path(limits)), sources_of(calibrations)
+    checks = [judge_calibration(source.calibration, acceptance) for source in sources]
+    document = report_of(sources, [[limits_section(acceptance, verdicts)] for verdicts in checks])
+    return _write(document, out, sources, checks)
 
 
 def write_certificate(
     calibrations: Calibration | FilePath | Sequence[Calibration | FilePath], out: FilePath, certificate: FilePath
 ) -> list[str]:
-    """Write the certificate of one calibration, or of its file, into an .html or .pdf file; `certificate` is the file
-    with laboratory, customer, dates and statements.
+    """Write the certificate of one calibration into an .html or .pdf file; `certificate` is the file of its laboratory,
+    customer, dates and statements.
 
-    Returns why the calibration is not accepted, and what is not within the limits that the certificate names. Raises
+    Returns the reasons why the calibration is not accepted or not within the limits that the certificate names. Raises
     InputError for files that cannot be used, several calibrations, and a calibration without a date, MissingExtraError
     without the extra `tumble[lab]`."""
     ending_in(Path(out), ".html", ".pdf")
     stated, sources = read_certificate(Path(certificate)), sources_of(calibrations)
-    acceptance = judged_by(stated)
+    acceptance = certificate_limits(stated)
     if len(sources) > 1:
         raise InputError(f"--certificate: expected one calibration, found {len(sources)}")
     calibration = sources[0].calibration
     as_found = check_certificate(stated, calibration)
-    checks = [] if acceptance is None else verdicts(calibration, acceptance)
+    checks = [] if acceptance is None else judge_calibration(calibration, acceptance)
     verdict, tone = verdict_on([calibration])
     document = Document(
         title="Calibration certificate",
@@ -113,50 +128,52 @@ def write_certificate(
         number=stated.number,
         letterhead=letterhead(stated.laboratory),
     )
-    return _written(document, out, sources, [checks])
+    return _write(document, out, sources, [checks])
 
 
-def _written(
+def _write(
     document: Document, out: FilePath, sources: Sequence[ReportedFile], checks: Sequence[Sequence[Verdict]]
 ) -> list[str]:
-    """Write a document with the verdicts by the limits, and the worst of them as its badge, on the first page; what is
-    not accepted or not within the limits, each with its file."""
+    """Write a document with the worst verdict as its badge on the first page, and return why calibrations are not
+    accepted or not within the limits, by file."""
     worst: dict[str, Result] = {}
     for verdict in chain(*checks):
-        worst[verdict.occasion] = min(verdict.result, worst.get(verdict.occasion, "pass"), key=RESULTS.index)
+        worst[verdict.occasion] = min(
+            verdict.result, worst.get(verdict.occasion, "pass"), key=RESULTS_WORST_FIRST.index
+        )
     if worst:
-        by_check = (f"{occasion} check: {result}" for occasion, result in worst.items())
-        fact = ("verdict", ", ".join([f"calibration {document.verdict}", *by_check]))
+        results = (f"{occasion} check: {result}" for occasion, result in worst.items())
+        fact = ("verdict", ", ".join([f"calibration {document.verdict}", *results]))
         document = replace(document, facts=(*document.facts, fact))
         if all(source.calibration.outcome.accepted for source in sources):
-            result = min(worst.values(), key=RESULTS.index)
+            result = min(worst.values(), key=RESULTS_WORST_FIRST.index)
             document = replace(document, verdict=result, tone=TONES[result])
     write_document(document, out)
     return reasons_of(sources) + [
         f"{source.file}: {verdict.occasion} check: {'; '.join(verdict.reasons)}"
-        for source, judged in zip(sources, checks, strict=True)
-        for verdict in judged
+        for source, verdicts in zip(sources, checks, strict=True)
+        for verdict in verdicts
         if verdict.result != "pass"
     ]
 
 
 def limits_section(acceptance: Limits, checks: Sequence[Verdict]) -> Section:
-    """The decision rule, and every parameter against the limits of all checks with the verdicts."""
+    """Return the section with the decision rule and the verdicts on all parameters that have limits."""
     blocks: list[Block] = [f"{_RULE} Limits hold in the frame “{acceptance.frame}”."]
     for verdict in checks:
         reasons = f" ({'; '.join(verdict.reasons)})" if verdict.reasons else ""
-        sentence = f"{_CHECKS[verdict.occasion]}: {verdict.result}{reasons}.{verdict.whole_risk}"
+        sentence = f"{_CHECKS[verdict.occasion]}: {verdict.result}{reasons}.{verdict.risk_sentence}"
         blocks += [Text(text=sentence, tone=TONES[verdict.result]), _judgement_table(verdict.judgements)]
     return section("Limits and verdict", *blocks)
 
 
 def _judgement_table(judgements: Sequence[LimitJudgement]) -> Table:
-    """Every parameter that has a limit, with the verdict on it."""
+    """Return a table of the parameters that have a limit, with their verdicts."""
 
     def row(j: LimitJudgement, size: float, unit: str) -> dict[str, str]:
         value, U = cells(j.value, j.expanded, size)
         row = {"low": limit_cell(j.low, size), "value": value, "U": U, "high": limit_cell(j.high, size)}
-        return row | {"unit": unit, "verdict": j.result, "risk": in_percent(j.risk)}
+        return row | {"unit": unit, "verdict": j.result, "risk": risk_text(j.risk)}
 
     sizes = ((j.name, size, j.unit) for j in judgements for size in (j.value, j.low, j.high) if size is not None)
     units = units_of_values(each for each in sizes if math.isfinite(each[1]))
@@ -169,31 +186,31 @@ def _judgement_table(judgements: Sequence[LimitJudgement]) -> Table:
 def _sections(
     source: ReportedFile, acceptance: Limits | None, checks: Sequence[Verdict], as_found: Calibration | None
 ) -> Iterator[Section]:
-    """What a certificate states: beside value and U of a parameter also the value from before an adjustment, coverage
-    factor and degrees of freedom."""
+    """Yield the sections of a certificate. Its table of parameters adds coverage factor, degrees of freedom and the
+    value as found."""
     calibration = source.calibration
 
-    def further(p: Parameter, size: float) -> dict[str, str]:
+    def extra_columns(p: Parameter, size: float) -> dict[str, str]:
         row = {"k": factor(p), "ν": degrees(p)}
         if as_found is not None:
             before = as_found[p.name].value if p.name in as_found else None
             row["as found"] = to_digits_of(before, expanded(p), size)
         return row
 
-    yield section("Result", *verdict_blocks(calibration), *value_blocks(calibration, further))
+    yield section("Result", *verdict_blocks(calibration), *value_blocks(calibration, extra_columns))
     if acceptance is not None:
         yield limits_section(acceptance, checks)
-    kept = (
+    clauses = (
         "; ".join(clause for clause in note.split("; ") if not any(mark in clause for mark in _FOR_THE_OPERATOR))
         for note in (*calibration.provenance.assumptions, *calibration.provenance.notes)
     )
-    every = (notes(*remarks(calibration), *filter(None, kept)), *annexes(calibration, "c", short=True))
-    yield from (each for each in every if each is not None)
+    further = (notes(*remarks(calibration), *filter(None, clauses)), *annexes(calibration, "c", short=True))
+    yield from (each for each in further if each is not None)
     yield provenance(source)
 
 
 def letterhead(laboratory: Party) -> Letterhead:
-    """Name, address, accreditation number and logo. Raises InputError for a logo that is none."""
+    """Return the letterhead of a laboratory. Raises InputError if its logo is not a picture."""
     lines = [laboratory.address]
     lines += [laboratory.email] if laboratory.email else []
     lines += [f"accreditation {laboratory.code}"] if laboratory.code else []
@@ -212,20 +229,19 @@ def letterhead(laboratory: Party) -> Letterhead:
 
 
 def _statements(certificate: Certificate, calibration: Calibration, checks: Sequence[Verdict]) -> tuple[str, ...]:
-    """What stands above the signatures: by which rule the `checks` were judged, what priors rest on, traceability,
-    remarks, and what it all relates to."""
+    """Return the statements above the signatures: decision rule, basis of the priors, traceability, remarks, scope."""
     agreed = f" Agreed beforehand: {certificate.agreed}." if certificate.agreed else ""
-    rule = f"{_RULE}{agreed}{''.join(check.whole_risk for check in checks)}" if certificate.limits else ""
+    rule = f"{_RULE}{agreed}{''.join(check.risk_sentence for check in checks)}" if certificate.limits else ""
     traced = f"Traceability: {'; '.join(certificate.traceability)}." if certificate.traceability else ""
-    stated = (rule, _statement_of_priors(calibration), traced, *certificate.remarks, RELATES)
+    stated = (rule, _statement_of_priors(calibration), traced, *certificate.remarks, SCOPE_STATEMENT)
     return tuple(filter(None, stated))
 
 
 def _statement_of_priors(calibration: Calibration) -> str:
-    """What the sizes of priors rest on, and their share of u² by group of parameters; nothing without any."""
+    """Return a sentence on the basis of the priors and their shares of u² by parameter group; empty without any."""
     clauses = []
     for basis, shares in shares_of_priors(calibration).items():
-        largest = sorted(((share, group) for group, share in shares.items() if share >= SHOWN), reverse=True)
+        largest = sorted(((share, group) for group, share in shares.items() if share >= MIN_SHARE), reverse=True)
         if largest:
             clauses.append(f"by the {basis}: {', '.join(f'{percent(share)} of {group}' for share, group in largest)}")
     if not clauses:

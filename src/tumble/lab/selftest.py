@@ -1,9 +1,7 @@
-"""The reference cases on the user's machine, and a record of them: what software validation after ISO/IEC 17025 (7.11)
-asks to be kept.
+"""Reference cases run on the user's machine, with a record for software validation after ISO/IEC 17025 (7.11).
 
-Each case compares a figure with a value known from elsewhere (published, closed form, simulated truth) and states the
-limit that the difference must keep. The record names the machine, the versions, a hash of every source file of the
-program, and who ran it.
+Each case compares a figure with a value known from elsewhere (published, closed form, simulated truth). The record
+names the machine, the versions, a hash of every source file of the program, and who ran it.
 """
 
 from __future__ import annotations
@@ -44,7 +42,7 @@ LIBRARIES = ("numpy", "scipy", "polars", "pydantic")
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SelftestCase:
-    """A reference case: what is compared with what, the figure found and the least and largest it may be."""
+    """A reference case: the `figure` found must be from `low` to `high`."""
 
     json_fields: ClassVar = ("name", "source", "figure", "low", "high", "unit", "passed")
 
@@ -57,13 +55,13 @@ class SelftestCase:
 
     @property
     def passed(self) -> bool:
-        """Whether the figure keeps its limits; one that is not a number does not."""
+        """Whether the figure is within its limits; NaN is not."""
         return self.low <= self.figure <= self.high
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SelftestRecord:
-    """All cases, with who ran them, when, on what and with what."""
+    """Results of all cases, with operator, date, machine and versions."""
 
     json_fields: ClassVar = ("by", "date", "software", "machine", "versions", "source_sha256", "cases", "passed")
 
@@ -80,8 +78,8 @@ class SelftestRecord:
         return all(case.passed for case in self.cases)
 
     def write(self, path: FilePath) -> None:
-        """Write the record as JSON, whole or not at all; its last key is the SHA-256 of all before it: of their JSON
-        without blanks, keys in order, in UTF-8."""
+        """Write the record as JSON. Its last key is the SHA-256 of the keys before it, as canonical JSON (no blanks,
+        keys sorted) in UTF-8."""
         content: dict[str, Any] = as_json(self)
         text = json.dumps(content, sort_keys=True, ensure_ascii=False, separators=(",", ":"))
         content["sha256"] = hashlib.sha256(text.encode()).hexdigest()
@@ -90,8 +88,17 @@ class SelftestRecord:
 
 
 def run_selftest(*, by: str | None = None, progress: Callable[[str], None] = lambda _name: None) -> SelftestRecord:
-    """Run all cases, as the user of that name; `progress` is told the name of each before it runs.
+    """Run all cases.
 
+    Parameters
+    ----------
+    by
+        Name of the operator; default: the name of the user.
+    progress
+        Function that is called with the name of each case before it runs.
+
+    Examples
+    --------
     >>> import tumble
     >>> tumble.run_selftest().passed
     True
@@ -103,7 +110,7 @@ def run_selftest(*, by: str | None = None, progress: Callable[[str], None] = lam
     if by is None:
         try:
             by = getpass.getuser()
-        except (KeyError, OSError):  # the user has no name, as in a container
+        except (KeyError, OSError):  # the user has no name, for example in a container
             by = f"user {os.getuid()}"
     package = Path(tumble.__file__).parent
     sources = sorted(
@@ -128,7 +135,7 @@ def run_selftest(*, by: str | None = None, progress: Callable[[str], None] = lam
 
 
 def selftest_blocks(record: SelftestRecord) -> list[Block]:
-    """The cases, on which machine they ran, and whether all passed."""
+    """Return a table of the cases, the machine, and whether all passed."""
     rows = []
     for case in record.cases:
         allowed = f"{case.low:g} … {case.high:g}" if case.low > 0.0 else f"≤ {case.high:g}"
@@ -182,7 +189,7 @@ def _noiseless() -> Iterator[SelftestCase]:
         ("rough table", Setup.of(noise_factor=0.0, rest=4.0, rate_deg_s=30.0)),
         ("by hand", Setup.of(grade="mems", positions=15, rest=3.0, noise_factor=0.0)),
     ):
-        session, truth = _drawn(setup)
+        session, truth = _simulate(setup)
         calibration = calibrate(session, terms="linear")
         worst = max((abs(p.value - truth[p.name]) for p in calibration.parameters), default=np.inf)
         name = f"{place}, no noise: worst of {len(calibration.parameters)} parameters"
@@ -191,7 +198,7 @@ def _noiseless() -> Iterator[SelftestCase]:
 
 def _noisy_table() -> Iterator[SelftestCase]:
     """a simulated device on a rough table, with noise, and the file of its calibration"""
-    session, truth = _drawn(Setup.of(rest=20.0, terms="full"))
+    session, truth = _simulate(Setup.of(rest=20.0, terms="full"))
     calibration = calibrate(session)
     z = np.array([(p.value - truth[p.name]) / p.u for p in calibration.parameters if p.u])
     name = f"rough table: rms of (value − truth)/u of {len(z)} parameters"
@@ -211,7 +218,7 @@ def _noisy_table() -> Iterator[SelftestCase]:
 
 def _exchanged_columns() -> Iterator[SelftestCase]:
     """a recording with two exchanged gyro columns, which must be refused"""
-    session, _ = _drawn(Setup.of(grade="mems", positions=12, rest=3.0))
+    session, _ = _simulate(Setup.of(grade="mems", positions=12, rest=3.0))
     gyro = session.log.gyro
     assert gyro is not None
     x, y, z = gyro.columns
@@ -220,7 +227,7 @@ def _exchanged_columns() -> Iterator[SelftestCase]:
     yield SelftestCase(name=name, source="must be 1", figure=float(refused), low=1.0, high=1.0)
 
 
-def _drawn(setup: Setup) -> tuple[Session, Mapping[str, float]]:
-    """The session of a set-up in memory, and its truth."""
+def _simulate(setup: Setup) -> tuple[Session, Mapping[str, float]]:
+    """Simulate a session in memory, and return it with its truth."""
     scenario = scenario_of(setup, np.random.default_rng(1), serial=f"{setup.instrument}-1")
     return session_in_memory(scenario, np.random.default_rng([1, 1])), scenario.truth

@@ -1,27 +1,27 @@
 """Test of a calibration with a few rests of its device and the turns between them.
 
-The likelihood is that of the method joint, with everything known of the parameters as one prior. Let x be the deviation
-of gravity and of the parameters from the values of the calibration, and P its prior covariance. With the attitudes and
-the in-run biases eliminated, the session gives
+The likelihood is that of the method joint, with one prior of all parameters. Let x be the deviation of gravity and the
+parameters from the calibration, and P its prior covariance. With attitudes and in-run biases eliminated, the session
+gives
 
     d = R x + n,   n ~ N(0, 1),   S = 1 + R P Rᵀ = L Lᵀ,   z = L⁻¹ d,   G = L⁻¹ R                                (1)
 
-and residuals that no x explains. If nothing has changed, z ~ N(0, 1). A change a of the parameter j, beyond what P
-allows, has the estimate, the standard uncertainty and the test statistic
+and residuals that no x explains. If nothing has changed, z ~ N(0, 1). A change a of parameter j beyond P has the
+estimate, standard uncertainty and test statistic
 
     a = g_jᵀ z / g_jᵀ g_j,   u = 1/|g_j|,   t_j = a/u   (2)
 
-The t_j of all parameters that the session determines are correlated as the columns g_j are. If P were exact they would
-be normal. P is estimated, and t_j has Student's t distribution with ν_j degrees of freedom,
+The t_j of the parameters that the session determines are correlated as the columns g_j are. If P were exact they would
+be normal. As P is estimated, t_j has Student's t distribution with ν_j degrees of freedom,
 
     1/√ν_j = q_jᵀ D q_j,   q_j = Gᵀ g_j u_j   (3)
 
-where D is the uncertainty of P (`tumble.use.check`, Eq. (1)), all parts of which are taken as wrong together. The
-largest |t_j| is compared with the quantile of the largest of such numbers that is exceeded with the probability CHANCE.
-If it is larger, its parameter is given a wide prior, everything is solved again, and so on, which gives the changes
-together. By Bonferroni's inequality, the probability that chance makes the largest of m statistics as large is at most
-2 m T_ν(−|t|), with T_ν the distribution function of Student's t. What no change explains is judged by χ² = |z|² and the
-residuals, at MISFIT_CHANCE. A change that is smaller than what turning the device on again does is not detected.
+where D is the uncertainty of P (`tumble.use.check`, Eq. (1)), with all its parts fully correlated. The largest |t_j| is
+compared with the quantile of the maximum of such numbers that is exceeded with the probability CHANCE. If it is larger,
+its parameter gets a wide prior and everything is solved again, and so on, which estimates the changes together. By
+Bonferroni's inequality, the p-value of the largest of m statistics is at most 2 m T_ν(−|t|), with T_ν the distribution
+function of Student's t. What no change explains is judged by χ² = |z|² and the residuals, at MISFIT_CHANCE. Changes
+that are smaller than those of turning the device on again are not detected.
 """
 
 from __future__ import annotations
@@ -49,38 +49,29 @@ from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import group_name, limits_of, positions_by_group
 from tumble.units import Array
 
-CHANCE = 0.009
-"""Probability that the largest of the tests finds a change where there is none."""
-MISFIT_CHANCE = 0.001
-"""Probability that the test of χ² fails where nothing is wrong."""
-POWER = 0.9
-"""Probability with which a change of the detectable size is found."""
+CHANCE = 0.009  # probability that the largest statistic finds a change if there is none
+MISFIT_CHANCE = 0.001  # probability that the test of χ² fails if nothing is wrong
+POWER = 0.9  # probability of finding a change of the detectable size
 MOST_CHANGES = 6
-AS_LIKELY = 4.0
-"""χ² by which another change may explain less and still be named beside the one that explains most."""
+RIVAL_CHI_SQUARE = 4.0  # another change is named too if it explains χ² as well as the best to within this
 DRAWS = 20_000
-_LEAST_ROOT = 1e-2  # of χ²/ν
+LEAST_ROOT = 1e-2  # of χ²/ν
 CONVERGED = 1e-2  # of the standard uncertainty
 MAX_ITERATIONS = 12
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class CheckPrior:
-    """Prior of gravity and the m parameters of an instrument at the time of a check, SI.
-
-    `values` (m,) are the parameters by the calibration at the temperature of the check, to which `to_temperature`
-    (1 + m, 1 + m) has taken gravity and the parameters; `calibrated` (1 + m, 1 + m) is their covariance Σ, `turned_on`
-    (1 + m,) the variances of what turning the device on again changes, both estimated with 1/`inverse_degrees` and
-    1/`turned_on_inverse_degrees` (1 + m,) degrees of freedom. `components` are those of variance beside the noise."""
+    """Prior of gravity and the m parameters of an instrument at the time of a check, SI."""
 
     instrument: Instrument
-    values: Array
-    calibrated: Array
-    turned_on: Array
-    inverse_degrees: Array
-    turned_on_inverse_degrees: Array
-    to_temperature: Array
-    components: VarianceComponents
+    values: Array  # (m,), of the parameters by the calibration at the temperature of the check
+    calibrated: Array  # (1 + m, 1 + m): their covariance Σ, with gravity
+    turned_on: Array  # (1 + m,): variances of the changes when the device is turned on again
+    inverse_degrees: Array  # (1 + m,): inverse degrees of freedom of the covariance
+    turned_on_inverse_degrees: Array  # (1 + m,): and of these variances
+    to_temperature: Array  # (1 + m, 1 + m): takes gravity and the parameters to the temperature of the check
+    components: VarianceComponents  # variances beside the noise
 
     @property
     def covariance(self) -> Array:
@@ -89,11 +80,11 @@ class CheckPrior:
 
     @property
     def covariance_u(self) -> Array:
-        """D (1 + m, 1 + m) of Eq. (3), the uncertainty of P."""
+        """D (1 + m, 1 + m), the uncertainty of P, Eq. (3)."""
         return self.u_of_calibrated(self.calibrated) + np.diag(self.turned_on * np.sqrt(self.turned_on_inverse_degrees))
 
     def u_of_calibrated(self, calibrated: Array) -> Array:
-        """The part of D that belongs to a covariance Σ of the calibration."""
+        """Return the part of D due to a covariance Σ of the calibration."""
         N = self.inverse_degrees**0.25
         return np.asarray(N[:, None] * calibrated * N)
 
@@ -122,52 +113,47 @@ class ChangedParameter:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ParameterTest:
-    """Test of a parameter as if it alone had changed: the `change` and its standard uncertainty, and the `detectable`
-    change, which is found with the probability POWER, all SI."""
+    """Test of a parameter as if it alone had changed, SI."""
 
     name: str
     unit: str
     change: float
     u: float
-    detectable: float
+    detectable: float  # change that is found with the probability POWER
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class CheckResult:
-    """Tests of all parameters that a session determines, by name, and what has changed beyond the prior.
-
-    `largest` is the largest of |change|/u, which is compared with the quantile `limit`; `unseen` are groups of linear
-    parameters that the session does not determine, `misfit` the residuals that no change explains. `values` (m,) and
-    `covariance` (m, m) are those of the parameters by calibration and check together."""
+    """Result of the test of a calibration with a session."""
 
     changes: tuple[ChangedParameter, ...]
-    tests: Mapping[str, ParameterTest]
-    largest: float
-    limit: float
-    unseen: tuple[str, ...]
-    misfit: Fit
-    values: Array
-    covariance: Array
+    tests: Mapping[str, ParameterTest]  # of all parameters that the session determines, by name
+    largest: float  # of all |change|/u
+    limit: float  # quantile with which it is compared
+    unseen: tuple[str, ...]  # groups of linear parameters that the session does not determine
+    misfit: Fit  # of the residuals that no change explains
+    values: Array  # (m,), of the parameters by calibration and check together
+    covariance: Array  # (m, m)
 
     @property
     def explained(self) -> bool:
-        """Whether chance and the changes explain the session."""
+        """True if chance and the changes explain the session."""
         return self.misfit.probability >= MISFIT_CHANCE
 
     @property
     def valid(self) -> bool:
-        """Whether the session shows no change."""
+        """True if the session shows no change."""
         return self.explained and not self.changes
 
 
 def field_check(observations: Observations, prior: CheckPrior) -> CheckResult:
-    """Test a calibration with a session, see the module's docstring."""
+    """Test a calibration with a session (see the module)."""
     limits = limits_of(prior.instrument.names)
 
     def evidence_with(free: Sequence[int]) -> Evidence:
-        """Linearised with these parameters free within their limits."""
-        covariance, opened = prior.covariance, np.array(free, dtype=int)
-        covariance[1 + opened, 1 + opened] += limits[opened] ** 2
+        """Return the evidence with these parameters free within their limits."""
+        covariance, freed = prior.covariance, 1 + np.array(free, dtype=int)
+        covariance[freed, freed] += limits[freed - 1] ** 2
         R, d, squares, degrees = session_information(observations, prior, covariance)
         G, z, gain, A = measurement_update(R, d, prior.covariance)
         return Evidence(
@@ -184,7 +170,7 @@ def field_check(observations: Observations, prior: CheckPrior) -> CheckResult:
 
 
 def measurement_update(R: Array, d: Array, P: Array) -> tuple[Array, Array, Array, Array]:
-    """Kalman filter update of an x of covariance P (k, k) with d = R x + n, Eq. (1).
+    """Update an x of covariance P (k, k) with d = R x + n as in a Kalman filter, Eq. (1).
 
     Returns
     -------
@@ -193,7 +179,7 @@ def measurement_update(R: Array, d: Array, P: Array) -> tuple[Array, Array, Arra
     gain : (k, p) array
         P Gᵀ, by which z changes the estimate of x.
     A : (k, k) array
-        1 − P Gᵀ G, by which the covariance becomes A P.
+        1 − P Gᵀ G; the covariance becomes A P.
     """
     L = np.linalg.cholesky(np.eye(len(R)) + R @ P @ R.T)
     both = np.linalg.solve(L, np.column_stack([R, d]))
@@ -203,20 +189,15 @@ def measurement_update(R: Array, d: Array, P: Array) -> tuple[Array, Array, Arra
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Evidence:
-    """A session, whitened by the prior, for the tests of changes.
+    """A session whitened by the prior of x, whose first 1 + m elements are gravity and the parameters."""
 
-    `z` (p,) and `G` (p, k) are those of Eq. (1) for the x before the session, whose first 1 + m elements are gravity
-    and the parameters. `values` (m,), with derivative `by_x` (m, k) with respect to this x, and `covariance` (m, m) are
-    those of the parameters by prior and session, if nothing has changed. `squares` is the sum of squares that no x
-    explains, `degrees` the degrees of freedom of this sum and |z|² together."""
-
-    z: Array
-    G: Array
-    values: Array
-    covariance: Array
-    by_x: Array
-    squares: float
-    degrees: float
+    z: Array  # (p,), Eq. (1)
+    G: Array  # (p, k), Eq. (1)
+    values: Array  # (m,), of the parameters by prior and session if nothing has changed
+    covariance: Array  # (m, m)
+    by_x: Array  # (m, k): derivative of the values with respect to x before the session
+    squares: float  # sum of squares that no x explains
+    degrees: float  # degrees of freedom of this sum and |z|² together
 
 
 def changes_in(
@@ -230,34 +211,35 @@ def changes_in(
     Parameters
     ----------
     evidence_with
-        Gives the evidence where the parameters of these numbers have a wide prior.
+        Returns the evidence with a wide prior of the parameters of these indices.
     instrument
         The instrument with its m parameters.
     covariance_u
         D (1 + m, 1 + m), the uncertainty of the prior covariance.
     already
-        Changes that have been found before; the parameters of these are not tested.
+        Changes found before, whose parameters are not tested.
     """
     names, m, limits = instrument.names, len(instrument.names), limits_of(instrument.names)
-    untested = [names.index(change.name) for change in already]
+    linear_names = names[: instrument.linear_count]
+    untested, linear_groups = [names.index(change.name) for change in already], positions_by_group(linear_names)
     free, others, probabilities, first = list[int](), list[dict[str, float]](), list[float](), dict[str, Any]()
     while True:
         evidence = evidence_with(free)
-        opened = np.zeros(evidence.G.shape[1])
-        opened[[1 + j for j in free]] = limits[free] ** 2
-        whole, z, gain, _ = measurement_update(evidence.G, evidence.z, np.diag(opened))
-        G = whole[:, 1 : 1 + m]
+        free_variance = np.zeros(evidence.G.shape[1])
+        free_variance[[1 + j for j in free]] = limits[free] ** 2
+        updated, z, gain, _ = measurement_update(evidence.G, evidence.z, np.diag(free_variance))
+        G = updated[:, 1 : 1 + m]
         u = 1.0 / np.maximum(np.linalg.norm(G, axis=0), 1e-300)
-        t, q = u * (G.T @ z), whole[:, : 1 + m].T @ G * u
+        t, q = u * (G.T @ z), updated[:, : 1 + m].T @ G * u
         inverse_degrees = np.einsum("ij,ik,kj->j", q, covariance_u, q) ** 2
         determined = u[: instrument.linear_count] < limits[: instrument.linear_count] / DETERMINED
         determined[[*free, *untested]] = False
         candidates, limit = np.flatnonzero(determined), np.inf
         if len(candidates):
             lower = np.linalg.qr(G[:, candidates] * u[candidates], mode="r")
-            drawn = _normal(len(lower) + 1)
-            wider = _student(drawn[:, -1:], inverse_degrees[candidates])
-            limit = float(np.quantile((np.abs(drawn[:, :-1] @ lower) * wider).max(axis=1), 1.0 - CHANCE))
+            normal = _normal_numbers(len(lower) + 1)
+            factor = _student_factor(normal[:, -1:], inverse_degrees[candidates])
+            limit = float(np.quantile((np.abs(normal[:, :-1] @ lower) * factor).max(axis=1), 1.0 - CHANCE))
         largest = float(np.abs(t[candidates]).max(initial=0.0))
         first = first or {
             "tests": {
@@ -272,21 +254,24 @@ def changes_in(
             },
             "largest": largest,
             "limit": limit,
-            "unseen": _unseen(instrument, [names[j] for j in candidates]),
+            "unseen": tuple(
+                group for group in linear_groups if group not in {group_name(names[j]) for j in candidates}
+            ),
         }
         if largest <= limit or len(free) + len(untested) >= MOST_CHANGES:
             break
-        worst, least = int(candidates[np.abs(t[candidates]).argmax()]), max(largest**2 - AS_LIKELY, limit**2) ** 0.5
+        worst = int(candidates[np.abs(t[candidates]).argmax()])
+        least = max(largest**2 - RIVAL_CHI_SQUARE, limit**2) ** 0.5
         free.append(worst)
         others.append({names[j]: float(t[j] * u[j]) for j in candidates if j != worst and abs(t[j]) > least})
         tail = scipy.special.stdtr(1.0 / max(inverse_degrees[worst], 1e-12), -largest)
         probabilities.append(min(1.0, 2.0 * len(candidates) * float(tail)))
 
-    # the changes together, and what they explain of |z|²
-    Q, along = np.linalg.qr(evidence.G[:, [1 + j for j in free]])
-    inverse, explained = np.linalg.inv(along), Q.T @ evidence.z
+    # the changes together, and the part of |z|² that they explain
+    Q, triangle = np.linalg.qr(evidence.G[:, [1 + j for j in free]])
+    inverse, explained = np.linalg.inv(triangle), Q.T @ evidence.z
     together, together_u = inverse @ explained, np.sqrt((inverse**2).sum(axis=1))
-    moved = evidence.by_x @ gain
+    shift = evidence.by_x @ gain
     return CheckResult(
         **first,
         changes=(
@@ -304,25 +289,17 @@ def changes_in(
             scatter=0.0,
             unit="",
         ),
-        values=evidence.values + moved @ z,
-        covariance=evidence.covariance + (evidence.by_x * opened) @ evidence.by_x.T - moved @ moved.T,
+        values=evidence.values + shift @ z,
+        covariance=evidence.covariance + (evidence.by_x * free_variance) @ evidence.by_x.T - shift @ shift.T,
     )
-
-
-def _unseen(instrument: Instrument, determined: list[str]) -> tuple[str, ...]:
-    """Groups of linear parameters of which none is determined."""
-    linear = positions_by_group(instrument.names[: instrument.linear_count])
-    return tuple(group for group in linear if group not in map(group_name, determined))
-
-
-# -------------------- the information of a session --------------------
 
 
 def session_information(
     observations: Observations, prior: CheckPrior, covariance: Array
 ) -> tuple[Array, Array, float, int]:
-    """Information of a session with unknown attitudes about x, by Gauss–Newton from the prior values with this prior
-    covariance of x.
+    """Return the information of a session with unknown attitudes about x.
+
+    It is linearised by Gauss–Newton from the prior values, with this prior covariance of x.
 
     Returns
     -------
@@ -355,13 +332,13 @@ def session_information(
     return R, session[:-1, -1] + R @ off, session[-1, -1] ** 2, degrees
 
 
-def _student(normal: Array, inverse_degrees: Array) -> Array:
-    """√(ν/χ²_ν), which makes Student's t of a normal number, from a second normal number (Wilson & Hilferty)."""
+def _student_factor(normal: Array, inverse_degrees: Array) -> Array:
+    """Return √(ν/χ²_ν), the ratio of Student's t to a normal number, from another one (Wilson & Hilferty)."""
     ninth = 2.0 / 9.0 * inverse_degrees
-    return np.asarray(np.maximum(1.0 - ninth + np.sqrt(ninth) * normal, _LEAST_ROOT) ** -1.5)
+    return np.asarray(np.maximum(1.0 - ninth + np.sqrt(ninth) * normal, LEAST_ROOT) ** -1.5)
 
 
 @cache
-def _normal(size: int) -> Array:
-    """The same normal numbers (DRAWS, size) for every check."""
+def _normal_numbers(size: int) -> Array:
+    """Return the same normal numbers (DRAWS, size) for every check."""
     return np.random.default_rng(20190).standard_normal((DRAWS, size))

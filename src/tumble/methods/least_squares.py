@@ -11,40 +11,35 @@ import scipy
 from tumble.inference.estimate import DETERMINED, chance_of
 from tumble.units import Array
 
-RELATIVE_RANK = 1e-11
-"""Relative to the largest singular value: smaller ones are rounding."""
+RELATIVE_RANK = 1e-11  # relative to the largest singular value; smaller ones are rounding
 SCATTER_PROBABILITY = 0.5
-"""Scatter is estimated if chance exceeds χ² with a smaller probability: if χ² is above its median. With a stricter
-limit, scatter that is present but not beyond doubt would be missing from u."""
+"""Scatter is estimated if the p-value of χ² is smaller, that is, if χ² is above its median. With a stricter limit,
+scatter that is present but not significant would be missing from u."""
 MAX_ITERATIONS = 30
 CONVERGED = 1e-3  # of the standard uncertainty
 SCATTER_ROUNDS = 3
-NORMAL = 1e8
-"""Degrees of freedom from which Student's t distribution is taken as normal."""
+NORMAL = 1e8  # degrees of freedom from which Student's t distribution is taken as normal
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Solution:
-    """Solution of a weighted least-squares problem: the `step` (m,) of the parameters, its derivative `gain` (m, r)
-    with respect to the whitened residuals, the combinations `null` (q, m) that the data do not determine, in units of
-    the spreads, and the `covariance` (m, m), which includes the spreads of the null space."""
+    """Solution of a weighted least-squares problem."""
 
-    step: Array
-    gain: Array
-    null: Array
-    covariance: Array
+    step: Array  # (m,), of the parameters
+    gain: Array  # (m, r): derivative of the step with respect to the whitened residuals
+    null: Array  # (q, m): combinations that the data do not determine, in units of the spreads
+    covariance: Array  # (m, m), with the spreads of the null space
 
-    def negligible(self, rounding: Array | float) -> bool:
-        """Whether the step is negligible against the uncertainty, or no more than `rounding`."""
+    def is_negligible(self, rounding: Array | float) -> bool:
+        """Return True if the step is negligible against the uncertainty, or no more than `rounding`."""
         u = np.sqrt(np.diag(self.covariance))
         return bool(np.all(np.abs(self.step) <= CONVERGED * u + rounding))
 
 
 def least_squares(jacobian: Array, residual: Array, spread: Array) -> Solution:
-    """Smallest step that minimises |residual − jacobian · step|², both whitened.
+    """Return the smallest step that minimises |residual − jacobian · step|², both whitened.
 
-    Combinations that the data determine no better than to DETERMINED times their spread (m,) are not changed.
-    """
+    Combinations that the data determine no better than to DETERMINED times their spread (m,) are not changed."""
     Q, R = np.linalg.qr(jacobian * spread)
     U, s, Vt = np.linalg.svd(R)
     rank = int(np.sum(s > max(DETERMINED, RELATIVE_RANK * s[0])))
@@ -54,19 +49,19 @@ def least_squares(jacobian: Array, residual: Array, spread: Array) -> Solution:
     return Solution(step=gain @ residual, gain=gain, null=null, covariance=covariance)
 
 
-def solved(rows: Array, right: Array) -> Array:
-    """Least-squares solutions (..., m) of problems with rows (..., r, m) of full rank and right-hand sides (..., r)."""
+def solve_least_squares(rows: Array, right: Array) -> Array:
+    """Return the least-squares solutions (..., m) for rows (..., r, m) of full rank and right-hand sides (..., r)."""
     Q, R = np.linalg.qr(rows)
     return np.asarray(np.linalg.solve(R, np.swapaxes(Q, -1, -2) @ right[..., None])[..., 0])
 
 
-def unexplained(chi_square: float, degrees: float) -> bool:
-    """Whether residuals need a scatter beside their noise."""
+def needs_scatter(chi_square: float, degrees: float) -> bool:
+    """Return True if residuals need a scatter beside their noise."""
     return degrees >= 0.5 and chance_of(chi_square, degrees) < SCATTER_PROBABILITY
 
 
-def scatter_of(excess: Callable[[float], float], start: float) -> float:
-    """Scatter at which χ² equals its expectation, zero if there is none.
+def fit_scatter(excess: Callable[[float], float], start: float) -> float:
+    """Return the scatter at which χ² equals its expectation, zero if χ² is smaller without scatter.
 
     Parameters
     ----------
@@ -77,7 +72,7 @@ def scatter_of(excess: Callable[[float], float], start: float) -> float:
     """
     if excess(0.0) <= 0.0:
         return 0.0
-    from scipy.optimize import brentq  # which takes a fifth of a second to import
+    from scipy.optimize import brentq  # slow to import
 
     high = start
     while excess(high) > 0.0:
@@ -85,10 +80,10 @@ def scatter_of(excess: Callable[[float], float], start: float) -> float:
     return float(brentq(excess, 0.0, high, rtol=1e-3))
 
 
-def sigmas(normalised: Array, degrees: float, scaled: bool) -> Array:
-    """Number of Gaussian sigmas that is as improbable as each normalised residual.
+def gaussian_sigmas(normalised: Array, degrees: float, scaled: bool) -> Array:
+    """Return the number of Gaussian sigmas with the probability of each normalised residual.
 
-    If the scale comes from the same residuals, each is judged by the scale of all others (externally studentised)."""
+    If the scale was estimated from the same residuals, they are externally studentised."""
     z = np.abs(normalised)
     if not scaled or degrees < 2:
         return z
@@ -97,8 +92,8 @@ def sigmas(normalised: Array, degrees: float, scaled: bool) -> Array:
     return np.asarray(0.0 - scipy.special.ndtri(scipy.special.stdtr(degrees - 1.0, -studentised)))
 
 
-def as_normal(t: Array, degrees: Array | float) -> Array:
-    """Standard normal numbers that are as improbable as Student's t with these degrees of freedom."""
+def normal_score(t: Array, degrees: Array | float) -> Array:
+    """Return standard normal numbers with the probabilities of Student's t of these degrees of freedom."""
     below = scipy.special.stdtr(degrees, -np.abs(t))
     normal = np.where(np.asarray(degrees) > NORMAL, np.abs(t), -scipy.special.ndtri(np.maximum(below, 1e-300)))
     return np.asarray(np.sign(t) * normal)

@@ -1,18 +1,18 @@
-"""The ellipsoid through N points, for many units at once: Li & Griffiths' algebraic fit.
+"""Algebraic fit of ellipsoids to points by the method of Li & Griffiths, for many units at once.
 
     a x² + b y² + c z² + d xy + e yz + f xz + h x + i y + j z + l = 0                                   (9), (11)
     |D ξ|² → min subject to 4J − I² = ξ1ᵀ C* ξ1 = 1,  I = a + b + c,  J = ab + bc + ac − (d² + e² + f²)/4   (16), (17)
     C*⁻¹ (S11 − S12 S22⁻¹ S21) ξ1 = λ ξ1, the only positive λ;  ξ2 = −S22⁻¹ S21 ξ1;  S = DᵀD              (20)
 
-on centred and scaled readings; a row of D has the ten monomials of a reading, ξ1 are the first six coefficients.
-The centre of the ellipsoid is the bias, Eq. (13); its shape has the scale factors and angles, Eq. (12): with H⁻¹ = M
-Mᵀ, M is the Cholesky factor, in the frame of the accelerometers. 4J − I² > 0 is sufficient for an ellipsoid, not
-necessary: it holds if the shortest semi-axis is at least half the longest, which is why each channel is scaled. With
-the Cholesky factor L of the matrix in brackets, (20) becomes the symmetric problem L⁻¹ C* L⁻ᵀ z = z/λ, ξ1 = L⁻ᵀ z. C*
-as printed, with −4, belongs to the unknowns d/2, e/2, f/2, with the products taken twice.
+for centred and scaled readings. A row of D has the ten monomials of a reading; ξ1 are the first six coefficients.
+The centre of the ellipsoid is the bias, Eq. (13). Its shape gives scale factors and angles, Eq. (12): H⁻¹ = M Mᵀ with
+the Cholesky factor M, in the frame of the accelerometers. 4J − I² > 0 is sufficient for an ellipsoid but not necessary.
+It holds if the shortest semi-axis is at least half the longest, so each channel is scaled. With the Cholesky factor L
+of the matrix in brackets, (20) becomes the symmetric problem L⁻¹ C* L⁻ᵀ z = z/λ, ξ1 = L⁻ᵀ z. C* as printed, with −4,
+belongs to the unknowns d/2, e/2, f/2, with the products taken twice.
 
-Source: Li & Griffiths, Least squares ellipsoid specific fitting (GMP 2004); numbers are those of the ellipsoid paper
-(calibration of a triaxial block of navigation accelerometers by ellipsoid fitting), which uses it.
+Source: Li & Griffiths, Least squares ellipsoid specific fitting (GMP 2004); equation numbers are those of the ellipsoid
+paper (calibration of a triaxial block of navigation accelerometers by ellipsoid fitting), which uses it.
 """
 
 from __future__ import annotations
@@ -24,39 +24,36 @@ import numpy as np
 from tumble.sensors.model import SensorModel
 from tumble.units import Array, BoolArray
 
-_PENCIL = np.zeros((6, 6))
+_PENCIL = np.zeros((6, 6))  # C*, Eq. (17)
 _PENCIL[:3, :3] = 1.0 - 2.0 * np.eye(3)
 _PENCIL[3:, 3:] = -4.0 * np.eye(3)
-"""C* (17)."""
 
 _LEAST_EIGENVALUE = 1e-14
-"""Added to the diagonals of S, on scaled readings: the square of what no reading resolves, and large enough against
-rounding to separate the other λ of (20) if the readings have no noise."""
+"""Added to the diagonals of S of scaled readings: below the squared resolution of any reading, but large enough to
+separate the other λ of (20) from rounding if there is no noise."""
 _LEAST_SECOND = 1e-3
-"""Second smallest |λ| of (20), on scaled readings (or what the others together make of it), below which the readings do
-not determine the ellipsoid. Good programmes have 0.01 to 0.06."""
+"""Second smallest |λ| of (20) of scaled readings below which they do not determine the ellipsoid; estimated from the
+norm of all other 1/λ. Good programmes have 0.01 to 0.06."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Ellipsoids:
-    """U ellipsoids (y − centre)ᵀ shape (y − centre) = 1: `centre` (U, 3) and `shape` (U, 3, 3), not a number where the
-    readings lie on no ellipsoid (`found` (U,) is false). `determined` (U,) is false where other ellipsoids go through
-    the readings as well, because the positions are too few or too much alike."""
+    """U ellipsoids (y − centre)ᵀ shape (y − centre) = 1; NaN where readings lie on no ellipsoid."""
 
-    centre: Array
-    shape: Array
-    found: BoolArray
-    determined: BoolArray
+    centre: Array  # (U, 3)
+    shape: Array  # (U, 3, 3)
+    found: BoolArray  # (U,): whether the readings lie on an ellipsoid
+    determined: BoolArray  # (U,): False if other ellipsoids fit as well, as positions are too few or too similar
 
     def models(self, modulus: float = 1.0) -> SensorModel:
-        """Matrix (U, 3, 3) and bias (U, 3) in the accelerometer frame, with positive polarity."""
+        """Return matrices (U, 3, 3) and biases (U, 3) in the accelerometer frame, with positive polarity."""
         shape = np.where(self.found[:, None, None], self.shape, np.eye(3))
         lower = np.linalg.cholesky(np.linalg.inv(shape)) / modulus
         return SensorModel(matrix=np.where(self.found[:, None, None], lower, np.nan), bias=self.centre)
 
 
 def fit_many(readings: Array) -> Ellipsoids:
-    """Algebraic fit of ellipsoids to readings (U, N, 3) in N ≥ 9 positions, in any unit, with channels of any range."""
+    """Fit ellipsoids to readings (U, N, 3) of U units in N ≥ 9 positions, in any unit."""
     scaled = np.swapaxes(readings, 1, 2).astype(float)
     mean = scaled.mean(axis=2)
     scaled -= mean[:, :, None]
@@ -80,8 +77,9 @@ def fit_many(readings: Array) -> Ellipsoids:
 
 
 def _conic(scaled: Array) -> tuple[Array, BoolArray]:
-    """Coefficients (U, 10) of (9), with d, e and f halved and a + b + c > 0, from readings (U, 3, N), and whether these
-    determine them."""
+    """Return coefficients (U, 10) of (9) for readings (U, 3, N), and whether these determine them.
+
+    d, e and f are halved, and a + b + c > 0."""
     units, _, positions = scaled.shape
     D = np.ones((units, 10, positions))
     D[:, :3] = scaled**2

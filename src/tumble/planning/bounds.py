@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from tumble.brief import Brief
-from tumble.diagnosis.linear_model import left_out, moves_by_likelihood
+from tumble.diagnosis.linear_model import is_omitted, shift_by_likelihood
 from tumble.earth import earth_rate
 from tumble.errors import InputError
 from tumble.inference.estimate import DETERMINED, UNOBSERVABLE_SHARE
@@ -133,12 +133,12 @@ def _stated_linear(course: Itinerary | Motion, setup: Setup, whole: Linearisatio
     gyros, components = whole.problem.observations.gyro_block is not None, whole.components
     linear = view(course, replace(setup, further={}), gyros=gyros).with_components(components)
     found = bound_by(linear, setup.turn_rate, setup.clock_u)
-    groups = {g.name: setup.further[g.name] for g in whole.problem.instrument.further if left_out(g)}
+    groups = {g.name: setup.further[g.name] for g in whole.problem.instrument.further if is_omitted(g)}
     if not groups:
         return found
     seen = view(course, replace(setup, further=groups), gyros=gyros).with_components(components)
     instrument, sizes = seen.problem.instrument, whole.problem.prior_u[1:]
-    sources, covariance, moves = dict(found.sources), found.covariance, moves_by_likelihood(seen)
+    sources, covariance, moves = dict(found.sources), found.covariance, shift_by_likelihood(seen)
     for name in groups:
         own = instrument.members[name]
         moved = (

@@ -29,7 +29,7 @@ import numpy as np
 from tumble import usual_setup
 from tumble.earth import EARTH_RATE, earth_rate
 from tumble.inference.noise import CORRELATION_TIME
-from tumble.methods.paper.four_stages import moved_by_groups
+from tumble.methods.paper.four_stages import shift_by_groups
 from tumble.methods.paper.gyros import known_turns
 from tumble.planning.bounds import view
 from tumble.planning.error_propagation import METHODS, STEP, MethodOfPaper, PaperProgramme
@@ -157,7 +157,7 @@ def _left_out(setup: Setup, method: MethodOfPaper) -> dict[str, Array]:
     noisy = replace(setup, noise=GRADES[usual_setup.GRADE].noise)  # of any size: it is not what the groups change
     seen = view(itinerary_of(noisy), noisy, gyros=True).problem.observations
     seen = seen if known_turns(setup.programme) else seen.of_accelerometers()
-    problem, moves = moved_by_groups(seen, METHODS[method])
+    problem, moves = shift_by_groups(seen, METHODS[method])
     first, variances = problem.instrument.linear_count, np.zeros((len(NAMES), moves.shape[1]))
     variances[: len(moves)] = (moves * problem.usual_u[1 + first :]) ** 2
     groups = problem.instrument.members.items()

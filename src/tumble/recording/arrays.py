@@ -1,4 +1,4 @@
-"""Readings in memory, checked where they come in: SI arrays, polars or pandas frames become arrays and sessions."""
+"""Checked conversion of readings in memory, SI arrays or polars or pandas frames, to arrays and sessions."""
 
 from __future__ import annotations
 
@@ -17,14 +17,13 @@ SI = {"accel": ("m/s^2", "m/s"), "gyro": ("rad/s", "rad")}
 """Units of rates and of increments."""
 _UNITS = {"accel": ACCEL_UNITS, "gyro": GYRO_UNITS}
 Temperatures = npt.ArrayLike | Mapping[str, npt.ArrayLike]
-"""Those of one thermometer, or by kind of sensors."""
-_COLDEST = 150.0  # K; what is less was in °C
-_GRAVITY_LIKE = (7.0, 13.0)
-"""m/s²: the median length of readings that are mostly taken at rest."""
+"""Temperatures of one thermometer, or by kind of sensor."""
+_COLDEST = 150.0  # K; lower numbers are in °C
+_GRAVITY_LIMITS = (7.0, 13.0)  # m/s², for the median length of readings that are mostly at rest
 
 
 class SensorArrays(TypedDict, total=False):
-    """Readings in memory in SI, as arrays, polars or pandas frames, and what is stated of them.
+    """Readings in memory in SI, as arrays, polars or pandas frames, and statements about them.
 
     Attributes
     ----------
@@ -37,9 +36,9 @@ class SensorArrays(TypedDict, total=False):
     rate : float
         Samples per second.
     temperature : array_like, shape (N,), or mapping of str to array_like
-        Temperature, K; if the sensors have several thermometers, those of "accel" and "gyro", (N,) or (N, n).
+        Temperature, K; of several thermometers, those of "accel" and "gyro", (N,) or (N, n).
     latitude, height : float
-        Geodetic latitude, rad, and height, m; where no height is given, 1300 m are in the uncertainty of gravity.
+        Geodetic latitude, rad, and height, m; without a height, 1300 m are in the uncertainty of gravity.
     gravity, gravity_u : float
         Gravity and its standard uncertainty, m/s²; by default normal gravity.
     accel_axes, gyro_axes : array_like, shape (n, 3)
@@ -70,12 +69,12 @@ class SensorArrays(TypedDict, total=False):
 
 
 def session_of_arrays(**arrays: Unpack[SensorArrays]) -> Session:
-    """Make a session of readings in memory.
+    """Return the session of readings in memory.
 
     Parameters
     ----------
     **arrays
-        Readings and what is stated of them, see `SensorArrays`.
+        Readings and statements about them, see `SensorArrays`.
 
     Raises
     ------
@@ -89,9 +88,9 @@ def session_of_arrays(**arrays: Unpack[SensorArrays]) -> Session:
     >>> session_of_arrays(accel=still, rate=100.0, serial="A-0007").log.columns
     ('accel_x', 'accel_y', 'accel_z')
     """
-    known = list(SensorArrays.__annotations__)
-    if unknown := [name for name in arrays if name not in known]:
-        raise TypeError(f"unexpected argument {unknown[0]!r}; expected one of {', '.join(known)}")
+    arguments = list(SensorArrays.__annotations__)
+    if unexpected := [name for name in arrays if name not in arguments]:
+        raise TypeError(f"unexpected argument {unexpected[0]!r}; expected one of {', '.join(arguments)}")
     given: dict[str, Any] = {name: value for name, value in arrays.items() if value is not None}
     if ("time" in given) == ("rate" in given):
         raise InputError(
@@ -113,7 +112,7 @@ def session_of_arrays(**arrays: Unpack[SensorArrays]) -> Session:
             data |= dict(zip(columns, readings.T, strict=True))
     force = np.column_stack([data[column] for column in log["accel"]["columns"]])
     length = float(np.median(np.linalg.norm(force, axis=1)) * np.sqrt(3.0 / sensors["accel"]))
-    if not _GRAVITY_LIKE[0] <= length <= _GRAVITY_LIKE[1]:
+    if not _GRAVITY_LIMITS[0] <= length <= _GRAVITY_LIMITS[1]:
         raise InputError(
             f"accel: expected m/s^2, about 9.8 at rest, found {length:.4g} at the median; multiply readings in g by "
             "9.80665, divide increments by their intervals"
@@ -121,9 +120,9 @@ def session_of_arrays(**arrays: Unpack[SensorArrays]) -> Session:
     if "time" in given:
         data["time"] = _series("time", given["time"])
     if "temperature" in given:
-        of_sensors = _temperatures(given["temperature"], sensors)
-        log["temperature"] = {"columns": [column for column, _ in of_sensors], "unit": "degC"}
-        data |= dict(of_sensors)
+        temperatures = _temperatures(given["temperature"], sensors)
+        log["temperature"] = {"columns": [column for column, _ in temperatures], "unit": "degC"}
+        data |= dict(temperatures)
     first, *others = data
     for name in others:
         if len(data[name]) != len(data[first]):
@@ -148,7 +147,7 @@ def session_of_arrays(**arrays: Unpack[SensorArrays]) -> Session:
 
 
 def readings_of(kind: str, given: npt.ArrayLike) -> Array:
-    """Readings (N, n) in SI of an array or a frame. Raises InputError for another shape, and as `numbers_of`."""
+    """Return readings (N, n) in SI from an array or a frame. Raises InputError for other shapes and as `numbers_of`."""
     readings = numbers_of(kind, given)
     if readings.ndim != 2 or not len(readings) or readings.shape[1] < 3 or readings.shape[1] > max(len(readings), 3):
         turned = "; transpose it" if readings.ndim == 2 and 3 <= readings.shape[0] < readings.shape[1] else ""
@@ -160,8 +159,9 @@ def readings_of(kind: str, given: npt.ArrayLike) -> Array:
 
 
 def numbers_of(what: str, given: npt.ArrayLike, *, increments: bool = False) -> Array:
-    """An array of finite numbers in SI of an array or a frame; `what` is "accel" or "gyro" where they are readings.
-    Raises InputError for anything else, and for columns of a frame whose names say another unit."""
+    """Return an array of finite numbers in SI from an array or a frame; `what` is "accel" or "gyro" for readings.
+
+    Raises InputError for anything else, and for columns of a frame with another unit in their names."""
     numbers = _numbers(what, given)
     check_finite(what, numbers)
     for column in map(str, getattr(given, "columns", ()) if what in SI else ()):
@@ -169,14 +169,14 @@ def numbers_of(what: str, given: npt.ArrayLike, *, increments: bool = False) -> 
 
         si, unit = SI[what][increments], unit_of_name(what, column)
         if unit not in (None, si):
-            known = _UNITS[what][unit]
-            advice = f"multiply it by {known.factor:.9g}" if known.kind == "rate" else "convert it"
+            found = _UNITS[what][unit]
+            advice = f"multiply it by {found.factor:.9g}" if found.kind == "rate" else "convert it"
             raise InputError(f"{what}: expected {si}, found a column {column!r} in {unit}; {advice}")
     return numbers
 
 
 def check_finite(what: str, numbers: Array) -> None:
-    """Raises InputError that names the first number that is not finite."""
+    """Raise InputError that names the first number that is not finite."""
     if not np.isfinite(numbers).all():
         at = tuple(int(i) for i in np.argwhere(~np.isfinite(numbers))[0])
         where = f"sample {at[0]}" + (f" of sensor {at[1]}" if len(at) > 1 else "")
@@ -218,7 +218,7 @@ def _columns(kind: str, sensors: int) -> list[str]:
 
 
 def _temperatures(given: Temperatures, sensors: Mapping[str, int]) -> list[tuple[str, Array]]:
-    """The columns of the thermometers, one for all sensors or one a sensor, with their temperatures, °C."""
+    """Return the columns of the thermometers, one for all sensors or one a sensor, with temperatures in °C."""
     if not isinstance(given, Mapping):
         return [("temperature", celsius_of(_series("temperature", given)))]
     check_kinds(given, sensors)
@@ -236,7 +236,7 @@ def _temperatures(given: Temperatures, sensors: Mapping[str, int]) -> list[tuple
 
 
 def check_kinds(given: Mapping[str, npt.ArrayLike], kinds: Iterable[str]) -> None:
-    """Raises InputError unless temperatures are given of just these kinds of sensors."""
+    """Raise InputError unless temperatures are given for exactly these kinds of sensors."""
     if set(given) != set(kinds):
         raise InputError(
             f"temperature: expected those of {' and '.join(kinds)}, found {', '.join(map(str, given)) or 'none'}"
@@ -244,12 +244,12 @@ def check_kinds(given: Mapping[str, npt.ArrayLike], kinds: Iterable[str]) -> Non
 
 
 def check_kelvin(kelvin: Array) -> None:
-    """Raises InputError for temperatures that look like degrees Celsius."""
+    """Raise InputError for temperatures that look like degrees Celsius."""
     if kelvin.size and kelvin.min() < _COLDEST:
         raise InputError(f"temperature: expected kelvin, found {kelvin.min():.4g}; add 273.15 to degrees Celsius")
 
 
 def celsius_of(kelvin: Array) -> Array:
-    """Temperatures in °C of those in K. Raises InputError where they look like degrees Celsius."""
+    """Convert temperatures from K to °C. Raises InputError if they look like degrees Celsius."""
     check_kelvin(kelvin)
     return kelvin - ZERO_CELSIUS

@@ -1,8 +1,7 @@
-"""Logs: columns of files, or of tables in memory, become SI arrays, in chunks.
+"""Logs: columns of files, or of tables in memory, as SI arrays in chunks.
 
-A file is read as a stream of tables of a bounded size (`log_files`), which become rows: times in s, numbers as the file
-has them, and the number of their first data row (counted from 1), so that a message can name the row. Runs of lost
-samples are bridged (`bridging`). Only then come intervals, units and SI.
+A file is read as a stream of tables of bounded size (`readers`), which become rows with times in s, numbers as written,
+and row numbers for messages (`rows.timed`). Short gaps are bridged (`rows.gaps`); then follow intervals, units and SI.
 """
 
 from __future__ import annotations
@@ -27,24 +26,22 @@ from tumble.recording.rows.timed import burst_grid, check_head, regular_grid, ro
 from tumble.recording.session import LogSpec, Session
 from tumble.units import ZERO_CELSIUS, Array
 
-HEAD_ROWS = 1000
-"""LogRows from which the interval of a file is taken, their median."""
-
-_READ_BY: dict[str, int] = {}
-"""The number of the process that has read logs first."""
+HEAD_ROWS = 1000  # rows from which the median interval of a file is taken
+_FIRST_READER: dict[str, int] = {}  # process id of the first process that has read logs
 UNIX_TIMES = (946_684_800.0, 4_102_444_800.0)
-"""Seconds since 1970 at the beginning of 2000 and of 2100, between which times of a log are taken for such."""
-_SHORTEST_ROWS = 50
-_RATE_TOLERANCE = 0.1
-_SHORTEST_INTERVAL, _LONGEST_INTERVAL = 1e-15, 1e15  # beyond, nothing can be computed
+"""Beginning of 2000 and of 2100 in seconds since 1970; times of a log between them are absolute."""
+_FEWEST_ROWS = 50
+_RATE_TOLERANCE = 0.1  # relative, between the files of a log
+_SHORTEST_INTERVAL, _LONGEST_INTERVAL = 1e-15, 1e15  # s; other intervals overflow
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Chunk:
-    """Consecutive samples of one file, `file` being its index in session.log.files: end time of each sample by the
-    clock of the log, s, and its interval, corrected for the rate of that clock, s; accelerometers
-    (m, na), m/s²; gyros (m, ng), rad/s; temperatures (m, T), K, of the thermometers; magnetometer (m, 3) in its
-    unit."""
+    """Consecutive samples of one file, which has the index `file` in session.log.files.
+
+    `time` (m,) are the ends of the samples by the clock of the log, s, `dt` (m,) the intervals, corrected for the rate
+    of that clock, s. There are accelerometers (m, na), m/s²; gyros (m, ng), rad/s; temperatures (m, T), K; and a
+    magnetometer (m, 3) in its unit."""
 
     file: int
     time: Array
@@ -55,9 +52,9 @@ class Chunk:
     magnetometer: Array | None = None
 
     def part(self, rows: slice) -> Chunk:
-        """Some of the samples."""
+        """Return a part of the samples."""
         names = "time", "dt", "accel", "gyro", "temperature", "magnetometer"
-        arrays: dict[str, Any] = {name: each[rows] for name in names if (each := getattr(self, name)) is not None}
+        arrays: dict[str, Any] = {name: array[rows] for name in names if (array := getattr(self, name)) is not None}
         return replace(self, **arrays)
 
 
@@ -74,17 +71,17 @@ class Log(Brief):
 
     @property
     def name(self) -> str:
-        """The paths of its files, as messages have them."""
+        """Paths of the files, for messages."""
         return ", ".join(str(source.path) for source in self._sources)
 
     @property
     def gaps(self) -> tuple[Gap, ...]:
-        """What was bridged or left out in the chunks read so far by the latest `chunks()`."""
+        """Gaps in the chunks read so far by the latest `chunks()`."""
         return tuple(self._gaps)
 
     @property
     def recorded(self) -> str | None:
-        """When the first sample was taken, ISO 8601; None where the times of the log are not absolute."""
+        """Time of the first sample, ISO 8601; None if the times of the log are not absolute."""
         spec = self.session.log
         if spec.time is None:
             return None
@@ -97,18 +94,17 @@ class Log(Brief):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is remarkable in its times, in words."""
+        """Remarks on the times."""
         jitter = max(grid.jitter for grid in self._grids)
-        note = (
-            f"time stamps are those of bursts, read up to {1e3 * jitter:.2g} ms late or early: rows are taken as even"
-        )
+        early_or_late = f"read up to {1e3 * jitter:.2g} ms late or early"
+        note = f"time stamps are those of bursts, {early_or_late}: rows are taken as even"
         return (note,) if jitter > 0.0 else ()
 
     def chunks(self, rows: int = 65536) -> Iterator[Chunk]:
-        """The samples in order, file by file, at most `rows` at a time; together the same to the bit for any
-        `rows`. Memory does not grow with the log (of a Parquet file one row group is held).
+        """Yield the samples in order, file by file, at most `rows` at a time, with the same numbers for any `rows`.
 
-        Raises LogError, one line that names the file, the row and the column, what was expected and found."""
+        Memory does not grow with the log (one row group of a Parquet file is held). Raises LogError, one line with the
+        file, the row and the column, what was expected and found."""
         if rows < 1:
             raise ValueError(f"rows: expected at least 1, found {rows}")
         self._gaps.clear()
@@ -118,8 +114,9 @@ class Log(Brief):
                     yield chunk.part(slice(start, start + rows))
 
     def sha256(self) -> str:
-        """SHA-256 of the bytes of all files in order, hexadecimal: for one file that of `sha256sum`; of samples in
-        memory that of the names and numbers of the columns that are read."""
+        """Return the SHA-256 of the bytes of all files in order, hexadecimal, as `sha256sum` for one file.
+
+        For samples in memory it is that of the names and numbers of the columns that are read."""
         digest = hashlib.sha256()
         for file in self.session.log.files:
             if isinstance(file, TableLog) and file.in_memory:
@@ -133,8 +130,7 @@ class Log(Brief):
 
 
 def samples_of_file(source: LogSource, spec: LogSpec, file: int, grid: Grid, gaps: list[Gap]) -> Iterator[Chunk]:
-    """The samples of one file as they come from its reader, repaired and in SI; what was bridged or left out is added
-    to `gaps`."""
+    """Yield the samples of one file from its reader in SI, with gaps bridged or left out and added to `gaps`."""
     bridge = Bridge(source=source, file=file, spec=spec, interval=grid.interval, gaps=gaps)
     rows = rows_of(source, spec, file, grid, gaps, on_grid=spec.unstamped or grid.rounded or grid.jitter > 0.0)
     for time, dt_of_log, values in bridge.samples(rows):
@@ -151,7 +147,7 @@ def samples_of_file(source: LogSource, spec: LogSpec, file: int, grid: Grid, gap
 
 
 def open_log(session: Session) -> Log:
-    """The log of a session: every file is there, has the columns the session names and a plausible time.
+    """Open the log of a session, and check its files, their columns and their times.
 
     >>> import numpy as np, tumble
     >>> description = {
@@ -164,9 +160,9 @@ def open_log(session: Session) -> Log:
     >>> [chunk.accel.shape for chunk in log.chunks(rows=200)]
     [(200, 3), (100, 3)]
 
-    Raises LogError for a format that cannot be read, a damaged or empty file, missing columns, and
-    TumbleError in a process forked from one that has read logs: the threads that read them are not there."""
-    if _READ_BY.setdefault("process", os.getpid()) != os.getpid():
+    Raises LogError for a format that cannot be read, a damaged or empty file and missing columns, and TumbleError in a
+    process forked from one that has read logs, because it lacks the threads of the reader."""
+    if _FIRST_READER.setdefault("process", os.getpid()) != os.getpid():
         raise TumbleError(
             "this process was forked from one that had read logs, whose threads it lacks: it would wait for ever; "
             "start workers anew: multiprocessing.get_context('spawn') or 'forkserver'"
@@ -179,19 +175,19 @@ def open_log(session: Session) -> Log:
             hint = did_you_mean(column, source.names, alike=0.5)
             raise LogError(f"{source.path}: expected a column '{column}', found {shown[:200]}{hint}")
     for source in sources:
-        # the first times of a file, as it has them; of one without, the first numbers of a sensor
+        # the first times as written; without times, the first numbers of a sensor
         heads.append(first_numbers(source, spec.time or spec.accel.columns[0], HEAD_ROWS, clock=spec.clock))
         if not len(heads[-1]):
             raise LogError(f"{source.path}: expected a log, found no rows; the file is empty")
-        if len(heads[-1]) < _SHORTEST_ROWS:
-            raise LogError(f"{source.path}: expected at least {_SHORTEST_ROWS} samples, found {len(heads[-1])}")
+        if len(heads[-1]) < _FEWEST_ROWS:
+            raise LogError(f"{source.path}: expected at least {_FEWEST_ROWS} samples, found {len(heads[-1])}")
     grids = list[Grid]()
     for source, head in zip(sources, heads, strict=True):
         if spec.rate is not None:
             grids.append(Grid(start=1.0 / spec.rate, interval=1.0 / spec.rate))
         elif spec.regular:
             grids.append(regular_grid(source, spec))
-        else:  # the median over the first rows; where increments have stamps that are rounded, the mean over all
+        else:  # the median over the first rows; the mean over all rows for increments with rounded stamps
             time = check_head(source, spec, head * spec.time_factor)
             grid = Grid(start=float(time[0]), interval=float(np.median(np.diff(time))))
             rounded = rounded_grid(source, spec, grid.interval) if any(spec.increments.values()) else None

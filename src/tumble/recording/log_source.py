@@ -1,4 +1,4 @@
-"""A file of a log as tables: what every reader gives, and messages about what cannot be read."""
+"""A file of a log as a stream of tables, the common form of all readers, and errors about unreadable parts."""
 
 from __future__ import annotations
 
@@ -18,14 +18,13 @@ from tumble.errors import LogError, TumbleError
 from tumble.units import Array
 
 BLANK_LINE = "a blank line"
-_SHOWN = 40
+_SHOWN = 40  # characters in a message
 _KEPT_ROWS = 4_000_000
 _Part = TypeVar("_Part")
 
 
 class Kind(Enum):
-    """What cannot be read: a value, a whole row; or a line that is no row of numbers but text, or a comment or blank,
-    or the last one, which was cut."""
+    """Kind of an unreadable part: a value, a row, a line of text, a comment or blank line, or a cut last line."""
 
     VALUE = "value"
     ROW = "row"
@@ -36,7 +35,7 @@ class Kind(Enum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Unread:
-    """A row of which something could not be read, and what was found there; `column` is None for the whole row."""
+    """An unreadable part of a row, and the text found there; `column` is None for the whole row."""
 
     row: int
     column: str | None
@@ -45,7 +44,7 @@ class Unread:
 
     @property
     def what(self) -> str:
-        """What was found, in words."""
+        """The text found, for messages."""
         shown = self.found[:_SHOWN] + ("…" if len(self.found) > _SHOWN else "")
         if self.kind is Kind.CUT:
             return "the last line is cut"
@@ -55,41 +54,42 @@ class Unread:
 
 
 Tables = Iterator[tuple[pl.DataFrame, list[Unread]]]
-"""Tables of the rows of a file in order, with what could not be read in each."""
+"""Tables of the rows of a file in order, with the unreadable parts of each."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class LogSource:
-    """A file of a log, read as tables of a bounded size, with the names of its columns in order.
+    """A file of a log, read as tables of bounded size, with the names of its columns in order.
 
-    Of a file that is looked at several times, `kept` has the tables by the columns that were asked for, as far as they
-    were read: it is read once, unless it is long. None for a file that is read anew each time."""
+    `kept` has the tables read so far by requested columns, so that a file that is used several times is read once,
+    unless it is long; None for a file that is read anew each time."""
 
     path: Path
     names: tuple[str, ...]
     kept: dict[tuple[tuple[str, ...], str | None], Tables] | None = None
 
     def first_date(self, column: str) -> str | None:
-        """Date with the time, ISO 8601, in the first row of a column; None if it has no date."""
+        """Return the date with the time, ISO 8601, in the first row of a column; None without a date."""
         del column
         return None
 
     def tables(self, columns: Sequence[str], clock: str | None = None) -> Tables:
-        """Rows of some columns as float64, times of day and dates in the column `clock` as seconds; NaN where something
-        could not be read."""
+        """Yield rows of some columns as float64, NaN for unreadable numbers.
+
+        Times of day and dates in the column `clock` become seconds."""
         if self.kept is None:
             yield from self.read(columns, clock)
             return
         wanted, key = set(columns), (tuple(columns), clock)
-        for read in self.kept:  # of these columns or of more
-            if wanted <= set(read[0]) and (read[1] == clock or read[1] not in wanted):
-                key = read
+        for kept_key in self.kept:  # tables with these columns, or with more
+            if wanted <= set(kept_key[0]) and (kept_key[1] == clock or kept_key[1] not in wanted):
+                key = kept_key
         self.kept[key], tables = tee(self.kept.get(key) or self.read(*key))
         rows = 0
         try:
             for table, unread in tables:
                 rows += table.height
-                if rows > _KEPT_ROWS:  # it goes on, and who comes next reads anew
+                if rows > _KEPT_ROWS:  # later calls read the file anew
                     self.kept.pop(key, None)
                 yield table.select(columns), [u for u in unread if u.column is None or u.column in wanted]
         except TumbleError:
@@ -97,20 +97,20 @@ class LogSource:
             raise
 
     def read(self, columns: Sequence[str], clock: str | None) -> Tables:
-        """`tables`, read anew."""
+        """Yield `tables` without keeping them."""
         raise NotImplementedError
 
     def whole(self, numbers: Sequence[str]) -> Iterator[pl.DataFrame]:
-        """Rows of all columns, `numbers` as float64, the others as they are: text of a text file."""
+        """Yield rows of all columns, `numbers` as float64, the others as they are (text in a text file)."""
         raise NotImplementedError
 
     def place(self, row: int, column: str | None = None) -> str:
-        """File, data row and column as a message names them."""
+        """Return file, data row and column in words."""
         return f"{self.path}: row {row}" + in_column(column)
 
 
 def first_numbers(source: LogSource, column: str, rows: int, *, clock: bool) -> Array:
-    """The first numbers of a column, at most `rows`, from the tables of a source."""
+    """Return the first numbers of a column, at most `rows`."""
     parts: list[Array] = [np.empty(0)]
     for table, _ in source.tables([column], column if clock else None):
         parts.append(table[column].to_numpy())
@@ -120,7 +120,7 @@ def first_numbers(source: LogSource, column: str, rows: int, *, clock: bool) -> 
 
 
 def one_ahead(parts: Iterator[_Part]) -> Iterator[_Part]:
-    """The same parts; the next one is read while this one is worked on."""
+    """Yield parts, and prepare the next one in a thread while one is used."""
     with ThreadPoolExecutor(max_workers=1) as beside:
         ahead = beside.submit(next, parts, None)
         while (part := ahead.result()) is not None:
@@ -130,7 +130,7 @@ def one_ahead(parts: Iterator[_Part]) -> Iterator[_Part]:
 
 @contextmanager
 def readable(path: Path) -> Iterator[None]:
-    """Whatever a library says of a file that cannot be read becomes one line."""
+    """Turn errors of libraries about an unreadable file into a LogError."""
     try:
         yield
     except (OSError, EOFError, pl.exceptions.PolarsError) as error:
@@ -143,7 +143,7 @@ def readable(path: Path) -> Iterator[None]:
 
 @contextmanager
 def rows_of_numbers(path: Path) -> Iterator[None]:
-    """Whatever polars says of the content of a file becomes one line."""
+    """Turn errors of polars about the content of a file into a LogError."""
     try:
         yield
     except pl.exceptions.PolarsError as error:
@@ -152,14 +152,14 @@ def rows_of_numbers(path: Path) -> Iterator[None]:
 
 
 def ending_of(path: Path) -> str:
-    """The format of a file by its name: its last suffix, and the one before for a compressed file."""
+    """Return the last suffix of a file's name, with the one before for a compressed file."""
     suffixes = [suffix.lower() for suffix in path.suffixes]
     compressed = suffixes[-1:] in ([".gz"], [".zst"])
     return "".join(suffixes[-2:] if compressed else suffixes[-1:])
 
 
 def unread_error(source: LogSource, unread: Unread) -> LogError:
-    """Error for a row that can neither be read nor left out."""
+    """Return the error for a row that can neither be read nor left out."""
     width, shown = len(source.names), unread.found[:_SHOWN]
     expected, found = "a number", repr(shown) if shown.strip() else "an empty value"
     if unread.column is None:

@@ -1,5 +1,4 @@
-"""The files of a log, each as tables of a bounded size: Parquet and text files, and tables in memory; and tables
-written to a file as a stream, whole or not at all."""
+"""Readers of Parquet files, text files and tables in memory as tables of bounded size, and a writer of such tables."""
 
 from __future__ import annotations
 
@@ -18,26 +17,26 @@ from tumble.documents import check_regular
 from tumble.errors import InputError, LogError
 from tumble.files import ending_in, whole_file
 from tumble.recording.log_source import LogSource, Tables, ending_of, readable, rows_of_numbers
-from tumble.recording.panic import wait_for_last_words, without_panic
+from tumble.recording.panic import wait_for_panic, without_panic
 from tumble.recording.text.dialect import Dialect
 from tumble.recording.text.pieces import check_unpacked
 from tumble.recording.text.text_log import text_log
 
 ENDINGS = (".csv", ".csv.gz", ".csv.zst", ".parquet")
-"""Endings of the files that are read without a dialect."""
+"""Endings of files that are read without a dialect."""
 
 Data = Any
-"""A mapping from column names to arrays (N,), a polars or a pandas frame; a sequence of them is a log of several files.
-Pandas is not a dependency, so that its frames cannot be named in a type."""
+"""A mapping from column names to arrays (N,), a polars or a pandas frame; a sequence of them for several files. Pandas
+is not a dependency, so its frames cannot be named in a type."""
 
 _PARQUET_ROWS = 1 << 15
 _NUMBER_BYTES = 8
 
 
 def source_of(file: Path | LogSource, dialect: Dialect | None = None) -> LogSource:
-    """The reader of a file, or a table in memory as it is; with a dialect, that of a text file of any name.
+    """Return the reader of a file; a table in memory as it is; with a dialect, the reader of a text file of any name.
 
-    Raises LogError for a format that cannot be read and an empty or damaged file."""
+    Raises LogError for a format that cannot be read, and for an empty or damaged file."""
     if not isinstance(file, Path):
         return file
     ending = ending_of(file)
@@ -62,7 +61,7 @@ def source_of(file: Path | LogSource, dialect: Dialect | None = None) -> LogSour
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TableLog(LogSource):
-    """A Parquet file, or a table `in_memory`, whose path is what messages call it; `scan` begins to read it."""
+    """A Parquet file, or a table `in_memory` with its name in messages as path; `scan` begins to read it."""
 
     types: Mapping[str, pl.DataType]
     rows: int
@@ -71,7 +70,7 @@ class TableLog(LogSource):
 
     @classmethod
     def of(cls, path: Path, scan: Callable[[], pl.LazyFrame], *, in_memory: bool = False) -> TableLog:
-        """The table that a scan gives."""
+        """Return the reader of a scan."""
         with without_panic():
             types = dict(scan().collect_schema())
             rows = scan().select(pl.len()).collect().item()
@@ -111,7 +110,7 @@ class TableLog(LogSource):
                 yield table.with_columns(pl.col(numbers).cast(pl.Float64))
 
     def content(self, columns: Sequence[str]) -> Iterator[bytes]:
-        """The names and numbers of these columns, for a hash."""
+        """Yield names and numbers of columns, for a hash."""
         for column in self._collected(self.scan().select(columns)):
             yield column.name.encode()
             yield np.ascontiguousarray(column.to_numpy(), dtype=np.float64).tobytes()
@@ -121,7 +120,7 @@ class TableLog(LogSource):
             return scan.collect()
 
     def _batches(self, scan: pl.LazyFrame) -> Iterator[pl.DataFrame]:
-        """All rows of a scan in order, some at a time."""
+        """Yield all rows of a scan in order, in batches."""
         rows = 0
         with readable(self.path):
             batches = iter(scan.collect_batches(chunk_size=_PARQUET_ROWS, maintain_order=True))
@@ -129,7 +128,7 @@ class TableLog(LogSource):
                 with without_panic():
                     table = next(batches, None)
                     if table is None and rows < self.rows:
-                        wait_for_last_words()
+                        wait_for_panic()
                 if table is None:
                     break
                 rows += table.height
@@ -142,7 +141,7 @@ class TableLog(LogSource):
 
 
 def samples_of(data: Data) -> tuple[TableLog, ...]:
-    """The tables of a log in memory. Raises LogError for anything that is not one."""
+    """Return the tables of a log in memory. Raises LogError for anything else."""
     several = isinstance(data, list | tuple)
     named = {f"samples {i}": part for i, part in enumerate(data, 1)} if several else {"samples": data}
     return tuple(TableLog.of(Path(name), _table(part).lazy, in_memory=True) for name, part in named.items())
@@ -176,10 +175,10 @@ FORMATS = (".csv", ".parquet")
 
 
 def write_tables(path: Path, tables: Iterator[pl.DataFrame], *, header: bool = True) -> None:
-    """Write tables of the same columns one below the other, with the names of these as the `header` of a CSV file.
-    Memory does not grow with their number, and an error on the way, of the tables too, leaves what was there before.
+    """Write tables of the same columns to one file, with their names in the first line of a CSV file if `header`.
 
-    Raises InputError for a name that ends otherwise than in .csv or .parquet, and for columns that CSV cannot hold."""
+    Memory does not grow with the number of tables; any error leaves the former file. Raises InputError for a name that
+    does not end in .csv or .parquet, and for columns that CSV cannot hold."""
     ending = ending_in(path, *FORMATS)
     failed: list[BaseException] = []
     first = next(tables)
@@ -192,13 +191,13 @@ def write_tables(path: Path, tables: Iterator[pl.DataFrame], *, header: bool = T
 
     def source(*_: object) -> Iterator[pl.DataFrame]:
         try:
-            yield from chain([first], tables)  # a chain has no end of its own: polars may drop the source in any thread
-        except (Exception, KeyboardInterrupt) as error:  # polars would make it one of its own, or drop it there
+            yield from chain([first], tables)  # polars may drop the source in any thread; a chain needs no closing
+        except (Exception, KeyboardInterrupt) as error:  # polars would replace or drop it
             failed.append(error)
             raise
 
     stream = register_io_source(source, schema=first.schema, validate_schema=True)
-    with whole_file(path) as temporary, temporary.open("wb") as file:  # by name a thread may make it anew, too late
+    with whole_file(path) as temporary, temporary.open("wb") as file:  # with a path, a late thread may create it again
         try:
             if ending == ".csv":
                 stream.sink_csv(file, include_header=header, maintain_order=True)

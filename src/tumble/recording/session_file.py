@@ -1,7 +1,6 @@
-"""Sessions read from session.toml, checked and written, and made of the same description of samples in memory.
+"""Reading and writing of session.toml, and sessions from the same description of samples in memory.
 
-The keys, with examples, are in docs/reference/session-file.md; `session.document` describes and checks them, and gives
-what they say in SI and radians.
+The keys are documented in docs/reference/session-file.md; `session.document` checks and converts them.
 """
 
 from __future__ import annotations
@@ -29,10 +28,10 @@ SESSION_FILE = "session.toml"
 
 @checked
 def read_session(folder: FilePath) -> Session:
-    """The session of a folder, or of the path of its session.toml.
+    """Read the session of a folder, or of the path of its session.toml.
 
-    Raises SessionError, one line, with up to three faults of the file: missing, not TOML, an unknown key, a
-    value that is not what its key expects, a log that does not exist.
+    Raises SessionError, one line with up to three faults: no file, not TOML, an unknown key, an unexpected value, a log
+    that does not exist.
 
     >>> import tumble
     >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=4), seed=1)
@@ -56,16 +55,16 @@ def read_session(folder: FilePath) -> Session:
             "session, and so does `tumble calibrate LOG` with --latitude"
         )
     content = toml_of(text_of_document(path, SessionError), str(path), SessionError)
-    return _complete(validated(SessionDocument, content, str(path), SessionError).si(path.parent), str(path))
+    return _with_files(validated(SessionDocument, content, str(path), SessionError).si(path.parent), str(path))
 
 
 @checked
 def session_of(description: Mapping[str, Any], data: Data | None = None) -> Session:
-    """The session of a description, the content of session.toml as a mapping. With `data` (arrays by column name, a
-    polars or a pandas frame, or a sequence of them for a log of several files) the description names no log.file;
-    without, its files are relative to the working folder.
+    """Return the session of a description, the content of session.toml as a mapping.
 
-    Raises SessionError as `read_session`, and LogError for data that are not columns of one length.
+    With `data` (arrays by column name, a polars or pandas frame, or a sequence of them for a log of several files) the
+    description has no log.file; without, files are relative to the working folder. Raises SessionError as
+    `read_session`, and LogError for data that are not columns of one length.
 
     >>> import numpy as np, tumble
     >>> accel = {"columns": ["ax", "ay", "az"], "unit": "count", "scale": 1000.0, "scale_per": "g"}
@@ -76,33 +75,32 @@ def session_of(description: Mapping[str, Any], data: Data | None = None) -> Sess
     >>> chunk.accel[0].tolist()
     [0.0, 0.0, 9.80665]
     """
-    where = "session"
     samples: tuple[TableLog, ...] = ()
     if data is not None:
         from tumble.recording.readers import samples_of  # polars is heavy, and only needed here
 
         log, samples = description.get("log"), samples_of(data)
         if isinstance(log, Mapping) and "file" in log:
-            raise SessionError(f"{where}: log.file: expected none beside samples in memory, found {log['file']!r}")
+            raise SessionError(f"session: log.file: expected none beside samples in memory, found {log['file']!r}")
         if isinstance(log, Mapping):
             description = {**description, "log": {**log, "file": [str(part.path) for part in samples]}}
-    session = validated(SessionDocument, description, where, SessionError).si(None)
-    return _complete(replace(session, log=replace(session.log, files=samples or session.log.files)), where)
+    session = validated(SessionDocument, description, "session", SessionError).si(None)
+    return _with_files(replace(session, log=replace(session.log, files=samples or session.log.files)), "session")
 
 
 def session_of_gyros(description: Mapping[str, Any]) -> Session:
-    """The session of a description without [log.accel], with the gyros in place of the accelerometers."""
-    some = {"columns": [f"no accelerometer {axis}" for axis in "xyz"], "unit": "m/s^2"}
-    return gyros_in_place(session_of({**description, "log": {**description["log"], "accel": some}}))
+    """Return the session of a description without [log.accel], with the gyros in place of the accelerometers."""
+    placeholder = {"columns": [f"no accelerometer {axis}" for axis in "xyz"], "unit": "m/s^2"}
+    return gyros_in_place(session_of({**description, "log": {**description["log"], "accel": placeholder}}))
 
 
 def gyros_in_place(session: Session) -> Session:
-    """A session in which the gyros stand for the accelerometers, so that their readings are those of the session."""
+    """Return a session with the gyros in place of the accelerometers."""
     return replace(session, log=replace(session.log, accel=session.log.gyro or session.log.accel, gyro=None))
 
 
-def _complete(session: Session, where: str) -> Session:
-    """A session whose files are there."""
+def _with_files(session: Session, where: str) -> Session:
+    """Return a session after checking that its files exist."""
     log, passport = session.log, session.device.systematic
     for file in log.files:
         if isinstance(file, Path) and not file.is_file():
@@ -113,17 +111,15 @@ def _complete(session: Session, where: str) -> Session:
 
 
 def session_from(given: Session | FilePath) -> Session:
-    """A session as it is, or that of a folder."""
-    if isinstance(given, Session):
-        return given
-    return read_session(given)
+    """Return a session as it is, or read that of a folder."""
+    return given if isinstance(given, Session) else read_session(given)
 
 
 @checked
 def write_session(folder: FilePath, content: Mapping[str, Any]) -> None:
-    """Write session.toml with this content, keys and values as in the file, into a folder, made if need be.
+    """Write session.toml with keys and values as in the file into a folder, made if need be.
 
-    Raises SessionError if the content is not a session's; the log need not exist yet.
+    Raises SessionError for any other content; the log need not exist yet.
 
     >>> import numpy as np, tumble
     >>> from tumble.recording.arrays import session_of_arrays
@@ -143,8 +139,9 @@ def write_session(folder: FilePath, content: Mapping[str, Any]) -> None:
 
 
 def description_of(session: Session) -> dict[str, Any]:
-    """What session.toml says of a session, or the description that it was made of, with its defaults left out and its
-    paths absolute; without log.file where its samples are in memory.
+    """Return the content of session.toml for a session, without defaults and with absolute paths.
+
+    There is no log.file if the samples are in memory.
 
     >>> import numpy as np, tumble
     >>> from tumble.recording.arrays import session_of_arrays

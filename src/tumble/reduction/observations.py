@@ -1,14 +1,13 @@
-"""Observations: the rests and turns of a log, which are all that a method of estimation sees of it.
+"""Observations: the rests and turns of a log, which are all that an estimation method uses.
 
-A rest is its mean reading with covariance; a turn is its preintegrated rotation with its sensitivities to the
-gyro parameters, in the non-rotating frame of the body at the turn's start, so that attitude, site and Earth's
-rate do not enter. With E the relative error of the gyro matrix and δ that of the gyro bias, both about the model
-the turn was integrated with,
+A rest is its mean reading with covariance. A turn is its preintegrated rotation with the sensitivities to the gyro
+parameters, in the non-rotating frame of the body at its start, so that attitude, site and Earth's rate do not enter.
+With E the relative error of the gyro matrix and δ that of the gyro bias, both about the model of the integration,
 
     C(E, δ) = exp([−(M : E + B δ)×]) C,      M[i,p,q] = ∫ C_ip ω_q dt,   B = ∫ C dt.
 
-The effect of a large update is of second order in it, so turns are integrated again about the updated model
-(`Observations.turns_about`); rests are never touched again.
+A large update has a second-order effect, so turns are integrated again about the updated model
+(`Observations.turns_about`); rests do not change.
 
 Source: the rotation part of the preintegration of velocity and rotation increments (Lupton & Sukkarieh 2012,
 Forster et al. 2017) with body-frame sensors and the two-sample coning term.
@@ -31,11 +30,11 @@ from tumble.reduction.noise.coloured_noise import fit_coloured_noise
 from tumble.reduction.noise.rounding import Rounding, rounding_notes
 from tumble.reduction.rests.blemishes import BadSamples, bad_sample_notes, blemish_notes
 from tumble.reduction.rests.rests import Rests, reduced_rests, rows_of, thermometers_of
-from tumble.reduction.rests.segmentation import Stretch, unrecorded
+from tumble.reduction.rests.segmentation import Stretch, gap_between
 from tumble.reduction.rests.sway import sway_notes, sway_of
 from tumble.reduction.rests.thermometer import Thermometers
-from tumble.reduction.turns.array_motion import ArrayMoments, MovedArray, array_moments
-from tumble.reduction.turns.links import Links, stretched
+from tumble.reduction.turns.array_motion import ArrayMoments, array_moments
+from tumble.reduction.turns.links import Links, is_linked
 from tumble.reduction.turns.moments import (
     NO_OWN_AXES,
     Compensation,
@@ -49,32 +48,31 @@ from tumble.reduction.turns.turns import (
     Turns,
     TurnSamples,
     aliased_rotations,
+    blow_variances,
     linear_compensation,
     no_turns,
     reduced_turns,
     turn_readings,
-    unread_velocities,
 )
 from tumble.rotation import onto_body, unit_vector
 from tumble.sensors.model import Block, SensorModel
 from tumble.units import DEGREE, Array, IntArray
 
-COSINE_ALIKE = np.cos(10.0 * DEGREE)
-"""Cosine between two verticals in the body, and of the angle of a turn, from which on the attitudes are one."""
+COSINE_ALIKE = np.cos(10.0 * DEGREE)  # of the angle between two verticals, or of a turn, up to which attitudes are one
 
 
 def one_direction(vectors: Array) -> bool:
-    """Whether there are vectors (N, n), and all of them have the direction of the first."""
+    """Return True if there are vectors (N, n) and all have the direction of the first."""
     directions = unit_vector(vectors)
     return bool(len(directions)) and bool((directions @ directions[0]).min() >= COSINE_ALIKE)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Together:
-    """Which session every rest belongs to, where several sessions are one.
+    """The sessions that were joined to one.
 
-    `names`: the names of the sessions. `session`: the index (N,) of the session of each rest, ascending. `number`:
-    the number (N,) of each rest in its session, from 0; parts of a rest have the same."""
+    `names`: of the sessions. `session`: index of the session of each rest (N,), ascending. `number`: number of each
+    rest in its session (N,), from 0, which parts of a rest share."""
 
     names: tuple[str, ...]
     session: IntArray
@@ -83,7 +81,7 @@ class Together:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
 class Observations(Brief):
-    """What a method of estimation sees of a session."""
+    """The rests and turns of a session, with everything an estimation method uses besides them."""
 
     json_fields: ClassVar = ("rests", "turns", "notes")
 
@@ -95,39 +93,40 @@ class Observations(Brief):
     turn_samples: TurnSamples | None = None
     programme: Programme | None = None
     position: IntArray | None = None
-    """The index (N,) of the position of each rest in the programme, where there is one."""
+    """Position of each rest in the programme (N,), if there is one."""
     start: Mapping[str, float] = field(default_factory=dict)
-    """Parameter values to start from, by name; zero where there is none."""
+    """Start values of parameters, by name; zero for the others."""
     turn_readings: TurnReadings | None = None
-    """Only where there are more than three gyros."""
+    """Only for more than three gyros."""
     rounding: Mapping[str, Rounding] = field(default_factory=dict)
-    """For "accel" and "gyro", the resolution of the readings and what it does to their means."""
+    """Resolution of the readings of "accel" and "gyro"."""
     notes: tuple[str, ...] = ()
-    """Remarks on the log, for its reader."""
+    """Notes on the log for the user."""
     thermometers: Thermometers | None = None
-    """The records of the temperatures, where there are thermometers."""
     together: Together | None = None
-    """Where these are several sessions."""
+    """The sessions, if there are several."""
     arrays: tuple[ArrayMoments, ...] = ()
-    """For every session, the moments of the accelerometers of an array in motion, where there are enough of them."""
+    """For every session, the moments of an accelerometer array in motion."""
     by_clock: Mapping[str, float] = field(default_factory=dict)
-    """By group of parameters, their change by one standard uncertainty of the time base."""
+    """Change of parameters, by group, by one standard uncertainty of the time base."""
+    turns_left_out: tuple[str, ...] = ()
+    """A sentence on each turn that was left out because it was not recorded as a whole."""
     unstamped: bool = False
-    """Whether the log has no times that would show missing samples."""
+    """Whether the log has no time stamps, which would show missing samples."""
     usual: Mapping[str, float] = field(default_factory=dict)
-    """Standard deviations, SI, of the groups of parameters beyond the linear model over instruments like this one."""
+    """Standard deviations over instruments of this type, SI, by group of parameters beyond the linear model."""
     size_basis: Mapping[str, str] = field(default_factory=dict)
-    """By group, the source of its usual size, in words."""
+    """Source of the usual size, in words, by group."""
     too_small: Mapping[str, float] = field(default_factory=dict)
-    """By group, the factor by which its usual size may be too small, by its source."""
+    """Factor by which the usual size may be too small, given its source, by group."""
     links: Links | None = None
-    """Motion that is no turn between rests, from node to node."""
+    """Motion from node to node that is no turn between rests."""
     in_run: Mapping[str, float] = field(default_factory=dict)
-    """Usual standard deviation of the in-run bias, SI, of the accelerometers, "accel", and of the gyros, "gyro"."""
+    """Usual standard deviation of the in-run bias, SI, of "accel" and "gyro"."""
 
     @property
     def session(self) -> IntArray | None:
-        """The index (N,) of the session of each rest, where there are several."""
+        """Index of the session of each rest (N,), None for a single session."""
         return None if self.together is None else self.together.session
 
     @property
@@ -137,8 +136,8 @@ class Observations(Brief):
 
     @property
     def one_attitude(self) -> bool:
-        """Whether the device always lay in one attitude, neither tilted nor turned about the vertical: nothing tells
-        the Earth's rate, constant in the body, from the biases of the gyros."""
+        """Whether the device always lay in one attitude, neither tilted nor turned about the vertical, so that the
+        Earth's rate, constant in the body, cannot be separated from the gyro biases."""
         if self.links is not None or not self.one_vertical:
             return False
         if self.turns is None or not len(self.turns) or self.gyro_block is None:
@@ -149,13 +148,13 @@ class Observations(Brief):
         return bool(cosine.min() >= COSINE_ALIKE)
 
     def rest_named(self, i: int) -> str:
-        """The name of rest i: its number, and of several sessions that of its session."""
+        """Return the name of rest i: its number, with several sessions after the name of its session."""
         if self.together is None:
             return f"rest {i + 1}"
         return f"{self.together.names[self.together.session[i]]}: rest {self.together.number[i] + 1}"
 
     def turn_named(self, k: int) -> str:
-        """The name of turn k: the rests at its ends, and its times."""
+        """Return the name of turn k: the rests at its ends, and its times."""
         turns, rests = self.turns, self.rests
         assert turns is not None
         a, b = int(turns.first[k]), int(turns.last[k])
@@ -163,68 +162,60 @@ class Observations(Brief):
         return f"the turn from {before} to {after} ({rests.stop[a]:.1f}–{rests.start[b]:.1f} s)"
 
     def start_values(self, block: Block) -> Array:
-        """Start values of a block's parameters, in their order."""
+        """Return the start values of the parameters of a block, in their order."""
         return np.array([self.start.get(name, 0.0) for name in block.names])
 
     def of_accelerometers(self) -> Observations:
-        """The observations of the accelerometers alone: rests without gyros, and no turns."""
+        """Return the observations of the accelerometers alone: rests without gyros, and no turns."""
         rests, none = self.rests, np.zeros((len(self.rests), 0))
         covariance = np.zeros((len(rests), 0, 0))
         at_rest = replace(rests, gyro=none, gyro_covariance=covariance, gyro_drift=none, gyro_noise=none)
         return replace(self, gyro_block=None, rests=at_rest, turns=None, turn_samples=None, turn_readings=None)
 
     def without_magnetometer(self) -> Observations:
-        """The observations without the readings of the magnetometer."""
+        """Return the observations without the magnetometer."""
         rests = replace(self.rests, magnetometer=None, magnetometer_covariance=None)
         links = None if self.links is None else replace(self.links, magnetometer=None)
         return replace(self, rests=rests, links=links)
 
     def of_rest(self, i: int) -> Observations:
-        """The observations of rest i alone."""
+        """Return the observations of rest i alone."""
         return replace(
-            self,
-            rests=rows_of(self.rests, slice(i, i + 1)),
-            turns=None,
-            turn_samples=None,
-            turn_readings=None,
-            programme=None,
-            position=None,
-            arrays=(),
-        )
+            self, rests=rows_of(self.rests, slice(i, i + 1)), turns=None, turn_samples=None, turn_readings=None,
+            programme=None, position=None, arrays=(),
+        )  # fmt: skip
 
     @property
     def _samples(self) -> TurnSamples:
-        """The samples of the turns."""
         if self.turns is None or self.turn_samples is None:
             raise ValueError("moments: expected observations of a log with gyros and turns, found none")
         return self.turn_samples
 
     def moments_about(self, compensation: Compensation | Sequence[Compensation], own: OwnAxes = NO_OWN_AXES) -> Moments:
-        """Moments of the turns, with one compensation of their samples or one for each turn."""
+        """Return the moments of the turns about one compensation, or one for each turn."""
         return integrate(self._samples.pieces(), len(self._samples.lengths), compensation, own)
 
     def growing_moments_about(self, compensation: Compensation) -> tuple[Array, Array]:
-        """Φ and Ψ of the turns, weighted with the time from the middle of each (`growing_moments`)."""
+        """Return Φ and Ψ of the turns, weighted with the time from the middle of each (`growing_moments`)."""
         return growing_moments(self._samples.pieces(), self._samples.lengths, compensation)
 
     def with_bad_samples(self, bad: BadSamples) -> Observations:
-        """Observations in which these samples of turns are replaced, and no others."""
+        """Return observations in which exactly these samples of turns are replaced."""
         samples, gyro = self._samples.with_bad(bad), self.gyro_block
         assert gyro is not None
         turns = replace(self, turn_samples=samples).turns_about(gyro.nominal())
         turns = replace(turns, aliased=aliased_rotations(samples, turns.covariance))
         return replace(self, turns=turns, turn_samples=samples)
 
-    def with_blows(self) -> Observations:
-        """Observations whose velocity covariances contain what blows in the turns may hide."""
+    def with_blow_variances(self) -> Observations:
+        """Return observations whose velocity covariances include what blows in the turns may hide."""
         if self.turns is None or self.turn_samples is None:
             return self
-        blows = unread_velocities(self.turn_samples)[:, None, None] * np.eye(3)
+        blows = blow_variances(self.turn_samples)[:, None, None] * np.eye(3)
         return replace(self, turns=replace(self.turns, velocity_covariance=self.turns.velocity_covariance + blows))
 
     def turns_about(self, gyro: SensorModel) -> Turns:
-        """Turns integrated about a gyro model: its effect on the rotation is exact, and M and B are the sensitivities
-        there."""
+        """Return the turns integrated about a gyro model, where M and B are the sensitivities."""
         if self.turns is None or self.gyro_block is None:
             raise ValueError("turns_about: expected observations of a log with gyros and turns, found none")
         accel = self.accel_block
@@ -233,10 +224,9 @@ class Observations(Brief):
 
 
 def without_rests(links: Links, accel: Block, gyro: Block | None, site: Site) -> Observations:
-    """The observations of a recording that has links alone."""
-    readings = (np.zeros((0, 0 if block is None else block.size)) for block in (accel, gyro))
-    of_accel, of_gyro = readings
-    rests = Rests.of_white_noise(np.zeros(0), np.zeros(0), accel=of_accel, gyro=of_gyro, densities=(0.0, 0.0))
+    """Return the observations of a recording that has links only."""
+    readings = {"accel": np.zeros((0, accel.size)), "gyro": np.zeros((0, 0 if gyro is None else gyro.size))}
+    rests = Rests.of_white_noise(np.zeros(0), np.zeros(0), **readings, densities=(0.0, 0.0))
     if links.magnetometer is not None:
         rests = replace(rests, magnetometer=np.zeros((0, 3)), magnetometer_covariance=np.zeros((0, 3, 3)))
     turns, samples = no_turns(links.samples.samples)
@@ -261,19 +251,24 @@ def observe(
     reduction
         The blocks of the log.
     spans
-        The rests, at least one unless there are links.
+        The rests, at least one unless links are given.
     accel, gyro
         The accelerometers and the gyros; None without gyros.
     site
-        Where the sensors are.
+        Site of the recording.
     arrays
-        Moments of an array in motion, which do not depend on the rests, where they were made before.
+        Moments of an array in motion, which do not depend on the rests, if already known.
     links
-        Those of a device that is moved, between these rests (`tumble.reduction.turns.links.links_of`).
+        Links between these rests, of a device that is moved (`tumble.reduction.turns.links.links_of`).
+
+    Returns
+    -------
+    Observations
+        With all rests, and the turns that were recorded completely.
     """
     if links is not None:
-        linked = [unrecorded(a, b, 1, "links", why="") for a, b in pairwise(spans) if stretched(a, b)]
-        reduction = replace(reduction, gaps=(*reduction.gaps, *linked))
+        gaps = [gap_between(a, b, 1, "links", why="") for a, b in pairwise(spans) if is_linked(a, b)]
+        reduction = replace(reduction, gaps=(*reduction.gaps, *gaps))
         if not spans:
             return without_rests(links, accel, gyro, site)
     sway = None if gyro is None else sway_of(reduction, spans)
@@ -296,16 +291,11 @@ def observe(
         turned = turns, turn_samples = reduced_turns(reduction, reduction.samples, spans, rests, *noises, rounded, sway)
         notes += bad_sample_notes(turn_samples.bad, turns.first)
         readings = turn_readings(reduction, spans, turned, noises[1], rounded["gyro"]) if gyro.size > 3 else None
-        if arrays is None:  # of turns which are left out too
-            array = MovedArray(
-                accel=accel,
-                gyro=gyro,
-                accel_extremes=extremes(reduction.accel_channels),
-                gyro_extremes=extremes(reduction.gyro_channels),
-                at_rest=onto_body(gyro.axes) @ rests.gyro.mean(axis=0),
-            )
+        if arrays is None:  # includes turns that are left out
             parts = [(f.first_sample, f.sample_at(len(f))) for f in reduction.files]
-            moments = array_moments(reduction.samples, parts, array)
+            limits = extremes(reduction.accel_channels), extremes(reduction.gyro_channels)
+            at_rest = onto_body(gyro.axes) @ rests.gyro.mean(axis=0)
+            moments = array_moments(reduction.samples, parts, (accel, gyro), limits, at_rest)
             arrays = () if moments is None else (moments,)
     return Observations(
         accel_block=accel,

@@ -1,16 +1,14 @@
-"""The rests of a log that grows and of a stream without an end.
+"""Rests of a growing log, and of an endless stream.
 
-The samples are reduced to blocks, and rests are searched for among the blocks, by the same functions as in a log that
-is complete (`Reducer`, `without_blemishes`, `find_rests`, `observe`). The result depends on the samples alone, not on
-the chunks in which they came.
+The samples are reduced to blocks, and rests are searched among the blocks, by the same functions as for a complete log
+(`Reducer`, `without_blemishes`, `find_rests`, `observe`). The result depends only on the samples, not on the chunks.
 
 `rests_so_far` searches the whole log, with windows of half a second and no margins: a rest is found half a second after
-it has begun, and its end as soon as something moves. A calibration has longer windows, and leaves out the ends of a
-rest.
+its beginning, and its end as soon as something moves. A calibration has longer windows, and omits the ends of a rest.
 
-A `RestStream` searches a window every SEARCH blocks, and once this is WINDOW blocks long the oldest blocks are dropped,
-but for the last CARRIED and those of a rest that lasts. The noise floors by which rest is told from movement are those
-of the window, where a complete log has those of all its blocks. A rest that lasts is cut every LONGEST seconds.
+A `RestStream` searches a window every SEARCH blocks. Once it is WINDOW blocks long, the oldest blocks are dropped,
+except for the last CARRIED and those of an ongoing rest. The noise floors are those of the window rather than of all
+blocks of a log. An ongoing rest is cut every LONGEST seconds.
 """
 
 from __future__ import annotations
@@ -31,22 +29,14 @@ from tumble.reduction.rests.matching import without_times
 from tumble.reduction.rests.segmentation import Segmentation, Stretch, find_rests
 from tumble.sensors.model import Block
 
-SEARCH = 200
-"""Blocks, 20 s, between two searches."""
-WINDOW = 6000
-"""Blocks, 10 min, that are searched at most."""
-CARRIED = 600
-"""Blocks, 1 min, that stay at least when the oldest ones are dropped."""
-FEWEST = 30
-"""Blocks, 3 s, from which on rests are searched for."""
-FEWEST_OF_MEAN = 10
-"""Blocks, 1 s, of a rest from which on the noise of its mean is estimated."""
-SETTLED = 30
-"""Blocks, 3 s, without rest after which a rest has ended."""
-BEFORE_REST = 5.0
-"""Time (s) before a rest that lasts which stays in the window."""
-LONGEST = 300.0
-"""Duration (s) of the longest rest; what lasts longer is several."""
+SEARCH = 200  # blocks, 20 s, between two searches
+WINDOW = 6000  # blocks, 10 min, that are searched at most
+CARRIED = 600  # blocks, 1 min, that are kept when the oldest ones are dropped
+FEWEST = 30  # blocks, 3 s, from which rests are searched for
+FEWEST_OF_MEAN = 10  # blocks, 1 s, of a rest from which the noise of its mean is estimated
+END_BLOCKS = 30  # blocks, 3 s, without rest after which a rest has ended
+BEFORE_REST = 5.0  # s before an ongoing rest that stay in the window
+LONGEST = 300.0  # s: what lasts longer is several rests
 
 
 def rests_so_far(
@@ -61,40 +51,42 @@ def rests_so_far(
     accel, gyro
         Sensors of the session.
     excluded
-        Stretches of time to leave out. The longest part of a rest remains.
+        Excluded times. The longest part of a rest remains.
 
     Returns
     -------
     Segmentation or None
-        The rests that have ended and are as long as a calibration asks, and last the one that lasts, if one does. None
+        The ended rests that are long enough for a calibration, followed by the ongoing rest, if there is one. None
         while the log is shorter than FEWEST blocks.
     """
     if sum(map(len, reduction.files)) < FEWEST:
         return None
     usual = reduction.tuning
     quick = replace(usual, window=usual.short_window, rest=usual.short_window, margin_least=0.0, margin_fraction=0.0)
-    with np.errstate(over="ignore", invalid="ignore"):  # of damaged samples
+    with np.errstate(over="ignore", invalid="ignore"):  # damaged samples
         reduction = replace(without_blemishes(reduction), tuning=quick)
-        found = without_times(reduction, find_rests(reduction, accel, gyro), excluded)
+        segmentation = without_times(reduction, find_rests(reduction, accel, gyro), excluded)
     shortest = usual.rest + 2.0 * usual.margin_least - 1e-9
-    return replace(found, rests=tuple(each for each in found.rests if each.lasts or each.stop - each.start >= shortest))
+    return replace(
+        segmentation, rests=tuple(r for r in segmentation.rests if r.reaches_end or r.stop - r.start >= shortest)
+    )
 
 
 def mean_so_far(file: FileBlocks, first: int, last: int) -> dict[str, tuple[float, float]]:
-    """Estimate how well the mean of a rest is known, from the noise in this rest alone.
+    """Return the standard uncertainties of the mean of a rest, from the noise in this rest alone.
 
     Parameters
     ----------
     file
         The blocks of its file so far.
     first, last
-        Blocks first … last − 1 of these.
+        The rest: blocks first … last − 1.
 
     Returns
     -------
     dict
         For "accel" and "gyro" the standard uncertainty of the mean, m/s² or rad/s, the largest of the channels, and the
-        same after twice the time. Without what does not exist, and while the rest is shorter than FEWEST_OF_MEAN.
+        same after twice the time. Empty while the rest is shorter than FEWEST_OF_MEAN.
     """
     out = dict[str, tuple[float, float]]()
     for kind, series in (("accel", file.accel), ("gyro", file.gyro)):
@@ -107,7 +99,7 @@ def mean_so_far(file: FileBlocks, first: int, last: int) -> dict[str, tuple[floa
 
 
 class RestStream:
-    """Finds the rests in a stream of samples without an end.
+    """Incremental search for rests in an endless stream of samples.
 
     Parameters
     ----------
@@ -116,9 +108,9 @@ class RestStream:
     accel, gyro
         The accelerometers and the gyros; None without gyros.
     site
-        Where the sensors are.
+        Site of the recording.
     increments
-        For each kind of sensor whether a sample is an increment over its interval.
+        By kind of sensor, whether a sample is an increment over its interval.
     """
 
     def __init__(
@@ -134,16 +126,10 @@ class RestStream:
         self._reducer = Reducer(rate=rate, accel=accel, gyro=gyro, increments=increments)
         self._step = SEARCH * self._reducer.size
         self._samples = 0
-        self._given_until = -np.inf
-        """End (s) of the last rest that was given out."""
+        self._returned_until = -np.inf  # end of the last rest that was returned, s
 
     def feed(self, chunk: Chunk) -> list[Observations]:
-        """Add samples of the stream.
-
-        Parameters
-        ----------
-        chunk
-            The next samples, all of the same file.
+        """Add the next samples of the stream, all of the same file.
 
         Returns
         -------
@@ -161,40 +147,40 @@ class RestStream:
         return ended
 
     def finish(self) -> list[Observations]:
-        """The rests that have not been given out, with one that lasts at the end of the stream."""
+        """Return the rests that have not been returned, including one that is ongoing at the end of the stream."""
         return self._search(finished=True)
 
     def _search(self, *, finished: bool = False) -> list[Observations]:
         reduction = self._reducer.now()
         if not reduction.files or len(reduction.files[-1]) < FEWEST:
             return []
-        with np.errstate(over="ignore", invalid="ignore"):  # of damaged samples
+        with np.errstate(over="ignore", invalid="ignore"):  # damaged samples
             reduction = without_blemishes(reduction)
             segmentation = find_rests(reduction, self._accel, self._gyro)
         file, tuning = reduction.files[-1], segmentation.tuning
-        count, lasting_since = len(file), float(file.edges[-1])
+        count, ongoing_since = len(file), float(file.edges[-1])
         before, ended = list[Stretch](), list[Stretch]()
         for span in segmentation.rests:
-            start = max(span.start, self._given_until)
+            start = max(span.start, self._returned_until)
             while span.stop - start >= LONGEST:
                 ended.append(Stretch.between(file, start, start + LONGEST))
-                start = self._given_until = ended[-1].stop
-            over = finished or span.last < count - SETTLED
+                start = self._returned_until = ended[-1].stop
+            over = finished or span.last < count - END_BLOCKS
             if over and span.stop - start >= tuning.rest:
                 ended.append(Stretch.between(file, start, span.stop))
-                self._given_until = ended[-1].stop
+                self._returned_until = ended[-1].stop
             elif not over:
-                lasting_since = min(lasting_since, start)
-            if span.stop <= self._given_until and span.start < self._given_until:
+                ongoing_since = min(ongoing_since, start)
+            if span.stop <= self._returned_until and span.start < self._returned_until:
                 before.append(span)
         ended = [span for span in ended if span.last - span.first >= tuning.fewest_blocks]
         others = [s for s in before if all(s.stop <= new.start or new.stop <= s.start for new in ended)]
         spans = tuple(sorted([*others, *ended], key=lambda span: span.first))
         out = list[Observations]()
         if ended:  # the noise is that of all rests of the window
-            seen = observe(replace(reduction, samples=None), spans, self._accel, self._gyro, self._site, ())
-            out = [seen.of_rest(spans.index(span)) for span in ended]
+            observations = observe(replace(reduction, samples=None), spans, self._accel, self._gyro, self._site, ())
+            out = [observations.of_rest(spans.index(span)) for span in ended]
         if count >= WINDOW:
-            first = max(min(lasting_since - BEFORE_REST, float(file.edges[count - CARRIED])), self._given_until)
+            first = max(min(ongoing_since - BEFORE_REST, float(file.edges[count - CARRIED])), self._returned_until)
             self._reducer.forget(int(np.searchsorted(file.edges, first)))
         return out

@@ -1,8 +1,8 @@
-"""Several sessions as one, and long rests that warm, in parts.
+"""Several sessions as one, and rests that warm up divided into parts.
 
-The rests and turns of sessions follow each other. A rest is its mean reading at its mean temperature, so that one
-during which the temperature changes shows how the sensors change with it only once it is divided into parts. Nothing is
-turned between the parts: they are joined by turns of no duration, which leave the attitude as it is to HELD.
+A rest is its mean reading at its mean temperature, so that a rest during which the temperature changes shows the
+temperature dependence of the sensors only if it is divided into parts. The parts are joined by turns of duration 0,
+which leave the attitude unchanged to PART_ROTATION.
 """
 
 from __future__ import annotations
@@ -24,28 +24,25 @@ from tumble.reduction.rests.warming import warming_of
 from tumble.reduction.turns.turns import TurnReadings, Turns, TurnSamples
 from tumble.units import Array, IntArray
 
-WARMED = 1.0
-"""K: a rest whose temperature changes by more is divided."""
-SHORTEST_PART = 20.0
-"""s: a shorter part has too few blocks for the noise of its mean."""
-MOST_PARTS = 60
+WARMED = 1.0  # K: temperature change of a rest from which it is divided
+SHORTEST_PART = 20.0  # s: a shorter part has too few blocks for the noise of its mean
+MAX_PARTS = 60
+PART_ROTATION = 1e-6  # rad per axis: motion of a support from one part of a rest to the next
 _Arrays = TypeVar("_Arrays", Rests, Turns, TurnReadings)
-HELD = 1e-6
-"""rad an axis: what a support moves by from one part of a rest to the next."""
 
 
-def in_parts(reduction: Reduction, whole: Segmentation, least: int = 1) -> tuple[Segmentation, IntArray]:
-    """Divide the rests that warm, a part for each WARMED, all into `least` where they are long enough: the parts in
-    place of the rests, and the number (N,) of the rest that each of them belongs to."""
+def split_warming_rests(reduction: Reduction, whole: Segmentation, least: int = 1) -> tuple[Segmentation, IntArray]:
+    """Divide each rest into one part per WARMED of temperature change, at least `least` if it is long enough. Return
+    the parts in place of the rests, and the number (N,) of the rest that each part belongs to."""
     by_file, spans, number = reduction.by_file, list[Stretch](), list[int]()
     for i, span in enumerate(whole.rests):
         file = by_file[span.file]
-        warmth = None if file.temperature is None else file.temperature[span.first : span.last]
+        kelvin = None if file.temperature is None else file.temperature[span.first : span.last]
         parts = 1
-        if warmth is not None:
-            tenths = [part.mean(axis=0) for part in np.array_split(warmth, min(10, len(warmth)))]
-            change = max(warming_of(warmth), float(np.ptp(tenths, axis=0).max()))
-            most = min(MOST_PARTS, int((span.stop - span.start) / SHORTEST_PART))
+        if kelvin is not None:
+            tenths = [part.mean(axis=0) for part in np.array_split(kelvin, min(10, len(kelvin)))]
+            change = max(warming_of(kelvin), float(np.ptp(tenths, axis=0).max()))
+            most = min(MAX_PARTS, int((span.stop - span.start) / SHORTEST_PART))
             parts = max(1, min(max(int(np.ceil(change / WARMED)), least), most))
         for first, last in pairwise(np.linspace(span.first, span.last, parts + 1).round().astype(int).tolist()):
             edges = span.start if first == span.first else file.edges[first], file.edges[last]
@@ -56,9 +53,9 @@ def in_parts(reduction: Reduction, whole: Segmentation, least: int = 1) -> tuple
     return replace(whole, rests=tuple(spans), position=position), np.array(number, dtype=np.int64)
 
 
-def joined(sessions: Sequence[Observations], names: Sequence[str], numbers: Sequence[IntArray]) -> Observations:
-    """Join the observations of several sessions of one device at one place. `numbers`: for each session the numbers
-    (N,) of its rests; parts of a rest have the same."""
+def join_sessions(sessions: Sequence[Observations], names: Sequence[str], numbers: Sequence[IntArray]) -> Observations:
+    """Join the observations of sessions of one device at one place; `numbers` are for each session the numbers (N,) of
+    its rests, which parts of a rest share."""
     counts = [len(each.rests) for each in sessions]
     rests, turns, readings = list[Rests](), list[Turns](), list[TurnReadings]()
     samples, records = list[tuple[int, TurnSamples]](), dict[int, tuple[float, Array]]()
@@ -84,7 +81,7 @@ def joined(sessions: Sequence[Observations], names: Sequence[str], numbers: Sequ
         sessions[0],
         rests=replace(_stacked(rests), magnetometer=None, magnetometer_covariance=None),
         turns=_stacked(turns) if turns else None,
-        turn_samples=replace(samples[0][1], others=tuple(samples[1:]), _kept=[]) if samples else None,
+        turn_samples=replace(samples[0][1], others=tuple(samples[1:])) if samples else None,
         turn_readings=_stacked(readings) if readings else None,
         arrays=tuple(moments for each in sessions for moments in each.arrays),
         programme=None,
@@ -92,6 +89,9 @@ def joined(sessions: Sequence[Observations], names: Sequence[str], numbers: Sequ
         rounding=rounding,
         thermometers=Thermometers(files=records) if thermometers else None,
         notes=tuple(f"{name}: {note}" for name, each in zip(names, sessions, strict=True) for note in each.notes),
+        turns_left_out=tuple(
+            f"{name}: {turn}" for name, each in zip(names, sessions, strict=True) for turn in each.turns_left_out
+        ),
         together=Together(
             names=tuple(names), session=np.repeat(np.arange(len(sessions)), counts), number=np.concatenate(numbers)
         ),
@@ -99,22 +99,22 @@ def joined(sessions: Sequence[Observations], names: Sequence[str], numbers: Sequ
 
 
 def _stacked(parts: Sequence[_Arrays]) -> _Arrays:
-    """The rows of all parts, one after the other; None where one has none."""
+    """Concatenate the rows of all parts; None for a field that is None in one of them."""
     columns = {field.name: [getattr(part, field.name) for part in parts] for field in fields(parts[0])}
     whole: dict[str, Any] = {k: None if any(v is None for v in c) else np.concatenate(c) for k, c in columns.items()}
     return replace(parts[0], **whole)
 
 
-def apart(observations: Observations, rests: slice, turns: slice) -> Observations:
-    """Take one session with these rests and turns out of the observations of several that were joined."""
+def extract_session(observations: Observations, rests: slice, turns: slice) -> Observations:
+    """Return the observations of one session, with these rests and turns, out of several that were joined."""
     together, samples, readings = observations.together, observations.turn_samples, observations.turn_readings
     assert together is not None
     its_turns = None
     if observations.turns is not None and turns.stop > turns.start:
         its_turns = rows_of(observations.turns, turns)
         its_turns = replace(its_turns, first=its_turns.first - rests.start, last=its_turns.last - rests.start)
-    if samples is not None:  # of the session whose turns begin with this one
-        samples = ({0: replace(samples, others=(), _kept=[])} | dict(samples.others)).get(turns.start)
+    if samples is not None:  # sessions are identified by their first turn
+        samples = ({0: replace(samples, others=())} | dict(samples.others)).get(turns.start)
     return replace(
         observations,
         rests=rows_of(observations.rests, rests),
@@ -125,11 +125,11 @@ def apart(observations: Observations, rests: slice, turns: slice) -> Observation
     )
 
 
-def held(observations: Observations) -> Observations:
-    """Observations whose turns of no duration leave the attitude as it is to HELD."""
+def hold_attitude(observations: Observations) -> Observations:
+    """Return observations whose turns of duration 0 leave the attitude unchanged to PART_ROTATION."""
     turns = observations.turns
     if turns is None:
         return observations
     covariance = turns.covariance.copy()
-    covariance[turns.duration == 0.0] = HELD**2 * np.eye(3)
+    covariance[turns.duration == 0.0] = PART_ROTATION**2 * np.eye(3)
     return replace(observations, turns=replace(turns, covariance=covariance))

@@ -21,7 +21,7 @@ from tumble.diagnosis.in_motion import motion_note
 from tumble.diagnosis.level_faces import with_common_tilt
 from tumble.diagnosis.misfit import ClockByEarth, clock_by_earth
 from tumble.diagnosis.undetermined import one_attitude
-from tumble.diagnosis.verdict import little_used, time_base_doubted
+from tumble.diagnosis.verdict import doubtful_time_base, unused_quiet_time
 from tumble.errors import CalibrationError, InputError
 from tumble.files import FilePath
 from tumble.inference.estimate import Estimate, Outcome
@@ -237,11 +237,11 @@ def _calibrated(
                     of_gyros = calibration.outcome.gyro.reasons
                     because = (f"{why}; the accelerometers are estimated alone" for why in of_gyros)
                     estimate, calibration, faults = alone, of_accel, (*because, *faults)
-        little = little_used(observed.segmentation, in_motion=estimate[1].links is not None)
+        little = unused_quiet_time(observed.segmentation, in_motion=estimate[1].links is not None)
         remarks: dict[str, tuple[str, ...]] = dict.fromkeys(little, ())
         if estimate[0].gyro is not None and not session.log.increments["gyro"]:
             grade, _ = grade_of(session, estimate[1])
-            remarks |= dict.fromkeys(time_base_doubted(estimate[0], grade_named(grade).gyro.scale), ("gyro.scale",))
+            remarks |= dict.fromkeys(doubtful_time_base(estimate[0], grade_named(grade).gyro.scale), ("gyro.scale",))
         notes = motion_note(estimate[0], estimate[1]) if accepted_kinds(calibration) else ()
         calibration = _with(calibration, notes=notes, remarks=remarks)
         if session.log.magnetometer is not None:
@@ -368,7 +368,7 @@ def estimated(
             budget = None if budget is None else budget.with_source(source("clock", relative, "1"), of_clock)
             estimate = replace(estimate, covariance=estimate.covariance + of_clock, budget=budget)
         if linear_joint or estimate.method != "joint":
-            notes += linear_model.taken_as_nothing(estimate)
+            notes += linear_model.omitted_groups_note(estimate)
             estimate = linear_model.linear_part(estimate) if terms == "linear" else estimate
         elif prior is not None:
             estimate, of_type = with_prior(estimate, observations, prior, reference_of(observations))

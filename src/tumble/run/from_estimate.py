@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tumble.diagnosis.undetermined import faces_alone
-from tumble.diagnosis.verdict import gravity_doubted, verdict
+from tumble.diagnosis.verdict import doubtful_gravity, verdict
 from tumble.errors import InputError
 from tumble.inference.estimate import Estimate, Outcome
 from tumble.inference.variables import RAMP_RANGE, at_two_temperatures, over_a_range, ramps_up_and_down
 from tumble.recording.rows.gaps import Gap
 from tumble.recording.session import Session
 from tumble.reduction.observations import Observations
-from tumble.reduction.rests.matching import left_out
+from tumble.reduction.rests.matching import exclusion_notes
 from tumble.reduction.rests.warming import OVER_TEMPERATURE
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import MANY_DEGREES, with_degrees
@@ -110,7 +110,8 @@ def result_of(
             programme=None if observations.programme is None else observations.programme.name,
             readings=readings_of_session(session),
             notes=(
-                *(*bridged, *left_out(session.excluded), *observations.notes, *gravity_doubted(observations.site)),
+                *(*bridged, *exclusion_notes(session.excluded)),
+                *(*observations.notes, *doubtful_gravity(observations.site)),
                 *_of_the_fit(estimate, observations),
                 *limited,
                 *_of_the_case(case),

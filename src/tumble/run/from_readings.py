@@ -26,7 +26,7 @@ import scipy
 from tumble.arguments import checked
 from tumble.brief import Brief
 from tumble.diagnosis.level_faces import UPRIGHT, with_common_tilt
-from tumble.diagnosis.linear_model import left_out_by_rests, left_out_sizes
+from tumble.diagnosis.linear_model import omitted_by_rests, omitted_sizes
 from tumble.diagnosis.observability import Refusal, rough_directions, undetermined
 from tumble.diagnosis.verdict import verdict
 from tumble.errors import InputError
@@ -296,8 +296,8 @@ def _estimated(
     bad[list(fit.doubtful)] = True
     if bad.any():  # by how much a residual may be off by what is left out
         largest = {name: max(sizes.get(name, 0.0) for sizes in grades) for sizes in grades for name in sizes}
-        problem, _, leaves = left_out_by_rests(replace(rests, usual=largest), fit.values)
-        allowed = _sigmas(BAD_CHANCE, table) * np.linalg.norm(leaves * left_out_sizes(problem, None), axis=1)
+        problem, _, leaves = omitted_by_rests(replace(rests, usual=largest), fit.values)
+        allowed = _sigmas(BAD_CHANCE, table) * np.linalg.norm(leaves * omitted_sizes(problem, None), axis=1)
         of_all, noise = _fitted(table, nominal, np.inf)
         if isinstance(of_all, EllipsoidFit) and np.all(np.abs(of_all.residual) <= np.where(bad, allowed, np.inf)):
             fit, rests = of_all, _rests(table, nominal, noise)

@@ -17,7 +17,7 @@ import numpy as np
 
 from tumble.arguments import checked
 from tumble.brief import Judged
-from tumble.diagnosis.carried_vertical import sense_faults
+from tumble.diagnosis.carried_vertical import vertical_faults
 from tumble.diagnosis.channels import (
     accelerometer_faults,
     channel_faults,
@@ -41,9 +41,9 @@ from tumble.reduction.rests.blemishes import without_blemishes
 from tumble.reduction.rests.matching import match_rests, without_jump, without_numbered, without_times
 from tumble.reduction.rests.rests import thermometers_of
 from tumble.reduction.rests.segmentation import Segmentation, Stretch, find_rests
-from tumble.reduction.together import held, in_parts
+from tumble.reduction.together import hold_attitude, split_warming_rests
 from tumble.reduction.turns.links import links_of
-from tumble.reduction.turns.turns import torn_turns, without_unknown_turns
+from tumble.reduction.turns.turns import torn_turns, without_ambiguous_turns
 from tumble.rotation import onto_body
 from tumble.units import DEGREE, IntArray
 
@@ -169,18 +169,18 @@ def inspected(session: Session, progress: Progress, beside: Executor, tuning: Tu
         segmentation = without_times(reduction, segmentation, session.excluded)
         segmentation = replace(segmentation, stated_rate=session.log.rate)
         if session.gyro_block is not None and session.log.gyro is not None:
-            reduction = without_unknown_turns(reduction, segmentation.rests, session.gyro_block, session.log.gyro)
+            reduction = without_ambiguous_turns(reduction, segmentation.rests, session.gyro_block, session.log.gyro)
         observations = _observed(session, reduction, segmentation.rests)
         trial = observations
         if trial is None and not faults:
             trial = _observed(session, reduction, find_rests(reduction, session.accel_block, None).rests)
     of_gyros = list[str]()
     if trial is not None and not faults:
-        faults = sense_faults(trial, session, reduction.rate)
+        faults = vertical_faults(trial, session, reduction.rate)
         if faults or lost:
             of_gyros = high_passed(reduction, segmentation.rests) or ([lost] if lost and not faults else [])
         if of_gyros:
-            faults = sense_faults(trial.of_accelerometers(), session, reduction.rate)
+            faults = vertical_faults(trial.of_accelerometers(), session, reduction.rate)
     if session.log.gyro is not None and not faults and not of_gyros:
         of_gyros = dead_zones(reduction, segmentation.rests, session.log.gyro)
     return Observed(
@@ -271,21 +271,22 @@ def observations_in_parts(observed: Observed, least: int = 1) -> tuple[Observati
     if isinstance(matched, Outcome):
         return matched
     reduction, match_of_rests, torn = matched
-    match, numbers = in_parts(reduction, match_of_rests, least)
-    return held(_observed_again(observed, reduction, match, torn)), numbers
+    match, numbers = split_warming_rests(reduction, match_of_rests, least)
+    return hold_attitude(_observed_again(observed, reduction, match, torn)), numbers
 
 
 def _observed_again(
-    observed: Observed, reduction: Reduction, match: Segmentation, notes: tuple[str, ...]
+    observed: Observed, reduction: Reduction, match: Segmentation, torn: tuple[str, ...]
 ) -> Observations:
-    """The observations of these rests and turns, made anew where they are others, with mended samples and further
-    notes."""
+    """The observations of these rests and turns, made anew where they are others, with mended samples and notes
+    of the turns that are left out."""
     session, again = observed.session, observed.observations
     if again is None or match.rests != observed.segmentation.rests or reduction is not observed.reduction:
         arrays = None if again is None or observed.gyro_bias_faults else again.arrays
         again = observe(reduction, match.rests, session.accel_block, session.gyro_block, session.site, arrays)
-    again = replace(again, programme=match.programme, position=match.position)
-    return with_mended_samples(replace(again, notes=(*observed.notes, *again.notes, *notes))).with_blows()
+    notes = (*observed.notes, *again.notes, *torn)
+    again = replace(again, programme=match.programme, position=match.position, notes=notes, turns_left_out=torn)
+    return with_mended_samples(again).with_blow_variances()
 
 
 def _matched(observed: Observed) -> tuple[Reduction, Segmentation, tuple[str, ...]] | Outcome:

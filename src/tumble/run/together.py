@@ -23,7 +23,7 @@ from tumble.recording.log import Log
 from tumble.recording.session import Session, Site
 from tumble.recording.session_file import session_from
 from tumble.reduction.observations import Observations
-from tumble.reduction.together import joined
+from tumble.reduction.together import join_sessions
 from tumble.result.calibration import Calibration
 from tumble.result.parts import Member, Parameter, learned_fraction
 from tumble.run.calibrate import assumptions, estimated, provenance_of, systematic_of
@@ -111,7 +111,7 @@ def calibrate_together(
     for session, each in zip(described, observations, strict=True):
         if each.rests.temperature is None:
             raise InputError(f"{session.name}: expected temperatures in the log, found none that are numbers")
-    joint_observations = joined(observations, [member.session for member in members], numbers)
+    joint_observations = join_sessions(observations, [member.session for member in members], numbers)
     # errors of the clocks are taken for one, of the largest u of the sessions in which anything is turned
     turned = [session.log for session, member in zip(described, members, strict=True) if member.turns]
     clock = max(turned or [session.log for session in described], key=lambda log: log.time_base_u)

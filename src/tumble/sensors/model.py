@@ -291,12 +291,12 @@ def _frame_of(axes: Array) -> Array:
     return np.array([first, np.cross(third, first), third])
 
 
-def beyond_body(matrix: Array) -> Array:
+def left_null_space(matrix: Array) -> Array:
     """Orthonormal rows (n − 3, n): what sensors of a sensitivity matrix (n, 3) read that no vector explains."""
     return np.asarray(np.linalg.qr(matrix, mode="complete")[0][:, 3:].T)
 
 
-def beyond_turning(matrix: Array, direction: Array) -> Array:
+def tilt_null_space(matrix: Array, direction: Array) -> Array:
     """Orthonormal columns (N, n, n − 2): what sensors of a sensitivity matrix (n, 3), or (N, n, 3), read that no turn
     of vectors along `direction` (N, 3) reaches; zero where there is no direction."""
     if matrix.shape[-2] == 3:

@@ -375,7 +375,7 @@ def is_parameter(name: str) -> bool:
     return entry is not None and bool(sensor or entry.suffixes is _once)
 
 
-def meant_by(name: str, parameter: str) -> bool:
+def name_covers(name: str, parameter: str) -> bool:
     """Whether a name, of a parameter, of a group or of one sensor in it ("gyro.g_sensitivity.x"), means a parameter:
     "accel.bias" means "accel.bias.x", and not its change "accel.bias.x.t1", which is of a group of its own."""
     group = group_name(parameter)
@@ -461,8 +461,8 @@ def prior_sizes(
     return sizes | dict(sheet or {})
 
 
-def poorer(grade: str) -> str | None:
-    """The next poorer grade; None of the poorest. The order is that of the tables."""
+def next_poorer_grade(grade: str) -> str | None:
+    """Return the next poorer grade in the order of the tables, None for the poorest."""
     order = list(LINEAR[0].usual)
     following = order.index(grade) + 1
     return order[following] if following < len(order) else None

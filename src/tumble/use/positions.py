@@ -36,7 +36,7 @@ import scipy
 from tumble.errors import CalibrationError, InputError
 from tumble.inference.estimate import Fit
 from tumble.inference.variables import sensors_at
-from tumble.methods.least_squares import sigmas
+from tumble.methods.least_squares import gaussian_sigmas
 from tumble.reduction.observations import Observations
 from tumble.result.calibration import Calibration
 from tumble.rotation import unit_vector
@@ -149,7 +149,7 @@ def residuals_in(calibration: Calibration, observations: Observations, sha256: s
         return PositionResiduals(
             difference=difference / remaining,
             u=u / remaining,
-            sigmas=np.sign(difference) * sigmas(difference / u, fit.degrees, fit.scatter > 0.0),
+            sigmas=np.sign(difference) * gaussian_sigmas(difference / u, fit.degrees, fit.scatter > 0.0),
             limit=limit(np.inf),
             left_out=True,
         )

@@ -1,8 +1,7 @@
-"""What is shown, of whatever result: blocks of a few kinds, which every kind of output can show.
+"""Blocks: sentences, tables, figures and matrices, from which every kind of output is made.
 
-A sentence is a block as it is. A view puts the blocks of a result together once; `render` shows them on a terminal, in
-a notebook, as HTML and as PDF. Blocks hold plain text and SVG pictures, never markup: what came from a file is data. A
-number that is not known is an empty cell, a minus a hyphen: a page of HTML or PDF sets a dash and a real minus.
+A sentence is a block as it is. Blocks hold plain text and SVG pictures, never markup, because their content may come
+from files. A missing number is an empty cell and a minus a hyphen; pages of HTML and PDF show a dash and a real minus.
 """
 
 from __future__ import annotations
@@ -12,13 +11,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 Tone = Literal["good", "doubt", "bad"]
-"""The colour of accepted, accepted with scatter, not accepted."""
+"""Accepted, accepted with scatter, not accepted."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Text:
-    """A paragraph that is more than a plain `str`: `tone` says whether it is good news, good with reservations, or bad;
-    a label is of what follows."""
+    """A paragraph with a tone: good or bad news, small print, or the label of what follows."""
 
     text: str
     tone: Literal["plain", "small", "label"] | Tone = "plain"
@@ -36,7 +34,7 @@ class Items:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Facts:
-    """Pairs of a name and what it is."""
+    """Pairs of a name and a value."""
 
     rows: tuple[tuple[str, str], ...]
     kind: Literal["facts"] = "facts"
@@ -44,8 +42,8 @@ class Facts:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Table:
-    """Rows of cells, named by their first column. Columns in `text` are words, set to the left; all others are numbers,
-    set to the right, never broken. A long table may stand on a page in `halves` beside each other."""
+    """Rows of cells, named by their first column. The columns in `text` are words, aligned left; all others are
+    numbers, aligned right and never broken. A long table may be set on a page in `halves` beside each other."""
 
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
@@ -65,8 +63,9 @@ def table(
     dense: bool = False,
     halves: bool = False,
 ) -> Table:
-    """A table of rows that are cells by their headings; `words` are the headings of columns of words, `columns` all
-    headings, where there may be no row."""
+    """Return a table of rows, each a mapping of headings to cells.
+
+    `words` are the headings of columns of words, `columns` all headings of a table that may have no rows."""
     cells = list(rows)
     headings = columns or tuple(cells[0] if cells else ())
     return Table(
@@ -81,7 +80,7 @@ def table(
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Figure:
-    """A picture as SVG, `width` as part of the page, what it says in words for those who do not see it."""
+    """An SVG picture, its `width` as a fraction of the page, and a caption that describes it in words."""
 
     svg: str
     caption: str
@@ -91,7 +90,7 @@ class Figure:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Matrix:
-    """A matrix or a column vector (n × 1) of numbers with its symbol and its unit."""
+    """A matrix or a column vector (n × 1) of numbers with its symbol and unit."""
 
     symbol: str
     rows: tuple[tuple[str, ...], ...]
@@ -108,8 +107,7 @@ class Matrices:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Formula:
-    """One of the formulas that the templates know by name: the sensor model, the axes matrix of a triad, how to apply
-    it, and with more than three sensors."""
+    """A formula of the templates: sensor model, axes matrix of a triad, correction, correction of redundant sensors."""
 
     name: Literal["model", "axes", "apply", "apply_redundant"]
     kind: Literal["formula"] = "formula"
@@ -121,22 +119,22 @@ Block = str | PageBlock
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Section:
-    """A heading and what stands under it."""
+    """A heading with its blocks."""
 
     title: str
     blocks: tuple[PageBlock, ...]
 
 
 def section(title: str, *blocks: Block | None) -> Section:
-    """A section of the blocks that there are."""
-    given_blocks = (Text(text=block) if isinstance(block, str) else block for block in blocks)
-    return Section(title=title, blocks=tuple(block for block in given_blocks if block is not None))
+    """Return a section of these blocks without None."""
+    page_blocks = (Text(text=block) if isinstance(block, str) else block for block in blocks)
+    return Section(title=title, blocks=tuple(block for block in page_blocks if block is not None))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Part:
-    """Sections under one title; a report of one calibration has a single part without a title, whose first sections,
-    so many as `customer` says, stand on the page for the customer, and the others are annexes."""
+    """Sections under one title. A report of one calibration has one part without a title, whose first `customer`
+    sections are for the customer, the others annexes."""
 
     title: str
     sections: tuple[Section, ...]
@@ -145,7 +143,7 @@ class Part:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Letterhead:
-    """The laboratory: name, lines of its address, and its logo (base64) with the type of that, where it has one."""
+    """Letterhead of a laboratory: name, lines of the address, and a logo (base64) with its type."""
 
     name: str
     lines: tuple[str, ...]
@@ -155,7 +153,7 @@ class Letterhead:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Signature:
-    """A line to sign on: what stands below it, and in what function."""
+    """A line for a signature, with name and role."""
 
     name: str
     role: str = ""
@@ -163,9 +161,11 @@ class Signature:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Document:
-    """A whole report: the device, the worst verdict on its calibrations as a colour and in words, facts for the first
-    page, when the latest calibration was made (ISO 8601), and the parts; of a certificate its number and letterhead;
-    `statements` stand above the signatures, `closing` at the very end."""
+    """A report or a certificate.
+
+    `verdict` is the worst verdict on its calibrations, `facts` are for the first page, `created` is when the latest
+    calibration was made (ISO 8601); `statements` stand above the signatures, `closing` at the end; a certificate has a
+    `number` and a letterhead."""
 
     title: str
     device: str

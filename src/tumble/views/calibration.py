@@ -1,7 +1,7 @@
-"""Calibrations: parameters, groups, launches, iterations and methods side by side, rests, fits.
+"""Calibrations: parameters, groups, launches, iterations, methods, rests and fits.
 
-Several launches have the form of the paper's Tables 1 to 3: every launch, the mean and the standard deviation from
-launch to launch, the mean increments of the iterations, and the difference of the methods in percent.
+Several launches have the form of the paper's Tables 1 to 3: every launch, the mean and the standard deviation between
+launches, the mean increments of the iterations, and the difference of the methods in per cent.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from itertools import chain
 import numpy as np
 
 from tumble.diagnosis.in_motion import IN_MOTION
-from tumble.diagnosis.verdict import gravity_said
+from tumble.diagnosis.verdict import gravity_text
 from tumble.files import FilePath
 from tumble.result.accepted import accepted_kinds
 from tumble.result.calibration import Calibration
@@ -51,17 +51,16 @@ from tumble.views.numbers import (
 )
 from tumble.views.render.terminal import text_of
 
-WHAT_AN_INCREMENT_SAYS = (
+MEANING_OF_INCREMENTS = (
     "All iterations work on the same readings. What a later one adds is the error that the one before made by its "
     "method: table, mounting, squares of the parameters. Noise, changes of the sensors between rests and a wrong "
     "gravity are in every iteration alike and in no increment: small increments say that the iterations have "
     "converged, not that the result is as exact as they are small. How exact it is, u says."
 )
-"""Explanation below the increments of iterations."""
 
 
 def _over_temperature(calibration: Calibration) -> list[Block]:
-    """That there are coefficients of temperature, which only the whole table shows."""
+    """State the number of temperature coefficients, which only the complete table shows."""
     count = sum(p.name[-3:-1] == ".t" for p in calibration.parameters)
     measured = calibration.temperature_range
     if not count or measured is None:
@@ -82,15 +81,25 @@ def calibration_blocks(
     file: FilePath = "calibration.json",
     session: FilePath = "SESSION",
 ) -> list[Block]:
-    """What `tumble calibrate` prints: the verdict, what the calibration improves, the parameters, remarks, and the next
-    command.
+    """Return the output of `tumble calibrate`: verdict, improvement, parameters, remarks, and the next command.
 
-    With `every` there are all parameters, tables of groups, rests, turns, fits, launches, iterations and methods, and
-    all remarks and notes; without it the accepted parameters of the linear model, a row a group where nothing stands
-    beside each, a line on launches, iterations and other methods, and as many remarks, of MOST_REMARKS, as leave room
-    for the whole on MOST_LINES lines. With `budget` it shows what every u is made of. `truth` are true values by the
-    names of parameters, `others` calibrations of the same sessions by other methods, `file` and `session` where the
-    calibration is written and what it is of."""
+    Parameters
+    ----------
+    calibration
+        The calibration.
+    truth
+        True values by the names of parameters.
+    others
+        Calibrations of the same sessions by other methods.
+    every
+        Show all parameters, tables of groups, rests, turns, fits, launches, iterations and methods, all remarks and
+        notes. Otherwise show the accepted linear parameters, a group a row unless compared values are beside them, a
+        line on launches, iterations and other methods, and at most MAX_REMARKS remarks, on MAX_LINES lines.
+    budget
+        Show the uncertainty budget.
+    file, session
+        File of the calibration, and its session.
+    """
     parameters, evidence = calibration.parameters, calibration.evidence
     if not every:
         outcome = calibration.outcome
@@ -115,7 +124,7 @@ def calibration_blocks(
         from tumble.views.uncertainty_budget import budget_blocks
 
         blocks += budget_blocks(calibration, every=every)
-    sessions = []  # that are one estimate together
+    sessions = []  # of one common estimate
     for member in evidence.together:
         low, high = (f"{celsius:z.1f}" for celsius in member.temperatures)
         counts = {"rests": str(member.rests), "turns": str(member.turns)}
@@ -128,7 +137,7 @@ def calibration_blocks(
         for each in iterated:
             blocks += [f"method {each.method}"] if others else []
             blocks.append(iteration_table(each, [p for p in each.parameters if p.name in calibration]))
-        blocks += [WHAT_AN_INCREMENT_SAYS] if iterated else []
+        blocks += [MEANING_OF_INCREMENTS] if iterated else []
         blocks += [method_table(calibration, other, parameters) for other in others]
     lines = list[str]()
     if truth is not None:
@@ -145,7 +154,7 @@ def calibration_blocks(
         lines += [rests_said(evidence)] if evidence.rests and not several else []
         lines += [f"remark: {remark}" for remark in remarks_of(calibration)]
         site = calibration.provenance.site
-        lines += [gravity_said(site)] if site is not None and not site.gravity_is_unit else []
+        lines += [gravity_text(site)] if site is not None and not site.gravity_is_unit else []
         return [*blocks, Items(items=(*lines, *without_expanded(parameters), *calibration.provenance.notes))]
     units, spreads = shown_units(parameters), list[str]()
     for name, members in by_group(parameters).items() if several else ():
@@ -155,10 +164,10 @@ def calibration_blocks(
     lines += [f"from launch to launch: {', '.join(spreads)}"] if several else []
     for each in iterated:
         steps = each.evidence.iterations
-        lines.append(f"{each.method}: the last of {len(steps)} iterations added {_largest(each, steps[-1])}")
+        lines.append(f"{each.method}: the last of {len(steps)} iterations added {_largest_change(each, steps[-1])}")
     for other in others:
         changes = {p.name: other[p.name].value - p.value for p in calibration.parameters if p.name in other}
-        lines.append(f"{other.method} differs from {calibration.method} by {_largest(calibration, changes)}")
+        lines.append(f"{other.method} differs from {calibration.method} by {_largest_change(calibration, changes)}")
     lines += without_expanded(parameters)
     if accepted_kinds(calibration):
         following = f"next: tumble export {shlex.quote(str(file))} --to json -o imu.json (others: --help)"
@@ -166,30 +175,28 @@ def calibration_blocks(
         there = "the rests and turns that were found" if evidence.rests else "what was found in the recording"
         following = f"next: tumble inspect {shlex.quote(str(session))} ({there})"
     height = len(text_of([*blocks, Items(items=(*lines, "")), following], WIDTH).splitlines())
-    return [*blocks, Items(items=(*lines, *_fitting(calibration, MOST_LINES - height))), following]
+    return [*blocks, Items(items=(*lines, *_fitting_remarks(calibration, MAX_LINES - height))), following]
 
 
-MOST_LINES, WIDTH, MOST_REMARKS = 24, 100, 3
-"""Lines, characters of a line, and remarks without --all."""
+MAX_LINES, WIDTH, MAX_REMARKS = 24, 100, 3  # lines, characters of a line, remarks without --all
 
 
 def remarks_of(calibration: Calibration) -> tuple[str, ...]:
-    """What a user should do something about, the most harmful first: a doubt how the log is read, residuals that the
-    model does not explain, what else was assumed of the log and the place, and what priors decide."""
+    """Return remarks that call for action, the most harmful first: doubts about the log, unexplained residuals, other
+    assumptions on log and place, and what priors decide."""
     decided, assumed = decided_by_priors(calibration), calibration.provenance.assumptions
     doubts = [sentence for sentence in assumed if sentence.startswith("doubt")]
     others = [sentence for sentence in assumed if sentence not in doubts]
-    if not accepted_kinds(calibration):  # only how the log was read may be why
+    if not accepted_kinds(calibration):  # only the reading of the log may be the cause
         others = []
     return (*doubts, *calibration.outcome.remarks, *others, *([decided] if decided is not None else []))
 
 
-def _fitting(calibration: Calibration, room: int) -> list[str]:
-    """The first remarks, at most MOST_REMARKS and at least one, that fit on so many lines, and in a further line what
-    else --all shows."""
+def _fitting_remarks(calibration: Calibration, max_lines: int) -> list[str]:
+    """Return at least one and at most MAX_REMARKS remarks that fit on so many lines, and a line on the others."""
     remarks, notes, shown = remarks_of(calibration), calibration.provenance.notes, list[str]()
-    for remark in remarks[:MOST_REMARKS]:
-        if shown and len(text_of([Items(items=(*shown, f"remark: {remark}"))], WIDTH).splitlines()) > room:
+    for remark in remarks[:MAX_REMARKS]:
+        if shown and len(text_of([Items(items=(*shown, f"remark: {remark}"))], WIDTH).splitlines()) > max_lines:
             break
         shown.append(f"remark: {remark}")
     hidden = {"remark": len(remarks) - len(shown), "note": len(notes)}
@@ -197,8 +204,8 @@ def _fitting(calibration: Calibration, room: int) -> list[str]:
     return [*shown, f"more with --all: {', '.join([*counted, 'all tables'])}"]
 
 
-def _largest(calibration: Calibration, changes: Mapping[str, float]) -> str:
-    """The largest of changes of parameters, in units of u."""
+def _largest_change(calibration: Calibration, changes: Mapping[str, float]) -> str:
+    """Return the largest change of a parameter in units of u."""
     sigmas = {p.name: abs(changes[p.name]) / p.u for p in calibration.parameters if p.u and p.name in changes}
     name = max(sigmas, key=sigmas.__getitem__, default="")
     return f"at most {significant(sigmas[name], 2)} u ({name})" if name else "what no u says"
@@ -214,9 +221,10 @@ def parameter_table(
     *,
     whole: bool = False,
 ) -> Table:
-    """Parameters with their standard uncertainties; where a coverage factor is not 2, with U = k u; where there are
-    any, with deviations from the systematic values and from launch to launch; with `truth`, also true values and the
-    distance from them in units of u; the `whole` with U, degrees of freedom, priors and learned fractions."""
+    """Return parameters with u; if any, with coverage factors other than 2 and U, deviations from the systematic values
+    and between launches; with `truth` also true values and (value − truth)/u.
+
+    With `whole` it has U, degrees of freedom, priors and learned fractions."""
     several, factors = bool(calibration.evidence.launches), other_factors(parameters)
     passport, priors = (any(getattr(p, name) is not None for p in parameters) for name in ("deviation", "prior"))
 
@@ -242,43 +250,42 @@ def parameter_table(
 
 
 def compact_table(parameters: Sequence[Parameter]) -> Table:
-    """A row for each group of the linear model with three sensors or angles at most, each with its u."""
+    """Return a row for each group of the linear model with at most three parameters, each with u."""
     units, rows = shown_units(parameters), []
     for name, members in by_group(parameters).items():
         size, unit = units[members[0].name]
-        for first in range(0, len(members), _BESIDE):
-            beside = members[first : first + _BESIDE]
-            shown = [(within_group(p.name), *cells(p.value, p.u, size)) for p in beside]
-            empty = ("", "", "") * (_BESIDE - len(beside))
+        for first in range(0, len(members), _PER_ROW):
+            in_row = members[first : first + _PER_ROW]
+            shown = [(within_group(p.name), *cells(p.value, p.u, size)) for p in in_row]
+            empty = ("", "", "") * (_PER_ROW - len(in_row))
             rows.append(("" if first else name, *chain.from_iterable(shown), *empty, unit))
-    columns = ("parameter", *("", "value", "u (k=1)") * _BESIDE, "unit")
-    words = (0, *range(1, 3 * _BESIDE, 3), len(columns) - 1)
+    columns = ("parameter", *("", "value", "u (k=1)") * _PER_ROW, "unit")
+    words = (0, *range(1, 3 * _PER_ROW, 3), len(columns) - 1)
     return Table(columns=columns, rows=tuple(rows), text=words) if rows else Table(columns=(), rows=())
 
 
-_BESIDE = 3
-"""Parameters on a row."""
+_PER_ROW = 3  # parameters
 
 
-def group_table(calibration: Calibration, *, of_a_page: bool = False) -> Table:
-    """A line for each group beyond the linear model: its largest |value| with u, what the session has learned of it,
-    and how much its prior was widened; on a page with what it is and its prior."""
+def group_table(calibration: Calibration, *, on_page: bool = False) -> Table:
+    """Return a line for each group beyond the linear model: largest |value| with u, learned fraction, widening of its
+    prior; `on_page` also its meaning and prior."""
     rows = []
     for line in group_lines(calibration):
         largest = line.largest
         value, u = ("", "") if largest is None else cells(abs(largest.value), largest.u, line.size)
         prior = "" if line.prior is None else significant(line.prior / line.size, 4)
-        row = {"group": line.name} | ({"what it is": line.words} if of_a_page else {})
-        row |= {"largest": value, "u (k=1)": u} | ({"prior": prior} if of_a_page else {})
+        row = {"group": line.name} | ({"what it is": line.words} if on_page else {})
+        row |= {"largest": value, "u (k=1)": u} | ({"prior": prior} if on_page else {})
         rows.append(
-            row | {"unit": line.shown if largest or of_a_page else "", "learned": line.learned_percent, "": line.remark}
+            row | {"unit": line.shown if largest or on_page else "", "learned": line.learned_percent, "": line.remark}
         )
     return table(rows, words=("group", "what it is", "unit", ""), dense=True)
 
 
 def unknown_blocks(calibration: Calibration) -> list[Block]:
-    """What the model did not know about itself: every hyperparameter with its middle 68 % and the usual value, how the
-    posterior was integrated over them, and the biases that are met next. Nothing where nothing was estimated."""
+    """Return every hyperparameter with its middle 68 % and usual value, the quality of the integration over them, and
+    the biases to be expected next; empty if none was estimated."""
     if not calibration.evidence.hyperparameters:
         return []
     rows = []
@@ -294,7 +301,7 @@ def unknown_blocks(calibration: Calibration) -> list[Block]:
         error = f"by two sets of points values and u err by up to {100.0 * integral.u_error:.1f} % of u"
         blocks.append(f"{sentence}{weights}; {error}")
     units, rows = shown_units(calibration.parameters), []
-    for bias in (each for each in calibration.evidence.process_bias if each.name in units):  # means of their processes
+    for bias in (each for each in calibration.evidence.process_bias if each.name in units):
         size, unit = units[bias.name]
         value, u = cells(bias.value, bias.u, size)
         next_u = cells(bias.value, bias.next_u, size)[1]
@@ -303,24 +310,24 @@ def unknown_blocks(calibration: Calibration) -> list[Block]:
 
 
 def launch_table(
-    calibration: Calibration, parameters: Sequence[Parameter], *, deviations: bool = False, of_a_page: bool = False
+    calibration: Calibration, parameters: Sequence[Parameter], *, deviations: bool = False, on_page: bool = False
 ) -> Table:
-    """The value of every parameter in every launch, the mean and the standard deviation from launch to launch, as in
-    the paper's Tables 1 to 3; with `deviations`, those from the systematic values, which is what the paper has. On a
-    page to the digits of U, without the mean, which stands in the table of results."""
+    """Return the values of every launch, the mean and the standard deviation between launches, as in the paper's Tables
+    1 to 3; with `deviations`, as there, those from the systematic values. `on_page` values have the digits of U,
+    without the mean."""
     names = [launch.session for launch in calibration.evidence.launches]
     headings = [f"{i}: {name}" if names.count(name) > 1 else name for i, name in enumerate(names, 1)]
     by_name = [{q.name: q for q in launch.parameters} for launch in calibration.evidence.launches]
 
     def shown(q: Parameter | None, size: float) -> str:
-        if q is None or of_a_page:
+        if q is None or on_page:
             return "" if q is None else with_expanded(q, size)[0]
         return to_digits_of(q.deviation if deviations else q.value, q.u, size)
 
     def row(p: Parameter, size: float, unit: str) -> dict[str, str]:
-        u = p.u if p.u is None or not of_a_page else (p.k or 0.0) * p.u
+        u = p.u if p.u is None or not on_page else (p.k or 0.0) * p.u
         row = {heading: shown(launch.get(p.name), size) for heading, launch in zip(headings, by_name, strict=True)}
-        row |= {} if of_a_page else {"mean": shown(p, size)}
+        row |= {} if on_page else {"mean": shown(p, size)}
         return row | {"run to run": to_digits_of(p.run_to_run, u, size), "unit": unit}
 
     name = "deviation of" if deviations else "parameter"
@@ -328,8 +335,8 @@ def launch_table(
 
 
 def iteration_table(calibration: Calibration, parameters: Sequence[Parameter]) -> Table:
-    """What every iteration added to every parameter, of several launches the mean, the later ones also in % of the
-    first, as in the paper's Tables 1 to 3, beside the uncertainty."""
+    """Return the increments of every iteration (for several launches their means), the later ones also in per cent of
+    the first, as in the paper's Tables 1 to 3, and u."""
 
     def row(p: Parameter, size: float, unit: str) -> dict[str, str]:
         steps, first = dict[str, str](), calibration.evidence.iterations[0][p.name]
@@ -344,8 +351,8 @@ def iteration_table(calibration: Calibration, parameters: Sequence[Parameter]) -
 
 
 def method_table(calibration: Calibration, other: Calibration, parameters: Sequence[Parameter]) -> Table:
-    """The parameters by another method beside those of a calibration, and the difference other − this, also in % of
-    this, as in the last column of the paper's Table 1."""
+    """Return the parameters by two methods and the difference other − this, also in per cent, as in the paper's Table
+    1."""
 
     def row(p: Parameter, size: float, unit: str) -> dict[str, str]:
         value = other[p.name].value
@@ -362,41 +369,42 @@ def method_table(calibration: Calibration, other: Calibration, parameters: Seque
 
 
 def difference_percent(value: Array | float, reference: Array | float) -> Array:
-    """How far values are from those of another method, % of the latter: the last column of the paper's Table 1."""
+    """Return the difference from values of another method in per cent of these, as in the paper's Table 1."""
     return np.asarray(100.0 * (np.asarray(value) - reference) / reference)
 
 
-# -------------------- in a notebook --------------------
+# -------------------- notebooks --------------------
 
 
 def as_text(calibration: Calibration) -> str:
-    """The headline, the reasons against it and the remarks, all parameters, and the notes."""
-    return "\n".join(filter(None, text_of(_short(calibration)).splitlines()))
+    """Return headline, reasons, remarks, all parameters, and notes as text."""
+    return "\n".join(filter(None, text_of(_notebook_blocks(calibration)).splitlines()))
 
 
 def as_html(calibration: Calibration) -> str:
-    """The same as HTML, without a template, everything escaped."""
+    """Return the content of `as_text` as escaped HTML."""
 
-    def each(tag: str, texts: Iterable[str]) -> str:
+    def elements(tag: str, texts: Iterable[str]) -> str:
         return "".join(f"<{tag}>{escape(text)}</{tag}>" for text in texts)
 
     html = []
-    for block in _short(calibration):
+    for block in _notebook_blocks(calibration):
         if isinstance(block, Table):
-            rows = "".join(f"<tr>{each('td', row)}</tr>" for row in block.rows)
-            html.append(f"<table><tr>{each('th', block.columns)}</tr>{rows}</table>")
+            rows = "".join(f"<tr>{elements('td', row)}</tr>" for row in block.rows)
+            html.append(f"<table><tr>{elements('th', block.columns)}</tr>{rows}</table>")
         else:
-            html.append(f"<ul>{each('li', block.items)}</ul>" if isinstance(block, Items) else each("h4", [str(block)]))
+            items = f"<ul>{elements('li', block.items)}</ul>" if isinstance(block, Items) else ""
+            html.append(items or elements("h4", [str(block)]))
     return f"<div>{''.join(html)}</div>"
 
 
-def _short(calibration: Calibration) -> list[Block]:
+def _notebook_blocks(calibration: Calibration) -> list[Block]:
     outcome = calibration.outcome
     sentences = (*outcome.reasons, *remarks_of(calibration))
     notes = tuple(f"note: {note}" for note in calibration.provenance.notes)
-    blocks: list[Block] = [calibration.headline, *([Items(items=sentences)] if sentences else [])]
     return [
-        *blocks,
+        calibration.headline,
+        *([Items(items=sentences)] if sentences else []),
         parameter_table(calibration, calibration.parameters, whole=True),
         *([Items(items=notes)] if notes else []),
     ]

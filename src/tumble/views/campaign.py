@@ -1,4 +1,4 @@
-"""How the trials of a campaign ended, and their errors."""
+"""Summary of a campaign: outcomes of the trials, and their errors."""
 
 from __future__ import annotations
 
@@ -11,34 +11,26 @@ from tumble.views.blocks import Block, table
 
 
 def summary_blocks(lines: Sequence[SummaryLine]) -> list[Block]:
-    """How the trials ended, then the errors, where there are any."""
-    axes, ended, errors = varying(lines), [], []
-    before: dict[str, str] = {}
+    """Return a table of the outcomes of the trials, and one of their errors."""
+    axes, outcomes, errors = varying(lines), [], []
+    previous: dict[str, str] = {}
     for line in lines:
-        where = {axis: said(line.point[axis]) for axis in axes} | {"method": line.method}
-        if where != before:
+        point = {axis: _axis_value(line.point[axis]) for axis in axes} | {"method": line.method}
+        if point != previous:
             refused = line.trials - line.accepted - line.failed
             counts = {"trials": line.trials, "accepted": line.accepted, "not accepted": refused, "failed": line.failed}
-            ended.append(where | {name: str(count) for name, count in counts.items()})
+            outcomes.append(point | {name: str(count) for name, count in counts.items()})
         if line.rms is not None and line.bias is not None and line.scatter is not None:
             size, unit = shown_in(line.group, line.unit, line.rms)
-            named = where if where != before else dict.fromkeys(where, "")
             sizes = {"bias": line.bias, "scatter": line.scatter, "rms": line.rms}
-            errors.append(
-                named
-                | {"parameters": line.group}
-                | {name: f"{value / size:.3g}" for name, value in sizes.items()}
-                | {
-                    "unit": unit,
-                    "rms/bound": "" if line.to_bound is None else f"{line.to_bound:.3f}",
-                    "coverage": "" if line.coverage is None else f"{line.coverage:.1%}",
-                }
-            )
-        before = where
+            row = point if point != previous else dict.fromkeys(point, "")
+            row |= {"parameters": line.group} | {name: f"{value / size:.3g}" for name, value in sizes.items()}
+            row |= {"unit": unit, "rms/bound": "" if line.to_bound is None else f"{line.to_bound:.3f}"}
+            errors.append(row | {"coverage": "" if line.coverage is None else f"{line.coverage:.1%}"})
+        previous = point
     words = ("method", "parameters", "unit")
-    return [table(rows, words=words) for rows in (ended, errors) if rows]
+    return [table(rows, words=words) for rows in (outcomes, errors) if rows]
 
 
-def said(value: Any) -> str:
-    """The value of an axis in words, nothing for none."""
+def _axis_value(value: Any) -> str:
     return "" if value is None else f"{value:g}" if isinstance(value, float) else str(value)

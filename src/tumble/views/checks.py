@@ -1,4 +1,4 @@
-"""What a check and a comparison of calibrations show."""
+"""Checks and comparisons of calibrations."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tumble.views.numbers import cells, probability_text, quantity_table, to_dig
 
 
 def comparison_blocks(comparison: Comparison) -> list[Block]:
-    """Values, difference, its uncertainty and E_n of every common parameter, and the tests of all together."""
+    """Return a table of the differences of the common parameters with E_n, and the tests of all together."""
     differences = comparison.differences
     units = units_of_values((d.name, value, d.unit) for d in differences for value in (d.first, d.second))
 
@@ -31,11 +31,12 @@ def comparison_blocks(comparison: Comparison) -> list[Block]:
         u = cells(0.0, d.u, size)[1] if d.u else ""
         return {**shown, "u (k=1)": u, "unit": unit, "d/u": ratio, "E_n": e_n}
 
-    return [f"frame {comparison.frame}", quantity_table(differences, units, row), *judged_lines(comparison)]
+    return [f"frame {comparison.frame}", quantity_table(differences, units, row), *comparison_lines(comparison)]
 
 
-def judged_lines(comparison: Comparison) -> list[str]:
-    """Sentences with the number of differences beyond U, the probability of the largest, and χ² of all together."""
+def comparison_lines(comparison: Comparison) -> list[str]:
+    """Return sentences on the number of differences beyond U, the probability of the largest, and χ² of all
+    together."""
     judged = [d for d in comparison.differences if d.e_n is not None]
     lines = [f"{sum(abs(d.e_n or 0.0) > 1.0 for d in judged)} of {len(judged)} |E_n| beyond 1"]
     if comparison.largest_by_chance is not None:
@@ -53,30 +54,31 @@ def judged_lines(comparison: Comparison) -> list[str]:
 
 
 def check_blocks(check: FieldCheck, *, rests: bool = True) -> list[Block]:
-    """The rests against gravity, the test of every parameter, and the verdict; without the `rests` where a stream has
-    shown them one by one."""
+    """Return the rests against gravity, the test of every parameter, and the verdict.
+
+    Without `rests` for a stream, whose rests were shown one by one."""
     turns = f" and {check.turns} turns" if check.turns else ""
     left_out = ", each of the calibration's own left out in turn" if check.left_out else ""
     blocks: list[Block] = [f"{sum(not rest.why for rest in check.rests)} rests{turns}{left_out}"]
     compared = [rest for rest in check.rests if rest.u is not None and math.isfinite(rest.u)]
     if rests and compared:
-        blocks += [rest_table(check.rests), _summary(compared, check.rest_limit)]
+        blocks += [_rest_table(check.rests), _rest_summary(compared, check.rest_limit)]
     if check.misfit is not None:
         blocks += [*_test_blocks(check, check.misfit)]
     return [*blocks, "changed" if check.reasons else _no_change(check)]
 
 
-def rest_table(rests: Sequence[CheckedRest]) -> Table:
-    """Rests, or positions, with their differences from gravity; empty cells where nothing predicts them."""
+def _rest_table(rests: Sequence[CheckedRest]) -> Table:
+    """Return a table of the differences from gravity at rests or positions, empty where these are not predicted."""
     size, unit = engineering("m/s^2", _largest(rests))
-    shown = []
+    rows = []
     for rest in rests:
         row = {"": rest.label, f"g−|f| {unit}": "", f"u (k=1) {unit}": "", "ratio": ""}
         if rest.u is not None and math.isfinite(rest.u):
             numbers = f"{rest.difference / size:+z.1f}", f"{rest.u / size:.1f}", f"{rest.sigmas:+z.2f}"
             row = dict(zip(row, (rest.label, *numbers), strict=True))
-        shown.append(row)
-    return table(shown, words=("",))
+        rows.append(row)
+    return table(rows, words=("",))
 
 
 def _largest(rests: Iterable[CheckedRest]) -> float:
@@ -84,7 +86,7 @@ def _largest(rests: Iterable[CheckedRest]) -> float:
     return max(size for size in values if math.isfinite(size))
 
 
-def _summary(rests: Sequence[CheckedRest], limit: float | None) -> str:
+def _rest_summary(rests: Sequence[CheckedRest], limit: float | None) -> str:
     size, unit = engineering("m/s^2", _largest(rests))
     largest, ratio = max(abs(rest.difference) for rest in rests), max(abs(rest.sigmas or 0.0) for rest in rests)
     return (
@@ -94,7 +96,7 @@ def _summary(rests: Sequence[CheckedRest], limit: float | None) -> str:
 
 
 def _test_blocks(check: FieldCheck, misfit: Fit) -> Iterator[Block]:
-    """The tests of the parameters, and what no change explains."""
+    """Yield the tests of the parameters, and of the residuals that no change explains."""
     units = units_of_values((test.name, test.detectable, test.unit) for test in check.parameters)
 
     def row(test: ParameterTest, size: float, unit: str) -> dict[str, str]:
@@ -117,7 +119,7 @@ def _test_blocks(check: FieldCheck, misfit: Fit) -> Iterator[Block]:
 
 
 def _no_change(check: FieldCheck) -> str:
-    """That no change is shown, and the detectable one of each group, at its sensor that is determined least."""
+    """State the verdict of no change, with the largest change of each group that would not be detected."""
     if not check.parameters:
         return "no change is shown"
     worst = dict[str, str]()
@@ -130,7 +132,7 @@ def _no_change(check: FieldCheck) -> str:
 
 
 def event_line(event: Event) -> str:
-    """A rest of a stream, or a notice, in one line."""
+    """Return a rest or a notice of a stream as one line."""
     if isinstance(event, Notice):
         return f"{event.time:.1f} s: {event.text}"
     parts = [event.label] + ([] if event.celsius is None else [f"{event.celsius:.1f} °C"])
@@ -154,5 +156,5 @@ def _with_sigmas(value: float, unit: str, sigmas: float | None) -> str:
 
 
 def moved_line(moved: MovedBias) -> str:
-    """A sentence that says by how much a bias has moved, and since when."""
+    """Return a sentence on the change of a bias and its time."""
     return f"{change_text(moved)}; since about {moved.since:.1f} s, rest {moved.rest + 1}"

@@ -1,7 +1,4 @@
-"""Rests and turns found in a recording, as tables, as data, and as a picture of what the sensors read over time.
-
-In the picture the files of a log stand one after the other.
-"""
+"""Rests and turns of a recording: tables, and a picture of the readings over time, with the files of a log in a row."""
 
 from __future__ import annotations
 
@@ -26,15 +23,12 @@ if TYPE_CHECKING:
 
 UPRIGHT = 0.98  # an axis within 11° of the vertical is up or down
 
-_RESTS, _TURNS = "#e3e8ee", "#f6e3d6"
-"""Colours of the spans of rests and turns."""
-
-_MOST_NUMBERS = 40
-"""Rests that are numbered in a picture."""
+_REST_COLOUR, _TURN_COLOUR = "#e3e8ee", "#f6e3d6"
+_MAX_NUMBERED = 40  # rests in a picture
 
 
 def inspection_blocks(observed: Observed) -> list[Block]:
-    """Rests, turns and rejected stretches of a log."""
+    """Return the rests, turns and rejected stretches of a log."""
     segmentation, observations = observed.segmentation, observed.observations
     limits = f"thresholds found: accelerometer scatter {segmentation.scatter_limit:.3g} m/s²"
     if segmentation.rate_limit is not None:
@@ -54,7 +48,7 @@ def inspection_blocks(observed: Observed) -> list[Block]:
 
 
 def gyro_blocks(found: GyroRests) -> list[Block]:
-    """Rests with their means, and by how much the device was turned after each."""
+    """Return the rests of a log of gyros alone, with their means and the angle of the turn after each."""
     rows = []
     for i, rest in enumerate(found.segmentation.rests):
         means = {f"{axis} °/s": f"{value / DEGREE:z.4f}" for axis, value in zip("xyz", found.mean[i], strict=True)}
@@ -70,14 +64,13 @@ def gyro_blocks(found: GyroRests) -> list[Block]:
 
 
 def _verticals(observations: Observations) -> np.ndarray:
-    """Vertical in the body (N, 3) at every rest, by the nominal axes."""
+    """Return the vertical in the body frame (N, 3) at every rest, by the nominal axes."""
     force = observations.accel_block.nominal().apply(observations.rests.accel)
     return np.asarray(force / np.linalg.norm(force, axis=1, keepdims=True))
 
 
 def _rest_table(observations: Observations) -> Table:
-    """Where the vertical was in the body, and of each kind of sensor u of a mean, root mean square over the sensors,
-    and the largest drift."""
+    """Return a table of the rests: vertical, u of a mean (root mean square over the sensors) and largest drift."""
     rests, verticals, shown = observations.rests, _verticals(observations), []
     several = len(set(rests.file.tolist())) > 1
     kinds = [("accel", "µg", 1e-6 * G_STANDARD), ("gyro", "°/h", DEGREE_PER_HOUR)][: 1 + bool(rests.gyro.shape[1])]
@@ -111,8 +104,8 @@ def _turn_table(observations: Observations) -> Table | None:
 
 
 def _half_sums(observations: Observations) -> list[str]:
-    """For each body axis that rested both up and down: half sum and half difference of the mean readings of its
-    sensors, which are bias and sensitivity before any correction."""
+    """Return half sum and half difference of the mean readings of each axis that rested both up and down: its bias and
+    sensitivity before any correction."""
     rests, lines = observations.rests, []
     if observations.accel_block.size != 3:
         return []
@@ -138,17 +131,16 @@ def _half_sums(observations: Observations) -> list[str]:
 
 
 def plot(observed: Observed, path: Path) -> None:
-    """Write the recording of a session, accelerometers and below them gyros of all blocks of its log, with its rests
-    and turns as svg, png or pdf by the ending of the file.
+    """Plot the readings of a session with its rests and turns, as svg, png or pdf by the suffix of the file.
 
-    Raises MissingExtraError without matplotlib, InputError for another ending."""
+    Raises MissingExtraError without matplotlib, InputError for another suffix."""
     files, log = observed.reduction.files, observed.session.log
-    lasted = [float(file.edges[-1] - file.edges[0]) for file in files]
-    starts = [0.0, *np.cumsum(lasted).tolist()][:-1]
-    later = [start - float(file.edges[0]) for start, file in zip(starts, files, strict=True)]
-    rests = [(r.start + later[r.file], r.stop + later[r.file], r.file) for r in observed.segmentation.rests]
-    spans = [(start, stop, _RESTS) for start, stop, _ in rests]
-    spans += [(before[1], after[0], _TURNS) for before, after in pairwise(rests) if before[2] == after[2]]
+    durations = [float(file.edges[-1] - file.edges[0]) for file in files]
+    starts = [0.0, *np.cumsum(durations).tolist()][:-1]
+    shifts = [start - float(file.edges[0]) for start, file in zip(starts, files, strict=True)]
+    rests = [(r.start + shifts[r.file], r.stop + shifts[r.file], r.file) for r in observed.segmentation.rests]
+    spans = [(start, stop, _REST_COLOUR) for start, stop, _ in rests]
+    spans += [(before[1], after[0], _TURN_COLOUR) for before, after in pairwise(rests) if before[2] == after[2]]
     panels = [("accel", log.accel, 1.0, "m/s²")] + ([("gyro", log.gyro, DEGREE, "°/s")] if log.gyro else [])
 
     def draw(figure: Figure) -> None:
@@ -166,7 +158,7 @@ def plot(observed: Observed, path: Path) -> None:
             axes.margins(x=0.005)
             axes.set_ylabel(unit)
             axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
-        for number in range(0, len(rests), math.ceil(len(rests) / _MOST_NUMBERS) or 1):
+        for number in range(0, len(rests), math.ceil(len(rests) / _MAX_NUMBERED) or 1):
             above: dict[str, Any] = {"xycoords": ("data", "axes fraction"), "ha": "center", "va": "bottom"}
             middle = 0.5 * (rests[number][0] + rests[number][1])
             all_axes[0].annotate(str(number + 1), (middle, 1.0), fontsize=7.0, **above)

@@ -1,4 +1,4 @@
-"""Noise of the sensors: coefficients, and Allan deviations as a picture."""
+"""Noise of sensors: coefficients, and a plot of the Allan deviation."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from tumble.reduction.noise.wavelet_moments import LINEAR, MISFIT, Coefficient, NoiseParameters, Panel
+from tumble.reduction.noise.wavelet_moments import LINEAR, MISFIT_PROBABILITY, Coefficient, NoiseParameters, Panel
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, G_STANDARD, engineering, rounded
 from tumble.views.blocks import Block, table
 from tumble.views.render.pictures import write_picture
@@ -19,12 +19,11 @@ if TYPE_CHECKING:
 
     from tumble.run.quiet_samples import RecordedNoise
 
-CLOSE = 4.0
-"""A runner-up is named that is worse by less, in units of −2 ln of a likelihood."""
+CLOSE = 4.0  # difference of −2 ln likelihood, below which the second best sum of processes is named
 _COLUMNS = ("sensor", "noise", "symbol", "value", "u (k=1)", "unit")
 _MICRO_G = 1e-6 * G_STANDARD
-_SHOWN = {
-    # symbol, then for "rad/s" and for "m/s^2" one of the shown unit in SI, and its name
+_SYMBOLS_AND_UNITS = {
+    # symbol, then display unit of gyros and of accelerometers: size in SI, name
     "quantisation": ("Q", (ARCSEC, '"'), (1e-3, "mm/s")),
     "white_noise": ("N", (DEGREE / 60.0, "°/√h"), (_MICRO_G, "µg/√Hz")),
     "bias_instability": ("B", (DEGREE_PER_HOUR, "°/h"), (_MICRO_G, "µg")),
@@ -36,7 +35,7 @@ _SHOWN = {
 
 
 class NoiseRow(NamedTuple):
-    """A noise coefficient as it is shown: "white noise", "N", "0.0030", "0.0002", "°/√h"."""
+    """A noise coefficient as text: "white noise", "N", "0.0030", "0.0002", "°/√h"."""
 
     name: str
     symbol: str
@@ -45,28 +44,28 @@ class NoiseRow(NamedTuple):
     unit: str
 
 
-def shown(parameters: NoiseParameters, unit: str) -> list[NoiseRow]:
-    """The coefficients a channel shows, rounded by their uncertainties, in the units of data sheets; `unit` is that of
-    the samples, "rad/s" or "m/s^2"."""
+def coefficient_rows(parameters: NoiseParameters, unit: str) -> list[NoiseRow]:
+    """Return the coefficients of a channel in the units of data sheets; the samples are in `unit`, "rad/s" or
+    "m/s^2"."""
     coefficients: list[tuple[str, Coefficient | None]] = [(name, getattr(parameters, name)) for name in LINEAR]
     for process in parameters.gauss_markov:
         coefficients += [("Gauss–Markov noise", process.sigma), ("correlation time", process.time)]
-    out = []
+    rows = []
     for name, coefficient in coefficients:
         if coefficient is not None:
-            symbol, gyro, accel = _SHOWN[name]
+            symbol, gyro, accel = _SYMBOLS_AND_UNITS[name]
             size, unit_name = gyro if unit == "rad/s" else accel
             value, u = rounded(coefficient.value / size, coefficient.u / size)
-            out.append(NoiseRow(name.replace("_", " "), symbol, value, u, unit_name))
-    return out
+            rows.append(NoiseRow(name.replace("_", " "), symbol, value, u, unit_name))
+    return rows
 
 
 def noise_blocks(noise: RecordedNoise) -> list[Block]:
-    """Noise coefficients of every channel and how sure its processes are."""
+    """Return the noise coefficients of every channel, with doubts about the choice of processes."""
     rows: list[dict[str, str]] = []
     for panel in noise.panels:
         for channel, parameters in zip(panel.channels, panel.parameters, strict=True):
-            for coefficient in shown(parameters, panel.unit) or [
+            for coefficient in coefficient_rows(parameters, panel.unit) or [
                 NoiseRow("none that the record shows", "", "", "", "")
             ]:
                 rows.append(dict(zip(_COLUMNS, (channel, *coefficient), strict=True)))
@@ -74,11 +73,11 @@ def noise_blocks(noise: RecordedNoise) -> list[Block]:
         noise.source,
         table(rows, words=("sensor", "noise", "symbol", "unit"), columns=_COLUMNS),
     ]
-    for panel in noise.panels:  # where another sum of processes is nearly as good, and where none fits
+    for panel in noise.panels:  # ambiguous or missing fits
         for channel, p in zip(panel.channels, panel.parameters, strict=True):
             if p.runner_up and p.margin < CLOSE:
                 blocks.append(f"{channel}: {p.runner_up} would do nearly as well; a longer record tells.")
-            if p.probability < MISFIT:
+            if p.probability < MISFIT_PROBABILITY:
                 none = "no sum of processes fits (vibration, a filter?); u is enlarged by what is left."
                 blocks.append(f"{channel}: {none}")
     if noise.doubt:
@@ -87,10 +86,9 @@ def noise_blocks(noise: RecordedNoise) -> list[Block]:
 
 
 def plot(panels: Sequence[Panel], path: Path) -> None:
-    """Write the Allan deviations with 68 % bands, the fit and its terms, a panel for each kind of sensor, as svg,
-    png or pdf by the ending of the file. Needs matplotlib.
+    """Plot Allan deviations with 68 % bands, the fit and its terms, as svg, png or pdf by the suffix of the file.
 
-    Raises MissingExtraError without matplotlib, InputError for another ending."""
+    Raises MissingExtraError without matplotlib, InputError for another suffix."""
 
     def draw(figure: Figure) -> None:
         for axes, panel in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
@@ -100,13 +98,15 @@ def plot(panels: Sequence[Panel], path: Path) -> None:
 
 
 def _draw(axes: Axes, panel: Panel) -> None:
-    """One panel: band and line of every channel, its fit dashed, the terms of the fit dotted where they matter."""
+    """Draw the band and line of every channel, its fit dashed, and the terms of the fit dotted where they matter."""
     tau, allan = panel.deviation.tau, panel.deviation
     size, unit_name = engineering(panel.unit, float(np.median(allan.deviation)))
     for i, (channel, parameters) in enumerate(zip(panel.channels, panel.parameters, strict=True)):
         colour = f"C{i}"
         low, middle, high = (band[:, i] / size for band in (allan.low, allan.deviation, allan.high))
-        caption = ", ".join(f"{s.symbol} = {s.value} ± {s.u} {s.unit}" for s in shown(parameters, panel.unit))
+        caption = ", ".join(
+            f"{s.symbol} = {s.value} ± {s.u} {s.unit}" for s in coefficient_rows(parameters, panel.unit)
+        )
         axes.fill_between(tau, low, high, color=colour, alpha=0.2, linewidth=0.0)
         axes.plot(tau, middle, color=colour, linewidth=1.5, label=f"{channel}: {caption}" if caption else channel)
         terms = parameters.variances(tau)

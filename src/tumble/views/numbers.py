@@ -1,12 +1,13 @@
-"""Numbers and names as text: one choice of units, one formatting of a value and its uncertainty.
+"""Formatting of numbers and names: units, values with uncertainties, tables of quantities.
 
-Cells of tables have a hyphen for a minus and nothing where a number is not known; sentences of a page have a real minus
-(`fixed`, `significant`).
+Cells of tables have a hyphen as minus and are empty without a number; sentences of a page have a real minus (`fixed`,
+`significant`).
 """
 
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Protocol, TypeVar
 
@@ -16,19 +17,18 @@ from tumble.sensors.parameters import group_name, shown_in
 from tumble.units import engineering, rounded
 from tumble.views.blocks import Table, table
 
-NONE = "—"
-"""What a page shows where there is no number."""
+NONE = "—"  # on a page, in place of a number
 
 
 class Named(Protocol):
-    """What has the name of a parameter."""
+    """Object with the name of a parameter."""
 
     @property
     def name(self) -> str: ...
 
 
 class Quantity(Named, Protocol):
-    """What has a value and a unit too, SI: a parameter of a calibration or of a registry."""
+    """Object with name, value and unit, SI: a parameter of a calibration or of a registry."""
 
     @property
     def value(self) -> float: ...
@@ -38,19 +38,19 @@ class Quantity(Named, Protocol):
 
 Q = TypeVar("Q", bound=Named)
 Units = Mapping[str, tuple[float, str]]
-"""The unit in which each quantity is shown, by its name: (size in SI, name of the unit)."""
+"""Display unit of each quantity by its name: (size in SI, name of the unit)."""
 
 
 def shown_units(quantities: Iterable[Quantity]) -> Units:
-    """The unit in which each quantity is shown: one for all of a group, by their root mean square."""
+    """Return the display unit of each quantity: one for all of a group, by their root mean square."""
     return units_of_values((q.name, q.value, q.unit) for q in quantities)
 
 
 def units_of_values(values: Iterable[tuple[str, float, str]]) -> Units:
-    """The same of names with values and their SI unit; a name may have several values."""
-    groups: dict[str, list[tuple[str, float, str]]] = {}
+    """Return the display units of (name, value, SI unit); a name may have several values."""
+    groups = defaultdict[str, list[tuple[str, float, str]]](list)
     for value in values:
-        groups.setdefault(group_name(value[0]), []).append(value)
+        groups[group_name(value[0])].append(value)
     units: dict[str, tuple[float, str]] = {}
     for group, members in groups.items():
         rms = math.sqrt(sum(value**2 for _, value, _ in members) / len(members))
@@ -59,8 +59,8 @@ def units_of_values(values: Iterable[tuple[str, float, str]]) -> Units:
 
 
 def cells(value: float | None, u: float | None, size: float = 1.0) -> tuple[str, str]:
-    """A value and its uncertainty (standard or expanded) in a unit of this size, both to the second significant digit
-    of the uncertainty; without one the value to six digits."""
+    """Format a value and its uncertainty in a unit of this size, both to the second significant digit of the
+    uncertainty; a value without uncertainty to six digits."""
     if value is None:
         return "", ""
     if u is None:
@@ -69,7 +69,7 @@ def cells(value: float | None, u: float | None, size: float = 1.0) -> tuple[str,
 
 
 def to_digits_of(value: float | None, u: float | None, size: float) -> str:
-    """Another number of a quantity, to the digits of its uncertainty."""
+    """Format a value to the second significant digit of an uncertainty, in a unit of this size."""
     return cells(value, u or 0.0, size)[0]
 
 
@@ -84,60 +84,68 @@ def quantity_table(
     dense: bool = False,
     halves: bool = False,
 ) -> Table:
-    """A table with one row for each quantity, which begins with its name; without quantities it has no columns, and
-    nothing of it is shown.
+    """Return a table with one row for each quantity; without quantities it has no columns.
 
-    `units` are those in which each is shown, by its name (`shown_units`, `units_of_values`); `row` gives the further
-    cells of a quantity by their headings, from the quantity, the size in SI of its unit, and the name of this unit.
-    `name` is the heading of the names, `words` are those of further columns of words beside "unit"."""
+    Parameters
+    ----------
+    quantities
+        Objects with names.
+    units
+        Display units by name (`shown_units`, `units_of_values`).
+    row
+        Function of a quantity, the size of its display unit in SI and the name of the unit, which returns the further
+        cells by heading.
+    name
+        Heading of the names.
+    words
+        Headings of further columns of words beside "unit".
+    caption, dense, halves
+        See `Table`.
+    """
     rows = [{name: q.name} | row(q, *units[q.name]) for q in quantities]
     return table(rows, words={name, "unit", *words}, caption=caption, dense=dense, halves=halves)
 
 
 def in_engineering(unit: str, value: float, digits: int = 3) -> str:
-    """A quantity of an SI unit to so many digits, with the engineering unit of its size; a dash if infinite."""
+    """Format a quantity of an SI unit with an engineering unit; a dash if infinite."""
     size, shown = engineering(unit, value)
     return f"{value / size:.{digits}g} {shown}" if math.isfinite(value) else "–"
 
 
 def probability_text(probability: float) -> str:
-    """A probability to two digits, none as if it were 1."""
+    """Format a probability to two digits, without rounding up to 1."""
     return "above 0.99" if probability > 0.99 else f"{probability:.2g}"
 
 
 def percent(fraction: float | None) -> str:
-    """A fraction in whole %."""
+    """Format a fraction in whole per cent."""
     return "" if fraction is None else f"{100.0 * fraction:.0f} %"
 
 
 def minus(text: str) -> str:
-    """A number with a real minus."""
+    """Replace hyphens by real minuses."""
     return text.replace("-", "−")
 
 
 def fixed(value: float, digits: int) -> str:
-    """A number with so many digits behind the point; never a negative zero."""
+    """Format a number with so many decimals and a real minus, without negative zero."""
     return minus(f"{value:z.{digits}f}")
 
 
 def significant(value: float, digits: int) -> str:
-    """A number with so many significant digits, a small or large one with a power of ten."""
+    """Format a number with so many significant digits and a real minus, if necessary with a power of ten."""
     mantissa, _, exponent = f"{value:.{digits}g}".partition("e")
-    return minus(mantissa) + (f"·10{raised(int(exponent))}" if exponent else "")
-
-
-def raised(exponent: int) -> str:
-    """An exponent as it stands above the line."""
-    return str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+    superscript = str(int(exponent or 0)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+    return minus(mantissa) + (f"·10{superscript}" if exponent else "")
 
 
 def limit_cell(value: float, size: float) -> str:
-    """An acceptance limit in a unit of this size, where there is one."""
+    """Format an acceptance limit in a unit of this size; empty if infinite."""
     return f"{value / size:.6g}" if math.isfinite(value) else ""
 
 
 def with_expanded(quantity: Estimated, size: float) -> tuple[str, str]:
-    """Value and U in a unit of this size, to the second significant digit of U; where none is stated to that of u."""
+    """Format value and U in a unit of this size, to the second digit of U; to that of u if no U is stated."""
     U = None if quantity.u is None else expanded_of(quantity.u, quantity.dof)
     if U is None:
         return cells(quantity.value, quantity.u, size)[0], ""
@@ -145,20 +153,20 @@ def with_expanded(quantity: Estimated, size: float) -> tuple[str, str]:
 
 
 def factor(parameter: Parameter) -> str:
-    """The coverage factor, where U is stated."""
+    """Format the coverage factor; empty if no U is stated."""
     return "" if parameter.k is None else f"{parameter.k:.2f}"
 
 
 def degrees(parameter: Parameter) -> str:
-    """The degrees of freedom of u; infinite where it is known."""
+    """Format the degrees of freedom of u."""
     return "∞" if parameter.dof is None else f"{parameter.dof:.{1 if parameter.dof < 100.0 else 0}f}"
 
 
 def unit_text(unit: str) -> str:
-    """An SI unit with its exponents above the line and products with a dot: m/s², rad·s/m."""
+    """Format an SI unit with superscript exponents and dots: m/s², rad·s/m."""
     return unit.translate({ord("^"): None, ord("*"): "·"} | dict(zip(map(ord, "24"), "²⁴", strict=True)))
 
 
 def device_name(serial: str, model: str | None) -> str:
-    """A device by its serial number, with its type."""
+    """Return the serial number of a device with its type."""
     return serial if model is None else f"{serial} ({model})"

@@ -1,4 +1,4 @@
-"""A plan as blocks."""
+"""Plans: expected uncertainties, best next positions, requirements."""
 
 from __future__ import annotations
 
@@ -13,12 +13,11 @@ from tumble.units import DEGREE
 from tumble.views.blocks import Block, Items, Table, table
 from tumble.views.numbers import minus
 
-SHOWN = 1e-4
-"""Sources below this part of u² are not shown."""
+MIN_SHARE = 1e-4  # of u², of sources that are shown
 
 
-def in_unit(name: str, value: float) -> str:
-    """A value of a group in the unit in which it is shown; a dash where it is infinite."""
+def _in_unit(name: str, value: float) -> str:
+    """Format a value of a group in its display unit; a dash if infinite."""
     if not math.isfinite(value):
         return "–"
     size, unit = shown_in(name, group_of(name).unit, value)
@@ -26,8 +25,7 @@ def in_unit(name: str, value: float) -> str:
 
 
 def plan_blocks(plan: Plan, *, sources: bool = False) -> list[Block]:
-    """What a set-up gives: u by group, and with `sources` by source; the best next positions; what wanted accuracies
-    need."""
+    """Return u by group, with `sources` also by source, the best next positions, and what wanted accuracies need."""
     blocks: list[Block] = [_head(plan)]
     if plan.rank is not None and plan.condition is not None:
         linear = sum(len(row.parameters) for row in plan.groups if row.group in GROUPS)
@@ -43,7 +41,6 @@ def plan_blocks(plan: Plan, *, sources: bool = False) -> list[Block]:
 
 
 def _head(plan: Plan) -> str:
-    """What is planned."""
     setup, programme = plan.setup, plan.setup.programme
     if plan.motion is not None:
         where = "on a pivot" if plan.motion.held == "pivot" else "in the hand"
@@ -55,35 +52,35 @@ def _head(plan: Plan) -> str:
 
 
 def _groups_table(plan: Plan, *, sources: bool) -> Table:
-    """Expected uncertainty by group of parameters, and by source where asked for."""
+    """Return a table of the expected uncertainty by group of parameters, and by source if `sources`."""
     rows: list[Mapping[str, str]] = []
     for row in plan.groups:
-        cells = {"parameters": row.group, "u (rms)": in_unit(row.group, row.u)}
-        cells |= {"before": in_unit(row.group, row.spread), "u/before": f"{row.u / row.spread:.2%}"}
+        cells = {"parameters": row.group, "u (rms)": _in_unit(row.group, row.u)}
+        cells |= {"before": _in_unit(row.group, row.spread), "u/before": f"{row.u / row.spread:.2%}"}
         if plan.method != "joint":
             cells = {"pass": str(row.iteration), **cells, "by": row.estimator}
         rows.append(cells | {"mostly from": row.largest if math.isfinite(row.u) else "not determined"})
         for name, u in row.sources.items() if sources else ():
-            if u**2 >= SHOWN * row.u**2:
+            if u**2 >= MIN_SHARE * row.u**2:
                 blank = dict.fromkeys(cells, "")
-                rows.append({**blank, "u (rms)": in_unit(row.group, u), "mostly from": name})
+                rows.append({**blank, "u (rms)": _in_unit(row.group, u), "mostly from": name})
     return table(rows, words=("parameters", "by", "mostly from"))
 
 
 def _following_table(plan: Plan) -> Table:
-    """The best next positions, with the u that is stated then."""
+    """Return a table of the best next positions, with the u after each."""
     words, rows = ("one more position", "up and down", "how to get there"), []
     for one in plan.following:
         where = (short_code(one.position.attitude), one.position.label, move_text(one.move))
         counts = {"as good": f"+{one.as_good}" if one.as_good else "", "gain": minus(f"{one.ratio - 1.0:+.1%}")}
-        u = {group: in_unit(group, one.u[group]) for group in GROUPS if group in one.u}
+        u = {group: _in_unit(group, one.u[group]) for group in GROUPS if group in one.u}
         rows.append(dict(zip(words, where, strict=True)) | counts | u)
     return table(rows, words=words)
 
 
 def _needs(row: Requirement, setup: Setup) -> dict[str, str]:
-    """What a wanted accuracy needs, with the errors of a set-up."""
-    cells = {"parameters": row.group, "wanted": in_unit(row.group, row.wanted), "as it is": in_unit(row.group, row.u)}
+    """Return the cells of a wanted accuracy: what it needs of the table, the mounting, and rests or positions."""
+    cells = {"parameters": row.group, "wanted": _in_unit(row.group, row.wanted), "as it is": _in_unit(row.group, row.u)}
     cells |= dict.fromkeys(("table within", "mounting within", "rests of", "or positions"), "")
     if row.reason:
         return cells | {"table within": "no table", "because": row.reason.partition(": ")[2]}

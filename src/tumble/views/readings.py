@@ -1,4 +1,4 @@
-"""A calibration from a table of readings."""
+"""Calibrations from a table of readings."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tumble.views.numbers import cells
 
 
 def readings_blocks(result: ReadingsCalibration) -> list[Block]:
-    """The verdict, parameters, positions, and what the fit says."""
+    """Return verdict, parameters and positions of a calibration, with sentences on the fit."""
     calibration, fit = result.calibration, result.fit
     blocks: list[Block] = [
         f"{result.table.path.name} · method {calibration.method} · frame {calibration.frame}",
@@ -57,7 +57,7 @@ def _paper_table(result: ReadingsCalibration) -> Table:
 
 
 def _position_table(result: ReadingsCalibration, fit: EllipsoidFit) -> Table:
-    """Residual |corrected reading| − g of every position, plain and against the fit through the others."""
+    """Return a table of the residuals |corrected reading| − g of the positions, plain and by the fit to the others."""
     size, unit = engineering("m/s^2", float(np.abs(fit.residual[fit.used]).max()))
     rows = []
     for i, line in enumerate(result.table.lines):

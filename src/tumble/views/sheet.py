@@ -1,4 +1,4 @@
-"""The operator's sheet of a programme: on a terminal, and as a file: a page, a drawing, or a PDF to print and keep."""
+"""Operator's sheet of a programme: on a terminal, and as a page, a drawing, or a PDF."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ENDINGS = (".html", ".pdf", ".svg")
 
 
 def sheet_blocks(programme: Programme, *, rest: float = REST, rate: float = RATE, move: float = MOVE) -> list[Block]:
-    """The sheet for a terminal: how to get to each position, where the body axes point, and when."""
+    """Return the sheet for a terminal: how to get to each position, where the body axes point, and when."""
     rows = sheet_rows(programme, rest=rest, rate=rate, move=move)
     listed = []
     for row in rows:
@@ -90,7 +90,7 @@ def write_sheet(
 
 
 def _pdf(programme: Programme, pace: Mapping[str, float], serial: str, number: str, revision: str) -> bytes:
-    """The page as PDF/A-2b on A4, without a date: the same bytes for the same sheet."""
+    """Return the page as PDF/A-2b on A4, without a date, so that the same sheet gives the same bytes."""
     with needs_extra("a sheet as PDF", "lab", "matplotlib", "typst"):
         from tumble.views.render.characters import drawable, everywhere
         from tumble.views.render.pages import set_in_type

@@ -439,10 +439,6 @@ def printed(pattern: str, *, time: float = 1e3, gyro: float = 1.0) -> Callable[[
     return write
 
 
-def carriage_returns(log: pl.DataFrame, folder: Path) -> str:
-    return written(folder / "log.txt", table(log, NAMES), delimiter=";", end="\r")
-
-
 def counter_of(bits: int, unit: float, name: str) -> Callable[[pl.DataFrame, Path], str]:
     """Time stamps of a counter that starts anew in the middle of the recording, and as often as it must."""
 

@@ -225,17 +225,6 @@ def core_motion(log: pl.DataFrame, folder: Path) -> str:
     return joined(folder / "iphone.csv", names, columns)
 
 
-def days(log: pl.DataFrame, folder: Path) -> str:
-    t, a, g = parts(log)
-    return joined(folder / "days.csv", NAMES, [[f"{739212.5 + v / 86400.0:.10f}" for v in t], *text(a), *text(g)])
-
-
-def tenths_of_microseconds(log: pl.DataFrame, folder: Path) -> str:
-    t, a, g = parts(log)
-    stamps = [str(638_000_000_000_000_000 + round(1e7 * v)) for v in t]
-    return joined(folder / "net.csv", ["Timestamp", *NAMES[1:]], [stamps, *text(a), *text(g)])
-
-
 # -------------------- no recordings of accelerometers --------------------
 
 

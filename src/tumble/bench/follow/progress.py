@@ -16,7 +16,7 @@ from tumble.programme.positions import Programme
 from tumble.recording.session import Session
 from tumble.reduction.blocks.reducer import Reduction
 from tumble.reduction.rest_stream import mean_so_far
-from tumble.reduction.rests.matching import POSITION_LIMIT, SAME_ATTITUDE, freed_verticals
+from tumble.reduction.rests.matching import POSITION_LIMIT, SAME_ATTITUDE, bias_free_verticals
 from tumble.reduction.rests.segmentation import Segmentation
 from tumble.rotation import onto_body, rotation_matrix, rotation_vector, unit_vector
 from tumble.units import Array
@@ -225,7 +225,7 @@ def grouped(blocks: Blocks, rests: list[Rest]) -> list[list[Rest]]:
 def verticals(rests: list[Rest], programme: Programme, gravity: float) -> Array:
     """Verticals (N, 3) in the body, corrected for the bias that the positions of a programme show."""
     expected = np.array([position.vertical_b for position in programme.positions])
-    return freed_verticals(np.array([rest.force for rest in rests]).reshape(-1, 3), expected, gravity)
+    return bias_free_verticals(np.array([rest.force for rest in rests]).reshape(-1, 3), expected, gravity)
 
 
 def nearest_positions(programme: Programme, units: Array) -> list[int | None]:

@@ -1,13 +1,12 @@
-"""The database of a registry: its tables, and the transactions of readers and writers.
+"""Tables of a registry, and transactions of its readers and writers.
 
-A device is its serial number; it has no table of its own, since there is nothing to say about a device that could not
-change. A calibration has the columns by which records are searched and listed, and the text of its file. Triggers
-refuse that a row is changed or deleted. A change of the tables takes another name of one of them, by which a database
-of another version is recognised.
+A device is identified by its serial number and has no table. A calibration has the columns by which records are
+searched and listed, and the text of its file. Triggers prevent rows from being changed or deleted. If the tables
+change in a later version, one of them must be renamed, so that a database of another version is recognised.
 
-Writers come one after the other: SQLite's BEGIN IMMEDIATE, an advisory lock on PostgreSQL. A plain BEGIN on SQLite
-takes the lock only at the first write, and what was read before it may be stale by then. A reader sees one state of the
-database from its first query to its last and waits for nobody.
+Writers are serialised by BEGIN IMMEDIATE on SQLite and an advisory lock on PostgreSQL. A plain BEGIN on SQLite would
+take the lock only at the first write, when data that were read before may be stale. A reader sees one state of the
+database throughout its transaction and never waits.
 """
 
 from __future__ import annotations
@@ -49,19 +48,17 @@ from sqlalchemy.exc import ArgumentError, DBAPIError
 from tumble.errors import InputError
 from tumble.lab.registry.records import LimitsRecord, Record
 
-PATIENCE = 30.0
-"""How long a writer waits for another one, s."""
-WRITERS_LOCK = 7_848_652_101
-"""The advisory lock of writers on PostgreSQL, a number of our own."""
+LOCK_TIMEOUT = 30.0  # s, for which a writer waits for another one
+WRITERS_LOCK = 7_848_652_101  # key of the advisory lock on PostgreSQL, arbitrary
 
-_NO_ROOM, _ROOM = ("disk I/O error", "database or disk is full"), 1 << 20
-"""What SQLite says where a disk has fewer bytes than so many, and elsewhere too."""
+# SQLite reports these errors for a full disk, among other causes; fewer free bytes than _MIN_FREE identify a full one
+_DISK_ERRORS, _MIN_FREE = ("disk I/O error", "database or disk is full"), 1 << 20
 _PLACE = "expected a file or postgresql://USER@HOST/NAME"
 _REFUSED = "a registry is added to, never changed"
 
 
 class _Moment(TypeDecorator[datetime]):
-    """A time, which the database has in UTC and without a zone."""
+    """A time that is stored in UTC without a zone."""
 
     impl, cache_ok = DateTime, True
 
@@ -100,15 +97,15 @@ CALIBRATION = Table(
     Column("performed", _Moment, nullable=False),
     Column("occasion", String(16), nullable=False),  # incoming, periodic
     Column("state", String(16), nullable=False),  # as-found, as-left, unchanged
-    Column("limits", ForeignKey("limits.number")),  # that were in force
-    Column("verdict", String(24)),  # by them
+    Column("limits", ForeignKey("limits.number")),  # in force at that time
+    Column("verdict", String(24)),  # by these limits
     Column("added", _Moment, nullable=False),
     Column("file", Text, nullable=False),  # the whole calibration file
     Index("calibration_of_device", "serial", "performed", "number"),
     sqlite_autoincrement=True,
 )
 
-LOGS = Table(  # a log stands behind one calibration alone
+LOGS = Table(  # a log belongs to one calibration
     "calibration_log",
     TABLES,
     Column("sha256", String(64), primary_key=True),
@@ -118,8 +115,8 @@ LOGS = Table(  # a log stands behind one calibration alone
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Database:
-    """A database that can be opened. `name` is what messages call it: its SQLite `file`, or its URL without the
-    password. A file that is not there is made with the first that is written."""
+    """A database, with its `name` in messages: its SQLite `file`, or its URL without the password. A missing file is
+    created by the first writer."""
 
     name: str
     engine: Engine
@@ -127,7 +124,7 @@ class Database:
 
     @contextmanager
     def reading(self) -> Iterator[Rows]:
-        """A transaction that sees one state of the database. Raises InputError, one line, where the database fails."""
+        """Open a transaction that sees one state of the database. Raises InputError if the database fails."""
         if self.file is not None and not self.file.exists():
             with self.writing():
                 pass
@@ -137,7 +134,7 @@ class Database:
 
     @contextmanager
     def writing(self) -> Iterator[Rows]:
-        """The transaction of the only writer, committed when the block ends without an error."""
+        """Open an exclusive writing transaction, committed when the block ends without an error."""
         new, made = self.file is not None and not self.file.exists(), False
         try:
             with self._transaction(tumble_writes=True) as connection:
@@ -151,24 +148,24 @@ class Database:
             raise
         if self.file is not None and not self.file.is_file():
             raise InputError(f"{self.name}: expected the registry, found that it was removed meanwhile; try again")
-        if made and self.file is not None:  # readers do not wait for writers then; the file remembers it
+        if made and self.file is not None:  # so that readers do not wait for writers; stored in the file
             with suppress(sqlite3.OperationalError), closing(self.engine.raw_connection()) as raw:
-                raw.cursor().execute("PRAGMA journal_mode = WAL")  # or the last of those that opened it at once does
+                raw.cursor().execute("PRAGMA journal_mode = WAL")  # fails if another process has the file open
 
     @contextmanager
     def _transaction(self, **options: Any) -> Iterator[Connection]:
-        """A transaction whose errors are InputError, those of SQLite's own module too."""
+        """Open a transaction whose database errors are raised as InputError."""
         try:
             with self.engine.connect() as connection, connection.execution_options(**options).begin():
                 yield connection
         except (DBAPIError, sqlite3.Error) as error:
             reason = " ".join(str(getattr(error, "orig", error)).split())
             if "database is locked" in reason or "lock timeout" in reason:
-                reason = f"another writer has held it for {PATIENCE:.0f} s; try again"
-            elif reason in _NO_ROOM and shutil.disk_usage(Path(self.name).parent).free < _ROOM:
+                reason = f"another writer has held it for {LOCK_TIMEOUT:.0f} s; try again"
+            elif reason in _DISK_ERRORS and shutil.disk_usage(Path(self.name).parent).free < _MIN_FREE:
                 reason = os.strerror(errno.ENOSPC)
             raise InputError(f"{self.name}: the registry cannot be used: {reason}") from error
-        except (ValueError, TypeError) as error:  # a column that is not what it was written as
+        except (ValueError, TypeError) as error:  # a damaged column
             raise InputError(
                 f"{self.name}: the registry cannot be used: expected what was written into it, found a damaged value: "
                 f"{' '.join(str(error).split())}"
@@ -177,47 +174,47 @@ class Database:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Rows:
-    """The rows of the tables within a transaction."""
+    """Rows of the tables within a transaction."""
 
     connection: Connection
 
-    def records(self, *, of_logs: Collection[str] | None = None, **values: object) -> list[Record]:
-        """The records that have these values in their columns, or stand on one of these logs (SHA-256), by number."""
+    def records(self, *, logs: Collection[str] | None = None, **values: object) -> list[Record]:
+        """Return the records with these values in their columns and one of these logs (SHA-256), by number."""
         conditions = [CALIBRATION.c[name] == value for name, value in values.items()]
-        if of_logs is not None:
-            conditions.append(CALIBRATION.c.number.in_(select(LOGS.c.calibration).where(LOGS.c.sha256.in_(of_logs))))
+        if logs is not None:
+            conditions.append(CALIBRATION.c.number.in_(select(LOGS.c.calibration).where(LOGS.c.sha256.in_(logs))))
         columns = [column for column in CALIBRATION.c if column.name != "file"]
         query = select(*columns).where(*conditions).order_by(CALIBRATION.c.number)
         return [Record(**row._asdict()) for row in self.connection.execute(query)]
 
     def file(self, number: int) -> str:
-        """The text of the calibration file of a record."""
+        """Return the text of the calibration file of a record."""
         query = select(CALIBRATION.c.file).where(CALIBRATION.c.number == number)
         return str(self.connection.execute(query).scalar_one())
 
     def limits(self) -> list[LimitsRecord]:
-        """All limits of all types by number; the last ones of a type are in force."""
+        """Return the limits of all types by number; the last ones of a type are in force."""
         rows = [row._asdict() for row in self.connection.execute(select(LIMITS).order_by(LIMITS.c.number))]
         last = {row["model"]: row["number"] for row in rows}
         return [LimitsRecord(**row, in_force=last[row["model"]] == row["number"]) for row in rows]
 
     def limits_in_force(self, model: str | None) -> LimitsRecord | None:
-        """The limits that are in force for a type."""
-        return next((each for each in self.limits() if each.in_force and each.model == model), None)
+        """Return the limits in force for a type, None without."""
+        return next((limits for limits in self.limits() if limits.in_force and limits.model == model), None)
 
     def add(self, table: Table, **values: Any) -> int:
-        """Add a row to a table, now; its number."""
+        """Add a row to a table with the current time, and return its number."""
         added = insert(table).values(added=datetime.now(UTC), **values).returning(table.c.number)
         return int(self.connection.execute(added).scalar_one())
 
     def add_logs(self, calibration: int, logs: Collection[str]) -> None:
-        """Say on which logs (SHA-256) a calibration stands."""
+        """Add the logs (SHA-256) of a calibration."""
         if logs:
             self.connection.execute(insert(LOGS), [{"sha256": log, "calibration": calibration} for log in sorted(logs)])
 
 
 def connected(place: str, create: bool) -> Database:
-    """The database of a registry at a file or URL. Raises as `open_registry`."""
+    """Return the database of a registry at a file or URL. Raises as `open_registry`."""
     url = _url(place)
     file = Path(url.database or "") if url.get_backend_name() == "sqlite" else None
     if file is not None and file.is_dir():
@@ -243,7 +240,7 @@ def connected(place: str, create: bool) -> Database:
 
 
 def _url(place: str) -> URL:
-    """The database of a file name or URL."""
+    """Return the URL of a file name or URL. Raises InputError for another kind of database."""
     if place == "":
         raise InputError(f"registry: {_PLACE}, found an empty name")
     if "://" not in place:
@@ -261,10 +258,12 @@ def _url(place: str) -> URL:
 
 
 def _engine(url: URL, name: str) -> Engine:
-    """An engine whose transactions begin as the module docstring says, and not by the driver."""
+    """Return an engine that begins transactions itself, as the module docstring says, instead of the driver."""
     on_file = url.get_backend_name() == "sqlite"
     try:
-        arguments = {"timeout": PATIENCE, "isolation_level": None} if on_file else {"connect_timeout": int(PATIENCE)}
+        arguments = (
+            {"timeout": LOCK_TIMEOUT, "isolation_level": None} if on_file else {"connect_timeout": int(LOCK_TIMEOUT)}
+        )
         engine = create_engine(url, connect_args=arguments)
     except (ValueError, TypeError) as error:
         raise InputError(f"{name}: expected a URL of a registry, found {error}") from error
@@ -278,14 +277,14 @@ def _engine(url: URL, name: str) -> Engine:
         if on_file:
             connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
         elif writes:
-            connection.exec_driver_sql(f"SET LOCAL lock_timeout = '{PATIENCE:.0f}s'")
+            connection.exec_driver_sql(f"SET LOCAL lock_timeout = '{LOCK_TIMEOUT:.0f}s'")
             connection.exec_driver_sql(f"SELECT pg_advisory_xact_lock({WRITERS_LOCK})")
 
     return engine
 
 
 def _has_tables(connection: Connection, name: str, *, create: bool) -> bool:
-    """Whether a database is a registry; False if it is empty and one may be made of it. Raises InputError."""
+    """Return True for a registry, False for an empty database if `create`. Raises InputError for others."""
     tables = set(inspect(connection).get_table_names()) - {"sqlite_sequence"}
     if tables and tables != set(TABLES.tables):
         raise InputError(
@@ -298,7 +297,7 @@ def _has_tables(connection: Connection, name: str, *, create: bool) -> bool:
 
 
 def _make_tables(connection: Connection) -> None:
-    """Make the tables in an empty database, and triggers that keep their rows."""
+    """Create the tables, and the triggers that refuse changes of their rows."""
     TABLES.create_all(connection, checkfirst=False)
     if connection.dialect.name == "sqlite":
         refusals = [

@@ -1,4 +1,4 @@
-"""Records of a registry as they are read back, and when which device is to be calibrated again."""
+"""Records of a registry as they are read back, and due dates of devices."""
 
 from __future__ import annotations
 
@@ -9,17 +9,18 @@ from typing import ClassVar, Literal
 from tumble.lab.limits import Limits, Occasion, parse_limits
 
 State = Literal["as-found", "as-left", "unchanged"]
-"""Before an adjustment, after it, or without one: then the device leaves as it was found."""
+"""Calibrated before an adjustment, after it, or without one."""
 FAILED = ("fail", "conditional fail")
 """Verdicts that withdraw a device from use."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Record:
-    """A calibration in the registry, with a `number` that is never used again and the SHA-256 of the content of its
-    file, however that is laid out: when the device was calibrated (`performed`), at which check (`occasion`), before or
-    after an adjustment (`state`), the number of the acceptance limits that were in force and the verdict by them, None
-    without limits, and when it was added."""
+    """A calibration in the registry, with a `number` that is never used again.
+
+    `sha256` is the hash of the canonical JSON of its file. `performed`, `occasion` and `state` are when the device was
+    calibrated, at which check, and whether before or after an adjustment; `limits` is the number of the acceptance
+    limits that were in force, `verdict` the result by them, None without limits."""
 
     number: int
     sha256: str
@@ -37,8 +38,7 @@ class Record:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LimitsRecord:
-    """Acceptance limits of a device type: the text of their TOML `file`; `in_force` unless later ones of the type
-    replace them."""
+    """Acceptance limits of a device type, with the text of their TOML `file`; the latest ones are `in_force`."""
 
     json_fields: ClassVar = ("number", "model", "added", "in_force", "file")
 
@@ -49,14 +49,14 @@ class LimitsRecord:
     in_force: bool
 
     def parsed(self) -> Limits:
-        """The limits as they judge."""
+        """Return the limits in the file."""
         return parse_limits(self.file, f"limits {self.number}")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Due:
-    """When a device is to be calibrated again, as on the day `on`: its latest record, how many `calibrations` it has,
-    the `months` between them and the `day` when the next one is due; None without an interval."""
+    """Due date of a device: its latest record, the number of its `calibrations`, the day `on` which it is asked for,
+    the interval in `months` and the `day` on which the next calibration is due (None without an interval)."""
 
     json_fields: ClassVar = ("record", "calibrations", "months", "day", "withdrawn", "overdue")
 
@@ -68,10 +68,10 @@ class Due:
 
     @property
     def withdrawn(self) -> bool:
-        """Whether it failed its latest check: it is withdrawn from use until it is calibrated again."""
+        """Whether the device failed its latest check, so that it must not be used until it is calibrated again."""
         return self.record.verdict in FAILED
 
     @property
     def overdue(self) -> bool:
-        """Whether its day has passed."""
+        """Whether the due date has passed."""
         return self.day is not None and self.day < self.on

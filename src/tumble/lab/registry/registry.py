@@ -1,7 +1,7 @@
-"""The registry: calibrations and limits of many devices, added and never changed, and what they say together.
+"""The registry: calibrations and acceptance limits of many devices, which are added and never changed.
 
-A calibration file is known by its content: the SHA-256 of its JSON with sorted keys and without blanks. The same
-calibration is the same record however its file is laid out or called. A log stands behind one record alone.
+A calibration is identified by the SHA-256 of its canonical JSON (sorted keys, no blanks), so that its record does not
+depend on the layout or the name of the file. A log belongs to at most one record.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING
 from tumble.documents import text_of_document
 from tumble.errors import InputError, needs_extra
 from tumble.files import FilePath
-from tumble.lab.conformity import Verdict, verdict_at
-from tumble.lab.limits import Limits, Occasion, parse_limits
+from tumble.lab.conformity import Verdict, judge_check
+from tumble.lab.limits import Limits, Occasion, months_later, parse_limits
 from tumble.lab.registry.records import Due, LimitsRecord, Record, State
 from tumble.result.accepted import accepted_part
 from tumble.result.calibration import Calibration, calibration_of, text_and_name
@@ -60,7 +60,7 @@ def open_registry(place: FilePath, *, create: bool = False) -> Iterator[Registry
     >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
     >>> with open_registry("registry.sqlite", create=True) as registry:
     ...     record = registry.add_calibration(tumble.calibrate(folder))
-    ...     trend = registry.trend("mems-1", "accel.bias.x")
+    ...     trend = registry.trend("mems-1")
     >>> record.number, record.occasion, len(trend.parameters[0].points)
     (1, 'incoming', 1)
     """
@@ -76,13 +76,13 @@ def open_registry(place: FilePath, *, create: bool = False) -> Iterator[Registry
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Registry:
-    """An open registry, as `open_registry` gives it."""
+    """An open registry; see `open_registry`."""
 
     database: Database
 
     @property
     def name(self) -> str:
-        """What messages call it: its file, or its URL without the password."""
+        """File of the registry, or its URL without the password."""
         return self.database.name
 
     # -------------------- adding --------------------
@@ -100,11 +100,11 @@ class Registry:
         Parameters
         ----------
         calibration
-            Where the accelerometers or the gyros alone are accepted, these are registered.
+            Calibration or its file. If only its accelerometers or only its gyros are accepted, these are registered.
         performed
-            When the device was calibrated; default: when it was recorded, or else when the file was made.
+            When the device was calibrated; default: the date of the recording, or else of the file.
         occasion
-            At which check; default: "incoming" for the first record of a device, then "periodic".
+            Check by whose limits it is judged; default: "incoming" for the first record of a device, then "periodic".
         state
             Before an adjustment ("as-found"), after it ("as-left"), or without one.
 
@@ -116,8 +116,8 @@ class Registry:
         Raises
         ------
         InputError
-            One line: no calibration file, one that was not accepted, a date that is missing or in the future, another
-            type for a known serial number, a log that another record stands on.
+            If the file is not an accepted calibration, its date is missing or in the future, its device type differs
+            from that of earlier records of the serial number, or its log belongs to another record.
         """
         from tumble.lab.registry.database import CALIBRATION
 
@@ -132,7 +132,7 @@ class Registry:
         with self.database.writing() as rows:
             if same := rows.records(sha256=digest):
                 return same[0]
-            for record in rows.records(of_logs=logs):
+            for record in rows.records(logs=logs):
                 raise InputError(
                     f"{name}: expected a log that is not in the registry, found that of record {record.number} "
                     f"({record.serial}, {record.method})"
@@ -158,16 +158,16 @@ class Registry:
                 occasion=occasion,
                 state=state,
                 limits=None if limits is None else limits.number,
-                verdict=None if limits is None else _in_a_word(part, limits.parsed(), occasion),
+                verdict=None if limits is None else _verdict_word(part, limits.parsed(), occasion),
                 file=text,
             )
             rows.add_logs(number, logs)
             return rows.records(number=number)[0]
 
     def set_limits(self, model: str, file: FilePath) -> LimitsRecord:
-        """Put the acceptance limits of a file (TOML) in force for a device type, unless they are in force already.
+        """Put the acceptance limits of a TOML file in force for a device type, unless they are already.
 
-        Raises InputError, one line, for a file that cannot be used."""
+        Raises InputError for a file that is not one of limits."""
         from tumble.lab.registry.database import LIMITS
 
         text = text_of_document(Path(file))
@@ -182,8 +182,9 @@ class Registry:
     # -------------------- reading --------------------
 
     def records(self, serial: str | None = None) -> list[Record]:
-        """The records of a device, by default of all devices, in the order in which they were performed. Raises
-        InputError for a device without records."""
+        """Return the records of a device, by default of all devices, in chronological order.
+
+        Raises InputError for a device without records."""
         with self.database.reading() as rows:
             records = rows.records() if serial is None else rows.records(serial=serial)
         if serial is not None and not records:
@@ -191,7 +192,7 @@ class Registry:
         return sorted(records, key=lambda record: (record.performed, record.number))
 
     def record(self, number: int) -> Record:
-        """The record of a number. Raises InputError where there is none."""
+        """Return the record with a number. Raises InputError if there is none."""
         with self.database.reading() as rows:
             records = rows.records(number=number)
         if not records:
@@ -199,13 +200,14 @@ class Registry:
         return records[0]
 
     def file(self, record: Record) -> str:
-        """The text of the calibration file of a record, as it was added."""
+        """Return the text of the calibration file of a record, as it was added."""
         with self.database.reading() as rows:
             return rows.file(record.number)
 
     def calibration(self, record: Record, frame: str | None = None) -> Calibration:
-        """The accepted part of the calibration of a record, in its own frame or another. Raises InputError where it
-        cannot be converted."""
+        """Return the accepted part of the calibration of a record, in its own frame or another.
+
+        Raises InputError if it cannot be converted to the frame."""
         calibration = accepted_part(calibration_of(self.file(record), f"record {record.number}"))
         try:
             return calibration if frame is None else calibration.in_frame(frame)
@@ -216,28 +218,24 @@ class Registry:
             ) from error
 
     def limits(self) -> list[LimitsRecord]:
-        """The limits of all types, former ones too, in the order in which they were added."""
+        """Return the limits of all types, former ones included, in the order in which they were added."""
         with self.database.reading() as rows:
             return rows.limits()
 
     def verdict(self, record: Record) -> Verdict | None:
-        """The verdict on a record by the limits that were in force when it was added; None without any."""
-        limits = next((each.parsed() for each in self.limits() if each.number == record.limits), None)
+        """Judge a record by the limits that were in force when it was added; None without limits."""
+        limits = next((known.parsed() for known in self.limits() if known.number == record.limits), None)
         if limits is None:
             return None
-        return verdict_at(self.calibration(record, limits.frame), limits, record.occasion)
+        return judge_check(self.calibration(record, limits.frame), limits, record.occasion)
 
-    # -------------------- what calibrations say together --------------------
+    # -------------------- several calibrations --------------------
 
-    def trend(self, serial: str, parameter: str | None = None) -> Trend:
-        """The parameters of a device over its calibrations, or one of them, against the limits in force now.
+    def trend(self, serial: str) -> Trend:
+        """Return the trend of the parameters of a device, against the limits that are in force now.
 
-        Raises
-        ------
-        InputError
-            For an unknown device or parameter, and for a record that cannot be taken to the frame of the limits, or of
-            the latest record where there are none.
-        """
+        Raises InputError for an unknown device, and if a record cannot be converted to the frame of the limits, or
+        without limits to that of the latest record."""
         from tumble.lab.registry.trend import trend_of
 
         records = self.records(serial)
@@ -245,79 +243,78 @@ class Registry:
             in_force = rows.limits_in_force(records[-1].model)
         limits = None if in_force is None else in_force.parsed()
         frame = records[-1].frame if limits is None else limits.frame
-        trend = trend_of([(record, self.calibration(record, frame)) for record in records], limits)
-        return trend if parameter is None else trend.of(parameter)
+        return trend_of([(record, self.calibration(record, frame)) for record in records], limits)
 
     def due(self, on: date | None = None) -> list[Due]:
-        """When every device is to be calibrated again, as on a day, by default today: devices that failed their latest
-        check first, then the most urgent; those without an interval last."""
+        """Return the due dates of all devices, as on a day (today by default).
+
+        Devices that failed their latest check come first, then the most urgent, those without an interval last."""
         on = datetime.now(UTC).date() if on is None else on
-        in_force = {each.model: each.parsed() for each in self.limits() if each.in_force}
-        of_devices = defaultdict[str, list[Record]](list)
+        in_force = {limits.model: limits.parsed() for limits in self.limits() if limits.in_force}
+        by_serial = defaultdict[str, list[Record]](list)
         for record in self.records():
-            of_devices[record.serial].append(record)
+            by_serial[record.serial].append(record)
         items = []
-        for serial, records in of_devices.items():
+        for serial, records in by_serial.items():
             latest, limits = records[-1], in_force.get(records[-1].model or "")
-            months = None if limits is None else limits.interval(serial)
-            day = None if limits is None else limits.due(serial, latest.performed.date())
+            months = None if limits is None else limits.device_months.get(serial, limits.months)
+            day = None if months is None else months_later(latest.performed.date(), months)
             items.append(Due(record=latest, calibrations=len(records), on=on, months=months, day=day))
         return sorted(items, key=lambda item: (not item.withdrawn, item.day or date.max, item.record.serial))
 
-    def launches(
-        self, *, serial: str | None = None, model: str | None = None, frame: str = "accelerometer"
-    ) -> tuple[LaunchVariances, ...]:
-        """The launches behind the calibrations of a device, or of a type of devices, with variances in a `frame`, for
-        `check_calibration` and `calibrate_launches`; calibrations that cannot be taken to the frame are left out.
+    def launches(self, serial: str) -> tuple[LaunchVariances, ...]:
+        """Return the variances between the launches of a device, for `check_calibration`.
 
-        Calibrations of one launch each are launches of their device, too, if they are by one method and it was not
-        adjusted between them. Raises InputError if no device has two launches."""
+        Consecutive calibrations of one launch each count as launches too, if they are by one method and the device was
+        not adjusted between them. Calibrations that cannot be converted to the frame `accelerometer` are left out.
+
+        Raises InputError if the device does not have two launches."""
         variances = list[LaunchVariances | None]()
-        single = defaultdict[tuple[str, int, str], list[Calibration]](list)
-        adjusted = Counter[str]()
+        single = defaultdict[tuple[int, str], list[Calibration]](list)
+        adjustments = 0
         for record in self.records(serial):
-            adjusted[record.serial] += record.state == "as-left"
-            if serial is not None or record.model == model:
-                for calibration in self._in_frame(record, frame):
-                    variances.append(launch_variances(calibration))
-                    evidence = calibration.evidence
-                    if not (evidence.launches or evidence.together or calibration.provenance.prior):
-                        single[record.serial, adjusted[record.serial], record.method].append(calibration)
+            adjustments += record.state == "as-left"
+            for calibration in self._in_frame(record, "accelerometer"):
+                variances.append(launch_variances(calibration))
+                evidence = calibration.evidence
+                if not (evidence.launches or evidence.together or calibration.provenance.prior):
+                    single[adjustments, record.method].append(calibration)
         variances += map(variances_between, single.values())
         if not any(variances):
-            which = f"type {model!r}" if serial is None else f"device {serial!r}"
-            raise InputError(f"{which}: expected several launches of one device in the registry, found none")
-        return tuple(each for each in variances if each is not None)
+            raise InputError(f"device {serial!r}: expected several launches of one device in the registry, found none")
+        return tuple(variance for variance in variances if variance is not None)
 
     def prior(self, model: str, *, without: str | None = None) -> DevicePrior:
-        """What the units of a type are like but for one, by its serial number, as a prior for `calibrate` and `plan`;
-        without parameters if there are fewer than three units."""
+        """Return the distribution of the units of a device type as a prior for `calibrate` and `plan`.
+
+        The unit with the serial number `without` is left out. With fewer than three units the prior has no
+        parameters."""
         from tumble.lab.device_type import prior_of
 
         return prior_of([unit for unit in self._units(model) if unit.serial != without], model)
 
     def datasheet(self, model: str) -> Datasheet:
-        """What the units of a type are like, parameter by parameter. Raises InputError for fewer than three units."""
+        """Return the data sheet of a device type. Raises InputError for fewer than three units."""
         from tumble.lab.datasheet import datasheet_of
 
         return datasheet_of(self._units(model), model)
 
     def _units(self, model: str) -> list[Unit]:
-        """The units of a type, each by the latest of its calibrations that say anything by themselves."""
+        """Return the units of a type, each by its latest calibration without a prior by the type."""
         from tumble.lab.device_type import unit_of
 
         records = (record for record in self.records() if record.model == model)
-        units = (unit_of(each) for record in records for each in self._in_frame(record, "accelerometer"))
+        units = (unit_of(calibration) for record in records for calibration in self._in_frame(record, "accelerometer"))
         return list({unit.serial: unit for unit in units if unit is not None}.values())
 
     def _in_frame(self, record: Record, frame: str) -> Iterator[Calibration]:
-        """The calibration of a record, if it can be taken to a frame."""
+        """Yield the calibration of a record in a frame, if it can be converted."""
         with suppress(InputError):
             yield self.calibration(record, frame)
 
 
 def _performed(calibration: Calibration, stated: datetime | None, name: str) -> datetime:
-    """When a device was calibrated: as stated, or when it was recorded, or when the file was made."""
+    """Return the date of a calibration: as stated, or of the recording, or of the file."""
     if stated is None:
         place, text = "session.date", calibration.provenance.circumstances.date
         if text is None:
@@ -329,21 +326,21 @@ def _performed(calibration: Calibration, stated: datetime | None, name: str) -> 
             stated = stated.replace(tzinfo=UTC) if stated.tzinfo is None else stated.astimezone(UTC)
         except (ValueError, OverflowError):
             raise InputError(f"{name}: {place}: expected a date such as 2026-03-31, found {text!r}") from None
-    if stated > datetime.now(UTC) + timedelta(days=1):  # a day is left to time zones
+    if stated > datetime.now(UTC) + timedelta(days=1):  # a day for time zones
         raise InputError(f"{name}: expected a date that is past, found {stated:%Y-%m-%d}; give --date")
     return stated
 
 
 def logs_of(calibration: Calibration) -> list[tuple[str | None, str]]:
-    """The sessions behind a calibration, by name where there are several, with the SHA-256 of their logs."""
-    one = (None, calibration.provenance.log_sha256 or "")
-    return [(launch.session, launch.log_sha256) for launch in calibration.evidence.launches] or [one]
+    """Return the sessions of a calibration (None if it has only one) with the SHA-256 of their logs."""
+    single = (None, calibration.provenance.log_sha256 or "")
+    return [(launch.session, launch.log_sha256) for launch in calibration.evidence.launches] or [single]
 
 
-def _in_a_word(calibration: Calibration, limits: Limits, occasion: Occasion) -> str | None:
-    """The verdict in a word; None where the limits have none for such a check."""
+def _verdict_word(calibration: Calibration, limits: Limits, occasion: Occasion) -> str | None:
+    """Return the verdict of a check as a word; None if it has no limits."""
     try:
-        verdict = verdict_at(calibration, limits, occasion)
+        verdict = judge_check(calibration, limits, occasion)
     except InputError:
         return "other frame"
     return None if verdict is None else verdict.result

@@ -1,4 +1,4 @@
-"""The registry as it is shown: devices, records, limits, trends, what is due."""
+"""Tables of a registry: devices, records, limits, trends, due dates."""
 
 from __future__ import annotations
 
@@ -7,18 +7,17 @@ from datetime import date
 from math import nan
 from typing import TYPE_CHECKING
 
-from tumble.lab.conformity import RISK, RULE, Verdict, in_percent
+from tumble.lab.conformity import DECISION_RULE, RISK_DEFINITION, Verdict, judge_value, risk_text
 from tumble.lab.registry.records import Due, LimitsRecord, Record
 from tumble.lab.registry.registry import logs_of
 from tumble.result.calibration import Calibration
 from tumble.result.parts import Parameter
 from tumble.sensors.parameters import beyond_linear, group_name
 from tumble.units import two_digits
-from tumble.views.blocks import Block, Items, Table, table
-from tumble.views.checks import judged_lines
+from tumble.views.blocks import Block, Items, Table
+from tumble.views.checks import comparison_lines
 from tumble.views.numbers import (
     Q,
-    Units,
     cells,
     device_name,
     limit_cell,
@@ -29,81 +28,80 @@ from tumble.views.numbers import (
 )
 
 if TYPE_CHECKING:
-    from tumble.lab.registry.trend import Change, ParameterTrend, Point, Trend
+    from tumble.lab.registry.trend import Change, ParameterTrend, Trend
 
 _BARS = "▁▂▃▄▅▆▇█"
-_MOST_BARS = 24
+_MAX_BARS = 24
 
 # -------------------- lists --------------------
 
 
-def day_of(moment: date) -> str:
-    """A day by ISO 8601."""
+def _day(moment: date) -> str:
     return f"{moment:%Y-%m-%d}"
 
 
-def _list(columns: tuple[str, ...], rows: Iterable[tuple[object, ...]]) -> Table:
-    """A table of words; what is not known is an empty cell."""
-    shown = (tuple("" if cell is None else str(cell) for cell in row) for row in rows)
-    return Table(columns=columns, rows=tuple(shown), text=tuple(range(len(columns))))
+def _text_table(columns: tuple[str, ...], rows: Iterable[tuple[object, ...]]) -> Table:
+    """Return a table of words, with empty cells for None."""
+    texts = (tuple("" if cell is None else str(cell) for cell in row) for row in rows)
+    return Table(columns=columns, rows=tuple(texts), text=tuple(range(len(columns))))
 
 
 def device_table(records: Sequence[Record]) -> Table:
-    """Every device with its latest record, of records in the order in which they were performed."""
+    """Return a table of the devices with their latest records, from records in chronological order."""
     serials = [r.serial for r in records]
     latest = {r.serial: r for r in records}
     rows = (
-        (serial, r.model, serials.count(serial), day_of(r.performed), r.number, r.occasion, r.verdict)
+        (serial, r.model, serials.count(serial), _day(r.performed), r.number, r.occasion, r.verdict)
         for serial, r in sorted(latest.items())
     )
-    return _list(("device", "type", "calibrations", "latest", "record", "check", "verdict"), rows)
+    return _text_table(("device", "type", "calibrations", "latest", "record", "check", "verdict"), rows)
 
 
 def record_table(records: Iterable[Record]) -> Table:
-    """The records of a device."""
-    rows = ((r.number, day_of(r.performed), r.occasion, r.state, r.method, r.frame, r.verdict) for r in records)
-    return _list(("record", "performed", "check", "state", "method", "frame", "verdict"), rows)
+    """Return a table of the records of a device."""
+    rows = ((r.number, _day(r.performed), r.occasion, r.state, r.method, r.frame, r.verdict) for r in records)
+    return _text_table(("record", "performed", "check", "state", "method", "frame", "verdict"), rows)
 
 
 def limits_table(limits: Iterable[LimitsRecord]) -> Table:
-    """The limits of all types."""
-    rows = ((r.number, r.model, day_of(r.added), "in force" if r.in_force else "replaced") for r in limits)
-    return _list(("limits", "type", "added", ""), rows)
+    """Return a table of the limits of all device types."""
+    rows = ((r.number, r.model, _day(r.added), "in force" if r.in_force else "replaced") for r in limits)
+    return _text_table(("limits", "type", "added", ""), rows)
 
 
 def limits_blocks(limits: LimitsRecord) -> list[Block]:
-    """Limits as they were given."""
-    head = f"limits {limits.number} · type {limits.model} · in force from {day_of(limits.added)}"
-    return [head, Items(items=(limits.file.rstrip(),)), RULE, RISK]
+    """Return the text of a limits file with its number, type and date."""
+    head = f"limits {limits.number} · type {limits.model} · in force from {_day(limits.added)}"
+    return [head, Items(items=(limits.file.rstrip(),)), DECISION_RULE, RISK_DEFINITION]
 
 
 def due_table(items: Iterable[Due]) -> Table:
-    """What is due when."""
+    """Return a table of due dates."""
     rows = []
-    for i in items:
-        r, days = i.record, None if i.day is None else (i.day - i.on).days
-        until = "no interval" if days is None else f"in {days} d" if days >= 0 else f"overdue by {-days} d"
-        until = f"withdrawn until calibrated again: {r.verdict}" if i.withdrawn else until
-        every = None if i.months is None else f"{i.months} months"
-        rows.append((r.serial, r.model, day_of(r.performed), r.number, every, i.day, until))
-    return _list(("device", "type", "latest", "record", "every", "due", ""), rows)
+    for item in items:
+        r, days = item.record, None if item.day is None else (item.day - item.on).days
+        status = "no interval" if days is None else f"in {days} d" if days >= 0 else f"overdue by {-days} d"
+        status = f"withdrawn until calibrated again: {r.verdict}" if item.withdrawn else status
+        interval = None if item.months is None else f"{item.months} months"
+        rows.append((r.serial, r.model, _day(r.performed), r.number, interval, item.day, status))
+    return _text_table(("device", "type", "latest", "record", "every", "due", ""), rows)
 
 
 # -------------------- a record --------------------
 
 
 def record_blocks(record: Record, calibration: Calibration, verdict: Verdict | None, *, every: bool) -> list[Block]:
-    """A record with its parameters and the verdict on each; of those beyond the linear model that have no limits only
-    how many there are, unless `every` one is wanted."""
+    """Return a record with its parameters and their verdicts. Unless `every`, parameters beyond the linear model that
+    have no limits are only counted."""
     lines = [
         f"record {record.number} · device {device_name(record.serial, record.model)} · {record.occasion} check · "
         f"{record.state}",
-        f"performed {day_of(record.performed)} · method {record.method} · frame {record.frame}",
+        f"performed {_day(record.performed)} · method {record.method} · frame {record.frame}",
         *(f"launch {session or 1} · log {log}" for session, log in logs_of(calibration) if log),
         f"content {record.sha256}",
     ]
     judged = {} if verdict is None else {j.name: j for j in verdict.judgements}
-    shown, caption = _of_interest(calibration.parameters, judged, every=every)
+    shown, caption = _select_parameters(calibration.parameters, judged, every=every)
 
     def row(p: Parameter, size: float, unit: str) -> dict[str, str]:
         value, U = with_expanded(p, size)
@@ -111,19 +109,24 @@ def record_blocks(record: Record, calibration: Calibration, verdict: Verdict | N
             return {"value": value, "U": U, "unit": unit}
         j = judged.get(p.name)
         low, high, risk, result = (nan, nan, None, "") if j is None else (j.low, j.high, j.risk, j.result)
-        limits = {"lowest": limit_cell(low, size), "highest": limit_cell(high, size), "risk": in_percent(risk)}
+        limits = {"lowest": limit_cell(low, size), "highest": limit_cell(high, size), "risk": risk_text(risk)}
         return {"value": value, "U": U, **limits, "unit": unit, "verdict": result}
 
     sentences = ["no verdict: no limits were in force for this type and check when the record was added"]
     if verdict is not None:
-        sentences = [RULE, f"{RISK}.{verdict.whole_risk}", *verdict.reasons, f"verdict: {verdict.result}"]
+        sentences = [
+            DECISION_RULE,
+            f"{RISK_DEFINITION}.{verdict.risk_sentence}",
+            *verdict.reasons,
+            f"verdict: {verdict.result}",
+        ]
     parameters = quantity_table(shown, shown_units(shown), row, words=("verdict",), caption=caption)
     return ["\n".join(lines), parameters, Items(items=tuple(sentences))]
 
 
-def _of_interest(parameters: Sequence[Q], kept: Collection[str], *, every: bool) -> tuple[list[Q], str]:
-    """The parameters of the linear model and those that are `kept`, and how many others there are in words; or `every`
-    one."""
+def _select_parameters(parameters: Sequence[Q], kept: Collection[str], *, every: bool) -> tuple[list[Q], str]:
+    """Return the parameters of the linear model and those named in `kept`, or `every` one, and a sentence that counts
+    the others."""
     shown = [p for p in parameters if every or p.name in kept or not beyond_linear(p.name)]
     groups = len({group_name(p.name) for p in parameters if p not in shown})
     where, further = "1 group" if groups == 1 else f"{groups} groups", len(parameters) - len(shown)
@@ -135,94 +138,49 @@ def _of_interest(parameters: Sequence[Q], kept: Collection[str], *, every: bool)
 
 
 def trend_blocks(trend: Trend, *, every: bool) -> list[Block]:
-    """Every parameter of a device over its calibrations: history, latest value, limits, run to run, drift, the last
-    change, and the verdict on the latest value; of those beyond the linear model that have no limits and have not
-    changed only how many there are, unless `every` one is wanted."""
-    shown, caption = _of_interest(trend.parameters, {*trend.limits, *trend.changed}, every=every)
-    launched = any(each.run_to_run is not None for each in trend.parameters)
+    """Return a table of the parameters of a device over its calibrations, with the verdict on the latest value. Unless
+    `every`, parameters beyond the linear model that have no limits and have not changed are only counted."""
+    shown, caption = _select_parameters(trend.parameters, {*trend.limits, *trend.changed}, every=every)
+    has_launches = any(parameter.run_to_run is not None for parameter in trend.parameters)
+    units = units_of_values((t.name, p.value, t.unit) for t in trend.parameters for p in t.points)
 
     def row(parameter: ParameterTrend, size: float, unit: str) -> dict[str, str]:
         latest, drift = parameter.points[-1], parameter.drift
         value, U = with_expanded(latest, size)
-        row = {"history": sparkline([p.value for p in parameter.points]), "latest": value, "U": U}
+        row = {"history": _sparkline([p.value for p in parameter.points]), "latest": value, "U": U}
+        limits = trend.limits.get(parameter.name)
         if trend.limits:
-            low, high = trend.limits.get(parameter.name, (nan, nan))
+            low, high = limits or (nan, nan)
             row |= {"lowest": limit_cell(low, size), "highest": limit_cell(high, size)}
-        if launched:
-            row["run to run"] = _deviation(parameter.run_to_run, size)
+        if has_launches:
+            row["run to run"] = "" if parameter.run_to_run is None else two_digits(parameter.run_to_run / size)
         per_year, U = ("", "")
         if drift is not None and drift.expanded is not None:
             per_year, U = cells(drift.per_year, drift.expanded, size)
         row |= {"drift/year": per_year, "U (95 %)": U, **_change_cells(parameter.last_change, size), "unit": unit}
-        return row | ({"verdict": trend.verdicts(parameter).get(latest.number, "")} if trend.limits else {})
+        if trend.limits:
+            row["verdict"] = judge_value(latest.value, latest.u, *limits, dof=latest.dof) if limits else ""
+        return row
 
-    days = {p.number: day_of(p.performed) for parameter in trend.parameters for p in parameter.points}
+    days = {p.number: _day(p.performed) for parameter in trend.parameters for p in parameter.points}
     first, last = min(days.values()), max(days.values())
     since = f"one calibration, of {first}" if len(days) == 1 else f"{len(days)} calibrations from {first} to {last}"
     return [
         f"device {device_name(trend.serial, trend.latest.model)} · {since} · frame {trend.frame}",
-        quantity_table(shown, _units(trend), row, words=("history", "verdict"), caption=caption),
+        quantity_table(shown, units, row, words=("history", "verdict"), caption=caption),
         *([Items(items=tuple(change_lines(trend)))] if trend.comparison is not None else []),
     ]
 
 
 def change_lines(trend: Trend) -> list[str]:
-    """What has changed since the calibration before, in sentences."""
-    lines = [] if trend.comparison is None else judged_lines(trend.comparison)
+    """Return sentences on the changes since the calibration before."""
+    lines = [] if trend.comparison is None else comparison_lines(trend.comparison)
     return [f"the latest against the one before: {line}" if i == 0 else line for i, line in enumerate(lines)]
 
 
-def history_blocks(trend: Trend) -> list[Block]:
-    """The one parameter of a trend in every calibration, with verdicts by the limits that are in force."""
-    (parameter,) = trend.parameters
-    (size, unit), verdicts, drift = _units(trend)[parameter.name], trend.verdicts(parameter), parameter.drift
-    changes = {change.later: change for change in parameter.changes}
-
-    def row(point: Point) -> dict[str, str]:
-        change, (value, U) = changes.get(point.number), with_expanded(point, size)
-        row = {"record": str(point.number), "performed": day_of(point.performed), "state": point.state}
-        row |= {"value": value, "U": U, "launches": str(len(point.launches) or 1), **_change_cells(change, size)}
-        row |= {"unit": unit, "": "adjusted" if change is not None and change.adjustment else ""}
-        return row | ({"verdict": verdicts[point.number]} if verdicts else {})
-
-    lines = []
-    if verdicts:
-        low, high = (limit_cell(limit, size) for limit in trend.limits[parameter.name])
-        lines += [f"limits: {low} to {high} {unit}", RULE]
-    if parameter.run_to_run is not None:
-        lines.append(
-            f"run to run: {_deviation(parameter.run_to_run, size)} {unit}, the standard deviation of launches "
-            f"({parameter.run_to_run_degrees} degrees of freedom)"
-        )
-    if parameter.instability is not None:
-        deviation = _deviation(parameter.instability, size)
-        lines.append(f"instability beyond the stated u, per power-on: {deviation} {unit}")
-    if drift is None:
-        lines.append(
-            "drift: not known; it takes two calibrations at different times without an adjustment between them"
-        )
-    elif drift.expanded is None:
-        value, u = cells(drift.per_year, drift.u, size)
-        lines.append(f"drift: {value} {unit} a year, u = {u} of the measurement alone: nothing shows the instability")
-    else:
-        value, U = cells(drift.per_year, drift.expanded, size)
-        lines.append(f"drift: {value} ± {U} {unit} a year (95 %, Student's t with {drift.degrees} degrees of freedom)")
-    device, history = device_name(trend.serial, trend.latest.model), sparkline([p.value for p in parameter.points])
-    return [
-        f"{parameter.name} of device {device} · frame {trend.frame} · {history}",
-        table(map(row, parameter.points), words=("record", "performed", "state", "unit", "", "verdict")),
-        Items(items=tuple(lines)),
-    ]
-
-
-def _units(trend: Trend) -> Units:
-    """The unit in which each parameter is shown."""
-    return units_of_values((t.name, p.value, t.unit) for t in trend.parameters for p in t.points)
-
-
-def sparkline(values: Sequence[float]) -> str:
-    """Values as bars between the lowest and the highest; the last ones, where there are many."""
-    shown = values[-_MOST_BARS:]
+def _sparkline(values: Sequence[float]) -> str:
+    """Draw the last values as bars between the lowest and the highest."""
+    shown = values[-_MAX_BARS:]
     low, high = min(shown), max(shown)
     if high == low:
         return _BARS[3] * len(shown)
@@ -230,13 +188,8 @@ def sparkline(values: Sequence[float]) -> str:
 
 
 def _change_cells(change: Change | None, size: float) -> dict[str, str]:
-    """A change and its E_n number."""
+    """Return the cells of a change and its E_n number."""
     if change is None:
         return {"change": "", "E_n": ""}
     e_n = "" if change.e_n is None else f"{change.e_n:+z.2f}"
     return {"change": cells(change.value, change.expanded, size)[0], "E_n": e_n}
-
-
-def _deviation(value: float | None, size: float) -> str:
-    """A standard deviation to two digits."""
-    return "" if value is None else two_digits(value / size)

@@ -1,22 +1,22 @@
-"""The four stages of the paper's method, each with the results of the stage before, and their iterations on a session.
+"""Methods of the turntable paper on a session: four stages, each with the results of the previous one, and iterations.
 
     1  biases and scale factors of the accelerometers     from rests
-    2  angles between the axes of the accelerometers      from rests (the scalar method does 1 and 2 at once)
+    2  angles between the axes of the accelerometers      from rests (the scalar method does 1 and 2 together)
     3  biases of the gyros                                from rests in which each is vertical, Eq. (18)
     4  scale factors and axis angles of the gyros         from turns, by the indirect method
 
-All stages together are a pass. It starts from the models of the pass before (at first from nominal sensors), takes
-readings compensated by them, and composes the new models with them, exactly. Stage 3 is the only one of the paper's
-ways that holds for any bias. Stage 4 uses the programme matrix of §6.3 and plain least squares. An iteration is one
-pass over the same data, with the turns integrated about the gyro model of the pass.
+The four stages are a pass. It starts from the models of the previous pass (first from nominal sensors), takes readings
+compensated by them, and composes the new models with them exactly. Stage 3 is the only variant of the paper that holds
+for any bias. Stage 4 uses the programme matrix of §6.3 and plain least squares. An iteration is one pass over the same
+data, with the turns integrated about the gyro model of the pass.
 
-The covariance is that of the data, propagated by the derivative of the passes with respect to every mean reading, turn,
-gravity and start value, by central differences, chained. The error of the last pass by its method is the difference
-from where further passes would lead. What instruments usually have beyond bias, scale factor and axis angles is in the
-result as nothing within its size, and in the covariance, by the same derivative (`tumble.diagnosis.linear_model`).
-Scatter, and which rests and turns do not fit, are those of the method `joint`, beside all groups.
+The covariance is that of the data, propagated with the derivative of the passes with respect to every mean reading,
+turn, gravity and start value, by central differences and the chain rule. The error of the last pass is the difference
+to the limit of further passes. Omitted groups of parameters are in the result as zero, and in the covariance by the
+same derivative (`tumble.diagnosis.linear_model`). Scatter, and rests and turns that do not fit, are those of the method
+`joint` with all groups.
 
-Source: Vodicheva & Parysheva 2019; the turntable method, §2 to §6.
+Source: Vodicheva & Parysheva 2019, the turntable paper, §2 to §6.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from tumble.diagnosis.linear_model import by_joint, groups_in_data, left_out_sizes, with_left_out
+from tumble.diagnosis.linear_model import converged_joint, group_columns, omitted_sizes, with_omitted_groups
 from tumble.earth import earth_rate
 from tumble.errors import InputError, ProgrammeError, SessionError
 from tumble.inference.estimate import Estimate
@@ -36,7 +36,7 @@ from tumble.inference.joint import joint
 from tumble.inference.noise import VarianceComponents, typical_noise
 from tumble.inference.problem import Problem
 from tumble.inference.sources import Source, UncertaintyBudget, source
-from tumble.methods.least_squares import solved
+from tumble.methods.least_squares import solve_least_squares
 from tumble.methods.paper.accelerometers import (
     by_modulus,
     by_modulus_nominal,
@@ -44,7 +44,7 @@ from tumble.methods.paper.accelerometers import (
     check_for_modulus,
     check_for_vector,
 )
-from tumble.methods.paper.blocks import TRIAD, compensated, composed, model_of, parameters_of, sensing_axes, to_sensors
+from tumble.methods.paper.blocks import TRIAD, compensate, compose, model_of, parameters_of, sensing_axes, to_sensors
 from tumble.methods.paper.gyros import (
     RecordedTurn,
     Series,
@@ -69,21 +69,21 @@ from tumble.units import Array, IntArray
 
 GYRO_TRIAD = replace(TRIAD, kind="gyro")
 MAX_PASSES = 30
-NEGLIGIBLE = 1e-2
-"""Of the uncertainties, or of the steps of the differences: increments that mean nothing."""
+NEGLIGIBLE = 1e-2  # increments, in uncertainties or steps of the differences
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PaperMethod:
-    """A method of the paper: stages 1 and 2, `accelerometers(readings, nominal, gravity, block)`, and stage 3,
-    `gyro_bias(rates, force, earth_rate, nominal, axes)`. `check(nominal, block)` raises ProgrammeError if rests with
-    the nominal verticals (N, 3) are not enough. `any_axes` is whether it takes blocks other than triads."""
+    """A method of the paper."""
 
     name: str
     accelerometers: Callable[[Array, Array, Array, Block], SensorModel]
+    """Stages 1 and 2, of readings, nominal verticals, gravity and block."""
     check: Callable[[Array, Block], None]
+    """Raises ProgrammeError if rests with the nominal verticals (N, 3) are not enough."""
     gyro_bias: Callable[[Array, Array, Array, Array, Array], Array] = vertical_bias
-    any_axes: bool = False
+    """Stage 3, of rates, specific force, Earth's rate, nominal verticals and axes."""
+    any_axes: bool = False  # whether it takes blocks other than triads
 
 
 SEQUENTIAL = PaperMethod(name="sequential", accelerometers=by_vector, check=check_for_vector, any_axes=True)
@@ -93,15 +93,13 @@ SCALAR_NOMINAL = PaperMethod(name="scalar-nominal", accelerometers=by_modulus_no
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ProgrammeCourse:
-    """Rests and turns of a session by its programme: nominal verticals (N, 3) in the body, series
-    of recorded turns, durations (K,) of all turns, the Earth's rate (3,) in N, U, E, and the programme matrix, None
-    where that of the turns as they were is taken."""
+    """Rests and turns of a session by its programme."""
 
-    nominal: Array
-    series: tuple[Series, ...]
-    duration: Array
-    earth_rate: Array
-    matrix: Array | None
+    nominal: Array  # (N, 3): verticals of the programme in the body
+    series: tuple[Series, ...]  # of recorded turns
+    duration: Array  # (K,), of all turns, s
+    earth_rate: Array  # (3,), in N, U, E
+    matrix: Array | None  # of the programme; None to use that of the recorded turns
     accel: Block = TRIAD
     gyro: Block = GYRO_TRIAD
 
@@ -119,55 +117,55 @@ def one_pass(
     matrix: Array | None = None,
     integral: Array | None = None,
 ) -> tuple[SensorModel, SensorModel]:
-    """Models of accelerometers and gyros after all stages, from those of the pass before.
+    """Return the models of accelerometers and gyros after all stages, from those of the previous pass.
 
     Parameters
     ----------
     method, course
-        The method, and rests and turns by the programme.
+        The method, and the rests and turns by the programme.
     rests : (..., N, n) each
-        Readings of accelerometers and gyros at rest; without gyros the latter have N = 0.
+        Readings of accelerometers and gyros at rest; N = 0 without gyros.
     turn
-        Gives the turns (..., K, 3, 3) integrated with a gyro model; if it is None, the pass ends with stage 3.
+        Returns the turns (..., K, 3, 3) integrated with a gyro model; with None, the pass ends after stage 3.
     gravity : (...)
         Gravity, m/s².
     before
-        Models of accelerometers and gyros.
+        Models of accelerometers and gyros of the previous pass.
     matrix : (2T, 9)
-        Matrix of stage 4 in place of that of the programme.
+        Matrix of stage 4, by default that of the programme.
     integral : (..., K, n)
         Integrals of the readings of more than three gyros over the turns, rad.
     """
     readings, rates = rests
     accel, gyro = before
     axes = sensing_axes(course.accel)
-    inner = method.accelerometers(compensated(accel, readings, axes), course.nominal, gravity, course.accel)
-    accel = composed(accel, inner, axes)
+    inner = method.accelerometers(compensate(accel, readings, axes), course.nominal, gravity, course.accel)
+    accel = compose(accel, inner, axes)
     if not rates.shape[-2]:
         return accel, gyro
     force, axes = accel.apply(readings), sensing_axes(course.gyro)
-    bias = method.gyro_bias(compensated(gyro, rates, axes), force, course.earth_rate, course.nominal, axes)
-    gyro = composed(gyro, SensorModel(matrix=axes, bias=bias), axes)
+    bias = method.gyro_bias(compensate(gyro, rates, axes), force, course.earth_rate, course.nominal, axes)
+    gyro = compose(gyro, SensorModel(matrix=axes, bias=bias), axes)
     if turn is None:
         return accel, gyro
     matrix = course.matrix if matrix is None else matrix
     assert matrix is not None
     attitude = triad(force, gyro.apply(rates))
     y = horizontal_differences(course.series, attitude, force, turn(gyro), course.duration, course.earth_rate)
-    x = solved(matrix, y)
+    x = solve_least_squares(matrix, y)
     sensitivity = axes @ triad_model(np.zeros_like(x[..., :3]), x[..., :3], x[..., 3:]).matrix
     if integral is not None:
         unbiased = integral - course.duration[:, None] * gyro.bias[..., None, :]
-        scaled = compensated(replace(gyro, bias=np.zeros_like(gyro.bias)), unbiased, axes)
+        scaled = compensate(replace(gyro, bias=np.zeros_like(gyro.bias)), unbiased, axes)
         sensitivity = sensitivity + spare_sensitivities(scaled, axes)
-    return accel, composed(gyro, SensorModel(matrix=sensitivity, bias=np.zeros_like(bias)), axes)
+    return accel, compose(gyro, SensorModel(matrix=sensitivity, bias=np.zeros_like(bias)), axes)
 
 
 # The course of a session
 
 
 def course_of(observations: Observations, method: PaperMethod) -> ProgrammeCourse:
-    """The course of a session, with everything the method needs checked. Raises InputError."""
+    """Return the course of a session; raise InputError unless it has everything that the method needs."""
     programme, position = observations.programme, observations.position
     if programme is None or position is None:
         raise ProgrammeError(
@@ -185,9 +183,9 @@ def course_of(observations: Observations, method: PaperMethod) -> ProgrammeCours
     nominal = np.array([programme.positions[k].vertical_b for k in position])
     method.check(nominal, accel)
     if gyro is None:
-        none = np.empty((0, 9))
+        no_turns, no_matrix = np.empty(0), np.empty((0, 9))
         return ProgrammeCourse(
-            nominal=nominal, series=(), duration=np.empty(0), earth_rate=np.zeros(3), matrix=none, accel=accel
+            nominal=nominal, series=(), duration=no_turns, earth_rate=np.zeros(3), matrix=no_matrix, accel=accel
         )
     vertical = along_vertical(nominal, sensing_axes(gyro))
     if not vertical.any(axis=0).all():
@@ -222,7 +220,7 @@ def course_of(observations: Observations, method: PaperMethod) -> ProgrammeCours
 
 
 def course_of_programme(programme: Programme, *, turn_rate: float, latitude: float) -> ProgrammeCourse:
-    """The course of a recording of a programme's known turns alone, at this rate, rad/s."""
+    """Return the course of the known turns of a programme alone, at a rate in rad/s."""
     known = [k for series in known_turns(programme) for k in series]
     return ProgrammeCourse(
         nominal=np.array([position.vertical_b for position in programme.positions]),
@@ -234,20 +232,20 @@ def course_of_programme(programme: Programme, *, turn_rate: float, latitude: flo
 
 
 def _series(programme: Programme, position: IntArray, first: Sequence[int]) -> tuple[Series, ...]:
-    """The recorded turns of every series of known turns, from the first rest in its first position on, of rests at
-    these positions (N,) and turns after these rests (K,)."""
-    between, course = {rest: turn for turn, rest in enumerate(first)}, []
+    """Return the recorded turns of every series of known turns of a programme, for rests at `position` (N,) and turns
+    after the rests `first` (K,)."""
+    turn_after, course = {rest: turn for turn, rest in enumerate(first)}, []
     for moves in known_turns(programme):
         rests = np.flatnonzero((position >= moves[0]) & (position <= moves[-1] + 1)).tolist()
         for rest in rests[:-1]:
-            if rest not in between:
+            if rest not in turn_after:
                 raise ProgrammeError(
                     f"programme {programme.name}: expected the turn from rest {rest + 1} to rest {rest + 2} in the "
                     "log, found the end of a file; record every series in one file or take the method joint"
                 )
         course.append(
             tuple(
-                RecordedTurn(turn=between[a], first=a, last=b, counts=bool(position[a] != position[b]))
+                RecordedTurn(turn=turn_after[a], first=a, last=b, counts=bool(position[a] != position[b]))
                 for a, b in pairwise(rests)
             )
         )
@@ -260,35 +258,49 @@ def _series(programme: Programme, position: IntArray, first: Sequence[int]) -> t
 def iterated(
     observations: Observations, iterations: int = 2, *, method: PaperMethod, intervals: bool = True
 ) -> Estimate:
-    """The estimate after so many iterations, at least one, with covariance. The first starts from what is known of the
-    sensors (`Observations.start`). Scatter and sizes of groups are the maximum of `joint`, with `intervals` integrated.
-    Raises InputError."""
+    """Estimate the parameters of a session by a method of the paper.
+
+    Parameters
+    ----------
+    observations
+        Rests and turns of a programme, and the values to start from.
+    iterations
+        Number of passes, at least one.
+    method
+        The method.
+    intervals
+        Whether scatter and sizes of groups are integrated by `joint`; otherwise they are at the maximum.
+
+    Raises
+    ------
+    InputError
+        For a session without what the method needs.
+    """
     if iterations < 1:
         raise InputError(f"iterations: expected at least 1, found {iterations}")
-    launch = _SessionData.of(observations, method)
-    return _estimate(launch, *launch.passes(iterations), intervals)
+    session = _SessionData.of(observations, method)
+    return _estimate(session, *session.passes(iterations), intervals)
 
 
-def moved_by_groups(observations: Observations, method: PaperMethod, iterations: int = 2) -> tuple[Problem, Array]:
-    """The likelihood with the groups that a method takes as nothing, and by how much one of each parameter of these
-    moves its result (m, k). Raises as `iterated`."""
+def shift_by_groups(observations: Observations, method: PaperMethod, iterations: int = 2) -> tuple[Problem, Array]:
+    """Return the likelihood with the groups that a method omits, and the shift (m, k) of its result by one of each of
+    their parameters. Raises as `iterated`."""
     _, derivative, _ = _SessionData.of(observations, method).passes(iterations)
-    problem, shown = groups_in_data(observations)
-    return problem, derivative @ shown
+    problem, columns = group_columns(observations)
+    return problem, derivative @ columns
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Turned:
-    """Turns integrated about a gyro model, and what they are about another near to it, to first order."""
+    """Turns integrated about a gyro model, to first order in changes of it."""
 
     turns: Turns
     about: SensorModel
-    matrix: Array | None
-    """That of the turns as they were, None where that of the programme is taken."""
+    matrix: Array | None  # of the recorded turns; None to use that of the programme
 
     def rotations(self, error: Array, model: SensorModel) -> Array:
-        """C (..., K, 3, 3) about `model`, with errors (..., K, 3) of the turns, where rates compensated by `about` are
-        (I + E) ω + δ: exp([−(M : E + B δ)×]) C."""
+        """Return C (..., K, 3, 3) about `model`, with errors (..., K, 3) of the turns: exp([−(M : E + B δ)×]) C, where
+        rates compensated by `about` are (I + E) ω + δ."""
         inverse = self.about.inverse()
         E, δ = inverse @ model.matrix - np.eye(3), (model.bias - self.about.bias) @ inverse.T
         turned = np.einsum("kipq,...pq->...ki", self.turns.M, E) + np.einsum("kip,...p->...ki", self.turns.B, δ)
@@ -297,9 +309,10 @@ class _Turned:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _SessionData:
-    """A session as one vector of data, the mean readings (`to_sensors`), the errors of the turns, integrals of the
-    readings of more than three gyros over them, and gravity, and one of values, the parameters of the blocks in their
-    order; with either, leading axes for many at once."""
+    """A session as a vector of data and a vector of values, both with leading axes for many at once.
+
+    The data are the mean readings (`to_sensors`), the errors of the turns, the integrals over them of the readings of
+    more than three gyros, and gravity. The values are the parameters of the blocks."""
 
     observations: Observations
     method: PaperMethod
@@ -328,8 +341,7 @@ class _SessionData:
 
     @property
     def places(self) -> tuple[slice, slice, slice, slice]:
-        """Where the readings of the accelerometers are in the data, those of the gyros, the errors of the turns, and
-        the integrals over them."""
+        """Slices in the data of the readings of accelerometers and gyros, errors of turns, and integrals over turns."""
         N, (accel, *gyro) = len(self.observations.rests), self.blocks
         first = N * accel.size
         second = first + sum(N * block.size for block in gyro)
@@ -338,15 +350,15 @@ class _SessionData:
 
     @property
     def steps(self) -> Array:
-        """Steps of the central differences for the data and the values."""
+        """Steps of the central differences, of data and values."""
         data, (_, rates, *turns) = np.full(len(self.data), 1e-5), self.places
         data[rates], data[turns[0]], data[turns[1]] = 1e-9, 1e-6, 1e-6
         values = [{"accel.bias": 1e-5, "gyro.bias": 1e-9}.get(group_name(name), 1e-6) for name in self.names]
         return np.concatenate([data, values])
 
     def readings(self, data: Array) -> tuple[tuple[Array, Array], Array, Array | None, Array]:
-        """Specific forces and rates (..., N, n) at rest, errors of turns (..., K, 3), empty without gyros, integrals
-        over turns (..., K, n) of more than three gyros, and g (...)."""
+        """Return specific forces and rates (..., N, n) at rest, errors of turns (..., K, 3), integrals over turns
+        (..., K, n) of more than three gyros, and g (...)."""
         accel, *gyro = self.blocks
         force, rate, turning, integral = (data[..., place] for place in self.places)
         n, spare = gyro[0].size if gyro else 3, self.observations.turn_readings is not None
@@ -354,14 +366,14 @@ class _SessionData:
         return at_rest, _rows(turning, 3), _rows(integral, n) if spare else None, data[..., -1]
 
     def models(self, values: Array) -> tuple[SensorModel, SensorModel]:
-        """Models of the data; without gyros those of perfect ones."""
+        """Return the models of accelerometers and gyros, the latter perfect if there are none."""
         accel, *gyro = self.blocks
         own = len(accel.names)
         return model_of(accel, values[..., :own]), model_of(gyro[0], values[..., own:]) if gyro else PERFECT_TRIAD
 
     def turned(self, values: Array) -> _Turned | None:
-        """The turns integrated about the gyro model of values (m,). Raises ProgrammeError where they do not determine
-        the gyros."""
+        """Integrate the turns about the gyro model of values (m,); raise ProgrammeError unless they determine the
+        gyros."""
         block, (accel, about), matrix = self.observations.gyro_block, self.models(values), self.course.matrix
         if block is None:
             return None
@@ -380,8 +392,8 @@ class _SessionData:
         return _Turned(turns=turns, about=about, matrix=matrix)
 
     def after_pass(self, data: Array, values: Array, turned: _Turned | None) -> Array:
-        """Values (..., m) after all stages of a pass over data (..., d) that starts from values (..., m); after the
-        stages of the rests where the turns are not integrated."""
+        """Return the values (..., m) after a pass over data (..., d) from values (..., m); without `turned`, after the
+        stages of the rests."""
         at_rest, turning, integral, gravity = self.readings(data)
         turn, matrix = (None, None) if turned is None else (partial(turned.rotations, turning), turned.matrix)
         models = one_pass(self.method, self.course, at_rest, turn, gravity, self.models(values), matrix, integral)
@@ -389,7 +401,7 @@ class _SessionData:
         return np.concatenate([parameters_of(block, model) for block, model in parts], axis=-1)
 
     def derivatives(self, values: Array, turned: _Turned | None) -> tuple[Array, Array]:
-        """Derivatives of the values after a pass with respect to data and values, by central differences."""
+        """Return the derivatives of the values after a pass with respect to data and values, by central differences."""
         d, steps = len(self.data), self.steps
         shifted = np.concatenate([self.data, values]) + np.concatenate([np.diag(steps), -np.diag(steps)])
         high, low = np.split(self.after_pass(shifted[:, :d], shifted[:, d:], turned), 2)
@@ -397,7 +409,7 @@ class _SessionData:
         return both[:, :d], both[:, d:]
 
     def passes(self, iterations: int) -> tuple[Array, Array, tuple[Array, ...]]:
-        """Values (m,) after so many passes, their derivative (m, d) with respect to the data, and the increments."""
+        """Return the values (m,) after some passes, their derivative (m, d) by the data, and the increments."""
         values = np.concatenate([self.observations.start_values(block) for block in self.blocks])
         derivative, increments = np.zeros((len(values), len(self.data))), list[Array]()
         for _ in range(iterations):
@@ -408,8 +420,8 @@ class _SessionData:
         return values, derivative, tuple(increments)
 
     def limit(self, values: Array, turned: _Turned | None, u: Array) -> tuple[Array, bool]:
-        """Where the passes lead from values (m,) of uncertainty u, with the turns to first order, and whether they get
-        there."""
+        """Return the limit of further passes from values (m,) of uncertainty u, with the turns to first order, and
+        whether they converge."""
         negligible = NEGLIGIBLE * np.maximum(u, self.steps[len(self.data) :])
         for _ in range(MAX_PASSES):
             after = self.after_pass(self.data, values, turned)
@@ -419,8 +431,8 @@ class _SessionData:
         return values, False
 
     def errors(self, components: VarianceComponents) -> Iterator[tuple[Source, slice, Array]]:
-        """Sources of independent errors of the data: where each is, and covariances (N, n, n) of N rests or turns. An
-        in-run bias turns a device by T in a turn of T s."""
+        """Yield the sources of independent errors of the data, with their slice and covariances (N, n, n) of N rests or
+        turns. An in-run bias causes an error proportional to the duration of a turn."""
         rests, turns, integrals = self.observations.rests, self.observations.turns, self.observations.turn_readings
         alike = np.ones(sum(block.size for block in self.blocks))
         sensors, (forces, rates, rotations, spare) = components.unlike if components.unlike.size else alike, self.places
@@ -448,63 +460,63 @@ class _SessionData:
         yield source("gravity", g_u, "m/s^2"), slice(len(self.data) - 1, None), np.array([[[g_u**2]]])
 
     def budget(self, derivative: Array, components: VarianceComponents) -> UncertaintyBudget:
-        """The covariance of values by source, with their derivative (m, d) with respect to the data."""
+        """Return the covariance of values by source, from their derivative (m, d) with respect to the data."""
         sources, covariances = dict[str, Source](), dict[str, Array]()
         for each, place, blocks in self.errors(components):
-            by = derivative[:, place].reshape(len(derivative), len(blocks), -1)
-            part = np.einsum("min,inp,kip->mk", by, blocks, by)
+            J = derivative[:, place].reshape(len(derivative), len(blocks), -1)
+            part = np.einsum("min,inp,kip->mk", J, blocks, J)
             sources.setdefault(each.name, each)
             covariances[each.name] = covariances.get(each.name, 0.0) + part
-        every = UncertaintyBudget(sources=(), covariances=np.empty((0, *[len(derivative)] * 2)))
+        budget = UncertaintyBudget(sources=(), covariances=np.empty((0, *[len(derivative)] * 2)))
         for name, covariance in covariances.items():
-            every = every.with_source(sources[name], covariance)
-        return every
+            budget = budget.with_source(sources[name], covariance)
+        return budget
 
 
 def _rows(values: Array, n: int) -> Array:
-    """Values (..., N n) as N rows (..., N, n)."""
+    """Return values (..., N n) as N rows (..., N, n)."""
     return values.reshape(*values.shape[:-1], -1, n)
 
 
 def _estimate(
-    launch: _SessionData, values: Array, derivative: Array, increments: tuple[Array, ...], intervals: bool
+    session: _SessionData, values: Array, derivative: Array, increments: tuple[Array, ...], intervals: bool
 ) -> Estimate:
-    """The estimate of values (m,) with their derivative (m, d) with respect to the data."""
-    observations, turned = launch.observations, launch.turned(values)
-    beside = by_joint(observations, intervals and bool(observations.usual))
-    if beside is None:  # with groups that leave a linear parameter open, or without
-        beside = joint(replace(observations, usual={}), intervals=False)
-    assert beside.budget is not None
-    assert beside.linearised is not None
-    budget = launch.budget(derivative, beside.linearised.components)
-    limit, converged = launch.limit(values, turned, np.sqrt(np.diag(budget.covariances.sum(axis=0))))
+    """Build the estimate of values (m,) with their derivative (m, d) with respect to the data."""
+    observations, turned = session.observations, session.turned(values)
+    by_likelihood = converged_joint(observations, intervals and bool(observations.usual))
+    if by_likelihood is None:  # groups leave a linear parameter undetermined
+        by_likelihood = joint(replace(observations, usual={}), intervals=False)
+    assert by_likelihood.budget is not None
+    assert by_likelihood.linearised is not None
+    budget = session.budget(derivative, by_likelihood.linearised.components)
+    limit, converged = session.limit(values, turned, np.sqrt(np.diag(budget.covariances.sum(axis=0))))
     budget = budget.with_source(source("passes"), np.outer(limit - values, limit - values))
-    dof = {each.name: each.dof for each in beside.budget.sources}
+    dof = {each.name: each.dof for each in by_likelihood.budget.sources}
     budget = replace(budget, sources=tuple(replace(each, dof=dof.get(each.name)) for each in budget.sources))
     variances = np.diagonal(budget.covariances, axis1=1, axis2=2)
-    known = np.array([each.dof or np.inf for each in budget.sources])
-    by_scatter = (variances**2 / known[:, None]).sum(axis=0)
-    accel, *gyro = launch.blocks
-    own = accel.model(values[: len(accel.names)])
+    degrees = np.array([each.dof or np.inf for each in budget.sources])
+    by_scatter = (variances**2 / degrees[:, None]).sum(axis=0)
+    accel, *gyro = session.blocks
+    accel_model = accel.model(values[: len(accel.names)])
     estimate = Estimate(
-        method=launch.method.name,
-        names=launch.names,
-        units=units_of(launch.names),
+        method=session.method.name,
+        names=session.names,
+        units=units_of(session.names),
         values=values,
         covariance=budget.covariances.sum(axis=0),
         observable=np.ones(len(values), dtype=bool),
         null=np.empty((0, len(values))),
-        accel=own,
+        accel=accel_model,
         gyro=gyro[0].model(values[len(accel.names) :]) if gyro else None,
-        rest_residual=np.linalg.norm(own.apply(observations.rests.accel), axis=1) - observations.site.gravity,
-        rest_sigmas=beside.rest_sigmas,
-        gyro_rest_sigmas=beside.gyro_rest_sigmas,
-        turn_sigmas=beside.turn_sigmas,
+        rest_residual=np.linalg.norm(accel_model.apply(observations.rests.accel), axis=1) - observations.site.gravity,
+        rest_sigmas=by_likelihood.rest_sigmas,
+        gyro_rest_sigmas=by_likelihood.gyro_rest_sigmas,
+        turn_sigmas=by_likelihood.turn_sigmas,
         increments=increments,
-        fits=beside.fits,
-        converged=converged and beside.converged,
-        linearised=beside.linearised,
-        hyperparameters=beside.hyperparameters,
+        fits=by_likelihood.fits,
+        converged=converged and by_likelihood.converged,
+        linearised=by_likelihood.linearised,
+        hyperparameters=by_likelihood.hyperparameters,
         degrees=np.divide(  # Welch, Satterthwaite
             variances.sum(axis=0) ** 2, by_scatter, out=np.full(len(values), np.inf), where=by_scatter > 0.0
         ),
@@ -512,13 +524,13 @@ def _estimate(
     )
     if not observations.usual:
         return estimate
-    problem, shown = groups_in_data(observations)
-    return with_left_out(estimate, problem, derivative @ shown, left_out_sizes(problem, beside))
+    problem, columns = group_columns(observations)
+    return with_omitted_groups(estimate, problem, derivative @ columns, omitted_sizes(problem, by_likelihood))
 
 
 sequential = partial(iterated, method=SEQUENTIAL)
-"""The estimate of the paper's method with the sequential vector method for accelerometers."""
+"""Estimate with the sequential vector method for accelerometers."""
 scalar = partial(iterated, method=SCALAR)
-"""The same with the scalar method on all rests, in the estimated orientation."""
+"""Estimate with the scalar method on all rests, in the estimated orientation."""
 scalar_nominal = partial(iterated, method=SCALAR_NOMINAL)
-"""The same in the orientation of the programme, which the paper compares it with."""
+"""The same in the orientation of the programme, with which the paper compares it."""

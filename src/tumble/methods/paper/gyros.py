@@ -1,24 +1,23 @@
-"""The paper's methods for gyros: biases from rests, stage 3, and scale factors and axis angles from turns, stage 4.
+"""Stages 3 and 4 of the methods of the turntable paper: biases of gyros from rests, and their scale factors and axis
+angles from turns.
 
-Stage 3 compares the readings of gyros at rest with the Earth's rate Ω in the attitude by TRIAD, Eq. (16): a bias is the
-reading less ω = L̂ᵀΩ where the axis of the gyro is vertical, Eq. (18). An error δw of the accelerometers leaves
-Ω cos B δw/g. The scalar method for gyros, which the paper has too, holds for small biases only
-(studies/accuracy_formulas.py).
+Stage 3 compares the readings of gyros at rest with the Earth's rate Ω in the attitude by TRIAD, Eq. (16). A bias is the
+reading less ω = L̂ᵀΩ if the axis of the gyro is vertical, Eq. (18). An error δw of the accelerometers leaves
+Ω cos B δw/g. The scalar method for gyros of the paper holds for small biases only (studies/accuracy_formulas.py).
 
-Stage 4, the indirect method, sees what errors of the gyros do to the horizontal after a turn. A series of turns starts
-from an attitude by TRIAD, which the gyros carry through the turns and which is held during rests. Each turn by 180°
-leaves y = (Δf_N, Δf_E)/g, the change of the horizontal specific force from its start to its end, computed with the
-carried attitude:
+Stage 4, the indirect method, uses the error of the horizontal after a turn. A series of turns starts from an attitude
+by TRIAD, which the gyros carry through the turns and which is held during rests. Each turn by 180° gives
+y = (Δf_N, Δf_E)/g, the change of the horizontal specific force from its start to its end in the carried attitude:
 
     y_N = −Δψ_E + Δα_N,   y_E = Δψ_N + Δα_E,   α = L(b + M Lᵀe_U)
 
-with ψ the error of the carried attitude, L̂ = (I + [ψ×]) L, and α that of the accelerometers (b = δw/g, M = S − I).
-`programme_matrix` is Eq. (6.3), for the programmed attitudes. The paper does not state the directions of its turns,
-which decide whether biases of the accelerometers pass for scale-factor errors of the gyros: `check_directions`.
+where ψ is the error of the carried attitude, L̂ = (I + [ψ×]) L, and α that of the accelerometers (b = δw/g, M = S − I).
+`programme_matrix` is Eq. (6.3), for the attitudes of the programme. The paper does not state the directions of its
+turns, which decide whether biases of the accelerometers affect scale factors of the gyros: see `check_directions`.
 
 All functions take any leading axes: rates ω̂ and specific forces (..., N, 3) of N rests in the body frame, `earth_rate`
 (3,) Ω in N, U, E. Columns of the gyros are k_x, k_y, k_z, γ_xy, γ_xz, γ_yx, γ_yz, γ_zx, γ_zy; of the accelerometers
-b_x, b_y, b_z (rad), k_x, k_y, k_z, γ_yx, γ_zx, γ_zy. Source: §5, §6 of the turntable method.
+b_x, b_y, b_z (rad), k_x, k_y, k_z, γ_yx, γ_zx, γ_zy. Source: §5, §6 of the turntable paper.
 """
 
 from __future__ import annotations
@@ -30,28 +29,23 @@ from itertools import islice, pairwise
 import numpy as np
 
 from tumble.errors import ProgrammeError
-from tumble.methods.paper.accelerometers import STANDING
+from tumble.methods.paper.accelerometers import VERTICAL
 from tumble.methods.paper.blocks import in_body
 from tumble.programme.positions import Programme
 from tumble.rotation import rotation_matrix, unit_vector
 from tumble.sensors.model import ACCEL_ANGLES, PERFECT_TRIAD
 from tumble.units import DEGREE, Array, BoolArray
 
-LEAK = 1e-6
-"""Biases that enter scale factors with less than this coefficient cancel."""
-
-_LEVEL = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-"""What of ψ and of α the two rows y_N, y_E are."""
-
-_PAIRS = ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))
-"""Where γ_xy, γ_xz, γ_yx, γ_yz, γ_zx, γ_zy are in the errors E and M of matrices."""
+LEAK = 1e-6  # largest coefficient with which biases that cancel enter scale factors
+_LEVEL = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # selects north and east
+_PAIRS = ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))  # of γ_xy, γ_xz, γ_yx, γ_yz, γ_zx, γ_zy in E and M
 
 
 # Stage 3
 
 
 def triad(force: Array, rate: Array) -> Array:
-    """Attitude body → geographic N, U, E (..., 3, 3) from the specific force and the Earth's rate measured at rest:
+    """Return the attitude body → geographic N, U, E (..., 3, 3) from specific force and Earth's rate at rest:
     e_U ∥ ŵ, e_E ∥ ω̂ × e_U, e_N = e_U × e_E."""
     east = unit_vector(np.cross(rate, unit_vector(force)))
     up = np.broadcast_to(unit_vector(force), east.shape)
@@ -59,48 +53,48 @@ def triad(force: Array, rate: Array) -> Array:
 
 
 def vector_bias(rate: Array, force: Array, earth_rate: Array, axes: Array = PERFECT_TRIAD.matrix) -> Array:
-    """Bias (..., N, n), rad/s, of every gyro in every rest, from rates (..., N, n) along sensing axes (n, 3): ω̂ − L̂ᵀΩ
-    with L̂ by TRIAD, Eq. (16).
+    """Return the bias (..., N, n), rad/s, of every gyro in every rest: ω̂ − L̂ᵀΩ with L̂ by TRIAD, Eq. (16).
 
-    It holds along the polar axis, where sensor errors enter times deviations from the programme, Eq. (17), and along
-    the vertical, Eq. (18). At the polar axis TRIAD leaves −δω_E²/2Ω, which is not in the paper (1.8 % of 0.3 °/h)."""
+    Rates (..., N, n) are along sensing axes (n, 3). The bias holds along the polar axis, where sensor errors are
+    multiplied by deviations from the programme, Eq. (17), and along the vertical, Eq. (18). At the polar axis TRIAD
+    leaves −δω_E²/2Ω, which is not in the paper (1.8 % of 0.3 °/h)."""
     return np.asarray(rate - earth_rate @ triad(force, in_body(axes, rate)) @ axes.T)
 
 
 def vertical_bias(
     rate: Array, force: Array, earth_rate: Array, nominal: Array, axes: Array = PERFECT_TRIAD.matrix
 ) -> Array:
-    """Bias (..., n) by the vector method, Eq. (18): mean over the rests in which the nominal vertical (N, 3) is along
-    the axis of the gyro, of rates (..., N, n) along sensing axes (n, 3)."""
-    shown, standing = vector_bias(rate, force, earth_rate, axes), along_vertical(nominal, axes)
-    return np.stack([shown[..., standing[:, q], q].mean(axis=-1) for q in range(len(axes))], axis=-1)
+    """Return the bias (..., n) by the vector method, Eq. (18): the mean over rests with the nominal vertical (N, 3)
+    along the axis of the gyro. Rates (..., N, n) are along sensing axes (n, 3)."""
+    bias, vertical = vector_bias(rate, force, earth_rate, axes), along_vertical(nominal, axes)
+    return np.stack([bias[..., vertical[:, q], q].mean(axis=-1) for q in range(len(axes))], axis=-1)
 
 
 def along_vertical(nominal: Array, axes: Array) -> BoolArray:
-    """Whether axes (n, 3) are up or down in positions with these verticals (N, 3) in the body: (N, n)."""
-    return np.asarray(np.abs(nominal @ axes.T) > 1.0 - STANDING)
+    """Return whether axes (n, 3) are up or down in positions with verticals (N, 3) in the body: (N, n)."""
+    return np.asarray(np.abs(nominal @ axes.T) > 1.0 - VERTICAL)
 
 
-# Stage 4: the programmed turns
+# Stage 4: the turns of a programme
 
 
 def known_turns(programme: Programme) -> tuple[tuple[int, ...], ...]:
-    """Series of turns with known axis and angle that follow each other: indices of the moves."""
+    """Return the indices of the moves of each series of consecutive turns with known axis and angle."""
     known = [k for k, move in enumerate(programme.moves) if move.axis is not None and move.angle is not None]
     starts = [i for i, k in enumerate(known) if i == 0 or known[i - 1] != k - 1]
     return tuple(tuple(known[i:j]) for i, j in pairwise([*starts, len(known)]))
 
 
 def axes_and_angles(programme: Programme) -> tuple[Array, Array]:
-    """Geographic axes (K, 3) and angles (K,), rad, of the known turns of a programme."""
+    """Return the geographic axes (K, 3) and angles (K,), rad, of the known turns of a programme."""
     moves = [programme.moves[k] for series in known_turns(programme) for k in series]
     axes, angles = [move.axis for move in moves], [move.angle for move in moves]
     return np.array(axes, dtype=float).reshape(-1, 3), np.array(angles, dtype=float)
 
 
 def matrix_error(scale: Array, angles: Array) -> Array:
-    """M or E (..., 3, 3), of first order, of k (..., 3) and of γ_yx, γ_zx, γ_zy (..., 3) of accelerometers, or of all
-    six angles γ_xy, γ_xz, γ_yx, γ_yz, γ_zx, γ_zy (..., 6) of gyros."""
+    """Return M or E (..., 3, 3), to first order, for k (..., 3) and angles γ_yx, γ_zx, γ_zy (..., 3) of accelerometers
+    or γ_xy, γ_xz, γ_yx, γ_yz, γ_zx, γ_zy (..., 6) of gyros."""
     pairs = [_PAIRS[i] for i in (ACCEL_ANGLES if angles.shape[-1] == len(ACCEL_ANGLES) else range(6))]
     out = np.zeros((*angles.shape[:-1], 3, 3))
     out[..., [0, 1, 2], [0, 1, 2]] = scale
@@ -109,38 +103,42 @@ def matrix_error(scale: Array, angles: Array) -> Array:
 
 
 def turn_error(attitude: Array, axis: Array, angle: Array, E: Array) -> Array:
-    """Attitude error Δψ = ∫ R dΘ L E Lᵀ n (..., 3), rad, about N, U, E, by errors E (..., 3, 3) of the gyros in a turn
-    by `angle` (...), rad, about the geographic unit vector `axis` n (..., 3) from `attitude` L (..., 3, 3), at any
-    rate. Eq. (6.2)."""
+    """Return the attitude error Δψ = ∫ R dΘ L E Lᵀ n (..., 3), rad, about N, U, E, Eq. (6.2).
+
+    It is due to errors E (..., 3, 3) of the gyros in a turn by `angle` (...), rad, about the geographic unit vector
+    `axis` n (..., 3) from `attitude` L (..., 3, 3), at any rate."""
     L, n = np.asarray(attitude), np.asarray(axis)
     return swept(n, angle, (L @ E @ np.swapaxes(L, -1, -2) @ n[..., None])[..., 0])
 
 
 def swept(axis: Array, angle: Array, vector: Array) -> Array:
-    """∫ R v dΘ (..., 3) over a rotation by `angle` about `axis`: [Θ n nᵀ + sin Θ (I − n nᵀ) + (1 − cos Θ) [n×]] v."""
+    """Return ∫ R v dΘ (..., 3) over a rotation by `angle` Θ about `axis` n:
+    [Θ n nᵀ + sin Θ (I − n nᵀ) + (1 − cos Θ) [n×]] v."""
     along = axis * (axis * vector).sum(axis=-1, keepdims=True)
     Θ = np.asarray(angle)[..., None]
     return np.asarray(Θ * along + np.sin(Θ) * (vector - along) + (1.0 - np.cos(Θ)) * np.cross(axis, vector))
 
 
 def programme_matrix(programme: Programme) -> tuple[Array, Array]:
-    """Derivatives H_G and H_A (2T, 9) of y of the T known turns with respect to the errors of gyros and accelerometers,
-    at the programmed attitudes, Eq. (6.3). Terms of the order of Ω T (1.5e-3) are left out, as in the paper."""
+    """Return the derivatives H_G and H_A (2T, 9) of y of T known turns by the errors of gyros and accelerometers.
+
+    They are at the attitudes of the programme, Eq. (6.3), without terms of the order of Ω T (1.5e-3), as in the paper.
+    """
     first = np.array([k for series in known_turns(programme) for k in series], dtype=np.int64)
     L = np.array([position.matrix for position in programme.positions]).reshape(-1, 3, 3)
     axis, angle = axes_and_angles(programme)
-    each = np.eye(9)[:, None]
-    ψ = turn_error(L[first], axis, angle, matrix_error(each[..., :3], each[..., 3:]))
-    M, up = matrix_error(each[..., 3:6], each[..., 6:]), np.broadcast_to(L[:, 1], (9, len(L), 3))
-    α = (L @ (each[..., :3] + (M @ up[..., None])[..., 0])[..., None])[..., 0]
+    unit = np.eye(9)[:, None]
+    ψ = turn_error(L[first], axis, angle, matrix_error(unit[..., :3], unit[..., 3:]))
+    M, up = matrix_error(unit[..., 3:6], unit[..., 6:]), np.broadcast_to(L[:, 1], (9, len(L), 3))
+    α = (L @ (unit[..., :3] + (M @ up[..., None])[..., 0])[..., None])[..., 0]
     tilt = np.stack([-ψ[..., 2], ψ[..., 0]], axis=-1)
     return tilt.reshape(9, -1).T, ((α[:, first + 1] - α[:, first]) @ _LEVEL.T).reshape(9, -1).T
 
 
 def recorded_matrix(course: Sequence[Series], attitude: Array, M: Array) -> Array:
-    """Derivatives (2T, 9) of y of recorded turns by the errors of gyros in the order of columns, from the attitudes
-    (N, 3, 3) of the rests and the sensitivities M (K, 3, 3, 3) of the turns, Eq. (6.1): ψ = L (M : E), whatever way a
-    turn took."""
+    """Return the derivatives (2T, 9) of y of recorded turns by the errors of gyros, Eq. (6.1): ψ = L (M : E).
+
+    `attitude` (N, 3, 3) are those of the rests, M (K, 3, 3, 3) the sensitivities of the turns."""
     counted = [t for series in course for t in series if t.counts]
     first, k = [t.first for t in counted], [t.turn for t in counted]
     p, q = np.transpose([*((i, i) for i in range(3)), *_PAIRS])
@@ -149,9 +147,10 @@ def recorded_matrix(course: Sequence[Series], attitude: Array, M: Array) -> Arra
 
 
 def spare_sensitivities(integral: Array, axes: Array) -> Array:
-    """Errors (..., n, 3) of the sensitivities of n gyros along `axes` (n, 3) across these, from the integrals
-    (..., K, n), rad, of their compensated readings over turns: what no rate explains of them, by least squares over the
-    rotations about the body axes. Three gyros have none."""
+    """Return the sensitivity errors (..., n, 3) of n gyros that no rate explains, zero for three gyros.
+
+    They are fitted to the integrals (..., K, n), rad, of compensated readings along `axes` (n, 3) over turns, by least
+    squares over the rotations about the body axes."""
     turned = in_body(axes, integral)
     spare = integral - turned @ axes.T
     across = np.swapaxes(turned, -1, -2)
@@ -159,15 +158,15 @@ def spare_sensitivities(integral: Array, axes: Array) -> Array:
 
 
 def accelerometer_leakage(programme: Programme) -> Array:
-    """Errors (9, 9) of the gyros' k (3) and γ (6), rad, per unit error of the accelerometers' b, k, γ after stages 1
-    and 2, with the matrix of the programme, §6.3."""
+    """Return the errors (9, 9) of k (3) and γ (6) of the gyros per unit error of b, k, γ of the accelerometers, by the
+    matrix of the programme, §6.3."""
     H_G, H_A = programme_matrix(programme)
     return np.asarray(np.linalg.pinv(H_G) @ H_A)
 
 
 def check_directions(programme: Programme) -> None:
-    """Raise ProgrammeError if the known turns of a programme do not determine the nine gyro parameters, or if
-    accelerometer biases leak into the gyro scale factors, as with (+N, +U, +N), where k takes up 2/π of them."""
+    """Raise ProgrammeError unless the known turns of a programme determine the nine gyro parameters and accelerometer
+    biases cancel in the scale factors. With (+N, +U, +N), k takes up 2/π of them."""
     H_G, _ = programme_matrix(programme)
     rank = int(np.linalg.matrix_rank(H_G)) if len(H_G) else 0
     known = axes_and_angles(programme)
@@ -188,36 +187,37 @@ def check_directions(programme: Programme) -> None:
         )
 
 
-# Stage 4: the turns as they were
+# Stage 4: recorded turns
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RecordedTurn:
-    """One recorded turn of a series: its index, the rests before and after it, and whether it counts: not if both rests
-    are in the same position."""
+    """A recorded turn of a series."""
 
-    turn: int
-    first: int
-    last: int
-    counts: bool
+    turn: int  # index of the turn
+    first: int  # rest before it
+    last: int  # rest after it
+    counts: bool  # False if both rests are in the same position
 
 
 Series = tuple[RecordedTurn, ...]
 
 
 def carried(attitude: Array, C: Array, earth_rate: Array, seconds: Array | float) -> Array:
-    """Attitude exp(−[Ω T×]) L C (..., 3, 3) after a move by C (body at the end → body at the start, in the non-rotating
-    frame) in so many `seconds`, T, in which the geographic frame turned by Ω T."""
+    """Return the attitude exp(−[Ω T×]) L C (..., 3, 3) after a move by C in T `seconds`.
+
+    C is body at the end → body at the start in the inertial frame; the geographic frame turns by Ω T."""
     return np.asarray(rotation_matrix(-earth_rate * seconds) @ attitude @ C)
 
 
 def horizontal_differences(
     course: Sequence[Series], attitude: Array, force: Array, C: Array, duration: Array, earth_rate: Array
 ) -> Array:
-    """y (..., 2T): change of the north and east specific force, in units of its modulus, over every turn that counts.
+    """Return y (..., 2T), the change of the north and east specific force relative to its modulus, in every turn that
+    counts, §6.2.
 
-    The attitude of the rest before the first turn of a series, of attitudes (..., N, 3, 3) by TRIAD, is held during
-    rests and carried by the turns C (..., K, 3, 3); `force` (..., N, 3) is that of the rests. §6.2."""
+    `attitude` (..., N, 3, 3) is by TRIAD. That before the first turn of a series is held during rests and carried by
+    the turns C (..., K, 3, 3); `force` (..., N, 3) is that of the rests."""
     f, rows = unit_vector(force), []
     for series in course:
         after = attitude[..., series[0].first, :, :]

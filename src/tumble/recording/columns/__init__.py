@@ -1,1 +1,1 @@
-"""Columns of logs: what they are by their names and by their numbers, and the units and scales of sensors."""
+"""Identification of the columns of logs by names and by numbers, and nominal units and scales of sensors."""

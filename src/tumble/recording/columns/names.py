@@ -1,39 +1,166 @@
-"""What the columns of a table are, by their names: times, sensors, temperatures, and their units.
+"""Kinds of a table's columns by their names: times, sensors, temperatures, and their units.
 
-A name such as `imu.acc_x [g]`, `linear_acceleration.y` or `gyrz_dps` falls into words and a unit; a single letter or
-number among the words, or at the end of one, is the axis, and `patterns` says which sensor the rest is.
+A name such as `imu.acc_x [g]`, `linear_acceleration.y` or `gyrz_dps` is split into words and a unit. A single letter or
+digit among the words, or at the end of one, is the axis; the patterns of names.toml give the kind of sensor for the
+rest, the stem.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+import tomllib
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import product
+from pathlib import Path
+from typing import Any
 
-from tumble.recording.columns.patterns import (
-    ACCEL,
-    ALL_UNITS,
-    GYRO,
-    INTERVAL,
-    MAGNETOMETER,
-    OTHER,
-    SENSOR_WORDS,
-    TEMPERATURE_WORDS,
-    TIME_KIND,
-    TIME_WORDS,
-    UNITS,
-    in_words_of_the_table,
-    score,
-    sensor_kind,
-    unit_spelling,
-)
+ACCEL, GYRO, MAGNETOMETER, TIME_KIND = "accel", "gyro", "mag", "time"
+INTERVAL, OTHER = "interval", "other"
+"""Times since the previous sample, and quantities that are no readings of a sensor that can be calibrated."""
+SENSOR_KINDS = (ACCEL, GYRO, MAGNETOMETER)
 
-__all__ = ["ACCEL", "GYRO", "MAGNETOMETER", "SENSOR_WORDS", "TIME_KIND", "Columns", "columns_by_name", "in_order"]
+IDENTIFYING_WEIGHT = 4.0
+"""Patterns of this weight or more identify a kind; lighter ones only rank several columns of one kind."""
 
-_LETTERS = {"x": "x", "y": "y", "z": "z", "0": "x", "1": "y", "2": "z"}
+_TABLE: Mapping[str, Any] = tomllib.loads((Path(__file__).parent / "names.toml").read_text(encoding="utf-8"))
+_SPELLINGS: Mapping[str, Mapping[str, str]] = {
+    kind: {text: unit for unit, spellings in units.items() for text in spellings}
+    for kind, units in _TABLE["units"].items()
+}
+UNITS = {kind: _SPELLINGS[kind] for kind in (*SENSOR_KINDS, TIME_KIND)}
+"""Units by kind and spelling."""
+TIME_WORDS, TEMPERATURE_WORDS = _SPELLINGS["time_in_words"], _SPELLINGS["temperature"]
+SENSOR_WORDS = {kind: re.compile(words, re.IGNORECASE) for kind, words in _TABLE["sensor_words"].items()}
+"""Words for sensors in names of files and in labels of rows."""
+WITHOUT_GRAVITY = re.compile(r"lin|user|free|world|without|ohne|\bno[_ ]?g|_no_g", re.IGNORECASE)
+"""Words for accelerations without gravity, in names of files and columns."""
+
+ALL_UNITS = frozenset(text for units in UNITS.values() for text in units if text != "t")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Pattern:
+    """A row of the table; `units` None for any unit, `axis` "" unless the pattern is that of one axis."""
+
+    kind: str
+    weight: float
+    name: re.Pattern[str]
+    units: Collection[str] | None = None
+    axis: str = ""
+
+
+_KIND_OF_UNIT: Mapping[str, str] = {
+    unit: kinds[0]
+    for unit in frozenset(text for kind in SENSOR_KINDS for text in UNITS[kind])
+    if len(kinds := [kind for kind in (*SENSOR_KINDS, TIME_KIND) if unit in UNITS[kind]]) == 1
+}
+"""The kind of sensor for units that only one kind has."""
+_UNITS_OF_OTHERS = frozenset(_TABLE["units_of_others"])
+
+
+def _patterns() -> Iterator[Pattern]:
+    """Yield the rows of the table, and patterns that consist of a unit alone."""
+    for row in _TABLE["column"]:
+        for kind, (axis, words) in product(row["kind"], row.get("axes", {"": ""}).items()):
+            name = re.compile(row["name"].replace("{}", words) if axis else row["name"])
+            yield Pattern(kind=kind, weight=row["weight"], name=name, axis=axis)
+    rates = {ACCEL: ("m/s^2", "g", "mg", "cm/s^2", "mm/s^2"), GYRO: ("rad/s", "deg/s", "mdeg/s", "0.1 deg/s", "deg/h")}
+    accel, gyro = ({text for text, unit in UNITS[kind].items() if unit in rates[kind]} for kind in (ACCEL, GYRO))
+    field = UNITS[MAGNETOMETER].keys() - UNITS[ACCEL].keys()
+    any_name = re.compile("")
+    yield Pattern(kind=GYRO, weight=7.0, name=any_name, units=gyro)
+    yield Pattern(kind=MAGNETOMETER, weight=7.0, name=any_name, units=field - {"t"})
+    yield Pattern(kind=ACCEL, weight=7.0, name=re.compile("^$"), units=accel)
+    yield Pattern(kind=OTHER, weight=7.0, name=any_name, units=gyro | field | _UNITS_OF_OTHERS)  # gyros come before
+
+
+PATTERNS = tuple(_patterns())
+
+
+def score(kind: str, name: str, unit: str = "", axis: str = "") -> float:
+    """Return the weight of evidence that a column is of a kind; 0 for none, and for a unit of another kind of sensor.
+
+    Parameters
+    ----------
+    kind
+        One of the kinds of columns.
+    name
+        Words of the column's name, joined by _, without axis and unit.
+    unit
+        Spelling of the unit, "" for none.
+    axis
+        "x", "y" or "z" for patterns of one axis.
+
+    >>> score(ACCEL, "acc"), score(ACCEL, "lin_acc"), score(GYRO, "turning", "dps"), score(TIME_KIND, "header_stamp")
+    (8.0, 6.0, 7.0, 9.0)
+    >>> score(ACCEL, "f", "ut")
+    0.0
+    """
+    if kind in SENSOR_KINDS and _KIND_OF_UNIT.get(unit, kind) != kind:
+        return 0.0
+    weights = [
+        row.weight
+        for row in PATTERNS
+        if row.kind == kind and row.axis == axis and (row.units is None or unit in row.units) and row.name.search(name)
+    ]
+    largest = max((weight for weight in weights if weight >= IDENTIFYING_WEIGHT), default=0.0)
+    return largest + sum(weight for weight in weights if weight < IDENTIFYING_WEIGHT) if largest else 0.0
+
+
+def sensor_kind(name: str, unit: str) -> str | None:
+    """Return the kind of sensor with the largest score for a name and a unit; None if all scores are 0."""
+    scores = {kind: score(kind, name, unit) for kind in SENSOR_KINDS}
+    best = max(scores, key=lambda kind: scores[kind])
+    return best if scores[best] else None
+
+
+# -------------------- words of other languages, and units --------------------
+
+_LETTERS = r"[^\W\d_]*?(?=[xyz]?(?![^\W\d_]))"
+_TRANSLATIONS = [
+    *((re.compile(pattern.replace("~", _LETTERS), re.IGNORECASE), word) for pattern, word in _TABLE["words"]),
+    *((re.compile(pattern), unit) for pattern, unit in _TABLE["spelt"]),
+]
+
+
+def translated_name(name: str) -> str:
+    """Return a column's name with the words of other languages in English and units in their short form."""
+    for pattern, word in _TRANSLATIONS:
+        name = pattern.sub(word, name)
+    return name
+
+
+def unit_spelling(text: str) -> str:
+    """Return a unit as `UNITS` spells it: `m·s⁻²`, `m/sec^2` and `m / s²` become ms-2, m/s2 and m/s2."""
+    out = re.sub(
+        r"(?<!arc)sec", "s", text.lower().replace("μ", "µ").replace("⁻", "-").replace("²", "2").replace("¹", "1")
+    )
+    return re.sub(r"[*^·⋅{} ]|\.(?=s)", "", out)
+
+
+_DIMENSIONLESS = ("", "-", "1", "#", "°", "n/a", "na")
+
+
+@lru_cache(maxsize=4096)
+def is_unit(text: str) -> bool:
+    """Return whether a cell in a line of units is a unit, of sensors or of something else.
+
+    >>> [is_unit(text) for text in ("m/s²", "рад/с", "seconds", "hPa", "-", "ax")]
+    [True, True, True, True, True, False]
+    """
+    plain, unit = text.strip().lower(), unit_spelling(translated_name(text.strip()))
+    is_time = plain in TIME_WORDS or plain in ("second", "sec", "с", "мс", "мкс")
+    is_other = unit in TEMPERATURE_WORDS or ((len(unit) > 1 or unit == "%") and unit in _UNITS_OF_OTHERS)
+    return is_time or plain in _DIMENSIONLESS or unit in ALL_UNITS or is_other
+
+
+# -------------------- columns by name --------------------
+
+_AXIS_OF_WORD = {"x": "x", "y": "y", "z": "z", "0": "x", "1": "y", "2": "z"}
 _WITH_AXIS = [re.compile(word) for word in (r"([a-z]+)([xyz])(\d)", "(.+)([xyz])()", "()([xyz])(.+)", "(.+)([123])()")]
-"""Words with an axis and something else: that of several devices, ax1, gyroz2, and AccX, xacc, acc1."""
+"""Words that contain an axis: ax1 and gyroz2 of several devices, and AccX, xacc, acc1."""
 _THERMOMETER = re.compile(r"(t|temp|temperature)(\d?)")
 _ACCEL_WORD = re.compile(r"(acc|accel|accelerometers?|a)([xyz]?)")
 _GYRO_WORD = re.compile(r"(gyr|gyros?|gyroscopes?|g)([xyz]?)")
@@ -41,8 +168,8 @@ _AXIS_WORD = re.compile(r"[xyz0-9]")
 _UNIT_WORD = re.compile(r"(deg_?)?[ckf]|deg|celsius|kelvin|fahrenheit|raw|counts?|lsb|adc")
 _CHIP = re.compile(r"imu|sensors?|chip|die")
 
-Place = tuple[str, str]
-"""Whose temperature a column has, "accel", "gyro" or "" where its name does not say, and its axis or number, or ""."""
+ThermometerPlace = tuple[str, str]
+"""Kind of sensor of a thermometer, "accel", "gyro" or "" if not stated, and its axis or number, or ""."""
 _DIRECTION = re.compile(
     r"roll|pitch|yaw|longitudinal|long|longit|forward|surge|lateral|lat|transverse|sway|vertical|vert|heave"
 )
@@ -50,7 +177,7 @@ _DIRECTION = re.compile(
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Sensors:
-    """Three columns of one kind of sensor, and their unit as session.toml names it; None where nothing says it."""
+    """Columns of three sensors of one kind, and their unit as in session.toml, None if the names have no unit."""
 
     columns: tuple[str, str, str]
     unit: str | None
@@ -58,10 +185,10 @@ class Sensors:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Columns:
-    """The columns found in a table: the time with its unit (None where the name does not say), one triad of each kind,
-    and the `temperatures` as [log.temperature] has them. `others` are the names of
-    triads of the same kinds, and of thermometers, that were not taken, `times` those of all times, `interval` that of
-    the times from sample to sample. `unsure`: whether by their numbers others are hardly less likely."""
+    """Columns of a table by kind: time, a triad of each kind of sensor, and thermometers as [log.temperature] has them.
+
+    `time_unit` is None if the name has no unit; `others` are further triads and thermometers, `times` all columns named
+    as times, `interval` the times since the previous sample. `ambiguous`: other columns are hardly less likely."""
 
     time: str | None
     time_unit: str | None
@@ -70,53 +197,53 @@ class Columns:
     others: tuple[str, ...] = ()
     times: tuple[str, ...] = ()
     interval: str | None = None
-    unsure: bool = False
+    ambiguous: bool = False
 
 
 def columns_by_name(names: Iterable[str]) -> Columns:
-    """What the columns of a table are."""
+    """Identify the columns of a table by their names."""
     names = list(names)
-    warm = {name: place for name in names if (place := thermometer(_split(name)[0])) is not None}
-    stems: dict[tuple[str, str], dict[str, str]] = {}  # columns by kind and name without the axis, and then by axis
+    thermometers = {name: place for name in names if (place := thermometer(_split(name)[0])) is not None}
+    stems: dict[tuple[str, str], dict[str, str]] = {}  # columns by kind and stem, then by axis
     for name in names:
         words, unit = _split(name)
-        for axis, stem in (_axes(words) or _alone(words)) if name not in warm else ():
-            if (kind_told := sensor_kind(stem, unit)) is not None:
-                stems.setdefault((kind_told, stem), {}).setdefault(axis, name)
+        for axis, stem in (_axes(words) or _axis_alone(words)) if name not in thermometers else ():
+            if (kind := sensor_kind(stem, unit)) is not None:
+                stems.setdefault((kind, stem), {}).setdefault(axis, name)
                 break
 
-    def doubt(stem: tuple[tuple[str, str], Mapping[str, str]]) -> float:
-        (kind, name), axes = stem
-        return -score(kind, name, _split(next(iter(axes.values())))[1])
+    def rank(item: tuple[tuple[str, str], Mapping[str, str]]) -> float:
+        (kind, stem), by_axis = item
+        return -score(kind, stem, _split(next(iter(by_axis.values())))[1])
 
     triads: dict[str, Sensors] = {}
     others: list[str] = []
-    for (kind, stem), axes in sorted(stems.items(), key=doubt):
-        if set(axes) == set("xyz") and kind in triads:
+    for (kind, stem), by_axis in sorted(stems.items(), key=rank):
+        if set(by_axis) == set("xyz") and kind in triads:
             others.append(stem)
-        elif set(axes) == set("xyz"):
-            triads[kind] = _triad(kind, [axes[axis] for axis in "xyz"])
-    directed = {}  # words with the direction, where there is one, before the others: roll_rate of `RateRoll`
+        elif set(by_axis) == set("xyz"):
+            triads[kind] = _triad(kind, [by_axis[axis] for axis in "xyz"])
+    direction_first = {}  # roll_rate of `RateRoll`
     for name in names:
         words = re.sub(r"(roll|pitch|yaw)(?=rate|speed|vel)", r"\1_", "_".join(_split(name)[0])).split("_")
-        directed[name] = "_".join(sorted(words, key=lambda word: not _DIRECTION.fullmatch(word)))
+        direction_first[name] = "_".join(sorted(words, key=lambda word: not _DIRECTION.fullmatch(word)))
     for kind in (ACCEL, GYRO):
-        along = [next((n for n in names if score(kind, directed[n], axis=axis)), None) for axis in "xyz"]
-        if kind not in triads and None not in along:
-            triads[kind] = _triad(kind, [name for name in along if name is not None])
-    taken = {column for triad in triads.values() for column in triad.columns}
-    free = [name for name in names if name and name not in taken]
+        directed = [next((n for n in names if score(kind, direction_first[n], axis=axis)), None) for axis in "xyz"]
+        if kind not in triads and None not in directed:
+            triads[kind] = _triad(kind, [name for name in directed if name is not None])
+    sensors = {column for triad in triads.values() for column in triad.columns}
+    free = [name for name in names if name and name not in sensors]
     interval = _best(INTERVAL, free)
     times = [name for name in free if name not in ("T", interval) and _score(TIME_KIND, name)]
     time = _best(TIME_KIND, times)
-    warm = {name: place for name, place in warm.items() if name not in (time, interval)}
-    temperatures = _of_sensors(warm, gyros=GYRO in triads)
+    thermometers = {name: place for name, place in thermometers.items() if name not in (time, interval)}
+    temperatures = _columns_per_sensor(thermometers, gyros=GYRO in triads)
     return Columns(
         time=time,
         time_unit=None if time is None else time_unit(time),
         triads=triads,
         temperatures=temperatures,
-        others=(*others, *(name for name in warm if name not in temperatures)),
+        others=(*others, *(name for name in thermometers if name not in temperatures)),
         times=tuple(times),
         interval=interval,
     )
@@ -133,19 +260,19 @@ def _score(kind: str, name: str) -> float:
 
 
 def _best(kind: str, names: Sequence[str]) -> str | None:
-    """The first of the names that score most as one of a kind; None where none does."""
+    """Return the first name with the largest score of a kind; None if all scores are 0."""
     best = max(names, key=lambda name: _score(kind, name), default=None)
     return best if best is not None and _score(kind, best) else None
 
 
 def time_unit(name: str) -> str | None:
-    """The unit that the name of a time says: `t [ms]` ms, `micros` us; None where it says none."""
+    """Return the unit in the name of a time column: ms of `t [ms]`, us of `micros`; None if there is none."""
     words, unit = _split(name)
     return UNITS[TIME_KIND].get(unit) or (TIME_WORDS.get(words[-1]) if words else None)
 
 
 def unit_of_name(kind: str, name: str) -> str | None:
-    """The unit that the name of a column of this kind says: `ax [g]` g, `gyro_x_dps` deg/s; None where it says none.
+    """Return the unit in the name of a column of a kind of sensor: g of `ax [g]`; None if there is none.
 
     >>> unit_of_name("accel", "ax [mg]"), unit_of_name("gyro", "gyro_x")
     ('mg', None)
@@ -154,7 +281,7 @@ def unit_of_name(kind: str, name: str) -> str | None:
 
 
 def temperature_unit(name: str) -> str | None:
-    """The unit that the name of a column of temperatures says; None where it says none.
+    """Return the unit in the name of a column of temperatures; None if there is none.
 
     >>> temperature_unit("Temp [K]"), temperature_unit("imu_temp_f"), temperature_unit("T")
     ('K', 'degF', None)
@@ -164,7 +291,7 @@ def temperature_unit(name: str) -> str | None:
 
 
 def is_no_sensor(name: str) -> bool:
-    """Whether the name of a column says that it is no accelerometer, and no gyro that a name does not tell already.
+    """Return whether the name of a column excludes that it is an accelerometer or a gyro.
 
     >>> [is_no_sensor(name) for name in ("attitude_roll(radians)", "user_acc_x(G)", "RSSI (dB)", "ch3")]
     [True, True, True, False]
@@ -172,122 +299,122 @@ def is_no_sensor(name: str) -> bool:
     return bool(_score(OTHER, name)) or (name != "T" and bool(_score(TIME_KIND, name)))
 
 
-def in_order(names: Sequence[str]) -> tuple[str, str, str]:
-    """Three columns in the order of their axes, where their names differ by these: z, x and y are x, y and z.
+def in_axis_order(names: Sequence[str]) -> tuple[str, str, str]:
+    """Return three columns in the order x, y, z if their names differ by the axis, else as they are.
 
-    >>> in_order(["rate z", "rate x", "rate y"]), in_order(["z", "y", "x"]), in_order(["4", "5", "6"])
+    >>> in_axis_order(["rate z", "rate x", "rate y"]), in_axis_order(["z", "y", "x"]), in_axis_order(["4", "5", "6"])
     (('rate x', 'rate y', 'rate z'), ('x', 'y', 'z'), ('4', '5', '6'))
     """
-    first = [next(iter(_axes(words) or _alone(words)), ("", "")) for words, _ in map(_split, names)]
-    of_axis = dict(zip((axis for axis, _ in first), names, strict=True))
-    if set(of_axis) == set("xyz") and len({stem for _, stem in first}) == 1:
-        names = [of_axis[axis] for axis in "xyz"]
+    readings = [next(iter(_axes(words) or _axis_alone(words)), ("", "")) for words, _ in map(_split, names)]
+    by_axis = dict(zip((axis for axis, _ in readings), names, strict=True))
+    if set(by_axis) == set("xyz") and len({stem for _, stem in readings}) == 1:
+        names = [by_axis[axis] for axis in "xyz"]
     x, y, z = names
     return x, y, z
 
 
 def _axes(words: list[str]) -> list[tuple[str, str]]:
-    """Readings of a name's words as (axis, the rest), the likeliest first; none where it has no axis."""
-    readings = []
-    for at in reversed(range(len(words))):
-        word, before, after = words[at], words[:at], words[at + 1 :]
-        if word in _LETTERS and before + after:
-            readings.append((_LETTERS[word], "_".join(before + after)))
-        elif found := next(filter(None, (pattern.fullmatch(word) for pattern in _WITH_AXIS)), None):
-            axis = {"1": "x", "2": "y", "3": "z"}.get(found[2], found[2])
-            readings.append((axis, "_".join([*before, found[1] + found[3], *after])))
-    return readings
+    """Return the possible pairs of axis and stem of a name, the likeliest first."""
+    pairs = []
+    for i in reversed(range(len(words))):
+        word, before, after = words[i], words[:i], words[i + 1 :]
+        if word in _AXIS_OF_WORD and before + after:
+            pairs.append((_AXIS_OF_WORD[word], "_".join(before + after)))
+        elif match := next(filter(None, (pattern.fullmatch(word) for pattern in _WITH_AXIS)), None):
+            axis = {"1": "x", "2": "y", "3": "z"}.get(match[2], match[2])
+            pairs.append((axis, "_".join([*before, match[1] + match[3], *after])))
+    return pairs
 
 
-def _alone(words: list[str]) -> list[tuple[str, str]]:
-    """The reading of a name that is an axis and nothing else."""
+def _axis_alone(words: list[str]) -> list[tuple[str, str]]:
+    """Return the axis of a name that is nothing else."""
     return [(words[0], "")] if len(words) == 1 and words[0] in ("x", "y", "z") else []
 
 
 @lru_cache(maxsize=4096)
 def _split(name: str) -> tuple[list[str], str]:
-    """The words of a name in small letters and its unit, if it has one: `AccX (m/s²)` is acc, x and m/s²; `gyr_x_dps`
-    gyr, x and dps; `TimeUS` time and us; `gyro[0]` gyro and 0."""
-    name = in_words_of_the_table(name)
+    """Split a name into words in small letters and a unit, "" for none.
+
+    `AccX (m/s²)` gives acc, x and m/s²; `gyr_x_dps` gyr, x and dps; `TimeUS` time and us; `gyro[0]` gyro and 0."""
+    name = translated_name(name)
     bracketed = re.search(r"[\[(]\s*(?![xyzXYZ]\s*[\])])([^\])]*[^\])\d\s][^\])]*?)\s*[\])]", name)
     if bracketed:
         return _words(name.replace(bracketed[0], " ")), unit_spelling(bracketed[1])
-    behind = re.fullmatch(r"(.*\w)\s*(?:,\s*|\s/\s|\sin\s)([^,]+)", name)
-    if behind and unit_spelling(behind[2]) in ALL_UNITS:
-        return _words(behind[1]), unit_spelling(behind[2])
+    separated = re.fullmatch(r"(.*\w)\s*(?:,\s*|\s/\s|\sin\s)([^,]+)", name)
+    if separated and unit_spelling(separated[2]) in ALL_UNITS:
+        return _words(separated[1]), unit_spelling(separated[2])
     words = _words(name)
     for count in (2, 1):
-        unit = "_".join(words[-count:])
-        rest = words[:-count]  # which must have all that a name needs, an axis, a direction or the time
+        unit, rest = "_".join(words[-count:]), words[:-count]
+        # the rest must be a name by itself: with an axis, a direction or a word for time
         is_name = _axes(rest) or any(map(_DIRECTION.fullmatch, rest)) or score(TIME_KIND, "_".join(rest))
         if rest and unit in ALL_UNITS and is_name:
             return rest, unit
         inner = "_".join(words[-count - 1 : -1])
-        if len(words) > count + 1 and inner in ALL_UNITS and len(inner) > 1 and words[-1] in _LETTERS:
+        if len(words) > count + 1 and inner in ALL_UNITS and len(inner) > 1 and words[-1] in _AXIS_OF_WORD:
             return [*words[: -count - 1], words[-1]], inner
     return words, ""
 
 
 def _words(name: str) -> list[str]:
-    """`AccX`: acc, x; `TimeUS`: time, us; `mag_uT`: mag, ut; `acc x-axis`: acc, x."""
+    """Return the words of a name: acc, x of `AccX`; time, us of `TimeUS`; acc, x of `acc x-axis`."""
     words: list[str] = []
     for token in re.split(r"[^A-Za-z0-9µ°²]+", name):
-        whole = token.lower() in ALL_UNITS
-        words += [token] if whole else re.split(r"(?<=[a-z])(?=[A-Z])", token)
+        words += [token] if token.lower() in ALL_UNITS else re.split(r"(?<=[a-z])(?=[A-Z])", token)
     words = [word.lower() for word in words if word]
     kept = [word for word in words if word != "axis"]
-    kept = kept[:-1] if kept[-1:] == ["cal"] else kept  # of Shimmer: in a unit
+    kept = kept[:-1] if kept[-1:] == ["cal"] else kept  # Shimmer marks columns in a unit so
     return kept if len(kept) > 1 else words
 
 
 # -------------------- thermometers --------------------
 
 
-def thermometer(words: Sequence[str]) -> Place | None:
-    """What the words of a name say of a thermometer; None where it is none.
+def thermometer(words: Sequence[str]) -> ThermometerPlace | None:
+    """Return the place of the thermometer that the words of a name denote; None if they denote none.
 
     >>> thermometer(["temp", "gyro", "x"]), thermometer(["t3"]), thermometer(["chamber", "temperature"])
     (('gyro', 'x'), ('', '3'), ('', ''))
     """
-    at, word = next(((i, w) for i, text in enumerate(words) if (w := _THERMOMETER.fullmatch(text))), (0, None))
-    if word is None:
+    at, match = next(((i, m) for i, word in enumerate(words) if (m := _THERMOMETER.fullmatch(word))), (0, None))
+    if match is None:
         return None
-    kind, place, before, after = "", word[2], words[:at], words[at + 1 :]
-    for other in (*before, *after):
+    kind, place, before, after = "", match[2], words[:at], words[at + 1 :]
+    for word in (*before, *after):
         kinds = ((ACCEL, _ACCEL_WORD), (GYRO, _GYRO_WORD))
-        whose = next((k for k, pattern in kinds if len(other) > 1 and pattern.fullmatch(other)), "")
-        if whose:
-            kind, place = whose, place or other[-1] * (other[-1] in "xyz")
-        elif _AXIS_WORD.fullmatch(other) and (word[1] != "t" or other.isdecimal()):
-            place = other
-        elif other in after and not (_UNIT_WORD.fullmatch(other) or _CHIP.fullmatch(other)):
+        named = next((k for k, pattern in kinds if len(word) > 1 and pattern.fullmatch(word)), "")
+        if named:
+            kind, place = named, place or word[-1] * (word[-1] in "xyz")
+        elif _AXIS_WORD.fullmatch(word) and (match[1] != "t" or word.isdecimal()):
+            place = word
+        elif word in after and not (_UNIT_WORD.fullmatch(word) or _CHIP.fullmatch(word)):
             return None
     return kind, place
 
 
-def _of_sensors(found: dict[str, Place], *, gyros: bool) -> tuple[str, ...]:
-    """The columns of three accelerometers and, where there are, three gyros, as [log.temperature] has them: one for
-    all, two for the accelerometers and the gyros, or one a sensor. A kind of sensors without one has that of the other
-    kind, or that which names none."""
-    if not found:
+def _columns_per_sensor(places: dict[str, ThermometerPlace], *, gyros: bool) -> tuple[str, ...]:
+    """Return thermometers as [log.temperature] lists them: one for all sensors, one a kind, or one a sensor.
+
+    A kind of sensor without a thermometer shares that of the other kind, or one without a kind."""
+    if not places:
         return ()
-    accel, gyro = _of_kind(found, ACCEL), _of_kind(found, GYRO)
-    first, second = accel or gyro, gyro or accel
-    unnamed = [name for name, (kind, _) in found.items() if not kind]
-    accel, gyro = (kinds or unnamed[:1] or list(found)[:1] for kinds in (first, second))
+    accel, gyro = _columns_of_kind(places, ACCEL), _columns_of_kind(places, GYRO)
+    unnamed = [name for name, (kind, _) in places.items() if not kind]
+    fallback = unnamed[:1] or list(places)[:1]
+    accel, gyro = accel or gyro or fallback, gyro or accel or fallback
     if len(accel) == len(gyro) == 1:
         return tuple(dict.fromkeys([*accel, *gyro] if gyros else accel))
-    every = (accel, gyro) if gyros else (accel,)
-    return tuple(name for columns in every for name in (columns if len(columns) == 3 else 3 * columns))
+    kinds = (accel, gyro) if gyros else (accel,)
+    return tuple(name for columns in kinds for name in (columns if len(columns) == 3 else 3 * columns))
 
 
-def _of_kind(found: dict[str, Place], kind: str) -> list[str]:
-    """The three thermometers of the sensors of a kind, or the one that it has; none where it has none of its own."""
-    for whose in (kind, ""):
-        by_place = {place: name for name, (of, place) in found.items() if of == whose and place}
+def _columns_of_kind(places: dict[str, ThermometerPlace], kind: str) -> list[str]:
+    """Return the thermometers of a kind of sensor: three, one, or none."""
+    for candidate in (kind, ""):
+        by_place = {place: name for name, (owner, place) in places.items() if owner == candidate and place}
         if set("xyz") <= by_place.keys():
             return [by_place[axis] for axis in "xyz"]
-        alone = [name for name, (of, place) in found.items() if of == whose == kind and not place]
-        if alone:
-            return alone[:1]
+        single = [name for name, (owner, place) in places.items() if owner == candidate == kind and not place]
+        if single:
+            return single[:1]
     return []

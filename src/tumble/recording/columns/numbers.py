@@ -1,11 +1,10 @@
-"""Columns without telling names, identified by their numbers: of all hypotheses, which three columns side by side are
-accelerometers and which are gyros, the one of the least cost over the whole recording.
+"""Sensors among columns without telling names, identified by their numbers.
 
-The cost is −2 times the logarithm of a likelihood, up to what all hypotheses have in common. Accelerometers read one
-length at rest about a zero that is near none, in a unit or in counts of data sheets, and scatter little; as the body
-turns their mean vectors spread over a sphere. Gyros read one and the same vector at rest, and turn the vector of the
-accelerometers: da = −ω × a. The three sensors of a kind have the same noise. A time, a counter and a vector of a
-filter are none of them.
+Every hypothesis names three adjacent columns as accelerometers and three as gyros; the one of least cost over the whole
+recording is taken. The cost is −2 ln of a likelihood, up to a constant common to all hypotheses. At rest accelerometers
+read one length about a zero, in a unit or in counts of data sheets, with little scatter; as the body turns, their mean
+vectors spread over a sphere. Gyros read the same vector at every rest, and turn the vector of the accelerometers:
+da = −ω × a. The three sensors of a kind have equal noise. Times, counters and unit vectors of a filter are excluded.
 """
 
 from __future__ import annotations
@@ -17,213 +16,222 @@ from itertools import product
 
 import numpy as np
 
-from tumble.recording.columns.names import ACCEL, GYRO, Columns, Sensors, in_order
-from tumble.recording.columns.scales import CANDIDATES, NEAR
+from tumble.recording.columns.names import ACCEL, GYRO, Columns, Sensors, in_axis_order
+from tumble.recording.columns.scales import CANDIDATES, SCALE_TOLERANCE
 from tumble.units import Array, BoolArray
 
-_ELEMENT = re.compile(r"(.*)\[\d+\]")
-_BLOCK = 25
-_QUIET_SHARE = 0.4
+_ARRAY_ELEMENT = re.compile(r"(.*)\[\d+\]")
+_BLOCK = 25  # rows
+_QUIET_SHARE = 0.4  # of the blocks
 _FEWEST_ROWS = 200
-_ANEW = 1e-3
-_CHANGES, _SECONDS = 0.02, 1e-4  # of the steps of a time; of one in whole seconds
-CENTURY = 1.1e9, 2.2e9
+_RESTART_SHARE = 1e-3  # of the steps of a counter
+_RISING_SHARE, _RISING_SHARE_OF_SECONDS = 0.02, 1e-4  # of the steps of a time; of one in whole seconds
+DATES = 1.1e9, 2.2e9
 """s since 1970: 2004 to 2039."""
-_SAME_NORM = 1e-5
-_ROUNDED_NORM, _UNIT_NORM, _TURNED = 3e-3, 5e-3, 0.05
-"""Of quaternions that are rounded: the spread of their length, how far its mean is from 1, and the least spread of
-each of the four."""
+_UNIT_VECTOR_SPREAD = 1e-5  # of the length of a vector of constant length
+_QUATERNION_SPREAD, _QUATERNION_OFF_UNITY, _QUATERNION_CHANGE = 3e-3, 5e-3, 0.05
+"""Rounded quaternions: spread of their length, offset of its mean from 1, and least spread of each element."""
 
-# Standard deviations of what the cost weighs, as small sensors have it
+# Standard deviations of the terms of the cost, for small sensors
 _LENGTH = 0.05  # of gravity, from rest to rest: biases of 50 mg, scale errors of some percent
 _ZERO = 0.25  # of gravity
 _SCATTER = 0.02  # of gravity, of a sample at rest
-_NOISE = 0.5  # logarithm of the noise of one axis over that of another
-_STEADY = 0.25  # what gyros differ by at rest, over what they do in all
-_COUNTED = 2.0  # −2 ln of the chance that a unit is a count of data sheets; with powers of two a sixth fit by chance
-_RARE = 2.2  # −2 ln of 1 : 3, as rare counts are to common ones in `scales`
-_NO_SCALE = 16.0  # in no unit, and in no counts
-_CARRIED = 18.0  # gyros that turn the accelerometers' vector wholly, against some that do not at all
-_AMID = 1.5  # three columns that are some of two threes
-_BIAS = 0.5  # of gyros, a factor of e of their mean vector over what they do in all
-_MOST = 9.0  # of a single deviation: three standard ones
-_LIMIT = _COUNTED + _RARE + 1.0  # of accelerometers: rare counts, and one standard deviation
-_NO_GYROS = 16.0  # a log of three more sensors without gyros
+_NOISE = 0.5  # ln of the ratio of the noise of two axes
+_GYRO_CHANGE = 0.25  # of the readings of gyros from rest to rest, relative to their spread in motion
+# Costs
+_COUNTED = 2.0  # −2 ln of the probability of counts of data sheets; with powers of two a sixth fit by chance
+_RARE = 2.2  # −2 ln(1/3), rare against common counts in `scales`
+_NO_SCALE = 16.0  # neither a unit nor counts of data sheets
+_CARRIED = 18.0  # gyros that turn the accelerometers' vector completely, against none
+_OFF_TRIPLE = 1.5  # three columns that overlap two triples
+_BIAS = 0.5  # of gyros, for a factor of e of their mean vector over their spread
+_MOST = 9.0  # for one deviation: three standard deviations
+_LIMIT = _COUNTED + _RARE + 1.0  # accelerometers of rare counts and one standard deviation
+_NO_GYROS = 16.0  # six sensors of which three are no gyros
 _BEFORE, _BETWEEN, _ASKEW, _LATER = 1.0, 4.0, 6.0, 8.0
-"""What it costs that gyros stand before the accelerometers, three columns between the two, one or two, others before
-both."""
-_APART = 6.0
+"""Gyros before the accelerometers; three columns between the two; one or two between; other columns before both."""
+_AMBIGUOUS = 6.0
 """A hypothesis that costs so much more than another is 20 times less likely."""
-_MOVES, _JUMPS, _FEWEST_MOVES = 0.05, 0.3, 20
-"""Of gravity: changes of it from block to block that show gyros, those from which a position was skipped, and how
-many of them tell."""
 
-_MOVED = 0.01
-"""Of gravity: what each accelerometer of a body that is never at rest scatters by, at least."""
-_ABOUT_GRAVITY, _SHAKEN = 0.12, 0.4
-"""Of gravity: what the median length of means over a block is off for a body that flies or walks, and their spread."""
-_ONE_WAY = 0.05
-"""Of the steps of a sensor half fall, whatever it is of: 1 of 20 and less by chance once in 50,000 times."""
+_LEAST_MOVE, _LARGEST_MOVE, _FEWEST_MOVES = 0.05, 0.3, 20
+"""Changes of the vector from block to block, of gravity, that test gyros, and their least number."""
+_LEAST_MOTION = 0.01  # of gravity: least scatter of each accelerometer of a body that is never at rest
+_LENGTH_IN_MOTION, _SPREAD_IN_MOTION = 0.12, 0.4
+"""Of gravity: tolerance of the median length of block means of a moving body, and limit of their spread."""
+_ONE_WAY_SHARE = 0.05
+"""Half of the steps of a sensor fall; 1 of 20 and less by chance once in 50,000 times."""
 
 MIDDLES = (128.0, 512.0, 2048.0, 8192.0, 32768.0, 2.0**23, 2.0**31)
-"""Where a converter that knows no sign, and so writes nothing negative, has its zero."""
+"""Zeros of converters without a sign."""
 
-Run = tuple[int, int, int]
-"""Three columns side by side."""
+Triple = tuple[int, int, int]
+"""Indices of three adjacent columns."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Hypothesis:
-    """Which columns are accelerometers and which gyros, None where none are, what that costs, and what of it the
-    accelerometers do, less what the gyros' turning of their vector is worth."""
+    """Columns of accelerometers and gyros, their cost, and the part of it that concerns the accelerometers."""
 
     cost: float
-    of_accel: float
-    accel: Run
-    gyro: Run | None
+    accel_cost: float
+    accel: Triple
+    gyro: Triple | None
 
 
-def guesses(columns: Columns, named: Collection[str] = ()) -> list[str]:
-    """A sentence on each kind of sensors that was identified by numbers and is not `named`."""
+def guess_remarks(columns: Columns, named: Collection[str] = ()) -> list[str]:
+    """Return a sentence on each kind of sensor that was identified by numbers and is not in `named`."""
     triads = {kind: s for kind, s in columns.triads.items() if kind not in named}
     return [f"{kind}: columns {', '.join(s.columns)}, by their numbers (a guess)" for kind, s in triads.items()]
 
 
-def columns_by_data(names: Sequence[str], read: Array) -> Columns:
-    """What the columns (m, n) of a table with these names are; no triads where nothing looks like accelerometers.
-    Columns of no numbers are NaN."""
-    if not len(read):
+def columns_by_data(names: Sequence[str], table: Array) -> Columns:
+    """Identify the columns of a table by their numbers.
+
+    Parameters
+    ----------
+    names
+        Names of the columns.
+    table
+        Numbers (m, n), NaN in columns of text.
+
+    Returns
+    -------
+    Columns
+        Without triads if no columns resemble accelerometers.
+    """
+    if not len(table):
         return Columns(time=None, time_unit=None, triads={})
-    growing = [j for j in range(len(names)) if grows(read[:, j])]
-    time = time_by_data(names, read) or (names[growing[0]] if growing else None)
-    ranked = _hypotheses(names, read, [j for j in range(len(names)) if j not in growing])
+    growing = [j for j in range(len(names)) if grows(table[:, j])]
+    others = [j for j in range(len(names)) if j not in growing]
+    time = time_by_data(names, table) or (names[growing[0]] if growing else None)
+    ranked = _ranked_hypotheses(names, table, others)
     if not ranked:
-        triads = _of_gravity_alone(names, read, [j for j in range(len(names)) if j not in growing])
-        return Columns(time=time, time_unit=None, triads=triads)
-    best, *others = ranked
+        return Columns(time=time, time_unit=None, triads=_triads_in_motion(names, table, others))
+    best, *rivals = ranked
     triads = {
-        kind: Sensors(columns=in_order([names[j] for j in run]), unit=None)
-        for kind, run in ((ACCEL, best.accel), (GYRO, best.gyro))
-        if run is not None
+        kind: Sensors(columns=in_axis_order([names[j] for j in triple]), unit=None)
+        for kind, triple in ((ACCEL, best.accel), (GYRO, best.gyro))
+        if triple is not None
     }
-    # without any accelerometers, or with others
-    next_cost = min([_LIMIT - best.of_accel, *(rival.cost - best.cost for rival in others[:1])])
-    return Columns(time=time, time_unit=None, triads=triads, unsure=next_cost < _APART)
+    # the rivals are a log without accelerometers, and the second hypothesis
+    margin = min([_LIMIT - best.accel_cost, *(rival.cost - best.cost for rival in rivals[:1])])
+    return Columns(time=time, time_unit=None, triads=triads, ambiguous=margin < _AMBIGUOUS)
 
 
-def _hypotheses(names: Sequence[str], read: Array, columns: Sequence[int]) -> list[_Hypothesis]:
-    """All hypotheses, the cheapest first. Beside what a filter has fused, accelerometers are in a unit or counts of
-    data sheets."""
-    filled = [j for j in columns if np.isfinite(read[:, j]).mean() > 0.5]
-    attitudes = _attitudes(read, filled)
-    numbers = []  # that rise and fall: clocks, counters and the numbers of positions nearly always do the one
+def _ranked_hypotheses(names: Sequence[str], table: Array, columns: Sequence[int]) -> list[_Hypothesis]:
+    """Return all hypotheses in the order of their cost."""
+    filled = [j for j in columns if np.isfinite(table[:, j]).mean() > 0.5]
+    attitudes = _attitudes(table, filled)
+    candidates = []  # columns that rise and fall, unlike clocks, counters and numbers of positions
     for j in filled:
-        steps = np.diff(read[np.isfinite(read[:, j]), j])
+        steps = np.diff(table[np.isfinite(table[:, j]), j])
         rises, falls = np.count_nonzero(steps > 0.0), np.count_nonzero(steps < 0.0)
-        if j not in attitudes and rises + falls > 0 and min(rises, falls) > _ONE_WAY * max(rises, falls):
-            numbers.append(j)
-    runs = [(j, j + 1, j + 2) for j in numbers if j + 1 in numbers and j + 2 in numbers]
-    runs = [run for run in runs if _are_one_sensor([names[j] for j in run])]
-    if not runs or len(read) < _FEWEST_ROWS or not (quiet := _quiet(read[:, numbers])).any():
+        if j not in attitudes and rises + falls > 0 and min(rises, falls) > _ONE_WAY_SHARE * max(rises, falls):
+            candidates.append(j)
+    triples = [(j, j + 1, j + 2) for j in candidates if j + 1 in candidates and j + 2 in candidates]
+    triples = [triple for triple in triples if _differ_in_axis_alone([names[j] for j in triple])]
+    if not triples or len(table) < _FEWEST_ROWS or not (quiet := _quiet_blocks(table[:, candidates])).any():
         return []
-    noise = {run: _unlike_noise(read[:, run], quiet) for run in runs}
-    # where columns side by side are counted in threes, three are some of two threes
-    first = {j: next(k for k in range(j, -1, -1) if k - 1 not in numbers) for j in numbers}
-    amid = {run: _AMID * ((run[0] - first[run[0]]) % len(run) != 0) for run in runs}
-    found: list[_Hypothesis] = []
-    for accel in runs:
-        cost = _cost_of_accelerometers(read[:, accel], quiet, fused=bool(attitudes)) + noise[accel] + amid[accel]
-        found.append(_Hypothesis(cost=cost, of_accel=cost, accel=accel, gyro=None))
-        for gyro in runs if cost <= _CARRIED + _LIMIT else ():
+    noise = {triple: _cost_of_unequal_noise(table[:, triple], quiet) for triple in triples}
+    # adjacent columns are counted in triples
+    first = {j: next(k for k in range(j, -1, -1) if k - 1 not in candidates) for j in candidates}
+    off_triple = {triple: _OFF_TRIPLE * ((triple[0] - first[triple[0]]) % 3 != 0) for triple in triples}
+    hypotheses: list[_Hypothesis] = []
+    for accel in triples:
+        # beside the results of a filter, accelerometers are in a unit or in counts of data sheets
+        cost = _cost_of_accelerometers(table[:, accel], quiet, filtered=bool(attitudes))
+        cost += noise[accel] + off_triple[accel]
+        hypotheses.append(_Hypothesis(cost=cost, accel_cost=cost, accel=accel, gyro=None))
+        for gyro in triples if cost <= _CARRIED + _LIMIT else ():
             if not set(gyro) & set(accel):
-                carried = _cost_of_turns(read[:, gyro], read[:, accel], quiet)
-                beside = carried + _unsteady(read[:, gyro], quiet) + noise[gyro] + amid[gyro] - _NO_GYROS
-                beside += _BEFORE * (gyro[0] < accel[0]) + _BETWEEN * (abs(gyro[0] - accel[0]) // 3 - 1)
-                beside += _ASKEW * ((gyro[0] - accel[0]) % 3 != 0)
-                beside += _LATER * (min(gyro[0], accel[0]) >= first[accel[0]] + len("xyz"))
-                of_accel = cost + min(carried, 0.0)
-                found.append(_Hypothesis(cost=cost + beside, of_accel=of_accel, accel=accel, gyro=gyro))
-    return sorted((h for h in found if h.of_accel <= _LIMIT), key=lambda h: h.cost)
+                turning = _cost_of_turning(table[:, gyro], table[:, accel], quiet)
+                gyro_cost = turning + _cost_of_gyros(table[:, gyro], quiet) + noise[gyro] + off_triple[gyro] - _NO_GYROS
+                gyro_cost += _BEFORE * (gyro[0] < accel[0]) + _BETWEEN * (abs(gyro[0] - accel[0]) // 3 - 1)
+                gyro_cost += _ASKEW * ((gyro[0] - accel[0]) % 3 != 0)
+                gyro_cost += _LATER * (min(gyro[0], accel[0]) >= first[accel[0]] + 3)
+                accel_cost = cost + min(turning, 0.0)
+                hypotheses.append(_Hypothesis(cost=cost + gyro_cost, accel_cost=accel_cost, accel=accel, gyro=gyro))
+    return sorted((h for h in hypotheses if h.accel_cost <= _LIMIT), key=lambda h: h.cost)
 
 
-def _of_gravity_alone(names: Sequence[str], read: Array, columns: Sequence[int]) -> dict[str, Sensors]:
-    """Sensors of a log that is never at rest, and has three or six columns beside times and constants: accelerometers
-    are the three, in a unit, whose length is about that of gravity most of the time, gyros the others; none where that
-    is not clear."""
-    filled = [j for j in columns if np.isfinite(read[:, j]).mean() > 0.5]
-    varying = [j for j in filled if np.nanstd(read[:, j]) > 0.0]
-    runs = [tuple(varying[k : k + 3]) for k in range(0, len(varying), 3)]
-    if len(varying) not in (3, 6) or any(run[2] - run[0] != 2 for run in runs) or len(read) < _FEWEST_ROWS:
+def _triads_in_motion(names: Sequence[str], table: Array, columns: Sequence[int]) -> dict[str, Sensors]:
+    """Return the sensors of a recording without rests, in three or six varying columns.
+
+    Accelerometers are the one triple whose length is that of gravity in a unit most of the time."""
+    filled = [j for j in columns if np.isfinite(table[:, j]).mean() > 0.5]
+    varying = [j for j in filled if np.nanstd(table[:, j]) > 0.0]
+    triples = [tuple(varying[k : k + 3]) for k in range(0, len(varying), 3)]
+    if len(varying) not in (3, 6) or any(triple[2] - triple[0] != 2 for triple in triples) or len(table) < _FEWEST_ROWS:
         return {}
-    if not all(_are_one_sensor([names[j] for j in run]) for run in runs) or _attitudes(read, varying):
+    if not all(_differ_in_axis_alone([names[j] for j in triple]) for triple in triples) or _attitudes(table, varying):
         return {}
     units = [c.value for c in CANDIDATES[ACCEL] if c.unit is not None and not c.increment]
-    like = []
-    for run in runs:
-        rows = read[np.isfinite(read[:, run]).all(axis=1)][:, run]
+    reads_gravity = []
+    for triple in triples:
+        rows = table[np.isfinite(table[:, triple]).all(axis=1)][:, triple]
         if len(rows) < _BLOCK:
             return {}
-        lengths = np.linalg.norm(_means(rows)[0], axis=1)
+        lengths = np.linalg.norm(_blocks(rows)[0], axis=1)
         length, spread = float(np.median(lengths)), float(lengths.std())
-        moved = float(rows.std(axis=0).min()) > _MOVED * length
-        near = min(abs(np.log(length / unit)) for unit in units) < _ABOUT_GRAVITY
-        like.append(moved and near and spread < _SHAKEN * length)
-    if like.count(True) != 1:
+        moves = float(rows.std(axis=0).min()) > _LEAST_MOTION * length
+        in_unit = min(abs(np.log(length / unit)) for unit in units) < _LENGTH_IN_MOTION
+        reads_gravity.append(moves and in_unit and spread < _SPREAD_IN_MOTION * length)
+    if reads_gravity.count(True) != 1:
         return {}
-    in_order_of = sorted(range(len(runs)), key=lambda k: not like[k])
+    accel_first = sorted(triples, key=lambda triple: not reads_gravity[triples.index(triple)])
     return {
-        kind: Sensors(columns=in_order([names[j] for j in runs[k]]), unit=None)
-        for kind, k in zip((ACCEL, GYRO), in_order_of, strict=False)
+        kind: Sensors(columns=in_axis_order([names[j] for j in triple]), unit=None)
+        for kind, triple in zip((ACCEL, GYRO), accel_first, strict=False)
     }
 
 
-def _cost_of_accelerometers(columns: Array, quiet: BoolArray, *, fused: bool) -> float:
-    """What it costs to take three columns for accelerometers, by themselves."""
+def _cost_of_accelerometers(columns: Array, quiet: BoolArray, *, filtered: bool) -> float:
+    """Return the cost of three columns (m, 3) as accelerometers, without regard to gyros."""
     means, scatter = _rests(columns, quiet)
-    read = columns[np.isfinite(columns)]
-    whole = bool((read == np.floor(read)).all())
+    numbers = columns[np.isfinite(columns)]
+    whole = bool((numbers == np.floor(numbers)).all())
     centres = [(middle * np.ones(3), 0.0) for middle in (0.0, *(MIDDLES if whole and (means > 0.0).all() else ()))]
     spread = float(np.linalg.norm(means.std(axis=0)))
-    if len(means) > len("xyz") and spread > 0.0:
-        rows = np.column_stack([2.0 * means, np.ones(len(means))])  # of the sphere through the means
-        centres.append((np.linalg.lstsq(rows, (means**2).sum(axis=1), rcond=None)[0][:3], 1.0))
+    if len(means) > 3 and spread > 0.0:  # the centre of the sphere through the means
+        design = np.column_stack([2.0 * means, np.ones(len(means))])
+        centres.append((np.linalg.lstsq(design, (means**2).sum(axis=1), rcond=None)[0][:3], 1.0))
     costs = []
-    for centre, free in centres:
+    for centre, is_free in centres:
         lengths = np.linalg.norm(means - centre, axis=1)
         length = float(lengths.mean())
         if not length > 0.0 or not np.isfinite(length):
             continue
         uneven = float(lengths.std()) / length
         scale = min(
-            (np.log(length / c.value) / NEAR) ** 2 + (0.0 if c.unit else _COUNTED + _RARE * (not c.common))
+            (np.log(length / c.value) / SCALE_TOLERANCE) ** 2 + (0.0 if c.unit else _COUNTED + _RARE * (not c.common))
             for c in CANDIDATES[ACCEL]
             if c.unit or whole
         )
-        scale = scale if scale < _MOST + _COUNTED + _RARE else np.inf if fused else _NO_SCALE
+        scale = scale if scale < _MOST + _COUNTED + _RARE else np.inf if filtered else _NO_SCALE
         sphere = 2.0 * np.log(min(1.0, max(uneven, _LENGTH / 5.0) * length / max(spread, 1e-300)))
-        zero = free * float(np.abs(centre).max()) / (_ZERO * length)
+        zero = is_free * float(np.abs(centre).max()) / (_ZERO * length)
         shaken = float(np.linalg.norm(scatter)) / (_SCATTER * length)
         costs.append((uneven / _LENGTH) ** 2 + scale + sphere + zero**2 + min(shaken**2, _MOST))
     return float(min(costs, default=np.inf))
 
 
-def _unsteady(columns: Array, quiet: BoolArray) -> float:
-    """What it costs that three columns differ from rest to rest, as gyros do not, and read much beside what they vary
-    by."""
+def _cost_of_gyros(columns: Array, quiet: BoolArray) -> float:
+    """Return the cost of changes of three columns from rest to rest, and of a large mean at rest."""
     means, _ = _rests(columns, quiet)
-    everything = float(np.linalg.norm(columns[np.isfinite(columns).all(axis=1)].std(axis=0)))
-    of_rests = float(np.linalg.norm(means.std(axis=0))) / max(_STEADY * everything, 1e-300)
-    bias = float(np.linalg.norm(np.median(means, axis=0))) / max(everything, 1e-300)
-    return min(of_rests**2, _MOST) + _BIAS * float(np.log1p(bias))
+    spread = float(np.linalg.norm(columns[np.isfinite(columns).all(axis=1)].std(axis=0)))
+    change = float(np.linalg.norm(means.std(axis=0))) / max(_GYRO_CHANGE * spread, 1e-300)
+    bias = float(np.linalg.norm(np.median(means, axis=0))) / max(spread, 1e-300)
+    return min(change**2, _MOST) + _BIAS * float(np.log1p(bias))
 
 
-def _cost_of_turns(rates: Array, accel: Array, quiet: BoolArray) -> float:
-    """What it costs to say that three columns turn the vector of the accelerometers (m, 3), which is worth something
-    where they do; nothing where too little turns. They turn it by the share of its changes that the rates (m, 3),
-    whatever their scales and axes, explain as a turn, da = −(M ω) × a."""
+def _cost_of_turning(rates: Array, accel: Array, quiet: BoolArray) -> float:
+    """Return the cost of three columns as gyros that turn the vector of the accelerometers (m, 3).
+
+    It follows from the share of the changes of the vector that da = −(M ω) × a explains, with any scales and axes M;
+    it is negative where they explain more than half, and 0 without enough changes."""
     rates = rates - np.median(_rests(rates, quiet)[0], axis=0)
-    known = np.isfinite(rates).all(axis=1) & np.isfinite(accel).all(axis=1)
-    rates, accel = rates[known], accel[known]
+    complete = np.isfinite(rates).all(axis=1) & np.isfinite(accel).all(axis=1)
+    rates, accel = rates[complete], accel[complete]
     if not len(accel):
         return 0.0
     length = float(np.median(np.linalg.norm(accel, axis=1))) or 1.0
@@ -233,12 +241,12 @@ def _cost_of_turns(rates: Array, accel: Array, quiet: BoolArray) -> float:
         change = np.diff(a, axis=0)
         size = np.linalg.norm(change, axis=1)
         rank = max(_FEWEST_MOVES, blocks // 200)
-        if np.partition(size, -rank)[-rank] >= 2.0 * _MOVES:
+        if np.partition(size, -rank)[-rank] >= 2.0 * _LEAST_MOVE:
             break
         width *= 2
     else:
         return 0.0
-    moves = (size > max(_MOVES, 5.0 * float(np.median(size)))) & (size < _JUMPS)
+    moves = (size > max(_LEAST_MOVE, 5.0 * float(np.median(size)))) & (size < _LARGEST_MOVE)
     if np.count_nonzero(moves) < _FEWEST_MOVES:
         return 0.0
     w = rates[: blocks * width].reshape(blocks, width, 3).mean(axis=1)
@@ -248,94 +256,96 @@ def _cost_of_turns(rates: Array, accel: Array, quiet: BoolArray) -> float:
     wanted = change[moves].reshape(-1)
     matrix = rows.reshape(len(wanted), 9)
     matrix = matrix / np.maximum(np.linalg.norm(matrix, axis=0), 1e-300)
-    left = wanted - matrix @ np.linalg.lstsq(matrix, wanted, rcond=None)[0]
-    return _CARRIED * (float(left @ left) / float(wanted @ wanted) - 0.5)
+    residual = wanted - matrix @ np.linalg.lstsq(matrix, wanted, rcond=None)[0]
+    return _CARRIED * (float(residual @ residual) / float(wanted @ wanted) - 0.5)
 
 
-def _unlike_noise(columns: Array, quiet: BoolArray) -> float:
-    """What it costs that the noises of three columns at rest differ; of a column that reads one number, half of the
-    least of its steps."""
+def _cost_of_unequal_noise(columns: Array, quiet: BoolArray) -> float:
+    """Return the cost of the differences in noise at rest; half the least step stands for a constant column."""
     _, scatter = _rests(columns, quiet)
     steps = [np.diff(np.unique(column[np.isfinite(column)])) for column in columns.T]
     noise = [max(float(s), 0.5 * float(step.min())) for s, step in zip(scatter, steps, strict=True)]
     return min(float(np.std(np.log(noise))) ** 2 / _NOISE**2, _MOST)
 
 
-def _are_one_sensor(names: Sequence[str]) -> bool:
-    """Whether three names differ in one word or letter alone, as those of the axes of a sensor do: TRSS, TQly and TSNR
-    do not."""
-    arrays = {found[1] if (found := _ELEMENT.fullmatch(name)) else "" for name in names}  # `imu/fb` of `imu/fb[2]`
+def _differ_in_axis_alone(names: Sequence[str]) -> bool:
+    """Return whether three names differ in one word or letter, as those of axes do; TRSS, TQly and TSNR do not."""
+    arrays = {match[1] if (match := _ARRAY_ELEMENT.fullmatch(name)) else "" for name in names}  # `imu/fb`
     if len(arrays) > 1:
         return False
     parts = [re.findall(r"[^\W\d_]+|\d+", name.lower()) for name in names]
     if len(set(map(len, parts))) != 1:
         return False
-    apart = [three for three in zip(*parts, strict=True) if len(set(three)) > 1]
-    if len(apart) != 1 or all(word.isdecimal() for word in apart[0]):
-        return len(apart) <= 1
-    return len(set(map(len, apart[0]))) == 1 and sum(len(set(of)) > 1 for of in zip(*apart[0], strict=True)) == 1
+    different = [words for words in zip(*parts, strict=True) if len(set(words)) > 1]
+    if len(different) != 1 or all(word.isdecimal() for word in different[0]):
+        return len(different) <= 1
+    same_length = len(set(map(len, different[0]))) == 1
+    return same_length and sum(len(set(letters)) > 1 for letters in zip(*different[0], strict=True)) == 1
 
 
-def _attitudes(read: Array, numbers: Sequence[int]) -> set[int]:
-    """Columns of quaternions, rounded ones too, and of vectors of unit length or of gravity that a filter has made:
-    three or four that change their direction, and never their length, in motion too, which no sensor reads."""
-    found: set[int] = set()
-    for width, first in product((len("wxyz"), len("xyz")), numbers):
+def _attitudes(table: Array, columns: Sequence[int]) -> set[int]:
+    """Return columns of quaternions and of unit or gravity vectors of a filter: their length never changes."""
+    attitudes: set[int] = set()
+    for width, first in product((4, 3), columns):
         run = [first + k for k in range(width)]
-        columns = read[np.isfinite(read[:, run]).all(axis=1)][:, run] if set(run) <= set(numbers) - found else read[:0]
-        if len(columns):
-            length, spread = np.linalg.norm(columns, axis=1), columns.std(axis=0)
-            four = width == len("wxyz") and abs(length.mean() - 1.0) < _UNIT_NORM and spread.min() > _TURNED
-            alike = _ROUNDED_NORM if four else _SAME_NORM
-            if length.std() < min(alike * length.mean(), 0.1 * spread.max()):
-                found |= set(run)
-    return found
+        rows = table[:0]
+        if set(run) <= set(columns) - attitudes:
+            rows = table[np.isfinite(table[:, run]).all(axis=1)][:, run]
+        if len(rows):
+            length, spread = np.linalg.norm(rows, axis=1), rows.std(axis=0)
+            near_unity = abs(length.mean() - 1.0) < _QUATERNION_OFF_UNITY
+            is_quaternion = width == 4 and near_unity and spread.min() > _QUATERNION_CHANGE
+            tolerance = _QUATERNION_SPREAD if is_quaternion else _UNIT_VECTOR_SPREAD
+            if length.std() < min(tolerance * length.mean(), 0.1 * spread.max()):
+                attitudes |= set(run)
+    return attitudes
 
 
-def time_by_data(names: Sequence[str], read: Array) -> str | None:
-    """The column of a table (m, n) that is a time; None where none grows as one, or only a counter of samples."""
-    for name, column in zip(names, read.T, strict=True):
+def time_by_data(names: Sequence[str], table: Array) -> str | None:
+    """Return the first column of a table (m, n) that grows as times do, counters of samples excepted; None without."""
+    for name, column in zip(names, table.T, strict=True):
         if grows(column):
             steps = np.diff(column[np.isfinite(column)])
-            if np.median(steps) != 1.0 or (steps != np.floor(steps)).any():  # else it counts, but for lost rows
+            if np.median(steps) != 1.0 or (steps != np.floor(steps)).any():
                 return name
     return None
 
 
 def grows(column: Array) -> bool:
-    """Whether a column is a time: it grows at an even pace, and never falls but where a counter starts anew."""
-    read = column[np.isfinite(column)]
-    steps = np.diff(read)
-    anew = steps < -0.5 * np.ptp(read) if len(read) else np.zeros(0, dtype=bool)
-    if 0 < np.count_nonzero(anew) <= max(1.0, _ANEW * len(steps)):
-        steps[anew] = np.median(steps)
-    dated = len(read) > 0 and CENTURY[0] < read[0] < CENTURY[1]
-    if len(steps) < 10 or (steps < 0.0).any() or np.mean(steps > 0.0) < (_SECONDS if dated else _CHANGES):
+    """Return whether a column grows at an even pace, and falls only where a counter restarts."""
+    numbers = column[np.isfinite(column)]
+    steps = np.diff(numbers)
+    restarts = steps < -0.5 * np.ptp(numbers) if len(numbers) else np.zeros(0, dtype=bool)
+    if 0 < np.count_nonzero(restarts) <= max(1.0, _RESTART_SHARE * len(steps)):
+        steps[restarts] = np.median(steps)
+    is_date = len(numbers) > 0 and DATES[0] < numbers[0] < DATES[1]
+    least_rising = _RISING_SHARE_OF_SECONDS if is_date else _RISING_SHARE
+    if len(steps) < 10 or (steps < 0.0).any() or np.mean(steps > 0.0) < least_rising:
         return False
     r = np.corrcoef(np.arange(len(steps) + 1), np.concatenate([[0.0], np.cumsum(steps)]))[0, 1]
     return bool(r > 0.95)
 
 
-def _means(columns: Array) -> tuple[Array, Array]:
-    """Means and scatters of blocks of rows."""
+def _blocks(columns: Array) -> tuple[Array, Array]:
+    """Return means and standard deviations of blocks of rows."""
     blocks = columns[: len(columns) // _BLOCK * _BLOCK].reshape(-1, _BLOCK, columns.shape[1])
     with np.errstate(invalid="ignore"):
         return blocks.mean(axis=1), blocks.std(axis=1)
 
 
-def _quiet(columns: Array) -> BoolArray:
-    """The blocks of rows in which all columns scatter least."""
-    _, scatter = _means(columns)
-    read = np.asarray(np.isfinite(scatter).all(axis=1))
-    if not read.any():
-        return read
-    size = np.median(scatter[read], axis=0)
-    largest = np.max(scatter / np.where(size > 0.0, size, 1.0), axis=1)
-    return np.asarray(read & (largest <= np.quantile(largest[read], _QUIET_SHARE)))
+def _quiet_blocks(columns: Array) -> BoolArray:
+    """Return the blocks of rows in which all columns scatter least."""
+    _, scatter = _blocks(columns)
+    complete = np.asarray(np.isfinite(scatter).all(axis=1))
+    if not complete.any():
+        return complete
+    typical = np.median(scatter[complete], axis=0)
+    largest = np.max(scatter / np.where(typical > 0.0, typical, 1.0), axis=1)
+    return np.asarray(complete & (largest <= np.quantile(largest[complete], _QUIET_SHARE)))
 
 
 def _rests(columns: Array, quiet: BoolArray) -> tuple[Array, Array]:
-    """Means of the quiet blocks, and the median scatter (3,) in them."""
-    means, scatter = _means(columns)
-    known = quiet & np.isfinite(means).all(axis=1)
-    return means[known], np.median(scatter[known], axis=0)
+    """Return means of the quiet blocks, and the median scatter (3,) in them."""
+    means, scatter = _blocks(columns)
+    used = quiet & np.isfinite(means).all(axis=1)
+    return means[used], np.median(scatter[used], axis=0)

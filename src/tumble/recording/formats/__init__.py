@@ -1,9 +1,9 @@
-"""Recordings in other formats than CSV and Parquet: what they hold, and how it becomes a log.
+"""Recordings in other formats than CSV and Parquet: their messages, and conversion to a log.
 
 A recording is a list of `Message` kinds (a topic of a bag, a message of a flight log, a group of arrays), each with the
-sensors found in it and their units. `as_log` writes those of one kind, or accelerometers and gyros of two kinds, as one
-Parquet file, which a session can name. One reader per format, each behind the extra `formats`; a ROS 2 bag may also be
-a folder, and a log of ArduPilot a text. Other packages bring a `Reader` each (`tumble.plugins`).
+sensors found in it and their units. `write_log` writes one kind, or accelerometers and gyros of two kinds, as one
+Parquet file for a session. Each format has a reader, behind the extra `formats`; a ROS 2 bag may also be a folder, and
+a log of ArduPilot a text. Other packages provide further readers (`tumble.plugins`).
 """
 
 from __future__ import annotations
@@ -22,8 +22,7 @@ import polars as pl
 
 from tumble.errors import InputError, needs_extra
 from tumble.plugins import load_all
-from tumble.recording.columns.names import Sensors
-from tumble.recording.columns.patterns import ACCEL, GYRO, MAGNETOMETER
+from tumble.recording.columns.names import ACCEL, GYRO, MAGNETOMETER, Sensors
 from tumble.recording.readers import ENDINGS as READ_ENDINGS
 from tumble.recording.readers import write_tables
 from tumble.recording.session import AutopilotSensor
@@ -34,29 +33,31 @@ _READERS = {
     "ardupilot": ("pymavlink", (".bin",)),
     "arrays": ("h5py", (".mat", ".h5", ".hdf5", ".npy", ".npz")),
 }
-"""The module of each format, the library that it needs, and the endings of its files."""
+"""Modules of formats, with the library that each needs and the endings of its files."""
 
 ENDINGS: tuple[str, ...] = tuple(ending for _, endings in _READERS.values() for ending in endings)
-"""Endings of the files that can be read; a ROS 2 bag may also be a folder."""
+"""Endings of files that can be read; a ROS 2 bag may also be a folder."""
 
-_NO_RECORDINGS = (*READ_ENDINGS, ".txt", ".log", ".zip")
-"""Endings of files for which no other package is asked."""
+_NO_PLUGINS = (*READ_ENDINGS, ".txt", ".log", ".zip")
+"""Endings that readers of other packages cannot claim."""
 
 _DATAFLASH_TEXT = b"FMT,"
-_NO_TEXT = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")
-"""What text has nowhere, whatever the ending of its file, and every recording has in its first bytes."""
+_BINARY = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")
+"""Bytes that no text has and that all recordings have at their beginning."""
 
 TIME = "t"
-"""The column of the time in the rows of a message, s on a clock that all messages of a recording share."""
+"""The time column in the rows of a message, s, on a clock common to all messages of a recording."""
 AXES = "xyz"
 _KINDS = {"accel": ACCEL, "gyro": GYRO, "field": MAGNETOMETER}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Message:
-    """A kind of message: its name, the number of its rows, its sensors by kind, the columns of the temperatures in °C,
-    as [log.temperature] has them, and `rows`, tables of a bounded size in order, with the column TIME where `timed`.
-    `remark` is what a user of the data must know."""
+    """A kind of message: its name, number of rows and sensors by kind.
+
+    `rows` gives tables of bounded size in order, with the column TIME if `timed`; `temperatures` are columns in °C as
+    [log.temperature] lists them; `remark` is a sentence for the user; `imu` has the "accel" and "gyro" of an
+    autopilot."""
 
     name: str
     count: int
@@ -66,7 +67,6 @@ class Message:
     timed: bool = True
     remark: str = ""
     imu: Mapping[str, AutopilotSensor] = field(default_factory=dict)
-    """Which "accel" and "gyro" of an autopilot they are, where it is a log of one."""
 
     @property
     def accel(self) -> Sensors | None:
@@ -80,7 +80,7 @@ class Message:
 
     @property
     def thermometer(self) -> bool:
-        """Whether the message has a temperature, times, and nothing else."""
+        """Whether the message has temperatures and times only."""
         return self.timed and not self.triads and bool(self.temperatures)
 
     @property
@@ -92,14 +92,14 @@ class Message:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Reader:
-    """What reads the recordings of a format.
+    """A reader of recordings in one format.
 
     Attributes
     ----------
     endings
-        How names of its files end, in lower case and with the dot.
+        Endings of the names of its files, in lower case and with the dot.
     messages
-        Gives the kinds of messages in a file. Whatever it raises becomes a message about a damaged file.
+        Returns the kinds of messages in a file. Any error of it is reported as a damaged file.
     """
 
     endings: tuple[str, ...]
@@ -107,28 +107,30 @@ class Reader:
 
 
 def triads_of(columns: Iterable[str], units: Mapping[str, str]) -> dict[str, Sensors]:
-    """The sensors accel_x, gyro_x, field_x, … of which there are columns, by kind, in the units of these names."""
-    names = set(columns)
-    of_name = {name: tuple(f"{name}_{axis}" for axis in AXES) for name in units}
+    """Return the sensors with the columns accel_x, gyro_x, field_x, …, by kind, in `units` by these names."""
+    triads = {name: tuple(f"{name}_{axis}" for axis in AXES) for name in units}
     return {
-        _KINDS[name]: Sensors(columns=(x, y, z), unit=units[name]) for name, (x, y, z) in of_name.items() if x in names
+        _KINDS[name]: Sensors(columns=(x, y, z), unit=units[name])
+        for name, (x, y, z) in triads.items()
+        if x in set(columns)
     }
 
 
 def is_recording(path: Path) -> bool:
-    """Whether a file, or the folder of a ROS 2 bag, is in one of the formats, by its ending or its first bytes."""
-    return _reader(path) is not None or _brought(path) is not None
+    """Return whether a file, or the folder of a ROS 2 bag, is in one of the formats, by ending or first bytes."""
+    return _module_of(path) is not None or _plugin_of(path) is not None
 
 
-def _brought(path: Path) -> Reader | None:
-    """The reader of another package for a file with this ending."""
+def _plugin_of(path: Path) -> Reader | None:
+    """Return the reader of another package for a file with this ending."""
     ending = path.suffix.lower()
-    if not ending or ending in _NO_RECORDINGS or path.is_dir():
+    if not ending or ending in _NO_PLUGINS or path.is_dir():
         return None
     return next((reader for reader in load_all("readers", Reader).values() if ending in reader.endings), None)
 
 
-def _reader(path: Path) -> str | None:
+def _module_of(path: Path) -> str | None:
+    """Return the name of the module that reads a file; None without."""
     if path.is_dir():
         return "ros" if (path / "metadata.yaml").is_file() else None
     try:
@@ -138,36 +140,40 @@ def _reader(path: Path) -> str | None:
         first = b""
     if first.startswith(_DATAFLASH_TEXT):
         return "ardupilot"
-    ending = "" if first and not _NO_TEXT.search(first) else path.suffix.lower()
+    ending = "" if first and not _BINARY.search(first) else path.suffix.lower()
     return next((reader for reader, (_, endings) in _READERS.items() if ending in endings), None)
 
 
 def messages(*paths: Path) -> list[Message]:
-    """The kinds of messages with inertial sensors in a recording, which may be in several files.
+    """Return the kinds of messages with inertial sensors in a recording of one or several files.
 
-    Raises InputError, one line, for an unknown or damaged file and for a recording without inertial sensors, and
-    MissingExtraError where the extra `formats` is not installed."""
+    Raises InputError for an unknown or damaged file and for a recording without accelerometers, and MissingExtraError
+    if the extra `formats` is not installed."""
     found: list[Message] = []
     nothing: list[str] = []
     for path in paths:
-        reader, brought = _reader(path), None
-        if reader is None and (brought := _brought(path)) is None:
+        name, plugin = _module_of(path), None
+        if name is None and (plugin := _plugin_of(path)) is None:
             raise InputError(f"{path}: expected a recording that ends in {', '.join(ENDINGS)}, found another")
         if not path.exists():
             raise InputError(f"{path}: expected a recording, found no such file")
-        if brought is not None:
-            messages_of, none = brought.messages, "none"
+        if plugin is not None:
+            read_messages, none = plugin.messages, "none"
         else:
-            with needs_extra(f"{path}: reading it", "formats", _READERS[reader or ""][0]):
-                module = import_module(f"tumble.recording.formats.{reader}")
-            messages_of, none = module.messages, module.NOTHING
+            with needs_extra(f"{path}: reading it", "formats", _READERS[name or ""][0]):
+                module = import_module(f"tumble.recording.formats.{name}")
+            read_messages, none = module.messages, module.NOTHING
         with _intact(path):
-            read: list[Message] = messages_of(path)
-        found += [replace(message, rows=partial(_rows, path, message)) for message in read]
+            of_file: list[Message] = read_messages(path)
+        found += [replace(message, rows=partial(_rows, path, message)) for message in of_file]
         nothing.append(none)
     if not any(message.accel for message in found):
-        alone = "gyros alone" if any(message.gyro for message in found) else nothing[0]
-        raise InputError(f"{paths[0]}: expected messages with accelerometers, found {alone}")
+        alone, remedy = nothing[0], ""
+        if any(message.gyro for message in found):
+            alone = "gyros alone"
+        elif any(MAGNETOMETER in message.triads for message in found):
+            alone, remedy = "a magnetometer alone", "; record the accelerometers with it"
+        raise InputError(f"{paths[0]}: expected messages with accelerometers, found {alone}{remedy}")
     return found
 
 
@@ -176,14 +182,15 @@ def _rows(path: Path, message: Message) -> Iterator[pl.DataFrame]:
         yield from message.rows()
 
 
-OF_PYTHON = TypeError, AttributeError, NameError, LookupError, AssertionError
-"""Errors whose text speaks of the program, and not of the file."""
+PROGRAM_ERRORS = TypeError, AttributeError, NameError, LookupError, AssertionError
+"""Errors whose text describes the program and not the file."""
 
 
 @contextmanager
 def _intact(path: Path) -> Iterator[None]:
-    """Whatever a reader's library says of a damaged recording, then or while its rows are read, becomes one line. An
-    error of this program is none of the file, and goes on as it is."""
+    """Turn errors of a reader's library about a damaged recording into an InputError.
+
+    Errors of this program are raised unchanged."""
     try:
         yield
     except InputError:
@@ -191,35 +198,34 @@ def _intact(path: Path) -> Iterator[None]:
     except OSError as error:
         raise InputError(f"{path}: expected a readable file, found: {error.strerror or error}") from None
     except Exception as error:  # each reader's library has errors of its own, and struct.error, IndexError and more
-        of_python = isinstance(error, OF_PYTHON)
+        is_program_error = isinstance(error, PROGRAM_ERRORS)
         last = [str(frame.f_globals.get("__name__")) for frame, _ in walk_tb(error.__traceback__)][-2:]
         here = any(
             name.startswith("tumble.recording.formats.") for name in last
         )  # a field that a message does not have
-        if of_python and not isinstance(error, LookupError) and here:
+        if is_program_error and not isinstance(error, LookupError) and here:
             raise
-        words = type(error).__name__ if of_python else " ".join(str(error).split()) or type(error).__name__
+        words = type(error).__name__ if is_program_error else " ".join(str(error).split()) or type(error).__name__
         cause = error.__context__
-        while cause is not None:  # some libraries quote what Python said
-            if isinstance(cause, OF_PYTHON) and str(cause):
+        while cause is not None:  # some libraries quote errors of Python
+            if isinstance(cause, PROGRAM_ERRORS) and str(cause):
                 words = words.replace(" ".join(str(cause).split()), type(cause).__name__)
             cause = cause.__context__
         raise InputError(f"{path}: expected an intact recording, found it damaged or incomplete: {words}") from None
 
 
-def as_log(path: Path, accel: Message, gyro: Message | None = None, thermometers: Sequence[Message] = ()) -> None:
-    """Write the rows of a message with accelerometers, and where its gyros are in another one those of both, into a
-    Parquet file, whole or not at all.
+def write_log(path: Path, accel: Message, gyro: Message | None = None, thermometers: Sequence[Message] = ()) -> None:
+    """Write the rows of a message with accelerometers, and of another one with the gyros, to a Parquet file.
 
-    Two messages come at times of their own: the accelerometers (and the temperatures beside them) are interpolated
-    linearly at the times of the gyros, which are what is integrated, over the time that both cover. The temperatures of
-    thermometers of their own are interpolated too, and before and after they have the nearest."""
+    Accelerometers of another message than the gyros, and the temperatures beside them, are interpolated linearly at the
+    times of the gyros, which are integrated, over the time that both cover. Temperatures of separate messages are
+    interpolated too, with the nearest one before and after."""
     slow = [*thermometers] if gyro in (None, accel) else [accel, *thermometers]
-    read = [(message.columns, pl.concat(message.rows())) for message in slow]
+    slow_tables = [(message.columns, pl.concat(message.rows())) for message in slow]
     tables = accel.rows()
     if gyro is not None and gyro is not accel:
         fast = pl.concat(gyro.rows())
-        at, first, last = fast[TIME].to_numpy(), read[0][1][TIME][0], read[0][1][TIME][-1]
+        at, first, last = fast[TIME].to_numpy(), slow_tables[0][1][TIME][0], slow_tables[0][1][TIME][-1]
         fast = fast.filter((at >= first) & (at <= last))
         if fast.height < 2:
             raise InputError(
@@ -229,7 +235,7 @@ def as_log(path: Path, accel: Message, gyro: Message | None = None, thermometers
         tables = iter([fast])
 
     def interpolated(table: pl.DataFrame) -> pl.DataFrame:
-        for columns, other in read:
+        for columns, other in slow_tables:
             series = (np.interp(table[TIME], other[TIME], other[name]) for name in columns)
             table = table.with_columns(pl.Series(name, values) for name, values in zip(columns, series, strict=True))
         return table

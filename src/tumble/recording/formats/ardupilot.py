@@ -1,8 +1,8 @@
-"""ArduPilot flight logs (.bin, or as text, .log): the messages IMU (accelerometers and gyros of an instance), and ACC
-and GYR (raw, at the sensors' own rate), an entry for each instance. Before ArduPilot 4.1 the instance is in the name:
-IMU, IMU2 and IMU3, ACC1 and GYR1 to ACC3 and GYR3.
+"""ArduPilot flight logs (.bin, or as text, .log): messages IMU (accelerometers and gyros), ACC and GYR (raw, at the
+sensors' own rate), one for each instance. Before ArduPilot 4.1 the instance is in the name: IMU, IMU2 and IMU3, ACC1
+and GYR1 to ACC3 and GYR3.
 
-ArduPilot subtracts its own offsets and divides by its own scales before it logs: they are to be reset before recording.
+ArduPilot logs readings after its own offsets and scales, which have to be reset before recording.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ _INSTANCES = {
     **{kind: (kind, 0) for kind in _FIELDS},
     **{f"{kind}{number}": (kind, number - 1) for kind in _FIELDS for number in (1, 2, 3)},
 }
-"""Kind and instance by the name of a message; where it has a field I, that is the instance."""
+"""Kind and instance by the name of a message; a field I has precedence for the instance."""
 
 
 def messages(path: Path) -> list[Message]:
-    """Messages with inertial sensors, an entry for each instance; read at one pass."""
+    """Return messages with inertial sensors, one for each instance."""
     kept: dict[tuple[str, int], list[list[float]]] = {}
     ids: dict[str, int] = {}
     with ExitStack() as stack:
@@ -78,7 +78,7 @@ def messages(path: Path) -> list[Message]:
 
 
 def _message(kind: str, instance: int, rows: Any, origin: float, ids: Mapping[str, int]) -> Message:
-    """Rows of one instance; its number among the sensors is that of the instance, and their ids are parameters."""
+    """Return the message of one instance; device ids are parameters of the log."""
     rows[:, 0] = (rows[:, 0] - origin) * _SECOND
     names = [TIME, *_FIELDS[kind]]
     warm = kind == "IMU" and bool(np.isfinite(rows[:, -1]).all() and rows[:, -1].any())  # 0: no thermometer

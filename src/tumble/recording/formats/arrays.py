@@ -1,8 +1,8 @@
-"""MATLAB files, HDF5 and NumPy: arrays of numbers, found by their names.
+"""MATLAB files, HDF5 and NumPy: arrays of numbers, identified by their names.
 
-Every array is named by its path (`imu/gyro`); one of three columns (or rows) is a triad `imu/gyro[0]` … `imu/gyro[2]`,
-one of four, the first or last of which grows, a time `imu/gyro/t` and a triad, one of more a table. Arrays of one
-length make a table, of which the sensors are taken by name, else by their numbers.
+An array is named by its path (`imu/gyro`). One of three columns (or rows) is a triad `imu/gyro[0]` … `imu/gyro[2]`; one
+of four, the first or last of which grows, is a time `imu/gyro/t` and a triad; a wider one is a table. Arrays of one
+length form a table, whose sensors are identified by name, else by their numbers.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from scipy.io.matlab import MatlabOpaque, MatReadError
 
 from tumble.errors import InputError
 from tumble.recording.columns.names import ACCEL, Columns, columns_by_name
-from tumble.recording.columns.numbers import columns_by_data, grows, guesses
+from tumble.recording.columns.numbers import columns_by_data, grows, guess_remarks
 from tumble.recording.formats import TIME, Message
 from tumble.recording.rows.gaps import is_reading
 from tumble.recording.text.pieces import check_unpacked, largest_unpacked
@@ -45,24 +45,23 @@ _PIECE_BYTES = 1 << 20
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Column:
-    """A column of a table: the name of an array, the array, of NumPy or in an open HDF5 file, and which of its columns
-    or rows it is."""
+    """A column of a table: the name of an array, the array (NumPy or HDF5), and the column or row of it."""
 
     name: str
     array: Any
     axis: int | None
 
     def part(self, rows: slice) -> Array:
-        """Some of its numbers, NaN for what is no reading."""
+        """Return a part of the numbers, NaN for those that are no readings."""
         shape, across = self.array.shape, 0 if self.axis is None else self.axis
         where = rows if len(shape) == 1 else (rows, across) if shape[0] >= shape[-1] else (across, rows)
-        with np.errstate(over="ignore"):  # numbers of 80 bits that are beyond those of 64
+        with np.errstate(over="ignore"):  # numbers of 80 bits beyond the range of 64
             numbers = np.asarray(self.array[where], dtype=np.float64)
         return np.where(is_reading(numbers), numbers, np.nan)
 
 
 def messages(path: Path) -> list[Message]:
-    """Tables with inertial sensors, one for each length of arrays; those whose names say so come first."""
+    """Return tables with inertial sensors, one for each length of arrays, first those identified by name."""
     arrays = {name: array for name, array in _arrays(path).items() if len(array.shape) in (1, 2)}
     by_name: list[Message] = []
     by_data: list[Message] = []
@@ -100,7 +99,7 @@ def messages(path: Path) -> list[Message]:
 
 
 def _columns(arrays: Mapping[str, Any]) -> Iterator[tuple[str, Column]]:
-    """Columns of arrays by their names."""
+    """Yield the columns of arrays with their names."""
     for name, array in arrays.items():
         shape = array.shape
         if min((*shape, 1)) == 1 and np.prod(shape) == max(shape):
@@ -116,8 +115,9 @@ def _columns(arrays: Mapping[str, Any]) -> Iterator[tuple[str, Column]]:
 
 
 def _with_columns_by_data(columns: Mapping[str, Column], named: Columns) -> tuple[Columns, str]:
-    """What columns are where no name says which are accelerometers: by their numbers, but for the triads that an array
-    of their own is named as; and that in words."""
+    """Identify columns by their numbers if no name identifies accelerometers, and return a remark.
+
+    Triads that are named stay."""
     taken = {column for triad in named.triads.values() for column in triad.columns}
     free = {name: column for name, column in columns.items() if name not in taken}
     together = {name: column for name, column in free.items() if column.axis is not None} or free
@@ -126,7 +126,7 @@ def _with_columns_by_data(columns: Mapping[str, Column], named: Columns) -> tupl
     by_data = columns_by_data(list(together), np.column_stack([column.part(_WHOLE) for column in together.values()]))
     if ACCEL not in by_data.triads:
         return named, ""
-    remark = "; ".join(guesses(by_data, named.triads))
+    remark = "; ".join(guess_remarks(by_data, named.triads))
     return replace(named, triads={**by_data.triads, **named.triads}, time=named.time or by_data.time), remark
 
 
@@ -138,7 +138,7 @@ def _rows(columns: Mapping[str, Column], length: int, time: str | None, factor: 
 
 
 def _arrays(path: Path) -> dict[str, Any]:
-    """Arrays of numbers by their paths."""
+    """Return arrays of numbers by path."""
     if path.suffix.lower() in (".npy", ".npz"):
         try:
             if zipfile.is_zipfile(path):
@@ -146,10 +146,10 @@ def _arrays(path: Path) -> dict[str, Any]:
                     check_unpacked(path, sum(member.file_size for member in archive.infolist()))
                 with np.load(path) as read:
                     named = dict(read)
-            else:  # mapped: it takes no memory for what a damaged header promises
+            else:  # mapped, so that a damaged header claims no memory
                 named = {path.stem: np.load(path, mmap_mode="r")}
         except ValueError as error:
-            # objects, which only Python reads, as it runs what is in the file
+            # objects are not read, because this would run code from the file
             if "pickle" not in str(error) and "Python objects" not in str(error):
                 raise
             raise InputError(
@@ -169,32 +169,31 @@ def _arrays(path: Path) -> dict[str, Any]:
         if isinstance(item, h5py.Dataset) and item.dtype.kind in "fiu":
             datasets[name] = item
 
-    h5py.File(path).visititems(visit)  # open as long as one of them is there
+    h5py.File(path).visititems(visit)  # stays open with its datasets
     check_unpacked(path, sum(math.prod(item.shape) * item.dtype.itemsize for item in datasets.values()))
     return datasets
 
 
 def _bytes_of_matlab(path: Path) -> int:
-    """How many bytes come out of the packed elements of a MATLAB file of version 5; they are counted as far as such a
-    file may be unpacked."""
-    found, limit = 0, largest_unpacked(path)
+    """Return the unpacked size of the elements of a MATLAB file of version 5, counted up to the limit, bytes."""
+    unpacked, limit = 0, largest_unpacked(path)
     with path.open("rb") as stream:
         order = {b"IM": "<", b"MI": ">"}.get(stream.read(_MATLAB_HEADER)[-2:])
-        while order is not None and len(tag := stream.read(8)) == 8 and found <= limit:
+        while order is not None and len(tag := stream.read(8)) == 8 and unpacked <= limit:
             kind, size = struct.unpack(order + "II", tag)
             if kind != _MATLAB_PACKED:
                 stream.seek(size, 1)
                 continue
             unpack, packed = zlib.decompressobj(), stream.read(size)
-            with suppress(zlib.error):  # of which the reader will say what it is
-                while packed and found <= limit:
-                    found += len(unpack.decompress(packed, _PIECE_BYTES))
+            with suppress(zlib.error):  # reported by the reader
+                while packed and unpacked <= limit:
+                    unpacked += len(unpack.decompress(packed, _PIECE_BYTES))
                     packed = unpack.unconsumed_tail
-    return found
+    return unpacked
 
 
 def _nested(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """The arrays of a MATLAB file, those in structures too."""
+    """Yield the arrays of a MATLAB file, also those in structures."""
     for name, value in content.items():
         if isinstance(value, np.ndarray) and value.dtype.names:
             value = {field: value[field] for field in value.dtype.names}
@@ -209,6 +208,6 @@ def _nested(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str,
 
 
 def _stacked(samples: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Structures of one sample each as arrays of all samples, by their names; without what is not alike in all."""
-    found = {name: [np.asarray(sample.get(name, np.nan)) for sample in samples] for name in samples[0]}
-    return {name: np.array(parts) for name, parts in found.items() if len({part.shape for part in parts}) == 1}
+    """Return arrays of all samples from structures of one sample each, for fields of equal shape."""
+    fields = {name: [np.asarray(sample.get(name, np.nan)) for sample in samples] for name in samples[0]}
+    return {name: np.array(parts) for name, parts in fields.items() if len({part.shape for part in parts}) == 1}

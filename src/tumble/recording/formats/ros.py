@@ -1,9 +1,9 @@
 """ROS 1 bags, ROS 2 bags and MCAP files with ROS messages: sensor_msgs/Imu, sensor_msgs/MagneticField and
 sensor_msgs/Temperature.
 
-Time is that of the header, which is when the sample was taken; where headers are empty, that of the recording.
-Some drivers (depth cameras) publish accelerometers and gyros as Imu messages of two topics, with zeros in place of the
-other: sensors whose first readings are all exactly zero are taken as absent.
+The time is that of the header, when the sample was taken, or that of the recording if headers are empty. Some drivers
+(depth cameras) publish accelerometers and gyros as Imu messages of two topics, with zeros in place of the other:
+sensors whose first readings are all exactly zero are absent.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ _FIELDS: Mapping[str, Mapping[str, tuple[str, float]]] = {
     "sensor_msgs/msg/MagneticField": {f"field_{axis}": (f"magnetic_field.{axis}", 1e6) for axis in AXES},
     _TEMPERATURE: {"temperature": ("temperature", 1.0)},
 }
-"""Columns of each type of message: its field, and how many of the unit of the column are one of its."""
+"""Columns of each type of message: the field, and the factor to the unit of the column."""
 _ROWS = 1 << 15
-_LOOK = 100
+_FIRST_ROWS = 100
 _MCAP, _MCAP_CHUNK, _BAG = b"\x89MCAP0\r\n", 6, b"#ROSBAG V2.0\n"
 
 
 def messages(path: Path) -> list[Message]:
-    """Topics with inertial sensors."""
+    """Return the topics with inertial sensors."""
     for file in sorted(path.iterdir()) if path.is_dir() else [path]:
         check_regular(file)
         check_unpacked(file, _bytes_of_chunks(file))
@@ -58,37 +58,37 @@ def _opened(path: Path) -> AnyReader:
 
 
 def _bytes_of_chunks(path: Path) -> int:
-    """How many bytes the chunks of an MCAP file or of a bag of ROS 1 are stated to unpack to; 0 of another file."""
-    found = 0
+    """Return the stated unpacked size of the chunks of an MCAP file or a ROS 1 bag, bytes; 0 for another file."""
+    unpacked = 0
     with path.open("rb") as stream:
         if stream.read(len(_MCAP)) == _MCAP:
             while len(record := stream.read(9)) == 9:
                 kind, size = struct.unpack("<BQ", record)
                 begin = stream.tell()
-                found += int.from_bytes(stream.read(24)[16:], "little") if kind == _MCAP_CHUNK else 0
+                unpacked += int.from_bytes(stream.read(24)[16:], "little") if kind == _MCAP_CHUNK else 0
                 stream.seek(begin + size)
-            return found
+            return unpacked
         stream.seek(0)
         if stream.read(len(_BAG)) == _BAG:
             while size := stream.read(4):
                 header = stream.read(int.from_bytes(size, "little"))
                 stated = header.find(b"size=") + 5 if b"op=\x05" in header else len(header)
-                found += int.from_bytes(header[stated : stated + 4], "little")
+                unpacked += int.from_bytes(header[stated : stated + 4], "little")
                 stream.seek(int.from_bytes(stream.read(4), "little"), 1)
-    return found
+    return unpacked
 
 
 def _message(path: Path, origin: int, topic: str, kind: str, count: int) -> Message:
     columns = tuple(_FIELDS[kind])
-    if kind == _TEMPERATURE:  # called by the sensors, where the name of the topic says whose it is
-        whose, _ = thermometer(re.findall("[a-z]+", topic.lower())) or ("", "")
-        columns = (f"{whose}_temperature",) if whose else columns
-    look = next(_tables(islice(_readings(path, origin, topic), _LOOK), columns))
-    read = [name for name in columns if kind != _IMU or look.select(f"{name[:-1]}{a}" for a in AXES).to_numpy().any()]
+    if kind == _TEMPERATURE:  # named after the kind of sensor in the name of the topic
+        sensor, _ = thermometer(re.findall("[a-z]+", topic.lower())) or ("", "")
+        columns = (f"{sensor}_temperature",) if sensor else columns
+    head = next(_tables(islice(_readings(path, origin, topic), _FIRST_ROWS), columns))
+    present = [n for n in columns if kind != _IMU or head.select(f"{n[:-1]}{a}" for a in AXES).to_numpy().any()]
     return Message(
         name=topic,
         count=count,
-        triads=triads_of(read, _UNITS),
+        triads=triads_of(present, _UNITS),
         temperatures=columns if kind == _TEMPERATURE else (),
         rows=lambda: _tables(_readings(path, origin, topic), columns),
     )
@@ -100,14 +100,16 @@ def _tables(readings: Iterator[list[float]], columns: Sequence[str]) -> Iterator
 
 
 def _readings(path: Path, origin: int, topic: str) -> Iterator[list[float]]:
-    """Every message of a topic as time (s after `origin`, ns) and its readings."""
-    fields = {kind: [(attrgetter(name), one) for name, one in of.values()] for kind, of in _FIELDS.items()}
+    """Yield the messages of a topic as the time after `origin` (ns), s, and the readings."""
+    getters = {
+        kind: [(attrgetter(name), factor) for name, factor in columns.values()] for kind, columns in _FIELDS.items()
+    }
     for stamp, kind, message in _stamped(path, topic):
-        yield [(stamp - origin) * 1e-9, *(read(message) * one for read, one in fields[kind])]
+        yield [(stamp - origin) * 1e-9, *(get(message) * factor for get, factor in getters[kind])]
 
 
 def _stamped(path: Path, topic: str) -> Iterator[tuple[int, str, Any]]:
-    """Every message of a topic with its time, ns, and its type."""
+    """Yield the messages of a topic with their times, ns, and types."""
     with _opened(path) as bag:
         wanted = [c for c in bag.connections if c.topic == topic and c.msgtype in _FIELDS]
         for connection, recorded, raw in bag.messages(connections=wanted):

@@ -1,8 +1,8 @@
-"""PX4 flight logs (ULog): the uncorrected messages sensor_accel and sensor_gyro, one per instance, and sensor_mag; of
-sensor_baro the temperature.
+"""PX4 flight logs (ULog): the uncorrected messages sensor_accel, sensor_gyro and sensor_mag, one per instance, and the
+temperature of sensor_baro.
 
-sensor_combined is left aside where the others are there at its rate or more: it holds values that PX4 has corrected
-with its own calibration and averaged. By default PX4 logs the others once a second.
+sensor_combined, which PX4 has corrected with its calibration and averaged, is used only where the others are slower;
+by default PX4 logs them once a second.
 """
 
 from __future__ import annotations
@@ -37,15 +37,16 @@ _FIELDS: Mapping[str, Mapping[str, str]] = {
     _COMBINED: {f"accel_{axis}": f"accelerometer_m_s2[{i}]" for i, axis in enumerate(AXES)}
     | {f"gyro_{axis}": f"gyro_rad[{i}]" for i, axis in enumerate(AXES)},
 }
-"""Columns of each message, and its fields."""
+"""Columns of each message with its fields."""
 _THERMOMETERS = {"sensor_accel": "accel", "sensor_gyro": "gyro", "sensor_mag": "field", "sensor_baro": "baro"}
 _CALIBRATED = {"sensor_accel": ("accel", "CAL_ACC{}_ID"), "sensor_gyro": ("gyro", "CAL_GYRO{}_ID")}
 _MOST = 4  # sensors of a kind that PX4 has calibrations of
 
 
 class _PastTheEnd(io.BufferedReader):
-    """A file of which what was asked for counts as read: pyulog goes back by it, for ever where it is beyond the
-    end."""
+    """A file whose position advances by the requested size also at its end.
+
+    pyulog steps back by the requested size, and would never end otherwise."""
 
     def read(self, size: int | None = -1) -> bytes:
         start, read = self.tell(), super().read(size)
@@ -55,17 +56,17 @@ class _PastTheEnd(io.BufferedReader):
 
 
 def messages(path: Path) -> list[Message]:
-    """Messages with inertial sensors, an entry for each instance."""
+    """Return messages with inertial sensors, one for each instance."""
     with io.FileIO(path) as file, _PastTheEnd(file) as stream:
         log = ULog(stream, list(_FIELDS))
     kept = sorted(log.data_list, key=lambda d: (d.name, d.multi_id))
     kept = [data for data in kept if data.name != "sensor_baro" or _has_temperature(data.data)]
     origin = min((int(_taken(data.data)[0]) for data in kept), default=0)
-    found = [_message(data, origin, log.initial_parameters) for data in kept]
-    combined = max((m.count for m in found if m.name.startswith(_COMBINED)), default=0)
-    slow = [m for m in found if (m.accel or m.gyro) and m.count < combined // 2]
-    raw = [m for m in found if m not in slow and not m.name.startswith(_COMBINED)]
-    return raw if any(m.accel for m in raw) else [m for m in found if m not in slow]
+    candidates = [_message(data, origin, log.initial_parameters) for data in kept]
+    combined = max((m.count for m in candidates if m.name.startswith(_COMBINED)), default=0)
+    slow = [m for m in candidates if (m.accel or m.gyro) and m.count < combined // 2]
+    raw = [m for m in candidates if m not in slow and not m.name.startswith(_COMBINED)]
+    return raw if any(m.accel for m in raw) else [m for m in candidates if m not in slow]
 
 
 def _message(data: Any, origin: int, parameters: Mapping[str, Any]) -> Message:
@@ -85,8 +86,9 @@ def _message(data: Any, origin: int, parameters: Mapping[str, Any]) -> Message:
 
 
 def _sensors(data: Any, parameters: Mapping[str, Any]) -> dict[str, AutopilotSensor]:
-    """Which accelerometer or gyro a message is of: that whose calibration has its device id (CAL_ACC2_ID is that of the
-    third; parameters have ids as numbers with a sign), else by the number of its instance."""
+    """Return the accelerometer or gyro of a message: the one whose calibration has its device id, else by instance.
+
+    CAL_ACC2_ID belongs to the third accelerometer; parameters have ids as signed numbers."""
     kind, parameter = _CALIBRATED.get(data.name, ("", ""))
     if not kind:
         return {}
@@ -102,12 +104,12 @@ def _has_temperature(values: dict[str, Any]) -> bool:
 
 
 def _taken(values: dict[str, Any]) -> Any:
-    """When the samples were taken, µs."""
+    """Return the times of the samples, µs."""
     return values.get("timestamp_sample", values["timestamp"])
 
 
 def _rows(values: dict[str, Any], fields: dict[str, str], origin: int) -> Iterator[pl.DataFrame]:
-    """The whole message: a flight log is in memory anyway."""
+    """Yield the whole message; a flight log is in memory anyway."""
     with np.errstate(invalid="ignore"):  # of a damaged log
         time = (_taken(values).astype(np.int64) - origin) * _SECOND
         readings = {name: values[field].astype(np.float64) for name, field in fields.items()}

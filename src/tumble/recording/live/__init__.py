@@ -1,1 +1,1 @@
-"""Rows of numbers as they come: files that grow, standard input, network, serial lines and MAVLink."""
+"""Rows of numbers as they are received: files that grow, standard input, network, and serial lines."""

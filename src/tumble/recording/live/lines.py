@@ -1,14 +1,13 @@
 """Lines as they are received, and the rows of a log in them.
 
-A row is a line of numbers between commas, an object of JSON by the names of the columns, or a `Raw:` line of MotionCal,
-nine integers without a time. What is no row is refused, and said: bytes that are no text, half lines, too few values.
+A row is a line of numbers between commas, or an object of JSON with the names of the columns. Any other line is refused
+with a reason: bytes that are no text, half lines, too few values.
 """
 
 from __future__ import annotations
 
 import json
 import math
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -16,11 +15,8 @@ import numpy as np
 
 from tumble.units import Array
 
-LONGEST_LINE = 1 << 14
-MOTIONCAL = "Raw:"
-MOTIONCAL_COLUMNS = ("t", "ax", "ay", "az", "gx", "gy", "gz", "mx", "my", "mz")
-_OF_NUMBERS = np.isin(np.arange(256), np.frombuffer(b"0123456789.,+-eE\n", dtype=np.uint8))
-_MAGNETIC_COUNTS = 10.0  # a µT, as MotionCal has them
+LONGEST_LINE = 1 << 14  # bytes
+_NUMERIC_BYTES = np.isin(np.arange(256), np.frombuffer(b"0123456789.,+-eE\n", dtype=np.uint8))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -32,19 +28,13 @@ class Row:
 
 
 class Lines:
-    """Cuts what is received into lines and makes rows of them, of the columns `columns`, of which `clock` is the time.
-    Values are in the order of the log until a header says otherwise. `refused` counts what was no row, `last_refused`
-    is why the last one was none."""
+    """Parser of received bytes into rows with the columns `columns`, of which `clock` is the time.
 
-    def __init__(
-        self,
-        *,
-        columns: tuple[str, ...],
-        clock: str | None,
-        refuse: Callable[[bytes], None],
-        now: Callable[[], float] = time.time,
-    ) -> None:
-        self.columns, self.clock, self._now = columns, clock, now
+    Values are in the order of the log until a header states another one. `refused` counts the refused lines, which are
+    passed to `refuse`; `last_refused` is the reason for the last one."""
+
+    def __init__(self, *, columns: tuple[str, ...], clock: str | None, refuse: Callable[[bytes], None]) -> None:
+        self.columns, self.clock = columns, clock
         self.refused, self.last_refused = 0, ""
         self._keep = refuse
         self._unfinished = b""
@@ -56,11 +46,11 @@ class Lines:
         return self._sent_columns == list(self.columns)
 
     def feed(self, data: bytes) -> list[Row]:
-        """The rows in what is received next."""
+        """Return the rows completed by the next bytes."""
         return self.rows(self.cut(data))
 
     def cut(self, data: bytes) -> bytes:
-        """The whole lines in what is received next."""
+        """Return the lines completed by the next bytes."""
         whole, newline, self._unfinished = (self._unfinished + data).rpartition(b"\n")
         if len(self._unfinished) > LONGEST_LINE:
             self._refuse(self._unfinished, "no end of a line")
@@ -68,7 +58,7 @@ class Lines:
         return whole + newline
 
     def rows(self, whole: bytes) -> list[Row]:
-        """The rows in whole lines; what is none of them is counted and kept, which is why there is none."""
+        """Return the rows in complete lines, and refuse the other lines."""
         rows = []
         for raw in whole.split(b"\n"):
             try:
@@ -80,36 +70,27 @@ class Lines:
         return rows
 
     def numbers(self, whole: bytes) -> Array:
-        """The numbers (m, columns) of the rows in whole lines."""
+        """Return the numbers (m, columns) of the rows in complete lines."""
         numbers = numbers_in(whole, len(self.columns)) if self.in_order else None
         if numbers is not None:
             return numbers
         values = [float(value) for row in self.rows(whole) for value in row.text.split(",")]
         return np.array(values).reshape(-1, len(self.columns))
 
-    def _refuse(self, raw: bytes, why: str) -> None:
-        self.refused, self.last_refused = self.refused + 1, why
+    def _refuse(self, raw: bytes, reason: str) -> None:
+        self.refused, self.last_refused = self.refused + 1, reason
         self._keep(raw[:LONGEST_LINE])
 
     def _row(self, line: bytes) -> Row | None:
-        """The row of a line; None of an empty one and of a header. Raises ValueError that says why there is none."""
+        """Return the row of a line, None for an empty line or a header. Raises ValueError with the reason otherwise."""
         if line.startswith(b"{"):
             try:
-                given = json.loads(line.decode("utf-8"))
-                chosen = [repr(float(given[column])) for column in self.columns]
+                content = json.loads(line.decode("utf-8"))
+                cells = [repr(float(content[column])) for column in self.columns]
             except UnicodeDecodeError:
                 raise ValueError("bytes that are no text") from None
             except (ValueError, TypeError, KeyError, RecursionError, OverflowError):
                 raise ValueError("JSON without a number for every column") from None
-        elif line.startswith(MOTIONCAL.encode()):
-            try:
-                counts = [int(value) for value in line.removeprefix(MOTIONCAL.encode()).split(b",")]
-            except ValueError:
-                counts = []
-            if self.columns != MOTIONCAL_COLUMNS or len(counts) != len(MOTIONCAL_COLUMNS) - 1:
-                raise ValueError("a line of MotionCal that is not nine numbers")
-            field = [repr(count / _MAGNETIC_COUNTS) for count in counts[6:]]
-            chosen = [repr(self._now()), *map(str, counts[:6]), *field]
         else:
             values = [value.strip() for value in line.decode("utf-8", errors="replace").split(",")]
             names = [value.lstrip("\ufeff") for value in values]
@@ -122,21 +103,21 @@ class Lines:
                 return None
             if len(values) != len(self._sent_columns):
                 raise ValueError(f"{len(values)} values where {len(self._sent_columns)} are expected")
-            chosen = [values[self._sent_columns.index(column)] for column in self.columns]
+            cells = [values[self._sent_columns.index(column)] for column in self.columns]
         try:
-            numbers = [float(value) for value in chosen]
+            numbers = [float(value) for value in cells]
         except ValueError:
             raise ValueError("a value that is no number") from None
-        at = None if self.clock is None else numbers[self.columns.index(self.clock)]
-        if any(map(math.isinf, numbers)) or (at is not None and math.isnan(at)):
+        time = None if self.clock is None else numbers[self.columns.index(self.clock)]
+        if any(map(math.isinf, numbers)) or (time is not None and math.isnan(time)):
             raise ValueError("a number that is not finite")
-        return Row(text=",".join(chosen), time=at)
+        return Row(text=",".join(cells), time=time)
 
 
 def numbers_in(data: bytes, columns: int) -> Array | None:
-    """Rows of whole lines that are nothing but numbers between commas; None where a line is anything else."""
+    """Return the rows of complete lines that are nothing but numbers between commas; None if any line is not."""
     text = np.frombuffer(data, dtype=np.uint8)
-    if not len(data) or not _OF_NUMBERS[text].all():
+    if not len(data) or not _NUMERIC_BYTES[text].all():
         return None
     ends = np.flatnonzero(text == ord("\n"))
     commas = np.searchsorted(np.flatnonzero(text == ord(",")), ends)

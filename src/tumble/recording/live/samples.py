@@ -1,4 +1,4 @@
-"""Samples of rows as they come, or of a live source, by the same chain as those of a log that has ended."""
+"""Samples of a live source, read by the same steps as those of a log that is complete."""
 
 from __future__ import annotations
 
@@ -28,17 +28,16 @@ SI_LOG: Mapping[str, Any] = {
     "gyro": {"columns": ["gx", "gy", "gz"], "unit": "rad/s"},
 }
 """The table [log] of a source that sends t, ax, ay, az, gx, gy, gz in s, m/s² and rad/s."""
-_HEAD = 100
+_HEAD = 100  # rows from which the interval is taken
 READ_SECONDS = 0.2
-CLOCK_BACK = 1.0
-"""Time (s) by which a stamp is before the last one at least if the clock has started anew."""
+CLOCK_BACK = 1.0  # s: a time stamp that falls by more belongs to a clock that has restarted
 TEMPERATURE = "temperature"
 """Name of the column with the temperature, °C, of a source in SI."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _ComingRows(LogSource):
-    """A log of which rows may come at any time: while none has, its tables are empty."""
+    """A log whose rows arrive while it is read; its tables are empty while none have arrived."""
 
     waiting: list[Array] = field(default_factory=list)
 
@@ -51,28 +50,21 @@ class _ComingRows(LogSource):
 
 
 class StreamedSamples:
-    """Samples of the rows of one file of a log, which come piece by piece.
+    """Samples of the rows of one file of a log that arrive piece by piece.
 
-    Times are judged, lost samples bridged and units converted as in a log that is read at once. In pieces of any size
-    the samples are the same.
+    Times are checked, lost samples bridged and units converted as in a log that is read at once; the samples do not
+    depend on the size of the pieces.
 
     Parameters
     ----------
     spec
-        The log, as its session describes it.
+        Description of the log.
     head
-        Rows from which the interval is taken.
+        Number of rows from which the interval is taken.
     interval
-        From sample to sample, s. None: the median over the first `head` rows.
+        From sample to sample, s; None for the median over the first `head` rows, and until they have arrived.
     file
         Number of the file, from 0.
-
-    Attributes
-    ----------
-    interval : float or None
-        None while fewer than `head` rows have come.
-    gaps : list of Gap
-        What was bridged or left out.
     """
 
     def __init__(self, spec: LogSpec, *, head: int = _HEAD, interval: float | None = None, file: int = 0) -> None:
@@ -82,23 +74,15 @@ class StreamedSamples:
         self._samples: Iterator[Chunk] | None = None
 
     def feed(self, rows: Array) -> Chunk | None:
-        """Add rows (m, columns) as the log has them, and return the samples that are settled with them.
+        """Add rows (m, columns) as written in the log, and return the samples that are complete, None without.
 
-        Returns
-        -------
-        Chunk or None
-            None where no sample is settled. Rows whose times are to be judged by the next are held back.
-
-        Raises
-        ------
-        LogError
-            Where too many rows have wrong times, as when the clock has started anew.
-        """
+        Rows whose times can only be checked by the next rows are held back. Raises LogError if too many rows have wrong
+        times, as after a restart of the clock."""
         spec, waiting = self._spec, self._coming.waiting
         waiting.append(rows)
         if self._samples is None:
             head = np.concatenate(waiting)
-            head = head[int(np.argmax(is_reading(head).all(axis=1))) :]  # a log begins with a whole row
+            head = head[int(np.argmax(is_reading(head).all(axis=1))) :]  # a log begins with a complete row
             waiting[:] = [head]
             if len(head) < (self.head if self.interval is None else 1):
                 return None
@@ -121,12 +105,12 @@ class SampleStream:
     Parameters
     ----------
     source
-        Where the lines come from.
+        Source of the lines.
     session
-        Describes columns and sensors. None for a source that sends t, ax, ay, az, gx, gy, gz in s, m/s² and rad/s, and
-        a temperature in °C if its first line names such a column.
+        Description of columns and sensors; None for a source that sends t, ax, ay, az, gx, gy, gz in s, m/s² and
+        rad/s, and a temperature in °C if its first line names such a column.
     serial, site, gyros
-        Device, place, and whether gyros are read, of a source without a session.
+        Device, place, and whether gyros are read, for a source without a session.
     """
 
     def __init__(
@@ -150,11 +134,11 @@ class SampleStream:
 
     @property
     def interval(self) -> float | None:
-        """Time from sample to sample, s; None while too few have come."""
+        """Time from sample to sample, s; None until enough samples have arrived."""
         return self._samples.interval
 
     def chunks(self) -> Iterator[Chunk]:
-        """The samples as they come, until the source ends. A clock that goes back begins another file."""
+        """Yield the samples until the source ends. A clock that restarts begins another file."""
         spec, file, last, ended = self.session.log, 0, -np.inf, False
         with closing(self._source):
             while not ended:
@@ -178,7 +162,7 @@ class SampleStream:
 
 
 def _in_si(first_line: bytes, serial: str, site: Site | None, *, gyros: bool) -> Session:
-    """The session of a source in SI."""
+    """Return the session of a source in SI."""
     log = {key: value for key, value in SI_LOG.items() if key != "file" and (gyros or key != "gyro")}
     columns = [log["time"], *log["accel"]["columns"], *(log["gyro"]["columns"] if gyros else [])]
     if TEMPERATURE in [column.strip() for column in first_line.decode("utf-8", errors="replace").split(",")]:

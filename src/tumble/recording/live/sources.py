@@ -1,15 +1,8 @@
-"""Where rows come from: whatever is named after --listen, as bytes of lines.
+"""Sources of rows, as named after --listen, which give the bytes of lines:
 
     file:PATH   replay:FOLDER@20x   stdin   udp:[HOST:]PORT   tcp:[HOST:]PORT   serial:DEVICE:BAUD
-    mavlink:udp:[HOST:]PORT   mavlink:DEVICE:BAUD
 
-A source that is interrupted says so in `trouble` and tries again; only a file that is replayed, and standard input,
-come to an end.
-
-Of the IMU messages of an autopilot, RAW_IMU, SCALED_IMU, SCALED_IMU2, SCALED_IMU3 and HIGHRES_IMU, the first of
-HIGHRES_IMU, SCALED_IMU, RAW_IMU, SCALED_IMU2 and SCALED_IMU3 that is seen in a second is taken. Numbers become SI as
-the messages define them; RAW_IMU has no unit of its own, and ArduPilot's and PX4's, which are those of SCALED_IMU, are
-taken for it.
+An interrupted source states the reason in `trouble` and tries again; only a replay and standard input come to an end.
 """
 
 from __future__ import annotations
@@ -31,34 +24,23 @@ from tumble.documents import whole_number
 from tumble.errors import InputError, needs_extra
 from tumble.recording.session import LogSpec, Session
 from tumble.recording.session_file import read_session
-from tumble.units import G_STANDARD
 
 _READ_BYTES = 1 << 16
-_AGAIN_SECONDS = 0.5
-_SILENT_SECONDS = 2.0
-_BUFFER_BYTES = 1 << 22
+_RETRY_SECONDS = 0.5
+_SILENT_SECONDS = 2.0  # after which a TCP connection gives way to the next
+_SOCKET_BYTES = 1 << 22
 LOOPBACK = "127.0.0.1"
-MESSAGES = ("HIGHRES_IMU", "SCALED_IMU", "RAW_IMU", "SCALED_IMU2", "SCALED_IMU3")
-_CHOOSE_SECONDS = 1.0
-_MILLI = 1e-3
 
 
 class Ended(Exception):  # noqa: N818
-    """Nothing comes from this source any more."""
+    """The source has come to its end."""
 
 
 class LineSource:
-    """Something that sends lines.
+    """Base of the sources of lines.
 
-    Attributes
-    ----------
-    begins_anew : bool
-        Whether it sends everything from its beginning when it is opened again.
-    trouble : str or None
-        What interrupts it.
-    session : Session or None
-        Describes the lines, of a session that is replayed.
-    """
+    `begins_anew`: it sends everything from its beginning when it is opened again. `trouble`: the reason for an
+    interruption. `session`: the session that is replayed."""
 
     name = ""
     begins_anew = False
@@ -66,18 +48,18 @@ class LineSource:
     session: Session | None = None
 
     def read(self, timeout: float) -> bytes:
-        """What has come, nothing after `timeout` s without. Raises Ended."""
+        """Return the bytes received, none after `timeout` s without. Raises Ended at the end of the source."""
         raise NotImplementedError
 
     def hurry(self, rows: int) -> None:
-        """Send the first rows at once, which are recorded already."""
+        """Send the first `rows` at once, because they are recorded already."""
 
     def close(self) -> None:
-        """Listen no more."""
+        """Stop listening."""
 
 
 class GrowingFile(LineSource):
-    """A text file that another program writes, from its beginning."""
+    """A text file that another program writes, read from its beginning."""
 
     begins_anew = True
 
@@ -107,7 +89,7 @@ class StandardInput(LineSource):
             raise InputError("--listen stdin: expected standard input, found it closed")
         self._descriptor = sys.stdin.fileno() if descriptor is None else descriptor
         self._read: queue.Queue[bytes] = queue.Queue(maxsize=8)
-        threading.Thread(target=self._run, daemon=True).start()  # on Windows nothing else waits for a console
+        threading.Thread(target=self._run, daemon=True).start()  # on Windows select() cannot wait for a console
 
     def _run(self) -> None:
         while data := os.read(self._descriptor, _READ_BYTES):
@@ -131,8 +113,8 @@ class Udp(LineSource):
     def __init__(self, host: str, port: int) -> None:
         self.name = f"udp:{host}:{port}"
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)
-        self.port = _bound(self._socket, host, port, self.name)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _SOCKET_BYTES)
+        self.port = _bind(self._socket, host, port, self.name)
 
     def read(self, timeout: float) -> bytes:
         out = bytearray()
@@ -147,14 +129,16 @@ class Udp(LineSource):
 
 
 class Tcp(LineSource):
-    """One connection at a time that sends lines; when it ends, the next is waited for. One that has sent nothing for
-    two seconds gives way to the next: a sender that has lost its power ends no connection."""
+    """Lines of one connection at a time.
+
+    A connection that has sent nothing for two seconds gives way to the next, because a sender that loses its power does
+    not end its connection."""
 
     def __init__(self, host: str, port: int) -> None:
         self.name = f"tcp:{host}:{port}"
         self._listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         self._listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        self.port = _bound(self._listening, host, port, self.name)
+        self.port = _bind(self._listening, host, port, self.name)
         self._listening.listen(1)
         self._connection: socket.socket | None = None
         self._heard = 0.0
@@ -192,7 +176,8 @@ class Tcp(LineSource):
         self._listening.close()
 
 
-def _bound(made: socket.socket, host: str, port: int, name: str) -> int:
+def _bind(made: socket.socket, host: str, port: int, name: str) -> int:
+    """Bind a socket and return its port."""
     try:
         made.bind((host, port))
     except OSError as error:
@@ -202,7 +187,7 @@ def _bound(made: socket.socket, host: str, port: int, name: str) -> int:
 
 
 class Serial(LineSource):
-    """A serial line; when the cable is pulled, it is opened again as soon as it is there."""
+    """A serial line; after the cable was pulled it is opened again as soon as it is back."""
 
     def __init__(self, device: str, baud: int) -> None:
         with needs_extra("a serial line", "bench", "serial"):
@@ -220,14 +205,14 @@ class Serial(LineSource):
             try:
                 self._port.open()
             except OSError:
-                time.sleep(min(timeout, _AGAIN_SECONDS))
+                time.sleep(min(timeout, _RETRY_SECONDS))
                 return b""
             self.trouble = None
         try:
             self._port.timeout = timeout
             data: bytes = self._port.read(1)
             data += self._port.read(min(self._port.in_waiting, _READ_BYTES)) if data else b""
-        except OSError as error:  # of a line that is closed, too
+        except OSError as error:
             self.trouble = (
                 f"the serial line is gone: {' '.join(str(error.strerror or error).split())}; it is waited for"
             )
@@ -240,60 +225,10 @@ class Serial(LineSource):
         self._port.close()
 
 
-class Mavlink(LineSource):
-    """MAVLink on a UDP port or a serial line."""
-
-    def __init__(self, where: str) -> None:
-        with needs_extra("MAVLink", "formats", "pymavlink"):
-            from pymavlink import mavutil
-        self.name = f"mavlink:{where}"
-        kind, _, rest = where.partition(":")
-        host, _, port = rest.rpartition(":")
-        device, _, baud = where.rpartition(":")
-        try:
-            if kind == "udp":
-                self._link: Any = mavutil.mavlink_connection(f"udpin:{host or LOOPBACK}:{port}")
-            else:
-                self._link = mavutil.mavlink_connection(device, baud=int(baud))
-        except (OSError, ValueError) as error:
-            raise InputError(
-                f"--listen {self.name}: expected mavlink:udp:PORT or mavlink:DEVICE:BAUD: {error}"
-            ) from None
-        self._seen: set[str] = set()
-        self._chosen: str | None = None
-        self._first = 0.0
-
-    def read(self, timeout: float) -> bytes:
-        out: list[str] = []
-        wait = timeout
-        while len(out) < 256 and (message := self._link.recv_match(type=list(MESSAGES), blocking=True, timeout=wait)):
-            wait, kind = 0.001, message.get_type()
-            if self._chosen is None:
-                self._first = self._first or time.monotonic()
-                self._seen.add(kind)
-                if time.monotonic() - self._first > _CHOOSE_SECONDS:
-                    self._chosen = next(name for name in MESSAGES if name in self._seen)
-            if kind == self._chosen:
-                out.append(line_of(message))
-        return "".join(out).encode("ascii")
-
-    def close(self) -> None:
-        self._link.close()
-
-
-def line_of(message: Any) -> str:
-    """A message as a line of t, ax, ay, az, gx, gy, gz in SI."""
-    kind = message.get_type()
-    seconds = message.time_boot_ms * 1e-3 if kind.startswith("SCALED") else message.time_usec * 1e-6
-    accel, gyro = (1.0, 1.0) if kind == "HIGHRES_IMU" else (_MILLI * G_STANDARD, _MILLI)
-    values = [seconds] + [accel * getattr(message, f"{axis}acc") for axis in "xyz"]
-    values += [gyro * getattr(message, f"{axis}gyro") for axis in "xyz"]
-    return ",".join(map(repr, values)) + "\n"
-
-
 class Replay(LineSource):
-    """The log of a session, as fast as it was recorded or so many times as fast; `speed` infinite: at once. That of a
-    CSV file with commas as it is written there; that of another file as lines of CSV."""
+    """The log of a session at `speed` times the pace of its recording, infinite for at once.
+
+    A CSV file with commas is sent as it is, another file as lines of CSV."""
 
     begins_anew = True
 
@@ -311,7 +246,7 @@ class Replay(LineSource):
         if is_recorded(log):
             recorded = self._open.enter_context(file.open("rb"))
             self._header, lines = recorded.readline(), iter(recorded)
-        else:  # to the last digit; what could not be read is nan
+        else:  # to the last digit, with nan for unreadable numbers
             from tumble.recording.readers import source_of as reader_of
 
             rows = (row for table, _ in reader_of(file, log.dialect).tables(log.columns) for row in table.iter_rows())
@@ -352,7 +287,7 @@ class Replay(LineSource):
 
 
 def _timed(log: LogSpec, names: list[str], lines: Iterator[bytes]) -> Iterator[tuple[float, bytes]]:
-    """Lines with their times, s; those in which there is none are left out."""
+    """Yield lines with their times, s; lines without a time are left out."""
     scale = log.time_factor if log.rate is None else 1.0 / log.rate
     if log.time is None:
         yield from ((number * scale, line) for number, line in enumerate(lines, 1))
@@ -366,13 +301,13 @@ def _timed(log: LogSpec, names: list[str], lines: Iterator[bytes]) -> Iterator[t
 
 
 def is_recorded(log: LogSpec) -> bool:
-    """Whether a log is written as the bench writes it: CSV files with commas, with their names in the first line."""
+    """Return whether a log is written as the bench writes it: CSV files with commas and names in the first line."""
     plain = all(isinstance(file, Path) and file.suffix == ".csv" for file in log.files)
     return plain and log.dialect is None and not log.clock
 
 
 def source_of(text: str) -> LineSource:
-    """The source that is meant by what stands after --listen. Raises InputError, one line, for anything else."""
+    """Return the source that is named after --listen. Raises InputError for any other text."""
     kind, _, rest = text.partition(":")
     before, _, last = rest.rpartition(":")
     number = whole_number(last)
@@ -396,9 +331,7 @@ def source_of(text: str) -> LineSource:
             if not before or number is None:
                 raise InputError(f"--listen {text}: expected serial:DEVICE:BAUD, e.g. serial:/dev/ttyUSB0:115200")
             return Serial(before, number)
-        case "mavlink" if rest:
-            return Mavlink(rest)
     raise InputError(
-        "--listen: expected file:PATH, replay:FOLDER@20x, stdin, udp:PORT, tcp:PORT, serial:DEVICE:BAUD "
-        f"or mavlink:udp:PORT, found {text!r}"
+        "--listen: expected file:PATH, replay:FOLDER@20x, stdin, udp:PORT, tcp:PORT or serial:DEVICE:BAUD, "
+        f"found {text!r}"
     )

@@ -1,19 +1,19 @@
-"""Lost samples of a log.
+"""Gaps: runs of lost samples in a file.
 
-A sample is lost if its row is missing, cannot be read, or has a number that is not finite or beyond 1e30. What becomes
-of a run of lost samples depends on its length:
+A sample is lost if its row is missing or cannot be read, or if one of its numbers is not finite or beyond 1e30. What
+happens to a run depends on its length:
 
-* At most five are bridged: missing rows are inserted at evenly spaced times, and what is not finite is interpolated
-  linearly in time between its sound neighbours.
-* More are left out, and the samples continue behind them. A rest does not mind. A turn that was not recorded as a whole
+* At most five samples are bridged: missing rows are inserted at evenly spaced times, and numbers that are not finite
+  are interpolated linearly in time between their neighbours.
+* Longer runs are left out, and the samples continue behind them. A rest is not harmed. A turn with a missing part
   cannot be integrated: its `Gap` is not `integrable`, and `observations` leaves the turn out.
-* Those before the first sound row and behind the last one are left out.
+* Runs before the first sound row and after the last one are left out.
 
-A row without a time of its own is left out (`timed`), and is a missing one unless the next row follows in time. In a
-log without times each row is a sample whatever it holds; if it may have been none, the gap is not integrable. All of
-this is reported as `Gap`.
+A row without a time of its own is left out (`timed`), and is a missing sample unless the next row follows in time. In a
+log without times each row counts as a sample; if it may have been none, the gap is not integrable. All of this is
+reported as `Gap`.
 
-The result does not depend on how the stream is cut: rows that cannot be judged before the next table are pending.
+The result does not depend on how the stream is divided into tables: rows that depend on the next table are pending.
 """
 
 from __future__ import annotations
@@ -30,22 +30,18 @@ from tumble.recording.log_source import LogSource, Unread, unread_error
 from tumble.recording.session import LogSpec
 from tumble.units import Array, BoolArray, IntArray
 
-JUMP = 1.5
-"""A step in time longer than this many intervals is a gap."""
-
+GAP_STEP = 1.5  # intervals; a longer step in time is a gap
 _BRIDGED_SAMPLES = 5
-SHARE = 2e-2
-FREE = 3
-MOST = 100_000
-"""Up to 100,000 gaps of at most _BRIDGED_SAMPLES samples are bridged: what each adds to the angle of a turn is in its
-scatter. Rows without a time of their own may be SHARE of the rows of a file and FREE."""
+MOST_GAPS = 100_000  # in a file; the error of bridging is in the scatter of turns
+LEFT_OUT_SHARE, LEFT_OUT_FREE = 2e-2, 3
+"""Rows without a time of their own that are tolerated in a file: this share of its rows, and this number."""
 REGULAR_HINT = (
     "if the rows are equally spaced whatever their time stamps say, put regular = true in [log], or with arrays give "
     "rate= instead of time="
 )
-_SHORTEST_TIME = 2.0
+_SHORTEST_LOG = 2.0  # s
 _LARGEST = 1e30
-"""Larger than any reading of a sensor or a clock, in any unit; its tenth power still is a number."""
+"""Larger than any reading of a sensor or a clock in any unit; its tenth power is finite."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -55,17 +51,17 @@ class Gap:
     Attributes
     ----------
     file, row
-        Number of the file, from 0, and of the first data row, from 1, that is lost or follows missing ones.
+        Number of the file, from 0, and of the first lost data row, from 1, or of the row after missing ones.
     time, stop
         Times of the first lost and the next sound sample, s.
     samples
-        Number of lost samples; 0 where a line was left out and nothing is missing.
+        Number of lost samples; 0 if a line was left out and nothing is missing.
     what
-        What was found, in words.
+        Text or fault found.
     integrable
-        Whether a turn across the gap is known.
+        Whether a turn across the gap can be integrated.
     why
-        Why it is not, in words about the turn; empty if other words tell it.
+        Reason if it cannot, in words about the turn; empty if other words state it.
     """
 
     file: int
@@ -79,12 +75,12 @@ class Gap:
 
 
 def is_reading(numbers: Array) -> BoolArray:
-    """Which numbers may be readings of a sensor or a clock: finite and not beyond `_LARGEST`."""
+    """Return which numbers can be readings of a sensor or a clock: finite and not beyond `_LARGEST`."""
     return np.asarray(np.abs(numbers) <= _LARGEST)
 
 
 def check_time(source: LogSource, spec: LogSpec, numbers: IntArray, time: Array) -> Array:
-    """Steps (m − 1,) of the times (m,) of data rows, s. Raises LogError unless times are finite and increase."""
+    """Return the steps (m − 1,) of times (m,), s, of data rows. Raises LogError unless they are finite and increase."""
     if not is_reading(time).all():
         at = int(np.argmin(is_reading(time)))
         raise LogError(
@@ -103,7 +99,7 @@ def check_time(source: LogSource, spec: LogSpec, numbers: IntArray, time: Array)
 
 
 def runs_backwards(source: LogSource, spec: LogSpec, row: int, before: float, time: float) -> LogError:
-    """Error for a file whose time, s, falls back in a row and stays behind."""
+    """Return the error for a file whose time, s, falls back in a row and stays behind."""
     return LogError(
         f"{source.place(row, spec.time)}: expected a time after {before:.9g} s, found {time:.9g} s running backwards; "
         "list recordings whose time restarts as separate files"
@@ -121,7 +117,7 @@ class LogRows:
     values
         Numbers of accelerometers (m, na), gyros (m, ng), magnetometer (m, 3) and thermometers (m, T), as in the file.
     unread
-        What could not be read, by the number of the row.
+        Unreadable parts by row number.
     """
 
     numbers: IntArray
@@ -130,23 +126,23 @@ class LogRows:
     unread: Mapping[int, Unread] = field(default_factory=dict)
 
     def part(self, rows: slice | BoolArray) -> LogRows:
-        """Some of the rows."""
+        """Return a part of the rows."""
         values = tuple(v[rows] for v in self.values)
         return LogRows(numbers=self.numbers[rows], time=self.time[rows], values=values, unread=self.unread)
 
     def times_followed_by(self, other: LogRows) -> tuple[IntArray, Array]:
-        """Numbers and times of these rows and others behind them."""
+        """Return numbers and times of these rows and of others behind them."""
         return np.concatenate([self.numbers, other.numbers]), np.concatenate([self.time, other.time])
 
     def followed_by(self, other: LogRows) -> LogRows:
-        """These rows and others behind them."""
+        """Return these rows and others behind them."""
         numbers, time = self.times_followed_by(other)
         values = tuple(np.concatenate(pair) for pair in zip(self.values, other.values, strict=True))
         unread = {**{n: u for n, u in self.unread.items() if n in self.numbers}, **other.unread}
         return LogRows(numbers=numbers, time=time, values=values, unread=unread)
 
     def lost(self) -> BoolArray:
-        """Which rows have a number that is no reading."""
+        """Return which rows have a number that is no reading."""
         if all(v.min() >= -_LARGEST and v.max() <= _LARGEST for v in self.values if v.size):
             return np.zeros(len(self.time), dtype=bool)
         return np.asarray(~is_reading(np.hstack(self.values)).all(axis=1))
@@ -154,8 +150,10 @@ class LogRows:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Grid:
-    """Times of equally spaced rows: the first and the interval, s. Rows are counted, or, if their stamps are `rounded`
-    times of the grid, have the time nearest to their stamp. `jitter` is the scatter of stamps of bursts, s."""
+    """Times of equally spaced rows: the first and the interval, s.
+
+    Rows are counted; if their stamps are `rounded` times of the grid, they have the time nearest to their stamp.
+    `jitter` is the scatter of the stamps of bursts, s."""
 
     start: float
     interval: float
@@ -163,12 +161,12 @@ class Grid:
     jitter: float = 0.0
 
     def nearest(self, time: Array) -> Array:
-        """Times of the grid nearest to these times, s."""
+        """Return the times of the grid nearest to these times, s."""
         return np.asarray(self.start + self.interval * np.rint((time - self.start) / self.interval))
 
 
 def side_by_side(table: pl.DataFrame, columns: Sequence[str]) -> Array:
-    """Columns of a table as an array (m, n), column after column in memory."""
+    """Return columns of a table as an array (m, n) in column-major order."""
     out = np.empty((len(columns), table.height))
     for j, column in enumerate(columns):
         out[j] = table[column].to_numpy()
@@ -177,10 +175,11 @@ def side_by_side(table: pl.DataFrame, columns: Sequence[str]) -> Array:
 
 @dataclass(kw_only=True, slots=True)
 class Bridge:
-    """Bridges the gaps of one file, from a stream of rows to a stream of samples, and adds them to `gaps`.
+    """Conversion of the rows of one file to samples, with gaps bridged or left out and added to `gaps`.
 
-    `last` is the last row that was passed on, always a sound one; `pending` are lost rows behind it whose end is not
-    known yet, the first of them if they are too many to be bridged; of `count` gaps there is the `first`."""
+    `last` is the last row that was passed on, always a sound one. `pending` are lost rows behind it whose end is not
+    known yet; of too many to be bridged only the first ones are kept. `count` is the number of gaps, `first` the
+    first."""
 
     source: LogSource
     file: int
@@ -193,10 +192,10 @@ class Bridge:
     first: Gap | None = None
 
     def samples(self, stream: Iterator[LogRows]) -> Iterator[tuple[Array, Array, tuple[Array, ...]]]:
-        """Times and intervals, s, and numbers of all samples, those of lost ones interpolated."""
+        """Yield times and intervals, s, and numbers of all samples, interpolated if lost."""
         behind, start = 0, 0.0
         for new in stream:
-            if not len(new.time):  # nothing has come of a log that grows
+            if not len(new.time):  # no rows of a growing log have arrived
                 yield new.time, new.time, new.values
                 continue
             rows = new if self.pending is None else self.pending.followed_by(new)
@@ -211,17 +210,17 @@ class Bridge:
             behind = len(lost) - sound if sound else behind + len(new.time)
             if sound:
                 yield self._repaired(rows.part(slice(0, sound)), lost[:sound])
-        # what can be said of a file only when it has ended
+        # checks at the end of the file
         if self.last is None:
             raise LogError(f"{self.source.path}: expected a log, found no rows; the file is empty")
         length = float(self.last.time[0]) - start + self.interval
-        if length < _SHORTEST_TIME * (1.0 - 1e-9):
-            raise LogError(f"{self.source.path}: expected at least {_SHORTEST_TIME:g} s, found {length:.6g} s")
+        if length < _SHORTEST_LOG * (1.0 - 1e-9):
+            raise LogError(f"{self.source.path}: expected at least {_SHORTEST_LOG:g} s, found {length:.6g} s")
         if self.pending is not None:
             self._leave_out(self.pending, behind, math.nan)
 
     def _from_first_sound(self, rows: LogRows, lost: BoolArray) -> tuple[LogRows, BoolArray]:
-        """Rows from the first sound one on. Raises LogError if the first row cannot be read, as of another file."""
+        """Return the rows from the first sound one on. Raises LogError if the first row of the file is unreadable."""
         first = len(lost) if lost.all() else int(np.argmin(lost))
         if int(rows.numbers[0]) in rows.unread:
             raise unread_error(self.source, rows.unread[int(rows.numbers[0])])
@@ -231,7 +230,7 @@ class Bridge:
         return rows.part(slice(first, None)), lost[first:]
 
     def _leave_out(self, lost: LogRows, samples: int, stop: float) -> None:
-        """Report lost samples before or behind all others, of which these are the first."""
+        """Report lost samples at the start or the end of the file, of which these are the first."""
         unread = [u.what for u in lost.unread.values()][:1]
         what = unread or [f"{value} in '{column}'" for column, value in self._not_finite(lost)[:1]]
         row, time = int(lost.numbers[0]), float(lost.time[0])
@@ -239,17 +238,18 @@ class Bridge:
         self.gaps.append(gap)
 
     def _repaired(self, rows: LogRows, lost: BoolArray) -> tuple[Array, Array, tuple[Array, ...]]:
-        """Times, intervals and numbers of rows of which the last is sound, as is the row before them, if there is one,
-        which was passed on already: short gaps are filled, long ones left out, and every number is finite."""
+        """Return times, intervals and numbers of the samples of rows, with short gaps filled and long ones left out.
+
+        The last row is sound, as is the last row that was passed on, if there is one. All numbers are finite."""
         before, self.last = self.last, rows.part(slice(-1, None))
         new = 0 if before is None else 1
         number, time = (rows.numbers, rows.time) if before is None else before.times_followed_by(rows)
         steps = check_time(self.source, self.spec, number, time)
         values, after_long = rows.values, np.empty(0, dtype=np.int64)
-        if lost.any() or steps.max(initial=0.0) > JUMP * self.interval:
+        if lost.any() or steps.max(initial=0.0) > GAP_STEP * self.interval:
             rows = rows if before is None else before.followed_by(rows)
-            # how many are missing before rows 1, 2, …, by their steps in time; of too many, one more than are bridged
-            missing = np.where(steps > JUMP * self.interval, np.floor(steps / self.interval + 0.5) - 1.0, 0.0)
+            # missing samples before rows 1, 2, …, by their steps in time, at most one more than are bridged
+            missing = np.where(steps > GAP_STEP * self.interval, np.floor(steps / self.interval + 0.5) - 1.0, 0.0)
             missing = np.minimum(missing, _BRIDGED_SAMPLES + 1).astype(np.int64)
             place = np.arange(len(rows.time)) + np.concatenate([[0], np.cumsum(missing)])
             time = np.interp(np.arange(place[-1] + 1), place, rows.time)
@@ -259,7 +259,7 @@ class Bridge:
                 self._report(rows, place, time, start, stop)
                 kept[start:stop] = stop - start <= _BRIDGED_SAMPLES
             after_long = np.flatnonzero(np.diff(np.flatnonzero(kept)) > 1) + 1
-            repaired = []  # columns of all samples, linear in time between what is finite
+            repaired = []  # columns of all samples, linear in time between finite numbers
             for numbers in rows.values:
                 out = np.full((len(time), numbers.shape[1]), np.nan)
                 out[place] = numbers
@@ -277,7 +277,7 @@ class Bridge:
     def _report(self, rows: LogRows, place: IntArray, time: Array, start: int, stop: int) -> None:
         """Add the lost samples start … stop − 1 to the gaps; row i of `rows` is sample place[i].
 
-        In words are the first row that could not be read and the first number of each column that is not finite."""
+        The gap names the first unreadable row and the first number of each column that is not finite."""
         first, end = np.searchsorted(place, [start, stop]).tolist()
         lost = rows.part(slice(first, end))
         unread = [lost.unread[int(n)] for n in lost.numbers if int(n) in lost.unread]
@@ -294,19 +294,19 @@ class Bridge:
             samples=samples,
             what=" and ".join(what) or "missing samples",
             stop=float(time[stop]),
-            integrable=not long and not (self.spec.unstamped and None in columns),  # without times, it may be no sample
+            integrable=not long and not (self.spec.unstamped and None in columns),  # without times it may be no sample
         )
         self.count += 1
         self.first = self.first or gap
         self.gaps.append(gap)
-        if self.count > MOST:
+        if self.count > MOST_GAPS:
             raise LogError(
-                f"{self.source.place(self.first.row)}: expected at most {MOST} gaps in a file, found more, the first "
-                f"here ({self.first.what}); record again"
+                f"{self.source.place(self.first.row)}: expected at most {MOST_GAPS} gaps in a file, found more, the "
+                f"first here ({self.first.what}); record again"
             )
 
     def _not_finite(self, rows: LogRows) -> list[tuple[str, float]]:
-        """Columns with numbers that are not finite, with the first such number of each."""
+        """Return columns with numbers that are not finite, with the first such number of each."""
         numbers = np.hstack(rows.values)
         bad = ~is_reading(numbers)
         columns = [column for column in self.spec.columns if column != self.spec.time]

@@ -1,18 +1,19 @@
 """Rows of a file that have a time of their own, in the order of time.
 
-A row is left out if its time cannot be read or is that of the row before; if it leaps, alone or with the rows behind
-it, beyond a row that follows the one before them; or if it falls back to or before the time of a row that was kept. If
-as many intervals pass as rows are left out, their stamps were wrong, and the missing samples are bridged. Otherwise
-the clock was set back, or rows are in the file twice: the time that passed is unknown, and so is a turn in it.
+A row is left out if its time cannot be read or repeats that of the row before; if it leaps, alone or with the rows
+behind it, beyond the time of a later row; or if it falls back to or before the time of a row that was kept. If as many
+intervals pass as rows are left out, their stamps were wrong, and the missing samples are bridged. Otherwise the clock
+was set back, or rows are in the file twice: the time that passed is unknown, and a turn in it cannot be integrated.
 
-Stamps may be too coarse or too late to be the times of rows at all: rows that are stated to be regular are counted, and
-lie on the straight line through all stamps. Or stamps are rounded, to thousandths of a second or to 32 bits, and right
-otherwise: then they tell which time of the line each row has, lost rows included. For increments that matters: their
-sum over 35 s, divided by a duration that is 0.5 ms off, is wrong by 14 ppm of gravity, unlike a mean of rates.
+Stamps can be unusable as the times of rows:
 
-A driver that reads a buffer of samples at once knows when it has read it, and spreads the samples evenly over the time
-since it did so before. Their intervals are equal within a burst and differ from burst to burst by as much as the
-reading is late; the sensor's own clock does not. If the stamps of a file stay about a straight line, rows lie on it.
+* Rows that are stated to be regular are counted, and lie on the straight line through all stamps.
+* Stamps rounded to decimals or to 32 bits identify the time of each row on the line, lost rows included. For increments
+  this matters: a sum over 35 s, divided by a duration that is 0.5 ms off, is wrong by 14 ppm of gravity, unlike a mean
+  of rates.
+* A driver that reads a buffer of samples at once spreads them evenly over the time since it read the last buffer. The
+  intervals are equal within a burst and differ between bursts by the delays of the driver, unlike those of the sensor's
+  clock. If the stamps of a file stay about a straight line, rows lie on it.
 """
 
 from __future__ import annotations
@@ -26,11 +27,11 @@ import numpy as np
 from tumble.errors import LogError
 from tumble.recording.log_source import BLANK_LINE, Kind, LogSource, unread_error
 from tumble.recording.rows.gaps import (
-    FREE,
-    JUMP,
-    MOST,
+    GAP_STEP,
+    LEFT_OUT_FREE,
+    LEFT_OUT_SHARE,
+    MOST_GAPS,
     REGULAR_HINT,
-    SHARE,
     Gap,
     Grid,
     LogRows,
@@ -43,71 +44,76 @@ from tumble.recording.session import LogSpec
 from tumble.units import Array, BoolArray
 
 _HALF_DAY = 43200.0  # s: a clock that falls by more has passed midnight
-_PASSED = 0.5
-"""Of an interval: so far from the time of the rows between, the time that has passed is another one."""
-_TOGETHER = 20
-"""Rows that leap together at most: of more, those that fall back behind them are the wrong ones."""
-_FINEST = 9
-"""Decimals that stamps may be rounded to, in their unit."""
-_COARSEST = 0.25
-"""Of the interval: stamps that are rounded by more do not say which row is which."""
-_OFF = 0.6
-"""Of the step they are rounded to: stamps further from the straight line are not rounded times of it."""
-_ROUNDING = 4.0 * np.finfo(float).eps
-_UNEVEN = 3e-3
-"""Of an interval: intervals of bursts that differ by less do no harm."""
-_WITHIN = 0.05
-"""Of the scatter of intervals: what neighbours in a burst differ by, at the median."""
-_DIGITS, _OF_ROUNDING = 6, 4
-"""Different intervals, in parts of one to so many decimals, that even rows have whose stamps are rounded."""
-_ABOUT_LINE = 40
-"""Bursts, over which the mean distance of stamps from a straight line is taken."""
-_STAYS, _LATE = 0.3, 0.5
-"""Of an interval, and of the scatter about that mean: how far it may be from the line, less than a lost sample."""
-_FAST = 2.0
-"""Times that mean: the scatter about it, where intervals jitter and the clock does not wander."""
+_PASSED_TOLERANCE = 0.5  # intervals, of the time that passed while rows were left out
+_LONGEST_LEAP = 20  # rows that leap together; of more, the rows that fall back behind them are wrong
+_MOST_DECIMALS = 9  # of rounded stamps, in their unit
+_COARSEST = 0.25  # of the interval; stamps rounded more coarsely do not tell rows apart
+_ROUNDING_TOLERANCE = 0.6  # of the rounding step, of stamps about the straight line
+_ROUNDING_ERROR = 4.0 * np.finfo(float).eps
+_UNEVEN = 3e-3  # of the interval; less scatter of the intervals of bursts does no harm
+_WITHIN_BURST = 0.05  # of the scatter of intervals: median difference of neighbouring intervals in a burst
+_INTERVAL_DECIMALS, _FEW_INTERVALS = 6, 4  # even rows with rounded stamps have few different intervals
+_BURSTS_PER_WINDOW = 40  # over which the mean distance of stamps from a straight line is taken
+_LINE_INTERVALS, _LINE_SCATTERS = 0.3, 0.5  # tolerance of that mean: intervals, less than a lost sample, and scatters
+_JITTER_RATIO = 2.0  # least ratio of the scatter to these means, where intervals jitter and the clock does not wander
 
 
 def check_head(source: LogSource, spec: LogSpec, time: Array) -> Array:
-    """First times (m,) of a file, s, without those that cannot be read, repeat, leap or fall back.
+    """Return the first times (m,) of a file, s, without unreadable, repeated, leaping and falling ones.
 
     Raises LogError unless these are few."""
-    read = np.flatnonzero(is_reading(time))
-    number = read[~leaping(time[read], -math.inf, 0.0)]
-    late = _no_later(time[number], -math.inf)
-    kept = number[~late]
-    again = np.count_nonzero(late[1:] & (np.diff(time[number]) == 0.0))
-    few = len(read) - len(kept) - again <= FREE + SHARE * len(time) and 2 * again < len(read)
+    finite = np.flatnonzero(is_reading(time))
+    in_order = finite[~leaping(time[finite], -math.inf, 0.0)]
+    late = _is_late(time[in_order], -math.inf)
+    kept = in_order[~late]
+    repeated = np.count_nonzero(late[1:] & (np.diff(time[in_order]) == 0.0))
+    dropped = len(finite) - len(kept) - repeated
+    few = dropped <= LEFT_OUT_FREE + LEFT_OUT_SHARE * len(time) and 2 * repeated < len(finite)
     if not few or len(kept) < 2:
         check_time(source, spec, np.arange(1, len(time) + 1), time)
     return np.asarray(time[kept])
 
 
 def leaping(time: Array, before: float, step: float) -> BoolArray:
-    """Which times (m,) leap, by more than a `step`, beyond one that follows the time `before` them."""
+    """Return which times (m,) leap by more than a `step` beyond a later time.
+
+    `before` is the time of the row before them, −inf at the start of a file."""
     leaps = np.zeros(len(time), dtype=bool)
     for stop in (np.flatnonzero(time[1:] < time[:-1]) + 1).tolist():
-        beyond = time[max(0, stop - _TOGETHER - 1) : stop] > time[stop]
+        beyond = time[max(0, stop - _LONGEST_LEAP - 1) : stop] > time[stop]
         start = stop - (len(beyond) if beyond.all() else int(np.argmin(beyond[::-1])))
         former = time[start - 1] if start else before
-        most = _TOGETHER if former > -math.inf else 1  # of the first rows of a file none says which are wrong
-        if stop - start <= most and former < time[stop] and time[start] - former > step:
+        longest = _LONGEST_LEAP if former > -math.inf else 1  # at the start of a file either side may be wrong
+        if stop - start <= longest and former < time[stop] and time[start] - former > step:
             leaps[start:stop] = True
     return leaps
 
 
-def _no_later(time: Array, before: float) -> BoolArray:
-    """Which times (m,) are no later than the time `before` or another one before them."""
-    read = np.where(is_reading(time), time, -math.inf)
-    latest = np.maximum.accumulate(np.concatenate([[before], read]))[: len(time)]
+def _is_late(time: Array, before: float) -> BoolArray:
+    """Return which times (m,) are no later than an earlier one, or than the time `before` them."""
+    finite = np.where(is_reading(time), time, -math.inf)
+    latest = np.maximum.accumulate(np.concatenate([[before], finite]))[: len(time)]
     return np.asarray((time <= latest) & is_reading(time))
 
 
 def rows_of(
     source: LogSource, spec: LogSpec, file: int, grid: Grid, gaps: list[Gap], *, on_grid: bool
 ) -> Iterator[LogRows]:
-    """Rows of a file, of this number from 0, that have a time, table by table; what is left out is added to `gaps`. If
-    they are `on_grid`, row k has time k of the grid, or the one nearest to its stamp, in place of the stamp."""
+    """Yield the rows of a file that have a time, table by table, and add what is left out to `gaps`.
+
+    Parameters
+    ----------
+    source, spec
+        Reader of the file, and description of the log.
+    file
+        Number of the file, from 0.
+    grid
+        Equally spaced times.
+    gaps
+        List that is extended.
+    on_grid
+        Whether row k has time k of the grid, or the one nearest to its stamp, in place of the stamp.
+    """
     groups = [part.columns for part in (spec.accel, spec.gyro, spec.magnetometer, spec.temperature) if part is not None]
     timed = _TimedRows(source=source, spec=spec, file=file, grid=grid, on_grid=on_grid, gaps=gaps)
     first = 1
@@ -115,7 +121,7 @@ def rows_of(
         numbers = np.arange(first, first + table.height)
         time = table[spec.time].to_numpy() * spec.time_factor if spec.time is not None else np.empty(table.height)
         values = tuple(side_by_side(table, group) for group in groups)
-        yield timed.of(LogRows(numbers=numbers, time=time, values=values, unread={u.row: u for u in unread}))
+        yield timed.feed(LogRows(numbers=numbers, time=time, values=values, unread={u.row: u for u in unread}))
         first += table.height
     if timed.pending is not None:
         yield timed.in_order(timed.pending, last=True)
@@ -124,13 +130,12 @@ def rows_of(
 
 @dataclass(kw_only=True, slots=True)
 class _TimedRows:
-    """Leaves out rows of a file that have no time of their own.
+    """State of a stream of rows from which rows without a time of their own are left out.
 
-    `count` rows were passed on, the last of them at the time `last`, s; `midnights` is what these have added to a time
-    of day, s. Of the `pending` rows the next table tells whether they leap or fall back. `falls` has for each run of
-    rows that fall back their number, the first of them, the time before it and its own, s; `blank` the gaps for blank
-    lines between counted rows. `left_out` rows were left out, `repeated` of them repeat a stamp; `first` is the first
-    gap."""
+    `count` rows were passed on, the last of them at the time `last`, s; `midnights` is added to times of day, s. The
+    next table decides whether the `pending` rows leap or fall back. `falls` has the number of rows, the first row,
+    the time before it and its own time, s, of each run of rows that fall back; `blank` has gaps for blank lines between
+    counted rows. `left_out` rows were left out, of which `repeated` repeat a stamp; `first` is the first gap."""
 
     source: LogSource
     spec: LogSpec
@@ -148,21 +153,21 @@ class _TimedRows:
     repeated: int = 0
     first: Gap | None = None
 
-    def of(self, rows: LogRows) -> LogRows:
-        """Rows of the next table, and those that were pending, that have a time of their own."""
-        counted = self.on_grid and not self.grid.rounded  # whatever their stamps are
+    def feed(self, rows: LogRows) -> LogRows:
+        """Add the rows of the next table, and return those, with pending ones, that have a time of their own."""
+        counted = self.on_grid and not self.grid.rounded  # without regard to stamps
         untimed = (None, self.spec.time) if not counted else ()
-        lines = [u for u in rows.unread.values() if u.kind in (Kind.NO_ROW, Kind.CUT) or u.column in untimed]
-        if lines:
+        faults = [u for u in rows.unread.values() if u.kind in (Kind.NO_ROW, Kind.CUT) or u.column in untimed]
+        if faults:
             is_row = np.ones(len(rows.numbers), dtype=bool)
-            is_row[np.array([u.row for u in lines]) - rows.numbers[0]] = False
+            is_row[np.array([u.row for u in faults]) - rows.numbers[0]] = False
             rows = rows.part(is_row)
         if counted:
             number = np.arange(self.count, self.count + len(rows.time), dtype=float)
             rows = replace(rows, time=np.asarray(self.grid.start + self.grid.interval * number, dtype=float))
         else:
             rows = self._by_stamps(rows)
-        for u in lines:
+        for u in faults:
             if u.row == 1 and u.kind in (Kind.ROW, Kind.VALUE):
                 raise unread_error(self.source, u)
             at = int(np.searchsorted(rows.numbers, u.row)) - 1
@@ -176,9 +181,9 @@ class _TimedRows:
         self.last = float(rows.time[-1]) if len(rows.time) else self.last
         return rows
 
-    @np.errstate(invalid="ignore")  # of a first time that is -inf, as the one before it
+    @np.errstate(invalid="ignore")  # the time before the first is -inf
     def _by_stamps(self, rows: LogRows) -> LogRows:
-        """Rows in the order of their stamps, which go on past midnight, without those that leap, fall or repeat."""
+        """Return rows in the order of their stamps, past midnight too, without leaping, falling or repeated stamps."""
         if self.spec.clock and len(rows.time):
             time = rows.time + self.midnights
             passed = np.cumsum(np.diff(time, prepend=self.last if np.isfinite(self.last) else time[0]) < -_HALF_DAY)
@@ -187,28 +192,29 @@ class _TimedRows:
         if self.on_grid:
             rows = replace(rows, time=self.grid.nearest(rows.time))
         steps = np.diff(rows.time, prepend=self.last)
-        rising = self.pending is None and len(steps) > _TOGETHER and steps.min() > 0.0
-        if rising and steps[-_TOGETHER:].max() <= JUMP * self.grid.interval:
+        rising = self.pending is None and len(steps) > _LONGEST_LEAP and steps.min() > 0.0
+        if rising and steps[-_LONGEST_LEAP:].max() <= GAP_STEP * self.grid.interval:
             return rows
         return self.in_order(rows if self.pending is None else self.pending.followed_by(rows), last=False)
 
     @np.errstate(invalid="ignore")
     def in_order(self, rows: LogRows, *, last: bool) -> LogRows:
-        """Rows without those that leap and those that are no later than one before them. Unless the rows are the `last`
-        of the file, those at the end that may leap are pending, and so are those that are no later."""
-        step, unsure = JUMP * self.grid.interval, None
+        """Return rows without those that leap and those that are no later than an earlier one.
+
+        Unless the rows are the `last` of the file, rows at the end that may leap or fall back become pending."""
+        step, unsure = GAP_STEP * self.grid.interval, None
         leaps = leaping(rows.time, self.last, step)
         for at in np.flatnonzero(leaps).tolist():
             before = rows.time[:at][~leaps[:at]][-1:].tolist() or [self.last]
             self._leave_out(int(rows.numbers[at]), "a time stamp beyond that of a row behind it", before[0])
         rows = rows.part(~leaps) if leaps.any() else rows
-        far = np.diff(rows.time, prepend=self.last)[-_TOGETHER:] > step
+        far = np.diff(rows.time, prepend=self.last)[-_LONGEST_LEAP:] > step
         if far.any() and not last:
             first = len(rows.time) - len(far) + int(np.argmax(far))
             unsure, rows = rows.part(slice(first, None)), rows.part(slice(0, first))
-        late = _no_later(rows.time, self.last)
-        end = len(late) - int(np.argmin(late[::-1])) if not late.all() else 0  # behind the last row that is later
-        if last or len(late) - end > MOST - self.left_out:
+        late = _is_late(rows.time, self.last)
+        end = len(late) - int(np.argmin(late[::-1])) if not late.all() else 0  # behind the last row that is not late
+        if last or len(late) - end > MOST_GAPS - self.left_out:
             end = len(late)
         behind, self.pending = rows.part(slice(end, None)), unsure
         if end < len(late):
@@ -222,12 +228,11 @@ class _TimedRows:
         return rows.part(~late) if len(at_late) else rows
 
     def _leave_out_late(self, rows: list[int], time: Array, before: float, after: float) -> None:
-        """Report rows whose times (m,) are no later than the time `before` them; `after` is that of the next row, nan
-        without one. s."""
+        """Report rows whose times (m,), s, are no later than the time `before`; `after` is the next time or nan."""
         falls, passed = float(time.min()) < before, (after - before) / self.grid.interval
         if falls:
             self.falls.append((len(rows), rows[0], before, float(time[0])))
-        if not falls or abs(passed - len(rows) - 1.0) < _PASSED:
+        if not falls or abs(passed - len(rows) - 1.0) < _PASSED_TOLERANCE:
             what = "a time stamp before that of the row before" if falls else "the time stamp of the row before"
             self.repeated += 0 if falls else len(rows)
             for row in rows:
@@ -238,7 +243,7 @@ class _TimedRows:
         self._report(replace(gap, stop=after, integrable=False, why="the clock falls back in it"))
 
     def _gap(self, row: int, before: float, what: str) -> Gap:
-        """Gap at a row without missing samples; `before` is the time of the row before, s."""
+        """Return a gap at a row without missing samples; `before` is the time of the row before, s."""
         return Gap(file=self.file, row=row, time=max(before, 0.0), samples=0, what=what)
 
     def _leave_out(self, row: int, what: str, before: float) -> None:
@@ -249,30 +254,31 @@ class _TimedRows:
     def _report(self, gap: Gap) -> None:
         """Add a gap. Raises LogError if too many rows were left out."""
         self.first = self.first or gap
-        if self.left_out > MOST:
+        if self.left_out > MOST_GAPS:
             raise self._too_many(self.count)
         self.gaps.append(gap)
 
     def finish(self, rows: int) -> None:
-        """Judge the file as a whole, which has so many rows.
+        """Check the whole file, which has so many rows. Raises LogError if too many of them were left out.
 
-        Without stamps a blank line may have been a sample; many of them, or some at even distances, are layout. Raises
-        LogError if too many rows were left out."""
+        Without stamps a blank line may have been a sample; many of them, or some at even distances, are layout."""
         distances = np.diff([gap.row for gap in self.blank])
-        if len(self.blank) <= FREE + SHARE * rows and (len(distances) < 2 or np.ptp(distances) > 0):
+        tolerated = LEFT_OUT_FREE + LEFT_OUT_SHARE * rows
+        if len(self.blank) <= tolerated and (len(distances) < 2 or np.ptp(distances) > 0):
             self.gaps += self.blank
-        if self.left_out - self.repeated > FREE + SHARE * rows or 2 * self.repeated >= rows:
+        if self.left_out - self.repeated > tolerated or 2 * self.repeated >= rows:
             raise self._too_many(rows)
 
     def _too_many(self, rows: int) -> LogError:
-        """Error for a file of which too many of so many rows were left out."""
+        """Return the error for a file of which too many of so many rows were left out."""
         assert self.first is not None
         if 2 * sum(count for count, *_ in self.falls) > self.left_out:
             return runs_backwards(self.source, self.spec, *self.falls[0][1:])
         advice = f"; {REGULAR_HINT}" if "stamp" in self.first.what else "; look at the file, or record again"
         return LogError(
-            f"{self.source.place(self.first.row)}: expected at most {SHARE:.0%} of the rows and {FREE} to be left "
-            f"out, found {self.left_out} of {rows}, the first here ({self.first.what}){advice}"
+            f"{self.source.place(self.first.row)}: expected at most {LEFT_OUT_SHARE:.0%} of the rows and "
+            f"{LEFT_OUT_FREE} to be left out, found {self.left_out} of {rows}, the first here "
+            f"({self.first.what}){advice}"
         )
 
 
@@ -280,7 +286,7 @@ class _TimedRows:
 
 
 def regular_grid(source: LogSource, spec: LogSpec) -> Grid:
-    """Grid of equally spaced rows: the straight line through all time stamps, whatever their resolution and delays."""
+    """Return the grid of equally spaced rows: the straight line through all time stamps."""
     stamps = _stamps(source, spec)
     grid = _line_through(np.arange(len(stamps), dtype=float), stamps)
     if not grid.interval > 0.0:
@@ -291,23 +297,24 @@ def regular_grid(source: LogSource, spec: LogSpec) -> Grid:
 
 
 def rounded_grid(source: LogSource, spec: LogSpec, interval: float) -> Grid | None:
-    """Grid whose times, rounded to decimals or to the last bit of 32, are the time stamps of rows about `interval` s
-    apart; None if they are none."""
+    """Return the grid whose rounded times are the time stamps of rows about `interval` s apart; None without.
+
+    Times are rounded to decimals, or to the last bit of 32."""
     stamps = _stamps(source, spec)
-    step = _resolution(stamps / spec.time_factor) * spec.time_factor
+    step = _rounding_step(stamps / spec.time_factor) * spec.time_factor
     if not (is_reading(stamps).all() and 0.0 < step <= _COARSEST * interval):
         return None
     grid = _line_through(np.cumsum(np.rint(np.diff(stamps, prepend=stamps[:1]) / interval)), stamps)
-    fits = grid.interval > 0.0 and np.abs(stamps - grid.nearest(stamps)).max(initial=0.0) <= _OFF * step
-    return replace(grid, rounded=True) if fits else None
+    largest = np.abs(stamps - grid.nearest(stamps)).max(initial=0.0) if grid.interval > 0.0 else math.inf
+    return replace(grid, rounded=True) if largest <= _ROUNDING_TOLERANCE * step else None
 
 
-def _resolution(stamps: Array) -> float:
-    """Step to which numbers are rounded: a decimal, or the last bit of 32; 0 if to none."""
-    for decimals in range(_FINEST + 1):
-        for part in (stamps[:1000], stamps):  # of most logs the first rows decide
+def _rounding_step(stamps: Array) -> float:
+    """Return the step to which numbers are rounded, a decimal or the last bit of 32; 0 without."""
+    for decimals in range(_MOST_DECIMALS + 1):
+        for part in (stamps[:1000], stamps):  # the first rows decide in most logs
             scaled = part * 10.0**decimals
-            if (np.abs(scaled - np.rint(scaled)) > _ROUNDING * np.abs(scaled) + 1e-9).any():
+            if (np.abs(scaled - np.rint(scaled)) > _ROUNDING_ERROR * np.abs(scaled) + 1e-9).any():
                 break
         else:
             return float(10.0**-decimals)
@@ -316,32 +323,33 @@ def _resolution(stamps: Array) -> float:
 
 
 def burst_grid(source: LogSource, spec: LogSpec, head: Array) -> Grid | None:
-    """The grid of rows whose stamps are spread evenly over bursts; None where those of the head (m,), s, are not, or
-    where stamps do not stay about one straight line."""
+    """Return the grid of rows whose stamps are spread evenly over bursts.
+
+    None if the stamps `head` (m,), s, are not, or if the stamps do not stay about one straight line."""
     steps = np.diff(head)
     interval, scatter, changes = float(np.median(steps)), float(np.std(steps)), np.abs(np.diff(steps))
-    different = len(np.unique(np.round(steps / interval, _DIGITS)))
-    if scatter <= _UNEVEN * interval or np.median(changes) > _WITHIN * scatter or different <= _OF_ROUNDING:
+    different = len(np.unique(np.round(steps / interval, _INTERVAL_DECIMALS)))
+    if scatter <= _UNEVEN * interval or np.median(changes) > _WITHIN_BURST * scatter or different <= _FEW_INTERVALS:
         return None
-    bursts = 1 + int(np.count_nonzero(changes > _WITHIN * scatter))
-    window = _ABOUT_LINE * math.ceil(len(head) / bursts)
+    bursts = 1 + int(np.count_nonzero(changes > _WITHIN_BURST * scatter))
+    window = _BURSTS_PER_WINDOW * math.ceil(len(head) / bursts)
     time = _stamps(source, spec)
     number = np.arange(len(time), dtype=float)
     grid = _line_through(number, time)
-    off = time - grid.start - grid.interval * number
-    windows = len(off) // window
+    late = time - grid.start - grid.interval * number
+    windows = len(late) // window
     if windows < 2 or not grid.interval > 0.0 or not is_reading(time).all():
         return None
-    parts = off[: windows * window].reshape(windows, -1)
+    parts = late[: windows * window].reshape(windows, -1)
     means, jitter = parts.mean(axis=1), float(parts.std(axis=1).mean())
-    stays = np.abs(means).max() <= _STAYS * grid.interval + _LATE * jitter
-    return replace(grid, jitter=jitter) if stays and jitter > _FAST * means.std() else None
+    on_line = np.abs(means).max() <= _LINE_INTERVALS * grid.interval + _LINE_SCATTERS * jitter
+    return replace(grid, jitter=jitter) if on_line and jitter > _JITTER_RATIO * means.std() else None
 
 
 def _line_through(numbers: Array, stamps: Array) -> Grid:
-    """Straight line of least squares through time stamps (m,), s, of rows with these numbers (m,)."""
-    sound = is_reading(stamps)
-    k, t = numbers[sound], stamps[sound]
+    """Return the least-squares line through time stamps (m,), s, of rows with these numbers (m,)."""
+    finite = is_reading(stamps)
+    k, t = numbers[finite], stamps[finite]
     k_mean, t_mean = float(k.mean()), float(t.mean())
     k = k - k_mean
     interval = float(k @ (t - t_mean)) / float(k @ k)
@@ -349,13 +357,13 @@ def _line_through(numbers: Array, stamps: Array) -> Grid:
 
 
 def _stamps(source: LogSource, spec: LogSpec) -> Array:
-    """All time stamps (m,), s, of the lines that are rows; times of day go on past midnight."""
+    """Return the time stamps (m,), s, of all rows; times of day continue past midnight."""
     assert spec.time is not None
     first, parts = 1, [np.empty(0)]
     for table, unread in source.tables([spec.time], spec.time if spec.clock else None):
-        rows = np.ones(table.height, dtype=bool)
-        rows[[u.row - first for u in unread if u.kind in (Kind.NO_ROW, Kind.CUT)]] = False
-        parts.append(table[spec.time].to_numpy()[rows] * spec.time_factor)
+        is_row = np.ones(table.height, dtype=bool)
+        is_row[[u.row - first for u in unread if u.kind in (Kind.NO_ROW, Kind.CUT)]] = False
+        parts.append(table[spec.time].to_numpy()[is_row] * spec.time_factor)
         first += table.height
     stamps = np.concatenate(parts)
     if spec.clock:

@@ -1,7 +1,7 @@
-"""What a session is: its device, its site, its log and the sensors in it, its programme, what it leaves out.
+"""A session: its device, site, log with sensors, programme, and exclusions, in SI and radians.
 
 A session is one power-on of one IMU: a folder with session.toml and the log it names, or such a description with arrays
-or frames in place of the log. Both give a `Session` (`session_file`), SI and radians inside.
+or frames in place of the log (`session_file`).
 """
 
 from __future__ import annotations
@@ -30,15 +30,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AutopilotSensor:
-    """An accelerometer or a gyro of an autopilot, three axes: its number among those, from 1, and its device id, None
-    where the recording does not have it."""
+    """A three-axis accelerometer or gyro of an autopilot: its number, from 1, and its device id, None if unknown."""
 
     number: int
     id: int | None
 
 
 def sensors_content(sensors: Mapping[str, AutopilotSensor]) -> dict[str, int]:
-    """The sensors "accel" and "gyro" as [device.imu] and the calibration file have them."""
+    """Return the sensors "accel" and "gyro" as the keys of [device.imu] and of the calibration file."""
     pairs = [
         (f"{kind}_{key}", value) for kind, s in sensors.items() for key, value in (("number", s.number), ("id", s.id))
     ]
@@ -46,35 +45,38 @@ def sensors_content(sensors: Mapping[str, AutopilotSensor]) -> dict[str, int]:
 
 
 def sensors_from(content: Mapping[str, Any]) -> dict[str, AutopilotSensor]:
-    """The sensors of what `sensors_content` gives."""
+    """Return the sensors of such keys, the inverse of `sensors_content`."""
     kinds = [kind for kind in ("accel", "gyro") if content.get(f"{kind}_number") is not None]
     return {kind: AutopilotSensor(number=content[f"{kind}_number"], id=content.get(f"{kind}_id")) for kind in kinds}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Device:
-    """The IMU. `systematic` is the path of the calibration file with its nominal values, if it has one."""
+    """The IMU.
+
+    `systematic` is the path of the calibration file with its nominal values; `grade` the class of instrument as stated;
+    `prior` has standard deviations, SI, of groups of parameters from the data sheet; `imu` has the "accel" and "gyro"
+    of an autopilot."""
 
     serial: str
     model: str | None
     systematic: Path | None
     grade: str | None = None
-    """The class of instrument, where the session says it."""
     prior: Mapping[str, float] = field(default_factory=dict)
-    """Standard deviations, SI, of groups of parameters, where the data sheet gives them."""
     imu: Mapping[str, AutopilotSensor] = field(default_factory=dict)
-    """Which "accel" and "gyro" of an autopilot it is, where it is one."""
 
 
 AssumedGravity = Literal["nothing", "digits", "height", "place"]
-"""What a session leaves open about gravity: nothing, the uncertainty of a stated value beyond its last digit, the
-height of the place, or the place."""
+"""What a session does not state about gravity: nothing, the uncertainty of a value, the height, or the place."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Site:
-    """Where the session was recorded: geodetic latitude, rad; height, m; gravity and its standard
-    uncertainty, m/s²; modulus of the magnetic field in the unit of the magnetometer, None where it is not known."""
+    """Place of the recording: geodetic latitude, rad; height, m; gravity and its standard uncertainty, m/s².
+
+    `field` is the modulus of the magnetic field in the unit of the magnetometer, None if unknown. `gravity_confirmed`:
+    the stated gravity is intended although it is far from normal gravity. `gravity_is_unit`: local gravity is the unit,
+    and `gravity` is its nominal value. `assumed`: the quantity that was assumed to obtain gravity."""
 
     latitude: float | None
     height: float
@@ -82,22 +84,19 @@ class Site:
     gravity_u: float
     field: float | None = None
     gravity_confirmed: bool = False
-    """That gravity is meant, however far it is from normal gravity."""
     gravity_is_unit: bool = False
-    """That gravity at the place, whatever it is, is the unit, and `gravity` stands for it."""
     assumed: AssumedGravity = "nothing"
-    """What gravity is taken from because the session does not state it."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Channels:
-    """The n sensors of one kind, and what their columns are worth.
+    """The n sensors of one kind, and the conversion of their columns to SI.
 
     SI = (raw − offset) / scale · unit.factor, divided by the sample's interval if unit.kind is "increment".
-    `unit_name` is the unit as the file has it. For raw units (count, V) `unit` is that of `scale_per`;
-    for the others scale is 1 and offset 0. `axes` (n, 3): nominal sensing directions in the body frame,
-    unit vectors. `range`: full scale in m/s² or rad/s, the smallest of the sensors'. `scale_stated`: whether it is
-    known what counts are worth; where it is not, scale is 1."""
+    `unit_name` is the unit in session.toml. For raw units (count, V) `unit` is that of `scale_per`; for the others
+    scale is 1 and offset 0. `axes` (n, 3): nominal sensing directions in the body frame, unit vectors. `range`: full
+    scale in m/s² or rad/s, the smallest of the sensors'. `scale_stated`: the scale of counts is stated; otherwise it
+    is 1."""
 
     columns: tuple[str, ...]
     unit: Unit
@@ -110,11 +109,11 @@ class Channels:
 
     @property
     def raw(self) -> bool:
-        """Whether the log has counts or volts, which need a scale and an offset."""
+        """Whether the log has counts or volts, with a scale and an offset."""
         return self.unit_name in ("count", "V")
 
     def to_si(self, raw: Array, dt: Array) -> Array:
-        """Rates (m, n), m/s² or rad/s, of a log's numbers (m, n) and the samples' intervals (m,), s."""
+        """Return rates (m, n), m/s² or rad/s, from a log's numbers (m, n) and the samples' intervals (m,), s."""
         gain = self.unit.factor / self.scale
         out = raw - self.offset if self.offset.any() else raw
         if (gain != 1.0).any():
@@ -124,7 +123,7 @@ class Channels:
         return out
 
     def from_si(self, rates: Array) -> Array:
-        """The log's numbers (m, n) of rates or, for increments, of increments in SI."""
+        """Return the log's numbers (m, n) for rates in SI, or for increments in SI if the log has these."""
         gain = self.scale / self.unit.factor
         out = rates * gain if (gain != 1.0).any() else rates
         return out + self.offset if self.offset.any() else out
@@ -132,8 +131,9 @@ class Channels:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TemperatureChannels:
-    """The columns of the thermometers, and what their numbers are in °C: gain · number + shift, both (T,). `unit_name`
-    is the unit in session.toml; `accel` and `gyro` are the number of the thermometer that each channel has."""
+    """The columns of the T thermometers; temperatures are gain · number + shift in °C.
+
+    `unit_name` is the unit in session.toml; `accel` and `gyro` are the indices of the thermometers of the channels."""
 
     columns: tuple[str, ...]
     accel: tuple[int, ...]
@@ -143,28 +143,30 @@ class TemperatureChannels:
     shift: Array
 
     def to_celsius(self, numbers: Array) -> Array:
-        """Temperatures (m, T), °C, of a log's numbers (m, T)."""
+        """Return temperatures (m, T), °C, from a log's numbers (m, T)."""
         return np.asarray(self.gain * numbers + self.shift)
 
     def names(self, kind: str) -> tuple[str, ...]:
-        """The column of the thermometer of each channel of a kind of sensors."""
+        """Return the column of the thermometer of each channel of a kind of sensor."""
         return tuple(self.columns[t] for t in (self.accel if kind == "accel" else self.gyro))
 
 
 USUAL_CLOCK_U = 30e-6
-"""Relative standard uncertainty of time stamps of which nothing is stated: crystals are off by some 20 to 50 ppm, over
-temperature and with age."""
+"""Default relative standard uncertainty of time stamps: crystals are off by 20 to 50 ppm over temperature and age."""
 USUAL_RATE_U = 1e-2
-"""The same of a sample rate without time stamps: it is that of the oscillator in a sensor's chip, which data sheets
-have to some per cent, or a number of a configuration."""
+"""Default relative standard uncertainty of a sample rate without time stamps: data sheets state the oscillator of a
+sensor's chip to some per cent."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LogSpec:
-    """The log's files, or tables in memory, and columns. Either `time`, a column in units of `time_factor` s, or
-    `rate`, Hz. `clock`: the times are those of a clock or a calendar; `regular`: rows are equally spaced, whatever
-    their times are; `dialect`: how text files are written, None for CSV files with their names in the first line;
-    `clock_u`: the relative standard uncertainty of the time base, None where it is not stated."""
+    """Files of a log, or tables in memory, and their columns.
+
+    Times are in the column `time`, in units of `time_factor` s, or at `rate`, Hz. `magnetometer` is in the unit of the
+    site's field. `clock`: the times are times of day or dates; `regular`: rows are equally spaced, without regard to
+    their times; `doubt`: uncertainty about the log and its consequence; `dialect`: how text files are written, None for
+    CSV files with names in the first line; `clock_u`: relative standard uncertainty of the time base, None if not
+    stated; `clock_rate`: seconds in a second of the log's clock, by the Earth's rate."""
 
     files: tuple[Path | LogSource, ...]
     time: str | None
@@ -174,37 +176,33 @@ class LogSpec:
     gyro: Channels | None
     temperature: TemperatureChannels | None
     magnetometer: Channels | None = None
-    """In its unit, which is that of the site's field too."""
     clock: bool = False
     regular: bool = False
     doubt: str = ""
-    """What is not sure about the log, and what hangs on it."""
     dialect: Dialect | None = None
     clock_u: float | None = None
     clock_rate: float = 1.0
-    """Seconds in a second of the log's clock, as the Earth's rate shows it."""
 
     @property
     def unstamped(self) -> bool:
-        """Whether no time says that rows are missing."""
+        """Whether missing rows cannot be recognised by their times."""
         return self.rate is not None or self.regular
 
     @property
     def time_base_u(self) -> float:
-        """The relative standard uncertainty of the time base; where none is stated, that of a crystal for time stamps,
-        and of an oscillator in a chip for a sample rate."""
+        """Relative standard uncertainty of the time base, stated or usual."""
         usual = USUAL_CLOCK_U if self.rate is None else USUAL_RATE_U
         return usual if self.clock_u is None else self.clock_u
 
     @property
     def increments(self) -> dict[str, bool]:
-        """Whether the readings of each kind of sensor there is are increments."""
+        """Whether the readings are increments, by kind of sensor."""
         kinds = {"accel": self.accel, "gyro": self.gyro}
         return {kind: channels.unit.kind == "increment" for kind, channels in kinds.items() if channels is not None}
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Every column that is read: time, accelerometers, gyros, magnetometer, thermometers."""
+        """All columns that are read: time, accelerometers, gyros, magnetometer, thermometers."""
         gyro = self.gyro.columns if self.gyro else ()
         magnetometer = self.magnetometer.columns if self.magnetometer else ()
         thermometers = () if self.temperature is None else self.temperature.columns
@@ -213,8 +211,7 @@ class LogSpec:
 
 
 class ListedPosition(SessionTable):
-    """A position of the programme, [[programme.position]]: its attitude code, and the rest's start and stop, s, where
-    given."""
+    """A position of the programme, [[programme.position]]: its attitude code, and the rest's start and stop, s."""
 
     attitude: str = Field(description="an attitude code, a string")
     start: float | None = key("a number (s)")
@@ -252,16 +249,17 @@ class ProgrammeSpec(SessionTable):
 
     @property
     def listed(self) -> Programme:
-        """The programme that is meant."""
+        """The programme by name, or of the listed positions."""
         return programme_of(self.name or [position.attitude for position in self.position or ()])
 
 
 class Exclusion(SessionTable):
-    """What a session leaves out, [[exclude]]: the rest or the turn of this number, from 1 as results count them, or
-    what lies between `start` and `stop`, s, of a file (its number, from 1, the first where None)."""
+    """A part of a session that is left out, [[exclude]].
+
+    It is a rest or a turn, numbered from 1 as in results, or the time from `start` to `stop`, s, of a file, numbered
+    from 1, the first by default. `by` is the origin of the exclusion in words."""
 
     by: ClassVar[str] = "session.toml"
-    """Who says so."""
     rest: int | None = key("the number of a rest, from 1", ge=1)
     turn: int | None = key("the number of a turn, from 1", ge=1)
     start: float | None = key("a number (s)")
@@ -283,12 +281,12 @@ class Exclusion(SessionTable):
 
 
 class Request(Exclusion):
-    """What a caller leaves out."""
+    """An exclusion by the caller."""
 
     by: ClassVar[str] = "request"
 
 
-# -------------------- what a certificate needs and no log says --------------------
+# -------------------- circumstances, for certificates --------------------
 
 
 def _is_date(text: str) -> str:
@@ -305,7 +303,7 @@ IsoDate = Annotated[str, AfterValidator(_is_date)]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AirConditions:
-    """Temperature with its standard uncertainty (K), relative humidity and air pressure; None where not known."""
+    """Temperature with its standard uncertainty (K), relative humidity and air pressure; None if unknown."""
 
     temperature_degC: float | None = None  # noqa: N815
     temperature_u: Annotated[float, Field(ge=0.0)] | None = None
@@ -315,9 +313,9 @@ class AirConditions:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Circumstances:
-    """Of a session: `date`, ISO 8601, a date or a date with a time, that which the session states, else the log's own
-    where its times are absolute, and never the time of computing; who recorded it; the air; and the equipment with its
-    traceability, in words."""
+    """Circumstances of a session: date, operator, air, and equipment with its traceability in words.
+
+    `date` is that of the recording as the session states it, else that of the log if its times are absolute."""
 
     date: IsoDate | None = None
     operator: str | None = None
@@ -330,8 +328,10 @@ UNKNOWN = Circumstances()
 
 @dataclass(frozen=True, kw_only=True, slots=True, repr=False)
 class Session(Brief):
-    """What session.toml, or the description of samples in memory, says. `programme` is None for a free session:
-    orientations are not assumed. `folder` is None in memory.
+    """Content of session.toml, or of the description of samples in memory.
+
+    `programme` is None for a free session, whose orientations are not assumed; `folder` is None in memory;
+    `description` has the keys and values of which the session was made, as in session.toml.
 
     >>> import numpy as np, tumble
     >>> description = {
@@ -353,38 +353,38 @@ class Session(Brief):
     excluded: tuple[Exclusion, ...] = ()
     circumstances: Circumstances = UNKNOWN
     description: Mapping[str, Any] = field(default_factory=dict, repr=False, compare=False)
-    """The keys and values that it was made of, as session.toml has them."""
 
     @property
     def name(self) -> str:
-        """What messages call it."""
+        """Name of the session in messages."""
         return f"session of {self.device.serial} in memory" if self.folder is None else str(self.folder)
 
     @property
     def accel_block(self) -> Block:
         """The accelerometers and their parameters."""
-        known = self.log.temperature
-        return Block(kind="accel", axes=self.log.accel.axes, thermometers=() if known is None else known.accel)
+        temperature = self.log.temperature
+        return Block(
+            kind="accel", axes=self.log.accel.axes, thermometers=() if temperature is None else temperature.accel
+        )
 
     @property
     def gyro_block(self) -> Block | None:
         """The gyros and their parameters; None without gyros."""
-        known = self.log.temperature
+        temperature = self.log.temperature
         if self.log.gyro is None:
             return None
-        return Block(kind="gyro", axes=self.log.gyro.axes, thermometers=() if known is None else known.gyro)
+        return Block(kind="gyro", axes=self.log.gyro.axes, thermometers=() if temperature is None else temperature.gyro)
 
     def of_known_scales(self) -> Session:
-        """The session without its gyros where nobody states what their counts are worth."""
-        known = self.log.temperature
+        """Return the session without its gyros if the scale of their counts is not stated."""
+        temperature = self.log.temperature
         if self.log.gyro is None or self.log.gyro.scale_stated:
             return self
-        log = replace(self.log, gyro=None, temperature=None if known is None else replace(known, gyro=()))
-        return replace(self, log=log)
+        accel_alone = None if temperature is None else replace(temperature, gyro=())
+        return replace(self, log=replace(self.log, gyro=None, temperature=accel_alone))
 
     def check_new(self, out: Path, *, force: bool) -> None:
-        """Raises InputError where a file that is to be written exists, unless by `force`, and where it is one that the
-        session is read from."""
+        """Raise InputError if a file to be written exists, unless by `force`, or is a file of the session's log."""
         if not out.exists():
             return
         if any(isinstance(file, Path) and file.exists() and out.samefile(file) for file in self.log.files):
@@ -393,8 +393,7 @@ class Session(Brief):
             raise InputError(f"{out}: expected a new file, found one that exists; give --force to replace it")
 
     def without(self, rests: Iterable[int]) -> Session:
-        """The session without the rests of these numbers, from 1 as results count them, beside what it leaves out
-        itself. Raises InputError for what is no such number."""
+        """Return the session without rests, numbered from 1 as in results. Raises InputError for other numbers."""
         more = []
         for number in rests:
             if isinstance(number, bool) or not isinstance(number, int | np.integer) or number < 1:

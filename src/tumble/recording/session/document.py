@@ -1,8 +1,7 @@
-"""session.toml as one description: its tables and keys, what is expected of each, and what they are in SI.
+"""The tables and keys of session.toml, with checks, and their conversion to SI and radians (`si`).
 
-Each key's `description` says what is expected of it, and every message is made from it: "session.toml:
-site.latitude_deg: expected a number from -90 to 90, found 145.5". What concerns several keys at once is checked by the
-validators of the tables. `si` gives what a table says in SI and radians.
+The `description` of a key states the expected value, and messages are made from it: "session.toml: site.latitude_deg:
+expected a number from -90 to 90, found 145.5". The validators of the tables check several keys together.
 """
 
 from __future__ import annotations
@@ -31,23 +30,20 @@ from tumble.recording.session.table import SessionTable, key, name_of, visible
 from tumble.sensors.parameters import prior_of
 from tumble.units import DEGREE, G_STANDARD, TESLA
 
-_MOST_TYPED = 9
-"""Decimals of a number that was typed and not computed, at most."""
-LEAST_GRAVITY_U = 1e-15
-"""m/s²: a smaller uncertainty than no gravimeter reaches is zero, or a mistake."""
+_MOST_TYPED_DECIMALS = 9
+LEAST_GRAVITY_U = 1e-15  # m/s²; no gravimeter reaches it
 UNKNOWN_SITE_GRAVITY_U = 0.03
-"""Standard uncertainty of standard gravity as a value of local gravity at an unknown place on Earth, m/s²."""
+"""Standard uncertainty of standard gravity as local gravity at an unknown place on Earth, m/s²."""
 UNKNOWN_HEIGHT_GRAVITY_U = 4e-3
-"""Standard uncertainty of normal gravity where the height of the place is not known, m/s²: that of 1300 m."""
+"""Standard uncertainty of normal gravity at an unknown height, m/s²: that of 1300 m."""
 
 _FIELD_ON_EARTH = (1.5e-5, 8e-5)  # T, at the ground: 22 to 67 µT, and magnetic rock
 
 
 def last_digit_u(value: float) -> float:
-    """Standard uncertainty of a number that is rounded to the digits it is written with, uniform over its last one;
-    0 for a number with more digits than anybody types."""
+    """Return the standard uncertainty of a number, uniform over its last digit; 0 for more than nine decimals."""
     decimals = len(repr(value).partition(".")[2])
-    return 0.0 if decimals > _MOST_TYPED else 10.0**-decimals / 12.0**0.5
+    return 0.0 if decimals > _MOST_TYPED_DECIMALS else 10.0**-decimals / 12.0**0.5
 
 
 class SiteTable(SessionTable):
@@ -69,7 +65,7 @@ class SiteTable(SessionTable):
         return self
 
     def check_field(self, unit: str | None) -> None:
-        """Raises ValueError where the field is not one on Earth in the unit of the magnetometer; None is none."""
+        """Raise ValueError unless the field is one on Earth in the unit of the magnetometer, None without one."""
         if self.field is None:
             return
         if unit is None:
@@ -82,9 +78,10 @@ class SiteTable(SessionTable):
             )
 
     def si(self) -> Site:
-        """The site in SI. What is not stated is assumed, with the standard uncertainty of what is plausible: gravity
-        without `gravity_u` is known to its last digit; without gravity it is normal gravity, at sea level where the
-        height is not stated; of an unknown place it is standard gravity."""
+        """Return the site in SI, with assumptions for what is not stated and their standard uncertainty.
+
+        Gravity without `gravity_u` is known to its last digit. Without gravity it is normal gravity, at sea level if
+        the height is not stated; at an unknown place it is standard gravity."""
         latitude = None if self.latitude_deg is None else self.latitude_deg * DEGREE
         height = 0.0 if self.height_m is None else self.height_m
         assumed: AssumedGravity = "nothing"
@@ -133,11 +130,11 @@ class DeviceTable(SessionTable):
     )
 
     def priors(self) -> dict[str, float]:
-        """Standard deviations, SI, by group. Raises ValueError for a group or a unit that is not known."""
+        """Return standard deviations, SI, by group. Raises ValueError for an unknown group or unit."""
         flat = {
-            f"{key}.{of}" if of else key: text
+            f"{key}.{part}" if part else key: text
             for key, value in self.prior.items()
-            for of, text in ({"": value} if isinstance(value, str) else value).items()
+            for part, text in ({"": value} if isinstance(value, str) else value).items()
         }
         return dict(prior_of(key, text) for key, text in flat.items())
 
@@ -206,13 +203,13 @@ class SessionDocument(SessionTable):
         return self
 
     def si(self, folder: Path | None) -> Session:
-        """The session, its files in a folder; None where samples are in memory."""
-        place = folder or Path()
+        """Return the session, with its files in a folder; None if samples are in memory."""
+        base = folder or Path()
         return Session(
             folder=folder,
-            device=self.device.si(place),
+            device=self.device.si(base),
             site=self.site.si(),
-            log=self.log.si(place),
+            log=self.log.si(base),
             programme=self.programme,
             excluded=tuple(self.exclude),
             circumstances=self.session.si(),

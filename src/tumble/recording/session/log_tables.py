@@ -1,4 +1,4 @@
-"""[log] of session.toml with the tables within it."""
+"""The table [log] of session.toml with its inner tables."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from tumble.sensors.model import thermometers_of
 from tumble.units import ACCEL_UNITS, GYRO_UNITS, MAGNETIC_UNITS, TEMPERATURE_UNITS, TIME_UNITS, Array, Unit
 
 CLOCK = "iso8601"
-"""The time unit of dates with times and times of day."""
+"""The time unit for dates with times and for times of day."""
 RAW = "raw"
-"""The unit of numbers of thermometers that need a scale."""
+"""The unit of thermometers with a scale and an offset."""
 
 _UNIT_NORM_TOLERANCE = 1e-6
 _LEAST_SINGULAR_VALUE = 1e-3
 _LEAST_SINE = 1e-3
 
 Numbers = float | list[float] | None
-"""One for all columns, or one a column."""
+"""One number for all columns, or one per column."""
 
 
 def encoding_of_text(name: str) -> str:
@@ -47,14 +47,14 @@ def different(files: str | list[str]) -> str | list[str]:
 
 
 def check_one_per_column(columns: int, **values: float | list[float] | None) -> None:
-    """Raises ValueError for a list of another length than there are columns."""
+    """Raise ValueError for a list of another length than the number of columns."""
     for name, value in values.items():
         if isinstance(value, Sequence) and len(value) != columns:
             raise ValueError(f"{name}: expected a number or {columns} numbers, one per column, found {len(value)}")
 
 
 class SensorsTable(SessionTable):
-    """The common keys of [log.accel] and [log.gyro]."""
+    """Common keys of [log.accel] and [log.gyro]."""
 
     UNITS: ClassVar[Mapping[str, Unit]]
     SCALE_PER: ClassVar[tuple[str, ...]]  # the first is the default
@@ -69,17 +69,17 @@ class SensorsTable(SessionTable):
     range: float | None = key("a positive number", gt=0)
 
     @property
-    def worth(self) -> Unit:
+    def scaled_unit(self) -> Unit:
         """The unit of (raw − offset) / scale."""
         raw = self.UNITS[self.unit].kind == "raw"
         return self.UNITS[(self.scale_per or self.SCALE_PER[0]) if raw else self.unit]
 
     def per_sensor(self, value: Numbers, default: float) -> Array:
-        """A number or a list as an array (n,)."""
+        """Return a number or a list as an array (n,)."""
         return np.broadcast_to(np.asarray(default if value is None else value, float), len(self.columns)).copy()
 
     def directions(self) -> Array:
-        """The axes (n, 3), exactly of unit length."""
+        """Return the axes (n, 3), normalised."""
         axes = np.eye(3) if self.axes is None else np.array(self.axes, dtype=float)
         return np.asarray(axes / np.linalg.norm(axes, axis=1, keepdims=True))
 
@@ -122,10 +122,10 @@ class SensorsTable(SessionTable):
         scale = self.per_sensor(self.scale, 1.0)
         full_scale = None
         if self.range is not None:
-            full_scale = float(self.range * self.worth.per_second(rate or 1.0) / np.abs(scale).max())
+            full_scale = float(self.range * self.scaled_unit.per_second(rate or 1.0) / np.abs(scale).max())
         return Channels(
             columns=tuple(self.columns),
-            unit=self.worth,
+            unit=self.scaled_unit,
             unit_name=self.unit,
             scale=scale,
             offset=self.per_sensor(self.offset, 0.0),
@@ -152,7 +152,7 @@ class AccelTable(SensorsTable):
 
 
 class GyroTable(SensorsTable):
-    """[log.gyro], whose counts may be of an unknown scale: rests alone do not show it."""
+    """[log.gyro]; the scale of counts may be absent, because rests alone do not determine it."""
 
     UNITS = GYRO_UNITS
     SCALE_NEEDED = False
@@ -166,7 +166,7 @@ class MagnetometerTable(SessionTable):
     unit: Annotated[str, one_of(MAGNETIC_UNITS)] = Field(description="the name of a unit, a string")
 
     def channels(self) -> Channels:
-        """In their unit, whatever it is."""
+        """Return the channels in their unit."""
         one, (scale, offset) = Unit(factor=1.0, kind="rate"), (np.ones(3), np.zeros(3))
         columns = tuple(self.columns)
         return Channels(
@@ -175,8 +175,9 @@ class MagnetometerTable(SessionTable):
 
 
 class TemperatureTable(SessionTable):
-    """[log.temperature]: one column for all sensors, two for the accelerometers and the gyros, or one a sensor, the
-    accelerometers first; then a thermometer may come several times."""
+    """[log.temperature]: one column for all sensors, two for the accelerometers and the gyros, or one a sensor.
+
+    In a list of one a sensor, accelerometers first, a thermometer may be repeated."""
 
     columns: list[str] = Field(min_length=1, description="a list of column names")
     unit: Annotated[str, one_of([*TEMPERATURE_UNITS, RAW])] = key("the name of a unit, a string", "degC")
@@ -184,7 +185,7 @@ class TemperatureTable(SessionTable):
     offset: Numbers = key("a number or a list of numbers: the raw number at 0 degC")
 
     def celsius(self) -> tuple[Array, Array]:
-        """Gain and shift (T,) of each column: °C are gain · number + shift."""
+        """Return gain and shift (T,) of the columns: temperatures are gain · number + shift in °C."""
         ones = np.ones(len(self.columns))
         if self.unit != RAW:
             gain, shift = TEMPERATURE_UNITS[self.unit]
@@ -193,8 +194,7 @@ class TemperatureTable(SessionTable):
         return 1.0 / scale, -offset / scale
 
     def of_sensors(self, accel: int, gyro: int) -> tuple[int, ...]:
-        """The place of the column of each of so many accelerometers and gyros. Raises ValueError where there is another
-        number of columns."""
+        """Return the index of the column of each accelerometer and gyro. Raises ValueError for another number."""
         places = thermometers_of(len(self.columns), accel, gyro)
         if places is None:
             two = "two for the accelerometers and the gyros, " if gyro else ""
@@ -257,7 +257,7 @@ class LogTable(SessionTable):
 
     @property
     def sensors(self) -> tuple[int, int]:
-        """How many accelerometers and gyros there are."""
+        """Numbers of accelerometers and gyros."""
         return len(self.accel.columns), 0 if self.gyro is None else len(self.gyro.columns)
 
     @model_validator(mode="after")
@@ -269,7 +269,7 @@ class LogTable(SessionTable):
             raise ValueError("time_unit: expected only with log.time, found log.rate_hz")
         if self.regular and self.time is None:
             raise ValueError("regular: expected only with log.time, found log.rate_hz, which makes rows regular")
-        # every column is one thing; a thermometer may be that of several sensors where each has one
+        # a column has one role; a thermometer may be repeated in a list of one a sensor
         keys = {"time": [self.time] if self.time is not None else []}
         for kind, table in (("accel", self.accel), ("gyro", self.gyro), ("magnetometer", self.magnetometer)):
             keys[f"{kind}.columns"] = table.columns if table is not None else []
@@ -283,7 +283,7 @@ class LogTable(SessionTable):
                 also = "twice" if using[0] == using[1] else f"in log.{using[0]} too"
                 raise ValueError(f'{using[1]}: expected every column once, found "{column}" {also}')
         for kind, table in (("accel", self.accel), ("gyro", self.gyro)):
-            ranged = table is not None and table.range is not None and table.worth.kind == "increment"
+            ranged = table is not None and table.range is not None and table.scaled_unit.kind == "increment"
             if ranged and self.rate_hz is None:
                 raise ValueError(
                     f"{kind}.range: expected log.rate_hz with the full scale of an increment per sample, "

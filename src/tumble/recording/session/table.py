@@ -1,4 +1,4 @@
-"""What the tables of session.toml have in common: no other keys, no other types, and what is expected of each key."""
+"""Common parts of the tables of session.toml: strict keys and types, and checks of values."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from tumble.documents import is_plain, shown
 from tumble.errors import did_you_mean
 
 LONGEST_NAME = 200
-"""Characters of a serial number and of a type."""
+"""Characters, of a serial number and of a type."""
 
 
 class SessionTable(BaseModel):
-    """A table of the file: no other keys, no other types."""
+    """A table of the file, without other keys and other types."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False, defer_build=True)
 
 
 def key(description: str, default: Any = None, **limits: Any) -> Any:
-    """A key that may be absent, and what is expected of it where it is there."""
+    """Return an optional key; `description` states the expected value."""
     return Field(default=default, description=description, **limits)
 
 
 def check_known(value: str, known: Iterable[str], key: str = "") -> str:
-    """The value. Raises ValueError where it is none of those known."""
+    """Return the value. Raises ValueError if it is not one of `known`."""
     names = list(known)
     if value not in names:
         hint, before = did_you_mean(value, names), f"{key}: " if key else ""

@@ -1,9 +1,8 @@
-"""Text logs as instruments, phones and laboratories write them: what stands between the numbers, and where they begin.
+"""Dialects of text logs: delimiter, decimal mark, comments and encoding, and the lines above the numbers.
 
-`Dialect` is what session.toml says of a text log (`delimiter`, `decimal`, `comment`, `header`, `encoding`);
-`dialect_of` finds it in the first lines of a file. `Top` is what stands above the first row of numbers: the names of
-the columns are in the last line there that has as many of them as the rows have numbers; a line of units below it
-belongs to the names.
+`Dialect` has the keys of session.toml for a text log; `dialect_of` finds it in the first lines of a file. `Top`
+describes the lines above the first row of numbers: the names of the columns are in the last line with as many words as
+the rows have numbers, and may be followed by a line of units.
 """
 
 from __future__ import annotations
@@ -18,21 +17,18 @@ from functools import lru_cache
 from typing import Any
 
 LINE_BYTES = 1 << 18
-"""The longest line of a log: what reads its values takes four hundred times as much memory."""
-FIRST_ROWS = 5
-"""By which it is found out whether a name is missing."""
-SEEN_BYTES = 1 << 18
-"""By which it is found out how a file is written."""
-BLANKS = " "
-"""The delimiter that stands for one or more blanks or tabs."""
+"""Longest line of a log; splitting a line into values takes four hundred times its memory."""
+FIRST_ROWS = 5  # rows that show whether a name is missing
+SEEN_BYTES = 1 << 18  # first bytes of a file that show how it is written
+BLANKS = " "  # the delimiter for one or more blanks or tabs
 
 DELIMITERS = (",", ";", "\t", "|", BLANKS)
 COMMENTS = ("#", "//", "%", "!", ";", "*")
 
 _TOP_LINES = 2000
-_LEAST_NUMBERS = 3
+_FEWEST_NUMBERS = 3
 _ENCODINGS = {"utf-8": "", "cp1251": "[а-яё]{3}", "gb18030": "[\u4e00-\u9fff]{2}"}
-"""Those that are tried, and the letters of which text in them has words: a degree sign alone is Latin."""
+"""Encodings that are tried, with the letters that text in them must contain; a degree sign alone is Latin."""
 _BOMS = {codecs.BOM_UTF8: "utf-8", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 
 _POINT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?nan|[+-]?inf", re.IGNORECASE)
@@ -45,30 +41,30 @@ JOINED = (
     r"(\d{4})[_-]?(\d{2})[_-]?(\d{2})[_ T-](\d{2})[_:-]?(\d{2})[_:-]?(\d{2})(?:[._-](\d+))?",
     r"(\d{4})[_-](\d{1,2})[_-](\d{1,2})[_-](\d{1,2})[_-](\d{2})[_-](\d{2})(?:[._-](\d+))?",
 )
-"""A date with a time of day whose parts are joined alike or not at all: 2026_6_15_18_21_44.62, 20260615 182144."""
+"""Dates with a time of day and uniform or no separators: 2026_6_15_18_21_44.62, 20260615 182144."""
 _JOINED = re.compile("|".join(JOINED))
 GPS_WEEK = r"(\d{3,4}):(\d{1,6}(?:\.\d+)?)"
-"""A GPS week, whole or in its last digits, and a second in it."""
+"""A GPS week, whole or its last digits, and the second in it."""
 _GPS_WEEK = re.compile(GPS_WEEK)
 MONTHS = "jan", "feb", "m[aä]r|mrz", "apr", "ma[iy]", "jun", "jul", "aug", "sep", "o[ck]t", "nov", "de[cz]"
-"""How the names of months begin in English and German."""
+"""Beginnings of the names of months in English and German."""
 NAMED_MONTH = (
     r"(?i)(?P<day>\d{{1,2}})[-/. ](?:{0})[a-zä]*[-/. ](?P<year>\d{{4}})",
     r"(?i)(?:{0})[a-zä]*\.? (?P<day>\d{{1,2}}),? (?P<year>\d{{4}})",
     r"(?i)(?:^[a-z]{{2,3}},? +)?(?:{0}) +(?P<day>\d{{1,2}}) +"
     r"(?P<time>\d+:\d\d:\d\d)(?: [a-z]{{3,4}})? +(?P<year>\d{{4}})",
 )
-"""A date whose month has a name: 15-Jun-2026, Jun 15, 2026, and as C prints it, Mon Jun 15 12:34:56 2026."""
+"""Dates with the name of the month: 15-Jun-2026, Jun 15, 2026, and as C prints them, Mon Jun 15 12:34:56 2026."""
 _NAMED_MONTH = [re.compile(date.format("|".join(MONTHS))) for date in NAMED_MONTH]
 
 
-_PLAIN, _BEYOND_PLAIN = 4096, re.compile('["\r\n\0]')
-"""A line shorter than so many characters and without any of these ends no cell but at its delimiters."""
+_PLAIN_LENGTH, _NOT_PLAIN = 4096, re.compile('["\r\n\0]')
+"""Shorter lines without these characters can be split at their delimiters."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Dialect:
-    """How a text log is written; the default is a CSV file with its names in the first line."""
+    """How a text log is written; by default as a CSV file with names in the first line."""
 
     delimiter: str = ","
     decimal: str = "."
@@ -77,15 +73,14 @@ class Dialect:
     encoding: str = "utf-8"
 
     def keys(self) -> dict[str, Any]:
-        """The keys of [log] that say so: what differs from a plain CSV file, and the delimiter."""
-        given = asdict(self)
-        return {k: v for k, v in given.items() if k == "delimiter" or v != getattr(Dialect(), k)}
+        """Return the keys of [log]: the delimiter, and what differs from a plain CSV file."""
+        return {k: v for k, v in asdict(self).items() if k == "delimiter" or v != getattr(Dialect(), k)}
 
     def cells(self, line: str) -> list[str]:
-        """What stands in a line, without blanks about it. A line that is no CSV is one cell."""
+        """Return the cells of a line, stripped; a line that is no CSV is one cell."""
         if self.delimiter == BLANKS:
             return line.split()
-        if line and len(line) < _PLAIN and not _BEYOND_PLAIN.search(line):  # much faster than the reader
+        if line and len(line) < _PLAIN_LENGTH and not _NOT_PLAIN.search(line):  # much faster than csv
             return [cell.strip() for cell in line.split(self.delimiter)]
         try:
             return [cell.strip() for cell in next(csv.reader([line], delimiter=self.delimiter), [])]
@@ -93,19 +88,19 @@ class Dialect:
             return [line]
 
     def is_number(self, cell: str) -> bool:
-        """Whether a cell is a number with the decimal mark of the dialect."""
+        """Return whether a cell is a number with the decimal mark of the dialect."""
         return bool((_POINT if self.decimal == "." else _COMMA).fullmatch(cell))
 
     def is_comment(self, line: str) -> bool:
-        """Whether a line begins with the mark of comments."""
+        """Return whether a line begins with the mark of comments."""
         return self.comment is not None and line.lstrip().startswith(self.comment)
 
     def is_row(self, cells: Sequence[str]) -> bool:
-        """Whether cells are a row of numbers: at least three, and as many as everything else."""
-        if len(cells) < _LEAST_NUMBERS:
+        """Return whether cells are a row of numbers: at least three, and half of the cells with clocks."""
+        if len(cells) < _FEWEST_NUMBERS:
             return False
         numbers, filled = sum(map(self.is_number, cells)), sum(map(bool, cells))
-        return numbers >= _LEAST_NUMBERS and (
+        return numbers >= _FEWEST_NUMBERS and (
             2 * numbers >= filled or 2 * (numbers + sum(map(is_clock, cells))) >= filled
         )
 
@@ -115,8 +110,7 @@ DIALECT_KEYS = tuple(asdict(Dialect()))
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Top:
-    """The names of the columns, how many lines stand above the first row of numbers, and those of them that are
-    neither names nor units."""
+    """Names of the columns, number of lines above the numbers, and those lines that are neither names nor units."""
 
     names: tuple[str, ...]
     lines: int
@@ -124,48 +118,50 @@ class Top:
 
 
 def is_clock(cell: str) -> bool:
-    """Whether a cell is a time of day, a date with one, or a second in a week."""
+    """Return whether a cell is a time of day, a date with one, or a second in a GPS week."""
     for date in _NAMED_MONTH if ":" in cell else ():
         cell = date.sub(lambda found: f"1.1.2000 {found.groupdict().get('time', '')}", cell)
     clock = ":" in cell and (_CLOCK.fullmatch(cell) or _GPS_WEEK.fullmatch(cell))
     return bool(clock or _JOINED.fullmatch(cell))
 
 
-# -------------------- what stands above the numbers --------------------
+# -------------------- lines above the numbers --------------------
 
 
 @lru_cache(maxsize=4)
 def top_of(lines: tuple[str, ...], dialect: Dialect) -> Top | None:
-    """What stands above the first row of numbers in the first lines of a file; None where no such row is. Remembered,
-    because a file is opened several times on the way to a calibration."""
+    """Return the top of a file by its first lines; None if they have no row of numbers.
+
+    It is cached because a file is opened several times on the way to a calibration."""
     rows = {i: len(cells) for i, line in enumerate(lines) if dialect.is_row(cells := dialect.cells(line))}
-    if 0 in rows:  # it may have the numbers of the columns, above those of the rows: `,0,1,2,…`, as pandas writes it
+    if 0 in rows:  # pandas writes numbers of columns, `,0,1,2,…`
         empty, *others = dialect.cells(lines[0])
         if not empty and others == [str(k) for k in range(len(others))]:
             del rows[0]
-    plain_rows = [(i, width) for i, width in rows.items() if not dialect.is_comment(lines[i])]
-    following = [width for _, width in plain_rows[1:]] + [None]
-    first = next((i for (i, width), after in zip(plain_rows, following, strict=True) if after in (None, width)), None)
+    data_rows = [(i, width) for i, width in rows.items() if not dialect.is_comment(lines[i])]
+    following = [width for _, width in data_rows[1:]] + [None]
+    first = next((i for (i, width), after in zip(data_rows, following, strict=True) if after in (None, width)), None)
     if first is None:
         return None
     width = Counter(width for i, width in rows.items() if i >= first).most_common(1)[0][0]
     above = [line.lstrip().lstrip(dialect.comment) if dialect.is_comment(line) else line for line in lines[:first]]
     below = [dialect.cells(lines[i]) for i, columns in rows.items() if i >= first and columns == width][:FIRST_ROWS]
-    named = {i: n for i, line in enumerate(above) if (n := _names(dialect.cells(line), below, dialect)) is not None}
+    candidates = {
+        i: n for i, line in enumerate(above) if (n := _names(dialect.cells(line), below, dialect)) is not None
+    }
     names, used = tuple(str(i + 1) for i in range(width)), set[int]()
-    plain = [i for i, n in named.items() if sum(map(dialect.is_number, n)) < _LEAST_NUMBERS]
-    at = max(plain or named, default=-1) if dialect.header else -1  # a row with much text may stand below the names
-    if at >= 0 and any(line.strip() for line in above[at + 1 :]) and not _tells(named[at]):  # words of a start
-        at = max((i for i in plain if _tells(named[i])), default=-1)
+    wordy = [i for i, n in candidates.items() if sum(map(dialect.is_number, n)) < _FEWEST_NUMBERS]
+    at = max(wordy or candidates, default=-1) if dialect.header else -1  # a row of mostly text may follow the names
+    if at >= 0 and any(line.strip() for line in above[at + 1 :]) and not _are_telling(candidates[at]):  # boot messages
+        at = max((i for i in wordy if _are_telling(candidates[i])), default=-1)
     if at >= 0:
-        names, used = named[at], {at}
-        if at - 1 in named and _are_units(names):
+        names, used = candidates[at], {at}
+        if at - 1 in candidates and _are_units(names):
             at, units = at - 1, names
-            names = tuple(
-                f"{name} [{_bare(unit)}]".removesuffix(" []") for name, unit in zip(named[at], units, strict=True)
-            )
+            pairs = zip(candidates[at], units, strict=True)
+            names = tuple(f"{name} [{_bare(unit)}]".removesuffix(" []") for name, unit in pairs)
             used.add(at)
-        grouped = _grouped(names, dialect.cells(above[at - 1])) if at else None
+        grouped = _with_group_names(names, dialect.cells(above[at - 1])) if at else None
         if grouped is not None:
             names = grouped
             used.add(at - 1)
@@ -174,38 +170,39 @@ def top_of(lines: tuple[str, ...], dialect: Dialect) -> Top | None:
 
 
 def _names(cells: Sequence[str], rows: Sequence[Sequence[str]], dialect: Dialect) -> tuple[str, ...] | None:
-    """The names in a line, as many as the rows below have columns; None where it has none."""
+    """Return the names in a line, as many as the rows below have columns; None for another line."""
     names = names_of_rows([cell.strip().strip('"') for cell in cells], rows)
-    if len(names) != len(rows[0]) or not names[1] or sum(map(bool, names)) < _LEAST_NUMBERS:
+    if len(names) != len(rows[0]) or not names[1] or sum(map(bool, names)) < _FEWEST_NUMBERS:
         return None
     return None if 2 * sum(map(dialect.is_number, names)) > sum(map(bool, names)) else names
 
 
-def _grouped(names: tuple[str, ...], above: Sequence[str]) -> tuple[str, ...] | None:
-    """Names of which some come again, x, y, z, x, y, z, with what stands above them, over the first of each group; None
-    where that does not tell them apart."""
+def _with_group_names(names: tuple[str, ...], above: Sequence[str]) -> tuple[str, ...] | None:
+    """Return repeated names, x, y, z, x, y, z, with the name of their group, above the first of each; None if they
+    remain repeated."""
 
-    def plain(names: Sequence[str]) -> list[str]:
-        return [re.sub(r"\s*[\[(].*", "", name).lower() for name in names]  # without units
+    def without_units(names: Sequence[str]) -> list[str]:
+        return [re.sub(r"\s*[\[(].*", "", name).lower() for name in names]
 
-    again = [bool(name) and plain(names).count(name) > 1 for name in plain(names)]
-    if not any(again) or len(above) != len(names):
+    repeated = [bool(name) and without_units(names).count(name) > 1 for name in without_units(names)]
+    if not any(repeated) or len(above) != len(names):
         return None
-    group, found = "", []
-    for name, own, shared in zip(names, above, again, strict=True):
-        group = own or group
-        if shared:
-            found.append(f"{group} {name}".strip())
+    group, out = "", []
+    for name, upper, is_repeated in zip(names, above, repeated, strict=True):
+        group = upper or group
+        if is_repeated:
+            out.append(f"{group} {name}".strip())
         else:
-            found.append(f"{own} [{_bare(name)}]" if own and name and _are_units([name]) else name or own)
-    every = plain([name for name in found if name])
-    return tuple(found) if len(set(every)) == len(every) else None
+            out.append(f"{upper} [{_bare(name)}]" if upper and name and _are_units([name]) else name or upper)
+    unique = without_units([name for name in out if name])
+    return tuple(out) if len(set(unique)) == len(unique) else None
 
 
 def names_of_rows(names: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[str, ...]:
-    """Names of as many columns as most rows have. Empty ones at the end go where rows have no such columns; where one
-    is missing it is that of the first column if this numbers the rows, as R writes them, else of the last, as where
-    rows end with a comma."""
+    """Return names for as many columns as most rows have.
+
+    Empty names at the end are dropped if rows have no such columns. A missing name is that of the first column if it
+    numbers the rows, as R writes them, else of the last, as where rows end with a comma."""
     width = Counter(map(len, rows)).most_common(1)[0][0] if rows else len(names)
     while len(names) > width and not names[-1]:
         names = names[:-1]
@@ -220,7 +217,7 @@ def names_of_rows(names: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[
 
 
 def numbered(names: Sequence[str]) -> tuple[str, ...]:
-    """Names of columns, each another: a column whose name is missing or shared is called by its number, from 1."""
+    """Return unique names: a column whose name is missing or repeated is called by its number, from 1."""
     counts = Counter(names)
     return tuple(
         name if name and counts[name] == 1 else f"column {j}" if str(j) in counts else str(j)
@@ -234,44 +231,44 @@ _COUNTS = re.compile(
 """Names of columns that number rows."""
 
 
-def _tells(names: Sequence[str]) -> bool:
-    """Whether names say what columns are."""
+def _are_telling(names: Sequence[str]) -> bool:
+    """Return whether names identify sensors or a time."""
     from tumble.recording.columns.names import columns_by_name
 
-    found = columns_by_name(names)
-    return bool(found.triads) or found.time is not None
+    columns = columns_by_name(names)
+    return bool(columns.triads) or columns.time is not None
 
 
 def _are_units(names: Sequence[str]) -> bool:
-    """Whether all that stands in a line are units."""
-    from tumble.recording.columns.patterns import is_unit
+    """Return whether all cells of a line are units."""
+    from tumble.recording.columns.names import is_unit
 
     return all(not name or is_unit(_bare(name)) for name in names)
 
 
 def _bare(unit: str) -> str:
-    """A unit without its brackets, about it or within it."""
+    """Return a unit without brackets."""
     return re.sub(r"[\[\]()]", "", unit).strip()
 
 
 def head_lines(seen: bytes, encoding: str = "utf-8") -> tuple[str, ...]:
-    """First lines of a text, whole and without their ends, by its first SEEN_BYTES."""
+    """Return the complete first lines of a text, by its first SEEN_BYTES."""
     lines = seen.decode(encoding, errors="replace").removeprefix("\ufeff").replace("\0", "").split("\n")
     if len(seen) >= SEEN_BYTES and len(lines) > 1:
         lines = lines[:-1]
     return tuple(line.rstrip("\r") for line in lines[:_TOP_LINES])
 
 
-# -------------------- which dialect --------------------
+# -------------------- the dialect of a file --------------------
 
 
 def encoding_of(seen: bytes) -> str:
-    """The encoding of text by its first bytes."""
+    """Return the encoding of a text by its first bytes."""
     zeros = [seen[k:4096:2].count(0) for k in (0, 1)]
     for bom, name in _BOMS.items():
-        if seen.startswith(bom) and (name == "utf-8" or any(zeros)):  # else what a serial line began with
+        if seen.startswith(bom) and (name == "utf-8" or any(zeros)):  # else noise of a serial line
             return name
-    if max(zeros) > len(seen[:4096]) // 4 and min(zeros) < max(zeros) // 8:  # else memory that was never written
+    if max(zeros) > len(seen[:4096]) // 4 and min(zeros) < max(zeros) // 8:  # else memory that was not written
         return "utf-16-le" if zeros[1] > zeros[0] else "utf-16-be"
     for name, words in _ENCODINGS.items():
         try:
@@ -285,11 +282,10 @@ def encoding_of(seen: bytes) -> str:
 
 @lru_cache(maxsize=2)
 def dialect_of(seen: bytes) -> tuple[Dialect, Top] | None:
-    """How a text log is written, by its first bytes, and what stands above its numbers; None where it has no rows of
-    numbers."""
+    """Return the dialect of a text log and its top by its first bytes; None without rows of numbers."""
     encoding = encoding_of(seen)
     lines = head_lines(seen, encoding)
-    # the mark with which lines begin that are no rows, where there are such, and others
+    # the commonest mark at the start of lines, if other lines have none
     marks = Counter(mark for line in lines for mark in COMMENTS if line.lstrip().startswith(mark))
     mark, count = marks.most_common(1)[0] if marks else ("", 0)
     comment = mark if 0 < count < sum(bool(line.strip()) for line in lines) else None

@@ -1,7 +1,7 @@
-"""Text files as UTF-8 whatever their encoding, decompressed, in pieces of whole lines.
+"""Text files, decompressed and converted to UTF-8, in pieces of whole lines.
 
-Readings compress to a third or a tenth; what unpacks to a hundred times its size is no log, and would fill memory or a
-disk: it is refused, before it is unpacked where the archive says how large it will be.
+Readings compress to a third or a tenth. A file that unpacks to a hundred times its size is no log and could fill memory
+or a disk: it is refused, before it is unpacked if it states its size.
 """
 
 from __future__ import annotations
@@ -21,21 +21,19 @@ from tumble.recording.text.dialect import LINE_BYTES
 
 LARGEST_RATIO = 100
 SMALL_BYTES = 1 << 24
-"""So much may come out of any archive: rows of a few characters take twenty times as much memory."""
+"""Size to which any archive may unpack; rows of a few characters take twenty times as much memory."""
 
 _FIRST_PIECE_BYTES = 1 << 18
 _PIECE_BYTES = 1 << 24
 _LONGEST_CHARACTER = 4  # bytes, in UTF-8
-_HEADER_BYTES = 18
-"""The longest header of a frame of Zstandard."""
-_DEFLATE_RATIO = 1032
-"""What gzip reaches at most: an archive that states more was cut."""
+_HEADER_BYTES = 18  # longest header of a frame of Zstandard
+_DEFLATE_RATIO = 1032  # largest ratio of gzip; an archive that states more was cut
 
 
 def opened(path: Path, encoding: str = "utf-8") -> io.BufferedIOBase:
-    """A file to read from as UTF-8, decompressed by its ending.
+    """Open a file for reading as UTF-8, decompressed according to its ending.
 
-    Raises LogError for an archive that holds more than one of its size can of a log, here or while it is read."""
+    Raises LogError for an archive that unpacks to too large a size, here or while it is read."""
     ending = path.suffix.lower()
     stream: io.BufferedIOBase
     if ending in (".gz", ".zst"):
@@ -48,7 +46,7 @@ def opened(path: Path, encoding: str = "utf-8") -> io.BufferedIOBase:
 
 
 def _gzip(path: Path) -> tuple[Any, type[Exception], int]:
-    """What unpacks gzip, its error, and how many bytes the last member says it holds, to 4 GB, where it is whole."""
+    """Return a decompressing stream, its error, and the size stated by the last member, to 4 GB, 0 if it is cut."""
     size = path.stat().st_size
     with path.open("rb") as file:
         file.seek(max(size - 4, 0))
@@ -57,7 +55,7 @@ def _gzip(path: Path) -> tuple[Any, type[Exception], int]:
 
 
 def _zstandard(path: Path) -> tuple[Any, type[Exception], int]:
-    """What unpacks Zstandard, its error, and how many bytes the first frame says it holds, if it does.
+    """Return a decompressing stream, its error, and the size stated by the first frame, 0 without.
 
     Raises MissingExtraError before Python 3.14 without the extra `formats`."""
     if sys.version_info >= (3, 14):
@@ -72,10 +70,10 @@ def _zstandard(path: Path) -> tuple[Any, type[Exception], int]:
 
 
 class _Recoded(io.BufferedIOBase):
-    """A stream of another encoding as one of UTF-8."""
+    """A stream in another encoding, converted to UTF-8."""
 
     def __init__(self, stream: io.BufferedIOBase, encoding: str) -> None:
-        self._text = io.TextIOWrapper(stream, encoding=encoding, errors="replace", newline="\n")  # type: ignore[type-var]  # reads, as it must
+        self._text = io.TextIOWrapper(stream, encoding=encoding, errors="replace", newline="\n")  # type: ignore[type-var]  # readable
 
     def read(self, size: int | None = -1, /) -> bytes:
         return self._text.read(size).encode("utf-8", errors="replace")
@@ -94,15 +92,15 @@ class _Recoded(io.BufferedIOBase):
 
 
 def whole_lines(stream: io.BufferedIOBase, path: Path) -> Iterator[bytes]:
-    """The rest of a stream in pieces of whole lines, the first one small; blank lines at its end are left out."""
-    buffer = mmap(-1, max(_FIRST_PIECE_BYTES, _PIECE_BYTES) + LINE_BYTES)  # takes memory only where it is filled
+    """Yield the rest of a stream in pieces of whole lines, the first one small, without blank lines at its end."""
+    buffer = mmap(-1, max(_FIRST_PIECE_BYTES, _PIECE_BYTES) + LINE_BYTES)  # memory is only used where it is filled
     held, size = 0, _FIRST_PIECE_BYTES
     while True:
         with memoryview(buffer) as whole, whole[held : held + size] as free:
             stop = held + stream.readinto(free)
         if stop == held:
             break
-        # the line behind may go on, or be the last before blank ones
+        # the last line may be incomplete, or the last one before blank lines
         first = max(0, stop - LINE_BYTES)
         end = buffer.rfind(b"\n", 0, first + len(buffer[first:stop].rstrip())) + 1
         line = 0
@@ -125,19 +123,18 @@ def whole_lines(stream: io.BufferedIOBase, path: Path) -> Iterator[bytes]:
 
 
 def largest_unpacked(path: Path) -> int:
-    """How many bytes may come out of a packed file."""
+    """Return the largest size to which a packed file may unpack, bytes."""
     return max(LARGEST_RATIO * path.stat().st_size, SMALL_BYTES)
 
 
 def check_unpacked(path: Path, size: int) -> None:
-    """Raise LogError if so many bytes are stated to come out of a file, and no readings are packed so."""
+    """Raise LogError if a file states that it unpacks to a larger `size`, bytes, than readings do."""
     if size > largest_unpacked(path):
         raise _too_large(path, largest_unpacked(path), _megabytes(size))
 
 
 class _Limited(io.RawIOBase):
-    """What comes out of an archive, refused where it is more than `limit` bytes. Its error `damaged` becomes an
-    OSError."""
+    """A decompressed stream of at most `limit` bytes, whose error `damaged` becomes an OSError."""
 
     def __init__(self, stream: Any, damaged: type[Exception], path: Path, limit: int) -> None:
         self._stream, self._damaged, self._path, self._limit, self._count = stream, damaged, path, limit, 0

@@ -1,9 +1,9 @@
-"""A text file of a log, and the times in it: of day, and dates.
+"""Reader of text files of a log, and conversion of times of day and dates.
 
-A text file, compressed or not, is cut into pieces of whole lines for polars to parse, whatever its dialect. Where
-polars refuses a piece, or leaves a value empty, the piece is halved until Python can read the few lines in question
-one by one: it says where and why, or reads what only `float()` accepts (blanks after a number). A row that cannot be
-read is not dropped here: it comes as NaN, together with what was found, and `gaps` decides.
+A text file, compressed or not, is divided into pieces of whole lines, which polars parses. If polars refuses a piece or
+leaves a value empty, the piece is halved until Python reads the few lines in question one by one, which gives the place
+and the reason, or a number that only `float()` accepts (blanks after a number). An unreadable row becomes NaN, together
+with the text found; `gaps` decides what follows.
 """
 
 from __future__ import annotations
@@ -51,21 +51,19 @@ from tumble.recording.text.dialect import (
 from tumble.recording.text.pieces import opened, whole_lines
 from tumble.units import Array
 
-_SLOW_BYTES = 1 << 14
+_SLOW_BYTES = 1 << 14  # pieces that Python reads line by line
 
 _DATE = r"^\s*\"?(?:(\d{4})[-./](\d{1,2})[-./](\d{1,2})|(\d{1,2})[-./](\d{1,2})[-./](\d{4}))"
 _HALF = r"([AaPp]\.?[Mm]\.?)?"
 _TIME = r"(?:^|[T ])\s*(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,:](\d+))?)?\s*" + _HALF + r"\s*(Z|[+-]\d{2}:?\d{2})?\s*\"?$"
 _DAY = 86400
-_GPS_START = 3657
-"""The day of 1980-01-06, with which GPS weeks begin, from 1970-01-01."""
+_GPS_START = 3657  # days from 1970-01-01 to 1980-01-06, when GPS weeks begin
 _WEEK = f'^\\s*"?{GPS_WEEK}"?$'
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TextLog(LogSource):
-    """A text log in a dialect, with `top` lines above its first data row. Rows that cannot be read come as NaN, with
-    what was found in them."""
+    """A text log in a dialect, with `top` lines above its first data row."""
 
     dialect: Dialect
     top: int
@@ -74,11 +72,11 @@ class TextLog(LogSource):
         return date_of(self._cell(next(self.pieces(), b""), column))
 
     def read(self, columns: Sequence[str], clock: str | None) -> Tables:
-        if missing := [column for column in columns if column not in self.names]:  # its first rows are of no one width
+        if missing := [column for column in columns if column not in self.names]:  # its first rows differ in width
             raise LogError(f"{self.path}: expected a column {missing[0]}, found {', '.join(self.names)}")
         first, day, pieces = 1, None, self.pieces()
-        for piece in chain(islice(pieces, 1), one_ahead(pieces)):  # of the first one the head of a log is read alone
-            if clock is not None and day is None:  # the day from which a clock counts
+        for piece in chain(islice(pieces, 1), one_ahead(pieces)):  # often only the first one is needed
+            if clock is not None and day is None:  # times of day count from the first day
                 day = day_of(self._cell(piece, clock))
             table, unread = self._rows(piece, first, columns, clock, day or 0)
             first += table.height
@@ -87,8 +85,7 @@ class TextLog(LogSource):
     def _rows(
         self, piece: bytes, first: int, columns: Sequence[str], clock: str | None, day: int
     ) -> tuple[pl.DataFrame, list[Unread]]:
-        """The rows of a piece that begins with data row `first`. If something in them cannot be read at once, it is
-        halved until few lines are left, which Python reads."""
+        """Return the rows of a piece that begins with data row `first`, and its unreadable parts."""
         fast = self._at_once(piece, columns, clock, day)
         if fast is not None:
             return fast, []
@@ -100,8 +97,9 @@ class TextLog(LogSource):
         return pl.concat([above, below]), unread + more
 
     def _at_once(self, piece: bytes, columns: Sequence[str], clock: str | None, day: int) -> pl.DataFrame | None:
-        """The rows of a piece as polars reads them; None where it refuses, leaves a value empty, or may have filled up
-        rows of too few values with nulls from the end."""
+        """Return the rows of a piece as polars parses them.
+
+        None if it refuses, leaves a value empty, or may have completed short rows with nulls."""
         kinds = {name: pl.String if name == clock else pl.Float64 for name in columns}
         schema = {(n if n in kinds else f"\0{j}"): kinds.get(n, pl.String) for j, n in enumerate(self.names)}
         comma = self.dialect.decimal == ","
@@ -123,8 +121,7 @@ class TextLog(LogSource):
     def _line_by_line(
         self, piece: bytes, first: int, columns: Sequence[str], clock: str | None, day: int
     ) -> tuple[pl.DataFrame, list[Unread]]:
-        """What `_rows` gives, by Python's csv and float(), which can say what is wrong in which row; of values that
-        cannot be read the first of a row."""
+        """Return the same as `_rows` by Python's csv and float(), with the first unreadable value of a row."""
         ended = piece.endswith(b"\n")
         lines = piece.decode("utf-8", errors="replace").removesuffix("\n").split("\n")
         numbers = np.full((len(lines), len(columns)), np.nan)
@@ -151,7 +148,7 @@ class TextLog(LogSource):
                     clocks[i] = cell
                     continue
                 try:
-                    if "_" in cell:  # a date such as 2026_06_15, which float() takes for a number
+                    if "_" in cell:  # float() reads a date such as 2026_06_15 as a number
                         raise ValueError(cell)
                     numbers[i, j] = float(cell.replace(",", ".") if self.dialect.decimal == "," else cell)
                 except ValueError:
@@ -169,8 +166,10 @@ class TextLog(LogSource):
         return pl.DataFrame(numbers, schema=list(columns), orient="row"), unread
 
     def whole(self, numbers: Sequence[str]) -> Iterator[pl.DataFrame]:
-        """Of a log of a stated dialect, what cannot be read is NaN, and lines that are no rows are left out; else
-        polars' errors are raised."""
+        """Yield rows of all columns, `numbers` as float64.
+
+        In a stated dialect unreadable numbers are NaN and lines that are no rows are left out; otherwise polars' errors
+        are raised."""
         schema = {name: pl.Float64 if name in numbers else pl.String for name in self.names}
         comma = self.dialect.decimal == ","
         point = pl.col(list(numbers)).str.strip_chars()
@@ -191,18 +190,18 @@ class TextLog(LogSource):
                     yield pl.DataFrame(rows, schema=text, orient="row").with_columns(point)
 
     def pieces(self) -> Iterator[bytes]:
-        """The rows in pieces of whole lines that are parsed alike whatever the dialect."""
+        """Yield the rows in pieces of whole lines, with tabs in place of blanks as delimiters."""
         with readable(self.path), opened(self.path, self.dialect.encoding) as stream:
             for _ in range(self.top):
                 stream.readline(LINE_BYTES)
             for piece in whole_lines(stream, self.path):
                 piece = piece.removeprefix(codecs.BOM_UTF8) if self.top == 0 else piece
-                piece = piece.replace(b"\0", b"") if b"\0" in piece else piece  # a reset of a logger leaves some
+                piece = piece.replace(b"\0", b"") if b"\0" in piece else piece  # as the reset of a logger leaves them
                 yield _with_tabs(piece) if self.dialect.delimiter == BLANKS else piece
 
     @property
     def separator(self) -> str:
-        """What stands between the values of `pieces`."""
+        """The delimiter in `pieces`."""
         return "\t" if self.dialect.delimiter == BLANKS else self.dialect.delimiter
 
     def _cell(self, piece: bytes, column: str) -> str:
@@ -211,7 +210,7 @@ class TextLog(LogSource):
         return cells[at] if at < len(cells) else ""
 
     def cells(self, line: str) -> list[str]:
-        """The values in a line of a piece."""
+        """Return the values in a line of a piece."""
         return next(csv.reader([line], delimiter=self.separator), [])
 
     def place(self, row: int, column: str | None = None) -> str:
@@ -219,13 +218,13 @@ class TextLog(LogSource):
 
 
 def _with_tabs(piece: bytes) -> bytes:
-    """Rows of values between blanks as rows of values between single tabs."""
+    """Return rows with single tabs in place of blanks between the values."""
     blank = piece.replace(b"\t", b" ").replace(b"\r\n", b"\n")
     return re.sub(rb" *\n *", b"\n", re.sub(rb"(?<=[^ \n]) +(?=[^ \n])", b"\t", blank)).strip(b" ")
 
 
 def text_log(path: Path, dialect: Dialect | None) -> TextLog:
-    """A text log: with its names in the first line, unless a dialect is stated."""
+    """Return the reader of a text log, with names in the first line unless a dialect is stated."""
     if dialect is None:
         with opened(path) as stream:
             first, *lines = [stream.readline(LINE_BYTES) for _ in range(1 + FIRST_ROWS)]
@@ -249,25 +248,25 @@ def text_log(path: Path, dialect: Dialect | None) -> TextLog:
 
 
 def day_of(text: str) -> int:
-    """The day of a text's date, counted from 1970-01-01; 0 without a date."""
-    return int(_days(_parted(pl.Series([text], dtype=pl.String))).fill_null(0)[0])
+    """Return the day of a text's date, counted from 1970-01-01; 0 without a date."""
+    return int(_days(_normalised(pl.Series([text], dtype=pl.String))).fill_null(0)[0])
 
 
 def date_of(text: str) -> str | None:
-    """The date with the time of a text, ISO 8601, with a time zone in UTC; None without a date."""
+    """Return the date with the time of a text, ISO 8601, in UTC if it has a time zone; None without a date."""
     day = day_of(text)
     seconds = seconds_of(pl.Series([text], dtype=pl.String), day)[0] if day else None
     if not day or seconds is None:
         return None
-    found = re.search(_TIME, text)
-    zone = UTC if found and found[6] else None
+    match = re.search(_TIME, text)
+    zone = UTC if match and match[6] else None
     start = datetime(1970, 1, 1, tzinfo=zone) + timedelta(days=day)
     return (start + timedelta(seconds=float(seconds))).isoformat(timespec="seconds")
 
 
 def seconds_of(text: pl.Series, day: int) -> pl.Series:
-    """Seconds since midnight of a day (`day_of`); null where the text is no time."""
-    text = _parted(text)
+    """Return seconds since midnight of a day (`day_of`), null for text that is no time."""
+    text = _normalised(text)
     parts = {k: text.str.extract(_TIME, k) for k in range(1, 7)}
     hour, minute = (parts[k].cast(pl.Float64, strict=False) for k in (1, 2))
     half = parts[5].str.slice(0, 1).str.to_lowercase()  # of the day: 12 am is its beginning, 12 pm noon
@@ -276,14 +275,13 @@ def seconds_of(text: pl.Series, day: int) -> pl.Series:
     zone = parts[6].str.replace(":", "").str.extract(r"([+-]\d{4})", 1).cast(pl.Int64, strict=False).fill_null(0)
     east = zone.sign() * (zone.abs() // 100 * 60 + zone.abs() % 100) * 60
     days = (_days(text).fill_null(day) - day) * _DAY
-    of_day = hour * 3600 + minute * 60 + second.cast(pl.Float64, strict=False)
-    of_week = text.str.extract(_WEEK, 2).cast(pl.Float64, strict=False)
-    return (days - east) + of_week.zip_with(of_week.is_not_null(), of_day)
+    seconds_of_day = hour * 3600 + minute * 60 + second.cast(pl.Float64, strict=False)
+    seconds_of_week = text.str.extract(_WEEK, 2).cast(pl.Float64, strict=False)
+    return (days - east) + seconds_of_week.zip_with(seconds_of_week.is_not_null(), seconds_of_day)
 
 
-def _parted(text: pl.Series) -> pl.Series:
-    """Dates and times whose parts are all joined alike, or whose month has a name, as ISO 8601 has them, and minutes
-    and seconds, as Excel shows times, with an hour."""
+def _normalised(text: pl.Series) -> pl.Series:
+    """Return dates with uniform separators or names of months in ISO 8601, and Excel's minutes with hours."""
     text = text.str.replace(r'^\s*"?(\d{1,2}:\d{2}[.,]\d+)("?)$', "00:${1}${2}")
     for joined in JOINED:
         text = text.str.replace(f'^\\s*"?{joined}("?)$', "${1}-${2}-${3}T${4}:${5}:${6}.${7}${8}")
@@ -295,9 +293,9 @@ def _parted(text: pl.Series) -> pl.Series:
 
 
 def _days(text: pl.Series) -> pl.Series:
-    """Days since 1970-01-01 of dates as `_parted` has them; null without a date."""
-    found = [text.str.extract(_DATE, k) for k in range(1, 7)]
-    year, month, day = (found[i].zip_with(found[i].is_not_null(), found[j]) for i, j in ((0, 5), (1, 4), (2, 3)))
+    """Return days since 1970-01-01 of dates from `_normalised`, null without a date."""
+    parts = [text.str.extract(_DATE, k) for k in range(1, 7)]
+    year, month, day = (parts[i].zip_with(parts[i].is_not_null(), parts[j]) for i, j in ((0, 5), (1, 4), (2, 3)))
     written = year + "-" + month.str.zfill(2) + "-" + day.str.zfill(2)
     days = written.str.to_date("%Y-%m-%d", strict=False).cast(pl.Int32).cast(pl.Int64)
     week = _GPS_START + 7 * text.str.extract(_WEEK, 1).cast(pl.Int64, strict=False)
@@ -305,7 +303,7 @@ def _days(text: pl.Series) -> pl.Series:
 
 
 def times_of(column: pl.Series, spec: LogSpec) -> Array:
-    """The times (s) of a log's time column, as it is in a table with all columns."""
+    """Return the times, s, of a log's time column in a table with all columns."""
     if spec.clock and column.dtype == pl.String:
         return seconds_of(column, 0).to_numpy()
     if isinstance(column.dtype, pl.Datetime):

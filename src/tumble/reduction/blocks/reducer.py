@@ -1,4 +1,4 @@
-"""A log reduced to blocks: means over 0.1 s or less, the state of each channel, and the samples for the turns.
+"""A log reduced to blocks: means over at most 0.1 s, the state of each channel, and the samples for the turns.
 
 A log is fed chunk by chunk to a `Reducer`. Blocks are counted in samples from the beginning of a file, so that chunks
 of any size give the same blocks.
@@ -21,36 +21,31 @@ from tumble.reduction.blocks.motion_samples import MotionSamples
 from tumble.reduction.blocks.tuning import USUAL, Tuning
 from tumble.reduction.turns.array_motion import FEWEST
 from tumble.rotation import onto_body
-from tumble.sensors.model import Block, beyond_body
+from tumble.sensors.model import Block, left_null_space
 from tumble.units import Array, IntArray
 
 BLOCK_SECONDS = 0.1
-UNRECORDED = 2.0
-"""Intervals: a longer time between two samples that neither covers is a gap, not jitter."""
+GAP_INTERVALS = 2.0  # uncovered time between two samples, in sample intervals, beyond which it is a gap, not jitter
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ChannelState:
-    """The range and the repeated values of one channel over a whole log, SI."""
+    """Range and repeated values of one channel over a whole log, SI."""
 
     samples: int
     minimum: float
     maximum: float
-    repeats: int
-    """Samples equal to the one before."""
-    run: int
-    """Longest row of equal samples; `run_stop`, s, is its end in its file, and `run_value` its value."""
+    repeats: int  # samples equal to the one before
+    run: int  # length of the longest run of equal samples, its end in its file, s, and its value
     run_stop: float
     run_value: float
-    step: float
-    """Smallest step from one value to another: the resolution, where it is coarser than the noise."""
-    extreme_run: int
-    """Longest row of equal samples at the minimum or the maximum, and its end, s."""
+    step: float  # smallest step from one value to another: the resolution, if that is coarser than the noise
+    extreme_run: int  # length of the longest run of equal samples at the minimum or maximum, and its end, s
     extreme_stop: float
 
     @staticmethod
     def of(row: list[float]) -> ChannelState:
-        """The state in a row of the numbers that `block_sums` keeps."""
+        """Return the state from a row of the numbers that `block_sums` updates."""
         samples, minimum, maximum, repeats, _, _, run, run_stop, run_value, *extreme, step = row
         extreme_run, extreme_stop = max(extreme[2:], extreme[:2], key=lambda length_and_end: length_and_end[0])
         return ChannelState(
@@ -61,11 +56,11 @@ class ChannelState:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ChannelSeries:
-    """The n channels of one kind over the K blocks of a file; n is 0 where there are none.
+    """The n channels of one kind over the K blocks of a file (n = 0 if there are none).
 
-    `means`, `ends`: means of the blocks (K, n), and their last samples (K, n), which show the resolution.
-    `weights`: weights (K,) of the blocks in a mean. `tail_total`, `tail_weight`: weighted sum (n,) and weight of
-    the samples after the last whole block."""
+    `means`, `ends`: means of the blocks (K, n), and their last samples (K, n), which show the resolution. `weights`:
+    weights of the blocks in a mean (K,). `tail_total`, `tail_weight`: weighted sum (n,) and weight of the samples
+    after the last whole block."""
 
     means: Array
     ends: Array
@@ -74,7 +69,7 @@ class ChannelSeries:
     tail_weight: float
 
     def mean(self, first: int, last: int) -> Array:
-        """Mean (n,) over blocks first … last − 1, and over the tail where they end the file."""
+        """Return the mean (n,) over blocks first … last − 1, including the tail if they end the file."""
         total, weight = self.weights[first:last] @ self.means[first:last], self.weights[first:last].sum()
         if last == len(self.means):
             total, weight = total + self.tail_total, weight + self.tail_weight
@@ -82,7 +77,7 @@ class ChannelSeries:
 
 
 def extremes(channels: tuple[ChannelState, ...]) -> Array:
-    """The smallest and the largest readings (2, n) of channels, SI."""
+    """Return the smallest and the largest readings (2, n) of channels, SI."""
     return np.array([[channel.minimum for channel in channels], [channel.maximum for channel in channels]])
 
 
@@ -90,10 +85,9 @@ def extremes(channels: tuple[ChannelState, ...]) -> Array:
 class FileBlocks:
     """The K blocks of one file.
 
-    `file`, `first_sample`: its number, and the index of its first sample among the stored ones. `size`: samples of
-    a block. `edges`: edges (K + 1,) of the blocks, s. `accel`, `gyro`, `magnetometer`: the channels, SI, those of
-    the magnetometer in its unit. `temperature`: temperatures (K, T) at the ends of the blocks, K. None without
-    thermometers."""
+    `file`, `first_sample`: its number, and the index of its first sample among the stored ones. `size`: samples of a
+    block. `edges`: edges of the blocks (K + 1,), s. `accel`, `gyro`, `magnetometer`: the channels, SI, or in the unit
+    of the magnetometer. `temperature`: temperatures at the ends of the blocks (K, T), K, None without thermometers."""
 
     file: int
     first_sample: int
@@ -108,13 +102,13 @@ class FileBlocks:
         return len(self.edges) - 1
 
     def sample_at(self, block: int) -> int:
-        """The index of the first sample of a block among the stored ones."""
+        """Return the index of the first sample of a block among the stored ones."""
         return self.first_sample + self.size * block
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Blemish:
-    """Blocks first … last − 1 of a file, from `start`, s, on, with the number of bad `samples` in them."""
+    """Blocks first … last − 1 of a file, beginning at `start`, s, with their number of bad `samples`."""
 
     file: int
     first: int
@@ -125,7 +119,13 @@ class Blemish:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Reduction:
-    """A log, or the part of it that has been read, reduced to blocks."""
+    """A log, or the part of it that has been read, reduced to blocks.
+
+    `samples`: the samples for the turns, None without gyros. `lost`: lost samples by long intervals, without those that
+    were bridged on reading. `repeated_rows`: rows in which all accelerometers and gyros repeat the row before. `gaps`:
+    gaps of the log. `blemishes`: blocks with bad samples, which have no weight. `tuning`: thresholds of the search for
+    rests and bad samples. `clock_rate`: seconds per second of the log's clock, which times are given by; intervals of
+    samples are in true seconds."""
 
     rate: float
     files: tuple[FileBlocks, ...]
@@ -134,22 +134,16 @@ class Reduction:
     samples: MotionSamples | None
     magnetometer_channels: tuple[ChannelState, ...]
     lost: int
-    """Samples for which long intervals leave room, without those that were bridged when the log was read."""
     repeated_rows: int
-    """Rows in which all accelerometers and gyros repeat their readings of the row before."""
     gaps: tuple[Gap, ...] = ()
-    """Lost samples of the log."""
     blemishes: tuple[Blemish, ...] = ()
-    """Blocks with bad samples, which have no weight."""
     tuning: Tuning = USUAL
-    """Thresholds of the search for rests and bad samples."""
     clock_rate: float = 1.0
-    """Seconds in a second of the log's clock. Times are by this clock; intervals of samples are in seconds."""
 
     @property
     def by_file(self) -> dict[int, FileBlocks]:
         """The blocks of each file by its number."""
-        return {each.file: each for each in self.files}
+        return {f.file: f for f in self.files}
 
     @property
     def block_seconds(self) -> float:
@@ -158,11 +152,10 @@ class Reduction:
 
     @property
     def held(self) -> int:
-        """Samples that are copies of the one before: the repeated rows, if there are more than channels of coarse
-        resolution have by chance, else 0.
+        """Number of repeated rows, if they are more than coarse channels have by chance, else 0.
 
         They are if hardly any channel repeats without all the others, or if channels that repeat independently in a
-        `held_share` of the log would seldom do so together."""
+        `held_share` of the log would rarely do so together."""
         channels = self.accel_channels + self.gyro_channels
         samples, fewest = channels[0].samples, min(channel.repeats for channel in channels)
         share = self.tuning.held_share * samples
@@ -179,7 +172,6 @@ class _Growing:
         self._count = 0
 
     def add(self, rows: Array) -> None:
-        """Add rows (m, width)."""
         stop = self._count + len(rows)
         if stop > len(self._values):
             larger = np.empty((max(stop, 2 * len(self._values)), self._values.shape[1]))
@@ -189,19 +181,20 @@ class _Growing:
         self._count = stop
 
     def forget(self, count: int) -> None:
-        """Drop the first `count` rows; the views that were given out stay as they are."""
+        """Drop the first `count` rows."""
         self._values = self._values[count:].copy()
         self._count -= count
 
     @property
     def rows(self) -> Array:
-        """All rows."""
         return self._values[: self._count]
 
 
 class _Channels:
-    """Running block sums and channel states of one kind of sensor. In a mean, samples that came as increments have the
-    weight of their intervals, samples that came as rates equal weights, whatever their time stamps."""
+    """Running block sums and channel states of one kind of sensor.
+
+    Samples that came as increments have the weight of their intervals in a mean, samples that came as rates equal
+    weights, whatever their time stamps."""
 
     def __init__(self, sensors: int, size: int, *, increments: bool) -> None:
         self.size, self.increments = size, increments
@@ -209,7 +202,6 @@ class _Channels:
         self.begin_file()
 
     def begin_file(self) -> None:
-        """Blocks begin with the next sample."""
         self.sums, self.filled = np.zeros(len(self.state)), np.zeros(1, dtype=np.int64)
         self.means, self.weights, self.ends = _Growing(len(self.state)), _Growing(1), _Growing(len(self.state))
 
@@ -230,7 +222,7 @@ class _Channels:
             rows.forget(blocks)
 
     def series(self, seconds: float) -> ChannelSeries:
-        """The channels over the blocks of the file; the samples after the last block cover so many `seconds`."""
+        """Return the channels over the blocks of the file; the tail after the last block covers `seconds`."""
         return ChannelSeries(
             means=self.means.rows,
             ends=self.ends.rows,
@@ -240,12 +232,12 @@ class _Channels:
         )
 
     def states(self) -> tuple[ChannelState, ...]:
-        """The states of the channels, from the numbers that `block_sums` keeps."""
+        """Return the states of the channels."""
         return tuple(map(ChannelState.of, self.state.tolist()))
 
 
 class Reducer:
-    """Reduces a log to blocks, chunk by chunk. Its result so far is there at any moment (`now`), and more may be added.
+    """Incremental reduction of a log to blocks; `now` returns the result so far.
 
     Parameters
     ----------
@@ -254,11 +246,11 @@ class Reducer:
     accel, gyro
         The accelerometers and the gyros; None without gyros.
     increments
-        For each kind of sensor whether a sample is an increment over its interval.
+        By kind of sensor, whether a sample is an increment over its interval.
     magnetometer
         Whether there is a magnetometer.
     clock_rate
-        Seconds in a second of the log's clock.
+        Seconds per second of the log's clock.
     """
 
     def __init__(
@@ -281,10 +273,12 @@ class Reducer:
         self._files: list[FileBlocks] = []
         self._file, self._first, self._count, self._stop = -1, 0, 0, 0.0
         self._edges, self._temperature = _Growing(1), _Growing(1)
-        self._unrecorded: dict[int, float] = {}
-        self._beyond = (beyond_body(accel.axes), beyond_body(gyro.axes)) if gyro and accel.size >= FEWEST else None
+        self._uncovered: dict[int, float] = {}
+        is_array = gyro is not None and accel.size >= FEWEST
+        self._null_spaces = (left_null_space(accel.axes), left_null_space(gyro.axes)) if gyro and is_array else None
         self._to_body = [_to_body(block) for block in (accel, gyro) if block is not None]
-        self._stored = MotionSamples(0 if self._beyond is None else sum(map(len, self._beyond))) if gyro else None
+        n_spare = sum(map(len, self._null_spaces)) if self._null_spaces else 0
+        self._stored = MotionSamples(n_spare) if gyro else None
         self._lost = self._repeated = 0
         self._last: tuple[Array, ...] = ()
 
@@ -296,16 +290,16 @@ class Reducer:
             for channels in self._channels.values():
                 channels.begin_file()
             self._file, self._first, self._count = chunk.file, self._first + self._count, 0
-            self._edges, self._last, self._unrecorded = _Growing(1), (), {}
+            self._edges, self._last, self._uncovered = _Growing(1), (), {}
             self._temperature = _Growing(1 if chunk.temperature is None else chunk.temperature.shape[1])
             self._edges.add(np.array([[chunk.time[0] - chunk.dt[0]]]))
         # the time, s, in each block that no sample covers
-        left = chunk.time - chunk.dt
-        left[0] -= self._stop if self._count else float(chunk.time[0] - chunk.dt[0])
-        left[1:] -= chunk.time[:-1]
-        for i in np.flatnonzero(left > UNRECORDED / self.rate).tolist():
+        uncovered = chunk.time - chunk.dt
+        uncovered[0] -= self._stop if self._count else float(chunk.time[0] - chunk.dt[0])
+        uncovered[1:] -= chunk.time[:-1]
+        for i in np.flatnonzero(uncovered > GAP_INTERVALS / self.rate).tolist():
             block = (self._count + i) // self.size
-            self._unrecorded[block] = self._unrecorded.get(block, 0.0) + float(left[i])
+            self._uncovered[block] = self._uncovered.get(block, 0.0) + float(uncovered[i])
         ends = np.arange(self.size - 1 - self._count % self.size, len(chunk.time), self.size)
         before = len(self._edges.rows)
         self._edges.add(chunk.time[ends, None])
@@ -314,8 +308,9 @@ class Reducer:
             channels.feed(getattr(chunk, kind), chunk.time, chunk.dt, ends, seconds)
         if self._stored is not None and self.gyro is not None and chunk.gyro is not None:
             spare = None
-            if self._beyond is not None:  # readings of an array beyond force and rate
-                spare = np.hstack([v @ to.T for v, to in zip((chunk.accel, chunk.gyro), self._beyond, strict=True)])
+            if self._null_spaces is not None:  # components of an array's readings that no force or rate explains
+                pairs = zip((chunk.accel, chunk.gyro), self._null_spaces, strict=True)
+                spare = np.hstack([v @ null_space.T for v, null_space in pairs])
             forces, rates = (
                 v if to is None else v @ to for v, to in zip((chunk.accel, chunk.gyro), self._to_body, strict=True)
             )
@@ -337,51 +332,46 @@ class Reducer:
         self._stop = float(chunk.time[-1])
 
     def _covered(self, first: int, edges: Array) -> Array:
-        """The time (k,), s, that the samples of blocks with these edges (k + 1,) cover, from block `first` on."""
+        """Return the time (k,), s, covered by samples in the blocks from `first` on with these edges (k + 1,)."""
         seconds = self.clock_rate * np.diff(edges)
-        for block, left in self._unrecorded.items():
+        for block, uncovered in self._uncovered.items():
             if first <= block < first + len(seconds):
-                seconds[block - first] -= left
+                seconds[block - first] -= uncovered
         return seconds
 
     def _blocks(self) -> FileBlocks:
-        """The blocks of the present file so far."""
+        """Return the blocks of the present file so far."""
         edges = self._edges.rows[:, 0]
-        left = float(self._covered(len(edges) - 1, np.append(edges[-1:], self._stop))[0])
+        tail_seconds = float(self._covered(len(edges) - 1, np.append(edges[-1:], self._stop))[0])
         return FileBlocks(
             file=self._file,
             first_sample=self._first,
             size=self.size,
             edges=edges,
             temperature=self._temperature.rows if len(self._temperature.rows) else None,
-            **{kind: channels.series(left) for kind, channels in self._channels.items()},
+            **{kind: channels.series(tail_seconds) for kind, channels in self._channels.items()},
         )
 
     def forget(self, blocks: int) -> None:
-        """Drop the first blocks of the present file, their samples, and all files before it.
+        """Drop the first `blocks` blocks of the present file, their samples, and all files before it.
 
-        The other blocks stay as they are, and so do the states of the channels, which are those of all samples.
-        Reductions that were given out keep what they have.
-
-        Parameters
-        ----------
-        blocks
-            How many blocks of the present file to drop, at most those that there are.
-        """
+        The other blocks, the channel states, which are those of all samples, and reductions that were given out do not
+        change."""
         samples = blocks * self.size
         for channels in self._channels.values():
             channels.forget(blocks)
         self._edges.forget(blocks)
         if len(self._temperature.rows):
             self._temperature.forget(blocks)
-        self._unrecorded = {b - blocks: seconds for b, seconds in self._unrecorded.items() if b >= blocks}
+        self._uncovered = {b - blocks: seconds for b, seconds in self._uncovered.items() if b >= blocks}
         if self._stored is not None:
             self._stored = self._stored.since(self._first + samples)
         self._files, self._first, self._count = [], 0, self._count - samples
 
     def now(self) -> Reduction:
-        """The reduction of the samples so far, to the bit that of a log which ends here. No block is copied, and more
-        samples may be added."""
+        """Return the reduction of the samples so far, identical to that of a log which ends here.
+
+        No block is copied, and more samples may be added."""
         return Reduction(
             rate=self.rate,
             files=(*self._files, self._blocks()) if self._file >= 0 else (),
@@ -396,8 +386,7 @@ class Reducer:
 
 
 def _to_body(block: Block) -> Array | None:
-    """The matrix (n, 3) that takes readings (m, n) of a block to vectors (m, 3) in the body; None where its sensors are
-    along the axes of the body."""
+    """Return the matrix (n, 3) that takes readings (m, n) to body vectors (m, 3), None if it is the identity."""
     to_body = np.asarray(onto_body(block.axes).T, dtype=float)
     return None if np.array_equal(to_body, np.eye(3)) else to_body
 
@@ -414,9 +403,9 @@ def reduce_log(
     accel, gyro
         The accelerometers and the gyros; None without gyros.
     chunks
-        Its samples, by default `log.chunks()`; others may show progress on the way.
+        Its samples, by default `log.chunks()`; another iterator may show progress.
     tuning
-        Thresholds of what follows.
+        Thresholds of the search for rests and bad samples.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """Allan deviation of recordings at rest, with confidence intervals.
 
-The Allan variance at τ is half the mean square of the difference of neighbouring means over τ: twice the Haar wavelet
-variance. Which processes it is a sum of, `tumble.reduction.noise.wavelet_moments` finds out.
+The Allan variance at τ is half the mean square difference of neighbouring means over τ, twice the Haar wavelet
+variance. `tumble.reduction.noise.wavelet_moments` identifies the processes of which it is a sum.
 
 Source: IEEE Std 952-1997, annex C; Riley, Handbook of Frequency Stability Analysis (NIST SP 1065).
 """
@@ -22,16 +22,15 @@ from tumble.units import Array, IntArray
 
 SIZES_PER_OCTAVE = 4
 MIN_SAMPLES = 32
-MIN_CLUSTERS = 4
-"""The longest τ is this part of the record."""
+MIN_CLUSTERS = 4  # clusters of the longest τ in a record
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
 class AllanDeviation(Brief):
     """Overlapping Allan deviation of c channels at k averaging times.
 
-    tau (k,) s; deviation (k, c) in the unit of the samples, with its 68 % confidence interval low … high (k, c)
-    from χ² with `degrees` (k, c) equivalent degrees of freedom; `counts` are the samples of the records."""
+    `tau` (k,), s. `deviation` (k, c), in the unit of the samples, with its 68 % confidence interval `low` … `high` (k,
+    c) from χ² with `degrees` (k, c) equivalent degrees of freedom. `counts`: numbers of samples of the records."""
 
     tau: Array
     deviation: Array
@@ -43,11 +42,22 @@ class AllanDeviation(Brief):
 
 @checked
 def allan_deviation(samples: Array, rate: float) -> AllanDeviation:
-    """Overlapping Allan deviation of samples (m,) or (m, c) taken at a constant `rate` (Hz), at four averaging
-    times an octave up to a quarter of the record. One channel is worked on at a time.
+    """Return the overlapping Allan deviation at four averaging times per octave, up to a quarter of the record.
 
-    Raises InputError for fewer than 32 samples or a value that is not a number.
+    Parameters
+    ----------
+    samples
+        Samples (m,) or (m, c) at a constant rate.
+    rate
+        Samples per second.
 
+    Raises
+    ------
+    InputError
+        For fewer than 32 samples, or a value that is not finite.
+
+    Examples
+    --------
     >>> import numpy as np, tumble
     >>> white = np.random.default_rng(1).normal(size=(10_000, 1))
     >>> found = tumble.allan_deviation(white, 100.0)
@@ -73,9 +83,9 @@ def allan_deviation(samples: Array, rate: float) -> AllanDeviation:
     tau = sizes / rate
     degrees, x = np.empty_like(deviation), np.log2(tau)
     for c, column in enumerate(deviation.T):
-        # the exponent α (0, −1, −2: white noise, flicker, random walk) of the power law S ∝ f^α around each τ, from the
-        # slope −α − 1 of σ² over an octave to either side. Steeper slopes at short τ (quantisation) count as white,
-        # which understates their degrees of freedom where there are plenty
+        # exponent α (0, −1, −2: white noise, flicker, random walk) of the power law S ∝ f^α around each τ, from the
+        # slope −α − 1 of σ² over an octave on either side. Steeper slopes at short τ (quantisation) count as white,
+        # which understates their many degrees of freedom
         exponents = np.zeros(len(tau), dtype=np.int64)
         for i, centre in enumerate(x if column.all() else ()):
             near = np.abs(x - centre) < 1.01
@@ -86,7 +96,7 @@ def allan_deviation(samples: Array, rate: float) -> AllanDeviation:
 
 
 def _integral(column: Array) -> Array:
-    """Running sum (m + 1,) of the samples less their mean, from 0."""
+    """Return the running sum (m + 1,) of the samples less their mean, from 0."""
     out = np.zeros(len(column) + 1)
     np.subtract(column, column[0], out=out[1:])  # a constant becomes exactly zero
     out[1:] -= out[1:].mean()
@@ -97,7 +107,8 @@ def _integral(column: Array) -> Array:
 
 
 def _degrees(points: int, sizes: IntArray, exponents: IntArray) -> Array:
-    """Equivalent degrees of freedom (k,) of overlapping estimates from so many points of the integral.
+    """Return the equivalent degrees of freedom (k,) of overlapping estimates from this number of points of the
+    integral.
 
     Source: Riley, Handbook of Frequency Stability Analysis (NIST SP 1065), table 5."""
     n, m = float(points), sizes.astype(float)
@@ -108,8 +119,10 @@ def _degrees(points: int, sizes: IntArray, exponents: IntArray) -> Array:
 
 
 def pooled(records: Sequence[AllanDeviation]) -> AllanDeviation:
-    """The Allan deviation of several records of the same sensors at rest: at each τ the mean of σ² over the records
-    that are long enough, weighted by the number of differences. Raises InputError where rates or channels differ."""
+    """Return the Allan deviation of several records of the same sensors at rest.
+
+    At each τ it is the mean of σ² over the records that are long enough, weighted by the number of differences. Raises
+    InputError if rates or channels differ."""
     longest = max(records, key=lambda record: record.counts[0])
     for record in records:
         if record.deviation.shape[1] != longest.deviation.shape[1] or not np.isclose(record.tau[0], longest.tau[0]):

@@ -1,6 +1,6 @@
-"""The noise of a sensor as a sum of processes: the generalised method of wavelet moments.
+"""Sensor noise as a sum of processes, by the generalised method of wavelet moments.
 
-The Haar wavelet variance at a scale of τ is half the Allan variance σ²(τ). Independent processes add in it:
+The Haar wavelet variance at a scale of τ is half the Allan variance σ²(τ). Independent processes add up in it:
 
     σ²(τ) = 3 Q²/τ² + N²/τ + (2 ln 2/π) B² + K² τ/3 + R² τ²/2 + Σ σ² A(τ/T)                                     (1)
     A(x) = 2/x [1 − (3 − 4e⁻ˣ + e⁻²ˣ)/(2x)]
@@ -9,32 +9,41 @@ The Haar wavelet variance at a scale of τ is half the Allan variance σ²(τ). 
     N  white noise: angle or velocity random walk                              rad/√s, m/s/√s
     B  bias instability: flicker noise, S = B²/2πf                             rad/s, m/s²
     K  random walk of the rate, S = K²/(2πf)²                                  rad/s/√s, m/s²/√s
-    R  ramp: a drift along a line                                              rad/s², m/s³
-    σ, T  Gauss–Markov noise of this standard deviation and correlation time, S = 2σ²T/(1 + (2πfT)²); up to two
+    R  ramp: a linear drift                                                    rad/s², m/s³
+    σ, T  Gauss–Markov noise of this standard deviation and correlation time, S = 2σ²T/(1 + (2πfT)²); at most two
 
 (IEEE Std 952-1997, annex C; S are two-sided). Means of neighbouring stretches differ by d_i(t), a second difference of
-the integral x of the noise over m_i samples. With the generalised covariance G(h) of x, Q² δ, −N²|h|/2, K²|h|³/12,
-B² h² ln|h|/2π, −σ²T (|h| + T e^{−|h|/T}), and w = (1, −2, 1),
+the integral x of the noise over m_i samples. With the generalised covariance G(h) of x, which is Q² δ, −N²|h|/2,
+K²|h|³/12, B² h² ln|h|/2π, −σ²T (|h| + T e^{−|h|/T}), and w = (1, −2, 1),
 
     γ_ij(h) = E d_i(t) d_j(t + h) = Σ_ab w_a w_b G(h + b m_j − a m_i) / (m_i m_j)                               (2)
     C_ij = cov(σ̂_i², σ̂_j²) = Σ_h c_ij(h) (½ γ_ij(h)² + μ_i μ_j γ_ij(h)) / (M_i M_j)                            (3)
 
-μ_i is what a ramp adds to d_i, M_i the number of d_i and c_ij(h) that of pairs h apart, both over all records: several
-of them are one longer one. (3) is exact for normal noise. The sum over h is taken over panels that begin at the kinks
-of (2) and grow away from them, by Gauss's rule where they are wide.
+μ_i is the contribution of a ramp to d_i, M_i the number of d_i and c_ij(h) the number of pairs with lag h, both over
+all records. (3) is exact for normal noise. The sum over h is divided into panels that begin at the kinks of (2) and
+grow away from them; wide panels use Gauss's rule.
 
 Moments σ̂² at octaves of τ are fitted by generalised least squares with C of the fitted noise (Guerrier et al.,
 Wavelet-variance-based estimation for composite stochastic processes, JASA 108, 2013), in Wilson and Hilferty's cube
-roots, which are normal with few degrees of freedom ν too:
+roots, which are normal even for few degrees of freedom ν:
 
     g_i = 3 s_i² [(σ̂_i²/s_i²)^⅓ − (σ_i²/s_i²)^⅓ (1 − 2/(9 ν_i))],  ν_i = 2 s_i⁴/C_ii,  Q = gᵀ C⁻¹ g → min      (4)
 
-C being that of a sum with moments s_i², in the end that of the fitted one itself, s_i = σ_i.
+where C belongs to a sum with moments s_i², which is finally the fitted one, s_i = σ_i.
 
-Which processes there are, the data choose: of all sums, the one with the least Q + ln det C, −2 ln of the likelihood,
-plus PENALTY for every process. The runner-up and by how much it is worse are part of the result. Where no sum fits
-(probability of Q below MISFIT), the sensor does not follow (1), by filters and vibration: then C gets (MODEL_ERROR
-σ_i²)² on its diagonal, and u is enlarged by what is left.
+The processes are selected by the data: of all sums, the one with the least Q + ln det C, −2 ln of the likelihood, plus
+PENALTY for every process. The runner-up and its margin are part of the result. If no sum fits (probability of Q below
+MISFIT_PROBABILITY), the sensor does not follow (1), because of filters and vibration: then C gets (MODEL_ERROR σ_i²)²
+on its diagonal, and u is enlarged by the remaining misfit.
+
+Navigation filters have two processes, white noise of density n and a bias random walk k (`filter_densities`):
+
+    n² = N² + 3 Q²/Δ                                quantisation Q as white noise over one sample interval Δ
+    k² = K² + Σ 2 σ²/T + 3 (2 ln 2/π)² B⁴/N²        initial growth of Gauss–Markov noise; a walk through the flat part
+                                                    where it meets the white noise
+
+and for several channels the largest of each. A ramp, as of a warm-up, is no noise: a filter follows it as a bias. If
+no slow process was found, k is the largest that the Allan deviation allows, k² ≤ 3 σ²(τ)/τ for all τ.
 """
 
 from __future__ import annotations
@@ -50,26 +59,19 @@ import scipy
 from tumble.reduction.noise.allan_deviation import AllanDeviation
 from tumble.units import Array, IntArray
 
-MIN_SIZE = 4
-"""Shorter clusters, in samples, are shown but not fitted: filters and the way samples are taken bend (1)."""
+MIN_SIZE = 4  # samples: shorter clusters are not fitted, since filters and the sampling bend (1)
 CLUSTERS = 8
-"""The longest τ of the fit is this part of the longest record: with fewer, neighbouring moments are not normal
-together, and one that is low by chance is taken for a Gauss–Markov process."""
-MODEL_ERROR = 0.03
-"""How far real sensors follow (1), as a part of σ²."""
-MISFIT = 1e-3
-"""Probability of Q below which no sum fits."""
+"""Clusters of the longest fitted τ in the longest record: with fewer, neighbouring moments are not jointly normal, and
+one that is low by chance would count as a Gauss–Markov process."""
+MODEL_ERROR = 0.03  # deviation of real sensors from (1), relative to σ²
+MISFIT_PROBABILITY = 1e-3  # probability of Q below which no sum fits
 LINEAR = ("quantisation", "white_noise", "bias_instability", "rate_random_walk", "ramp")
-PENALTY = {"linear": 12.0, "gauss_markov": 28.0}
-"""By so much −2 ln of the likelihood has to fall for a process: studies/noise_processes.py."""
-TRIED = 6
-"""Kinds of sums that are fitted, those that are best on a grid of correlation times."""
-MOST_GAUSS_MARKOV = 2
-VANISHED = 0.01
-"""A process that adds less to Q has gone to zero: the sum is that of the others."""
+PENALTY = {"linear": 12.0, "gauss_markov": 28.0}  # in −2 ln of the likelihood per process: studies/noise_processes.py
+MAX_FITTED = 6  # kinds of sums that are fitted, the best on a grid of correlation times
+MAX_GAUSS_MARKOV = 2
+VANISHED = 0.01  # contribution to Q below which a process counts as zero
 FLICKER = 2.0 * np.log(2.0) / np.pi
-EVERY_LAG = 4
-"""Panels of (3) that are no wider, in samples, are summed lag by lag."""
+LAG_BY_LAG = 4  # samples: panels of (3) up to this width are summed lag by lag
 _W = np.array([1.0, -2.0, 1.0])
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 
@@ -83,14 +85,14 @@ class Coefficient:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Of 95 %, the logarithm being normal."""
+        """95 % interval; the logarithm is normal."""
         wide = float(np.exp(1.96 * self.u / self.value))
         return self.value / wide, self.value * wide
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GaussMarkov:
-    """A bias that wanders about its mean: standard deviation σ and correlation time T, s."""
+    """A bias that varies about its mean, with standard deviation σ and correlation time T, s."""
 
     sigma: Coefficient
     time: Coefficient
@@ -98,9 +100,10 @@ class GaussMarkov:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class NoiseParameters:
-    """The processes of (1) that one channel shows, in SI; None: it does not show it. `probability` is that of so large
-    a misfit by chance; `runner_up` the next best sum in words, by `margin` worse, in −2 ln of the
-    likelihood."""
+    """The processes of (1) identified in one channel, in SI; None for those that are not.
+
+    `probability`: of so large a misfit by chance. `runner_up`: the next best sum in words. `margin`: by how much it is
+    worse, in −2 ln of the likelihood."""
 
     quantisation: Coefficient | None = None
     white_noise: Coefficient | None = None
@@ -114,11 +117,11 @@ class NoiseParameters:
 
     @property
     def words(self) -> str:
-        """Which processes these are."""
+        """Names of the processes."""
         return in_words([name for name in LINEAR if getattr(self, name) is not None], len(self.gauss_markov))
 
     def variances(self, tau: Array) -> dict[str, Array]:
-        """What each process contributes to σ²(τ), (k,) each, by name."""
+        """Return the contribution of each process to σ²(τ) (k,), by name."""
         named = zip(LINEAR, _slopes(tau, ()).T, strict=True)
         out = {name: a * c.value**2 for name, a in named if (c := getattr(self, name)) is not None}
         for i, process in enumerate(self.gauss_markov, 1):
@@ -127,14 +130,14 @@ class NoiseParameters:
 
 
 def in_words(linear: Sequence[str], gauss_markov: int) -> str:
-    """A sum of processes in words."""
+    """Return a sum of processes in words."""
     words = [name.replace("_", " ") for name in linear]
     words += [] if not gauss_markov else ["Gauss–Markov noise" if gauss_markov == 1 else "two Gauss–Markov processes"]
     return " + ".join(words) or "no noise"
 
 
 def _slopes(tau: Array, times: Sequence[float]) -> Array:
-    """Columns (k, n) of (1): what processes of unit coefficients contribute to σ²(τ)."""
+    """Return the columns (k, n) of (1): contributions of processes of unit coefficients to σ²(τ)."""
     columns = [3.0 / tau**2, 1.0 / tau, np.full_like(tau, FLICKER), tau / 3.0, 0.5 * tau**2]
     for T in times:
         x = tau / T
@@ -145,7 +148,7 @@ def _slopes(tau: Array, times: Sequence[float]) -> Array:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Moments:
-    """Octaves `sizes` (k,) of records of so many samples each, in units of the interval of the samples."""
+    """Moments at octaves `sizes` (k,) of records with these numbers of samples, in units of the sample interval."""
 
     sizes: IntArray
     counts: tuple[int, ...]
@@ -157,24 +160,24 @@ class _Moments:
 
     @cached_property
     def pairs(self) -> tuple[Array, Array]:
-        """The sizes m_i and m_j (p, 1) of every pair i ≤ j."""
+        """The sizes m_i and m_j (p, 1) of all pairs i ≤ j."""
         i, j = np.triu_indices(len(self.sizes))
         return self.tau[i, None], self.tau[j, None]
 
     @cached_property
     def lags(self) -> tuple[Array, Array, Array]:
-        """For every pair of sizes the lags h of (3) and their weights c dh/(M_i M_j), both (p, n), and the lags
-        (p, n, 9) of G in (2)."""
+        """For all pairs of sizes, the lags h of (3) and their weights c dh/(M_i M_j), both (p, n), and the lags (p, n,
+        9) of G in (2)."""
         m_i, m_j = self.pairs
         far = 2.0 * max(self.counts)
         growth = np.concatenate([[0.25, 0.5, 0.75, 1.0, 1.5], 2.0 ** np.arange(1, 1 + np.ceil(np.log2(far)))])
-        grids, dense = [], np.arange(EVERY_LAG)
+        grids, dense = [], np.arange(LAG_BY_LAG)
         for m, n in np.hstack([m_i, m_j]).tolist():
             kinks = np.unique([a * m - b * n for a in range(3) for b in range(3)])
             steps = np.concatenate([[1.0], np.round(m * growth[m * growth < far])])
             edges = np.unique(np.concatenate([kinks, *(kinks + s for s in steps), *(kinks - s for s in steps)]))
             start, width = edges[:-1], np.diff(edges)
-            each, wide = width <= EVERY_LAG, width > EVERY_LAG
+            each, wide = width <= LAG_BY_LAG, width > LAG_BY_LAG
             single = start[each, None] + np.where(dense < width[each, None], dense, np.nan)
             half = 0.5 * width[wide, None]
             nodes = start[wide, None] - 0.5 + half * (1.0 + _NODES)  # from half a lag before: sums are midpoint rules
@@ -192,13 +195,13 @@ class _Moments:
         return h[:, kept], weight[:, kept], h[:, kept, None] + shifts
 
     def _second_differences(self, G: Array) -> Array:
-        """γ (p, n) of values of G (p, n, 9)."""
+        """Return γ (p, n) from values of G (p, n, 9)."""
         m_i, m_j = self.pairs
         return np.asarray(G @ np.outer(_W, _W).ravel() / (m_i * m_j))
 
     @cached_property
     def linear(self) -> Array:
-        """γ (4, p, n) of unit Q, N, B and K. Where the stretches of (2) do not overlap γ of N and K is exactly zero."""
+        """γ (4, p, n) of unit Q, N, B and K; exactly zero for N and K if the stretches of (2) do not overlap."""
         (h, _, shifted), (m_i, m_j) = self.lags, self.pairs
         size, overlap = np.abs(shifted), np.where((h > -2.0 * m_j) & (h < 2.0 * m_i), 1.0, 0.0)
         near = np.where(size < 0.5, 1.0, 0.0)  # δ of whole lags, whose squares have to add up too
@@ -207,12 +210,12 @@ class _Moments:
         return np.array([Q, N * overlap, B, K * overlap])
 
     def gauss_markov(self, T: float) -> Array:
-        """γ (p, n) of Gauss–Markov noise of unit variance."""
+        """Return γ (p, n) of Gauss–Markov noise of unit variance."""
         tail = self._second_differences(-(T**2) * np.exp(-np.abs(self.lags[2]) / T))
         return np.asarray(2.0 * T * self.linear[1] + tail)
 
     def covariance(self, squares: Array, times: Sequence[float]) -> Array:
-        """C (k, k) of (3) for squares of the coefficients, and correlation times in samples."""
+        """Return C (k, k) of (3) for squared coefficients and correlation times in samples."""
         gamma = np.tensordot(squares[:4], self.linear, 1)
         for square, T in zip(squares[5:], times, strict=True):
             if square > 0.0:
@@ -224,18 +227,7 @@ class _Moments:
 
 
 def identify(deviation: AllanDeviation) -> tuple[NoiseParameters, ...]:
-    """Find the noise processes of each channel of one record, or of several records together.
-
-    Parameters
-    ----------
-    deviation : AllanDeviation
-        Of one record, or pooled over several (`pooled`).
-
-    Returns
-    -------
-    tuple of NoiseParameters
-        The processes of each channel.
-    """
+    """Identify the noise processes of each channel of one record, or of several pooled records (`pooled`)."""
     sizes = np.round(deviation.tau / deviation.tau[0]).astype(np.int64)
     longest = max(2 * MIN_SIZE, max(deviation.counts) // CLUSTERS)
     used = (sizes >= MIN_SIZE) & (sizes <= longest) & (sizes & (sizes - 1) == 0)
@@ -247,9 +239,9 @@ def identify(deviation: AllanDeviation) -> tuple[NoiseParameters, ...]:
 class _Fit:
     """A fitted sum of processes.
 
-    `squares`: squares (5 + n,) of the coefficients, those of LINEAR, zero where the sum has none, and of n
-    Gauss–Markov processes. `times`: correlation times of these, in samples. `misfit`: Q. `deviance`: −2 ln of the
-    likelihood. `u`: standard uncertainties of the logarithms of the squares that are not zero, and of the times."""
+    `squares`: squared coefficients (5 + n,) of LINEAR, zero for those not in the sum, and of n Gauss–Markov processes.
+    `times`: correlation times of these, in samples. `misfit`: Q. `deviance`: −2 ln of the likelihood. `u`: standard
+    uncertainties of the logarithms of the nonzero squares and of the times."""
 
     squares: Array
     times: tuple[float, ...]
@@ -259,26 +251,26 @@ class _Fit:
 
     @property
     def active(self) -> IntArray:
-        """The indices of the squares that are not zero."""
+        """Indices of the nonzero squares."""
         return np.flatnonzero(self.squares)
 
     @property
     def cost(self) -> float:
-        """The deviance with the penalties of the processes, which is least for the sum that is chosen."""
+        """Deviance with the penalties of the processes, which the selected sum minimises."""
         linear = len(self.active) - len(self.times)
         return self.deviance + PENALTY["linear"] * linear + PENALTY["gauss_markov"] * len(self.times)
 
     @property
     def words(self) -> str:
-        """The names of the processes."""
+        """Names of the processes."""
         return in_words([LINEAR[j] for j in self.active if j < len(LINEAR)], len(self.times))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Weighting:
-    """The weighting of moments by the covariance C of a sum with variances `model` (k,).
+    """Weighting of moments by the covariance C of a sum with variances `model` (k,).
 
-    `root`: Cholesky factor of C. `freedom`: degrees of freedom (k,) of the moments."""
+    `root`: Cholesky factor of C. `freedom`: degrees of freedom of the moments (k,)."""
 
     root: Array
     freedom: Array
@@ -286,10 +278,10 @@ class _Weighting:
 
     @staticmethod
     def by(fit: _Fit, moments: _Moments, error: float) -> _Weighting:
-        """The weighting by C of a sum, which describes a sensor to the part `error` of σ²."""
+        """Return the weighting by C of a fit, which describes a sensor up to the relative `error` of σ²."""
         model = _slopes(moments.tau, fit.times) @ fit.squares
         C, least = moments.covariance(fit.squares, fit.times) + np.diag((error * model) ** 2), 0.0
-        while True:  # of readings in motion, moments may be those of one movement: C is singular but for rounding
+        while True:  # C may be singular if all moments stem from a single motion
             try:
                 regular = C + least * np.diag(model**2)
                 root = np.asarray(np.linalg.cholesky(regular))
@@ -300,24 +292,24 @@ class _Weighting:
                 least = max(10.0 * least, 1e-12)
 
     def residuals(self, variance: Array, model: Array) -> tuple[Array, Array]:
-        """g (k,) of (4) for a model, and minus its derivative by that (k,)."""
+        """Return g (k,) of (4) for a model, and minus its derivative by the model (k,)."""
         cube, scale = 1.0 - 2.0 / (9.0 * self.freedom), np.cbrt(self.model) ** 2
         g = 3.0 * scale * (np.cbrt(variance) - cube * np.cbrt(model))
         return g, cube * scale / np.cbrt(model) ** 2
 
 
 def _identify(variance: Array, moments: _Moments, interval: float) -> NoiseParameters:
-    """The processes of one channel, of moments (k,) at octaves; `interval` of the samples, s."""
+    """Return the processes of one channel from moments at octaves (k,); `interval` of the samples, s."""
     if not variance.all():
         return NoiseParameters()
     for error in (0.0, MODEL_ERROR):
-        best, runner_up = _best_two(variance, moments, error)
+        best, runner_up = _select(variance, moments, error)
         freedom = len(variance) - len(best.u)
         probability = float(scipy.special.chdtrc(freedom, best.misfit)) if freedom > 0 else 1.0
-        if probability > MISFIT:
+        if probability > MISFIT_PROBABILITY:
             break
-    wider = np.sqrt(best.misfit / freedom) if probability < MISFIT else 1.0
-    units = interval ** np.array([1.0, 0.5, 0.0, -0.5, -1.0, *(0.0 for _ in best.times)])  # from those of one sample
+    wider = np.sqrt(best.misfit / freedom) if probability < MISFIT_PROBABILITY else 1.0
+    units = interval ** np.array([1.0, 0.5, 0.0, -0.5, -1.0, *(0.0 for _ in best.times)])  # from sample intervals to s
     values = np.sqrt(best.squares) * units
     coefficients = {
         int(j): Coefficient(value=float(values[j]), u=float(0.5 * u * wider * values[j]))
@@ -336,26 +328,26 @@ def _identify(variance: Array, moments: _Moments, interval: float) -> NoiseParam
     )
 
 
-def _best_two(variance: Array, moments: _Moments, error: float) -> tuple[_Fit, _Fit | None]:
-    """The sum of least cost, and the next best of another kind, each fitted with its own C.
+def _select(variance: Array, moments: _Moments, error: float) -> tuple[_Fit, _Fit | None]:
+    """Return the sum of least cost, and the next best of another kind, each fitted with its own C.
 
-    The kinds that are fitted are the TRIED best on a grid of correlation times, first with C of a smooth curve, which
-    is the non-negative fit of all processes together, and then with C of the best of them."""
+    The MAX_FITTED best kinds on a grid of correlation times are fitted, first with C of a smooth curve, the
+    non-negative fit of all processes together, and then with C of the best of them."""
     from scipy.optimize import nnls
 
     tau, grid = moments.tau, tuple(moments.tau[:-1].tolist())
     columns = _slopes(tau, grid) / (np.sqrt(tau) * variance)[:, None]
     size = np.linalg.norm(columns, axis=0)
     smooth = _Fit(squares=nnls(columns / size, 1.0 / np.sqrt(tau))[0] / size, times=grid)
-    weighting, begun, fitted = _Weighting.by(smooth, moments, error), set[str](), dict[str, tuple[_Fit, _Weighting]]()
+    weighting, tried, fitted = _Weighting.by(smooth, moments, error), set[str](), dict[str, tuple[_Fit, _Weighting]]()
     for _ in range(2):
-        for start in sorted(_by_grid(variance, tau, grid, weighting), key=lambda each: each.cost)[:TRIED]:
-            if start.words not in begun:
-                begun.add(start.words)
-                fit, by_itself = _refitted(variance, moments, error, start, weighting)
+        for start in sorted(_by_grid(variance, tau, grid, weighting), key=lambda fit: fit.cost)[:MAX_FITTED]:
+            if start.words not in tried:
+                tried.add(start.words)
+                fit, own_weighting = _refitted(variance, moments, error, start, weighting)
                 if fit.words not in fitted or fit.cost < fitted[fit.words][0].cost:
-                    fitted[fit.words] = fit, by_itself
-        ordered = sorted(fitted.values(), key=lambda each: each[0].cost)
+                    fitted[fit.words] = fit, own_weighting
+        ordered = sorted(fitted.values(), key=lambda pair: pair[0].cost)
         weighting = ordered[0][1]
     return ordered[0][0], ordered[1][0] if len(ordered) > 1 else None
 
@@ -363,15 +355,15 @@ def _best_two(variance: Array, moments: _Moments, error: float) -> tuple[_Fit, _
 def _refitted(
     variance: Array, moments: _Moments, error: float, start: _Fit, weighting: _Weighting
 ) -> tuple[_Fit, _Weighting]:
-    """The fit of a sum with its own C, without the processes whose coefficients go to zero, and the weighting by C."""
+    """Return the fit of a sum with its own C, without processes whose coefficients go to zero, and its weighting."""
     fit, last = _fitted(variance, moments.tau, start, weighting), np.inf
     for _ in range(6):
         contributions = np.linalg.solve(weighting.root, _slopes(moments.tau, fit.times) * fit.squares)
-        stays = np.sum(contributions**2, axis=0) > VANISHED
-        stays_in_time = stays[len(LINEAR) :]
-        squares = np.where(stays, fit.squares, 0.0)[np.r_[np.full(len(LINEAR), True), stays_in_time]]
-        fit = replace(fit, squares=squares, times=tuple(np.array(fit.times)[stays_in_time].tolist()))
-        if set(fit.active.tolist()) <= {LINEAR.index("ramp")}:  # which is no noise
+        kept = np.sum(contributions**2, axis=0) > VANISHED
+        kept_times = kept[len(LINEAR) :]
+        squares = np.where(kept, fit.squares, 0.0)[np.r_[np.full(len(LINEAR), True), kept_times]]
+        fit = replace(fit, squares=squares, times=tuple(np.array(fit.times)[kept_times].tolist()))
+        if set(fit.active.tolist()) <= {LINEAR.index("ramp")}:  # a ramp is no noise
             return replace(fit, deviance=np.inf, u=np.empty(0)), weighting
         weighting = _Weighting.by(fit, moments, error)
         fit = _fitted(variance, moments.tau, fit, weighting)
@@ -382,13 +374,13 @@ def _refitted(
 
 
 def _by_grid(variance: Array, tau: Array, grid: tuple[float, ...], weighting: _Weighting) -> list[_Fit]:
-    """Of every kind of sum the best with correlation times of the grid, by linear least squares."""
+    """Return the best sum of every kind with correlation times of the grid, by linear least squares."""
     A = np.linalg.solve(weighting.root, _slopes(tau, grid))
     y = np.linalg.solve(weighting.root, weighting.residuals(variance, weighting.model)[0] + weighting.model)
     size = np.linalg.norm(A, axis=0)
     A = A / size
     normal, right, out = A.T @ A + 1e-12 * np.eye(len(size)), A.T @ y, []
-    for n in range(1 + MOST_GAUSS_MARKOV):
+    for n in range(1 + MAX_GAUSS_MARKOV):
         chosen = list(combinations(range(5, 5 + len(grid)), n))
         times = np.array(chosen, dtype=int).reshape(len(chosen), n)
         for linear in chain.from_iterable(combinations(range(5), r) for r in range(6)):
@@ -399,21 +391,21 @@ def _by_grid(variance: Array, tau: Array, grid: tuple[float, ...], weighting: _W
             Q = y @ y - np.sum(squares * right[at], axis=1)
             k = int(np.argmin(np.where(np.all(squares > 0.0, axis=1), Q, np.inf)))
             if np.all(squares[k] > 0.0):
-                every = np.zeros(5 + n)
-                every[list(linear)], every[5:] = np.split(squares[k] / size[at[k]], [len(linear)])
-                out.append(_Fit(squares=every, times=tuple(grid[j - 5] for j in times[k]), deviance=float(Q[k])))
+                coefficients = np.zeros(5 + n)
+                coefficients[list(linear)], coefficients[5:] = np.split(squares[k] / size[at[k]], [len(linear)])
+                out.append(_Fit(squares=coefficients, times=tuple(grid[j - 5] for j in times[k]), deviance=float(Q[k])))
     return out
 
 
 def _fitted(variance: Array, tau: Array, start: _Fit, weighting: _Weighting) -> _Fit:
-    """The fit of a sum by steps of Gauss and Newton in the logarithms of squares and times."""
+    """Return the Gauss–Newton fit of a sum in the logarithms of squares and times."""
     active, squares, logs = start.active, start.squares.copy(), np.log(np.array(start.times))
     for _ in range(40):
         columns = _slopes(tau, tuple(np.exp(logs)))
         D = (columns * squares)[:, active]
         if len(logs):
-            later = _slopes(tau, tuple(1.001 * np.exp(logs)))
-            D = np.hstack([D, (later - columns)[:, 5:] * squares[5:] / np.log(1.001)])
+            shifted = _slopes(tau, tuple(1.001 * np.exp(logs)))
+            D = np.hstack([D, (shifted - columns)[:, 5:] * squares[5:] / np.log(1.001)])
         g, derivative = weighting.residuals(variance, columns @ squares)
         design, residuals = np.linalg.solve(weighting.root, derivative[:, None] * D), np.linalg.solve(weighting.root, g)
         step = np.clip(np.linalg.lstsq(design, residuals, rcond=1e-10)[0], -0.7, 0.7)
@@ -429,10 +421,54 @@ def _fitted(variance: Array, tau: Array, start: _Fit, weighting: _Weighting) -> 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Panel:
-    """Noise of the sensors `channels` (c,) of one kind, in "rad/s" or "m/s^2": deviation and processes."""
+    """Noise of the sensors `channels` (c,) of one kind, in "rad/s" or "m/s^2": Allan deviation and processes."""
 
     title: str
     unit: str
     channels: tuple[str, ...]
     deviation: AllanDeviation
     parameters: tuple[NoiseParameters, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class FilterDensities:
+    """White noise, SI/√Hz, and random walk of the bias, SI/s/√Hz, of one kind of sensor, the largest of its channels,
+    and a sentence on each that is only an upper bound."""
+
+    white: float
+    walk: float
+    bounds: tuple[str, ...] = ()
+
+
+def filter_densities(panel: Panel, rate: float) -> FilterDensities:
+    """Return the white noise and bias random walk that represent the noise of a kind of sensors."""
+    high, tau = panel.deviation.high, panel.deviation.tau[:, None]
+    whites = [_white(p, rate) for p in panel.parameters]
+    walks = [_walk(p) for p in panel.parameters]
+    bounds = []
+    for term, values, limits in (
+        ("white noise", whites, (high * np.sqrt(tau)).min(axis=0)),
+        ("random walk", walks, (high * np.sqrt(3.0 / tau)).min(axis=0)),
+    ):
+        if 0.0 in values:
+            values[:] = [value or float(limit) for value, limit in zip(values, limits, strict=True)]
+            bounds.append(
+                f"{term} of the {panel.title}: not seen in every channel, so the largest that the record allows is "
+                "written; record longer"
+            )
+    return FilterDensities(white=max(whites), walk=max(walks), bounds=tuple(bounds))
+
+
+def _white(p: NoiseParameters, rate: float) -> float:
+    """Return n of a channel, 0 without white noise and quantisation."""
+    N, Q = (0.0 if c is None else c.value for c in (p.white_noise, p.quantisation))
+    return float(np.sqrt(N**2 + 3.0 * Q**2 * rate))
+
+
+def _walk(p: NoiseParameters) -> float:
+    """Return k of a channel, 0 without a slow process."""
+    square = 0.0 if p.rate_random_walk is None else p.rate_random_walk.value**2
+    square += sum(2.0 * process.sigma.value**2 / process.time.value for process in p.gauss_markov)
+    if p.bias_instability is not None and p.white_noise is not None:
+        square += 3.0 * (FLICKER * p.bias_instability.value**2 / p.white_noise.value) ** 2
+    return float(np.sqrt(square))

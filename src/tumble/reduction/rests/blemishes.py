@@ -1,21 +1,21 @@
-"""Single bad samples, of a wrong bit or a misread packet, in rests and in turns.
+"""Single bad samples, from a wrong bit or a misread packet, in rests and in turns.
 
-In a rest a block stands out where the second before it and the second after it agree, in every channel, and it is off
-their mean by more than `block_beyond` times the scatter within them. Its bad samples must last no longer than `brief`
-together, and the block without them must be like its neighbours: a device that was knocked, or turned a little, shows
-that for longer, and these are two rests with a turn between. A block with bad samples has no weight in the mean of the
-rest, and does not count as movement where rests are searched for.
+In a rest, a block contains bad samples if the second before it and the second after it agree in every channel, and it
+is off their mean by more than `block_beyond` standard deviations of their blocks. The bad samples must last no longer
+than `brief` together, and the block without them must agree with its neighbours: the effect of a knock, or of a small
+turn, lasts longer, and makes two rests with a turn between them. A block with bad samples has no weight in the mean of
+the rest, and does not count as motion in the search for rests.
 
-In a turn, where there is no mean to compare with, a sample is compared with the cubic through the two before and the
-two after it (Hampel's test about a local fit): it is off by a sixth of its fourth difference. The band of a channel is
-the largest such distance of other samples in a quarter of a second, once the suspect is replaced, and at least the
-noise of the rests. A suspect is beyond that, and its neighbours are not: a sensor follows a blow through its filter and
-the body rings after it. It stands out in one channel alone, or would change the velocity or the attitude of the body by
-more than a hand does in a sample. Its value in the channels that stand out is replaced by that of the cubic. A blow, as
-of a device that is put down on a face, may still look like it: which suspects are replaced is decided by whether their
-turn closes (`tumble.inference.mended_samples`).
+In a turn there is no mean to compare with. A sample is compared with the cubic through the two samples before and the
+two after it (Hampel's test about a local fit), from which it is off by a sixth of its fourth difference. The band of a
+channel is the largest such distance of other samples within a quarter of a second, with the suspect replaced, and at
+least the noise of the rests. A bad sample is off by more, and its neighbours are not, since after a blow a sensor
+responds through its filter and the body rings. It is off in one channel alone, or would change the velocity or the
+attitude of the body by more than a hand can in one sample. In the channels in which it is off, its value is replaced by
+that of the cubic. A blow, as of a device that is put down on a face, may still look like a bad sample: the closure of
+the turn decides which suspects are replaced (`tumble.inference.mended_samples`).
 
-The thresholds, and how often noise exceeds them, are those of `Tuning`.
+The thresholds, with the probability that noise exceeds them, are in `Tuning`.
 """
 
 from __future__ import annotations
@@ -29,85 +29,83 @@ import numpy as np
 from tumble.reduction.blocks.motion_samples import MotionSamples
 from tumble.reduction.blocks.reducer import Blemish, FileBlocks, Reduction
 from tumble.reduction.blocks.tuning import USUAL, Tuning
-from tumble.reduction.rests.segmentation import Stretch, inner_mean, inner_variance
+from tumble.reduction.rests.segmentation import Stretch, sliding_mean, sliding_variance
 from tumble.units import Array, BoolArray, IntArray
 
-AT_A_TIME = 2**17
-"""Samples of a turn that are in memory."""
+BATCH_SAMPLES = 2**17  # samples of a turn in memory at a time
 
 
 def without_blemishes(reduction: Reduction) -> Reduction:
-    """A reduction whose blocks with bad samples have the mean of the seconds beside them and no weight. Without gyros
-    no samples are kept, and the reduction is returned as it is."""
+    """Return a reduction whose blocks with bad samples have the mean of the seconds beside them and no weight. Without
+    gyros, no samples are stored, and nothing is changed."""
     if reduction.samples is None:
         return reduction
     side = max(2, round(reduction.tuning.side / reduction.block_seconds))
-    by_file = [list(_blemishes(reduction, reduction.samples, f, side)) for f in reduction.files]
+    by_file = [list(_find_blemishes(reduction, reduction.samples, f, side)) for f in reduction.files]
     if not any(by_file):
         return reduction
     files = []
-    for f, bad in zip(reduction.files, by_file, strict=True):
-        mended = []
+    for f, blemishes in zip(reduction.files, by_file, strict=True):
+        repaired = []
         for series in (f.accel, f.gyro):
             means, ends, weights = series.means.copy(), series.ends.copy(), series.weights.copy()
-            for one in bad:
-                run = slice(one.first, one.last)
-                beside = [*range(one.first - side, one.first), *range(one.last, one.last + side)]
-                means[run], ends[run], weights[run] = series.means[beside].mean(axis=0), ends[one.first - 1], 0.0
-            mended.append(replace(series, means=means, ends=ends, weights=weights))
-        files.append(replace(f, accel=mended[0], gyro=mended[1]))
-    return replace(reduction, files=tuple(files), blemishes=tuple(one for bad in by_file for one in bad))
+            for b in blemishes:
+                run = slice(b.first, b.last)
+                beside = [*range(b.first - side, b.first), *range(b.last, b.last + side)]
+                means[run], ends[run], weights[run] = series.means[beside].mean(axis=0), ends[b.first - 1], 0.0
+            repaired.append(replace(series, means=means, ends=ends, weights=weights))
+        files.append(replace(f, accel=repaired[0], gyro=repaired[1]))
+    return replace(reduction, files=tuple(files), blemishes=tuple(b for blemishes in by_file for b in blemishes))
 
 
-def _blemishes(reduction: Reduction, samples: MotionSamples, f: FileBlocks, side: int) -> Iterator[Blemish]:
-    """The blemishes of a file, the shortest first, by comparison with `side` blocks before and after each."""
+def _find_blemishes(reduction: Reduction, samples: MotionSamples, f: FileBlocks, side: int) -> Iterator[Blemish]:
+    """Yield the blemishes of a file, the shortest first, by comparison with `side` blocks before and after each."""
     tuning, values = reduction.tuning, np.hstack([f.accel.means, f.gyro.means])
     if len(values) <= 2 * side:
         return
     steps = np.array([channel.step for channel in (*reduction.accel_channels, *reduction.gyro_channels)])
-    coarse = np.where(np.isfinite(steps), steps, 0.0)
-    mean = inner_mean(values, side)
-    variance = inner_variance(values, mean, side) * (side / (side - 1.0))
-    taken = np.zeros(len(values), dtype=bool)
+    resolution = np.where(np.isfinite(steps), steps, 0.0)
+    mean = sliding_mean(values, side)
+    variance = sliding_variance(values, mean, side) * (side / (side - 1.0))
+    is_taken = np.zeros(len(values), dtype=bool)
     for length in range(1, int(tuning.longest_blemish / reduction.block_seconds * (1.0 + 1e-9)) + 1):
         count = len(values) - 2 * side - length + 1
         if count < 1:
             return
         before, after = slice(0, count), slice(side + length, side + length + count)
         scatter = np.sqrt(0.5 * (variance[before] + variance[after]))
-        off = np.abs(inner_mean(values[side : side + count + length - 1], length) - 0.5 * (mean[before] + mean[after]))
-        beyond = (off > tuning.block_beyond * scatter + coarse).any(axis=1)
-        agree = np.abs(mean[after] - mean[before]) <= tuning.sides_agree * np.sqrt(2.0 / side) * scatter + coarse
-        for first in (side + np.flatnonzero(beyond & agree.all(axis=1))).tolist():
+        off = np.abs(
+            sliding_mean(values[side : side + count + length - 1], length) - 0.5 * (mean[before] + mean[after])
+        )
+        is_off = (off > tuning.block_beyond * scatter + resolution).any(axis=1)
+        agree = np.abs(mean[after] - mean[before]) <= tuning.sides_agree * np.sqrt(2.0 / side) * scatter + resolution
+        for first in (side + np.flatnonzero(is_off & agree.all(axis=1))).tolist():
             run = slice(first, first + length)
-            bad = 0 if taken[run].any() else _bad_samples(samples, f, run, side, tuning)
+            bad = 0 if is_taken[run].any() else _bad_samples(samples, f, run, side, tuning)
             if bad:
-                taken[run] = True
+                is_taken[run] = True
                 yield Blemish(file=f.file, first=first, last=run.stop, start=float(f.edges[first]), samples=bad)
 
 
 def _bad_samples(samples: MotionSamples, f: FileBlocks, blocks: slice, side: int, tuning: Tuning) -> int:
-    """The number of samples in a run of blocks that are off those of the sides; 0 where they last too long, or the
-    other samples are off too."""
+    """Return the number of samples in a run of blocks that are off those of the sides; 0 if they last too long, or if
+    the other samples are off too."""
     rates, forces, dt = samples.read(f.sample_at(blocks.start - side), f.sample_at(blocks.stop + side))
     values, run = np.hstack([rates, forces]), slice(f.size * side, len(dt) - f.size * side)
     sides = np.concatenate([values[: run.start], values[run.stop :]])
     off, scatter = values[run] - sides.mean(axis=0), sides.std(axis=0)
-    bad = (np.abs(off) > tuning.sample_beyond * scatter).any(axis=1)
-    sound = off[~bad]
-    if not bad.any() or float(dt[run][bad].sum()) > tuning.brief or not len(sound):
+    is_bad = (np.abs(off) > tuning.sample_beyond * scatter).any(axis=1)
+    sound = off[~is_bad]
+    if not is_bad.any() or float(dt[run][is_bad].sum()) > tuning.brief or not len(sound):
         return 0
-    alike = (np.abs(sound.mean(axis=0)) <= tuning.sides_agree * scatter / np.sqrt(len(sound))).all()
-    return int(bad.sum()) if alike else 0
-
-
-# Turns
+    agrees = (np.abs(sound.mean(axis=0)) <= tuning.sides_agree * scatter / np.sqrt(len(sound))).all()
+    return int(is_bad.sum()) if agrees else 0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class BadSamples:
-    """Bad samples of turns: their indices `at` (m,) among the stored samples, ascending, the turn (m,) of each, and the
-    rates, rad/s, and forces, m/s², that replace them (m, 6)."""
+    """Bad samples of turns: `at`, their indices (m,) among the stored samples, ascending; `turn`, the turn of each
+    (m,); `values`, the rates, rad/s, and forces, m/s², that replace them (m, 6)."""
 
     at: IntArray
     turn: IntArray
@@ -126,17 +124,31 @@ def bad_samples_of_turns(
     least: Array,
     tuning: Tuning = USUAL,
 ) -> BadSamples:
-    """Find the bad samples of the turns from sample `start` to `stop` (K,), in files which are `within` these samples
-    (K,), at a sample rate, Hz. `least`: the smallest distance (6,) of a bad sample, rates in rad/s, forces in m/s²."""
+    """Find the bad samples of turns.
+
+    Parameters
+    ----------
+    samples
+        The stored samples.
+    start, stop
+        Turn k is samples start[k] … stop[k] − 1 (K,).
+    within
+        First and last sample, exclusive, of the file of each turn (K,).
+    rate
+        Samples per second.
+    least
+        Smallest distance of a bad sample (6,), rates in rad/s and forces in m/s².
+    tuning
+        Thresholds."""
     beside, bad = max(tuning.band_samples, round(tuning.band * rate)), list[tuple[int, int, Array]]()
     for turn, (begin, end, low, high) in enumerate(zip(start, stop, *within, strict=True)):
-        for first in range(int(begin), int(end), AT_A_TIME):
-            last = min(first + AT_A_TIME, int(end))
+        for first in range(int(begin), int(end), BATCH_SAMPLES):
+            last = min(first + BATCH_SAMPLES, int(end))
             before = max(first - beside - 2, int(low))
             rates, forces, dt = samples.read(before, min(last + beside + 2, int(high)))
-            for at, mended in _bad_in(np.hstack([rates, forces]), dt, beside, least, tuning):
+            for at, replacement in _find_bad(np.hstack([rates, forces]), dt, beside, least, tuning):
                 if first <= before + at < last:
-                    bad.append((before + at, turn, mended))
+                    bad.append((before + at, turn, replacement))
     return BadSamples(
         at=np.array([at for at, _, _ in bad], dtype=np.int64),
         turn=np.array([turn for _, turn, _ in bad], dtype=np.int64),
@@ -144,34 +156,35 @@ def bad_samples_of_turns(
     )
 
 
-def _bad_in(values: Array, dt: Array, beside: int, least: Array, tuning: Tuning) -> Iterator[tuple[int, Array]]:
-    """Indices of bad samples among rates and forces (m, 6) at intervals (m,), with their replacements; the band is that
-    of `beside` samples on either side."""
+def _find_bad(values: Array, dt: Array, beside: int, least: Array, tuning: Tuning) -> Iterator[tuple[int, Array]]:
+    """Yield indices of bad samples among rates and forces (m, 6) at intervals (m,), with their replacements.
+
+    The band is that of `beside` samples on either side."""
     reach = tuning.longest_run + 2
     if len(values) < 2 * (tuning.band_samples + reach) + 1:
         return
     off = _off_cubic(values)
-    of_side = _largest_about(off, beside - reach)
+    largest = _sliding_maximum(off, beside - reach)
     sides, gap = np.zeros_like(off), reach + (beside - reach) // 2
-    sides[gap:] = of_side[:-gap]
-    sides[:-gap] = np.maximum(sides[:-gap], of_side[gap:])
-    suspect = np.flatnonzero((off > np.maximum(tuning.band_beyond * sides, least)).any(axis=1))
-    for group in np.split(suspect, np.flatnonzero(np.diff(suspect) > reach) + 1) if len(suspect) else ():
+    sides[gap:] = largest[:-gap]
+    sides[:-gap] = np.maximum(sides[:-gap], largest[gap:])
+    suspects = np.flatnonzero((off > np.maximum(tuning.band_beyond * sides, least)).any(axis=1))
+    for group in np.split(suspects, np.flatnonzero(np.diff(suspects) > reach) + 1) if len(suspects) else ():
         yield from _bad_run(values, dt, (int(group[0]), int(group[-1]) + 1), beside, least, tuning)
 
 
-def _largest_about(values: Array, width: int) -> Array:
-    """The largest of `width` values ≥ 0 about each of (m, n), by windows of 1, 2, 4, … values."""
-    largest, wide = np.zeros((len(values) + width - 1, values.shape[1])), 1
+def _sliding_maximum(values: Array, width: int) -> Array:
+    """Return the maximum of `width` values ≥ 0 about each of (m, n), by windows of 1, 2, 4, … values."""
+    largest, window = np.zeros((len(values) + width - 1, values.shape[1])), 1
     largest[width // 2 : width // 2 + len(values)] = values
-    while wide < width:
-        step = min(wide, width - wide)
-        largest, wide = np.maximum(largest[:-step], largest[step:]), wide + step
+    while window < width:
+        step = min(window, width - window)
+        largest, window = np.maximum(largest[:-step], largest[step:]), window + step
     return largest
 
 
 def _off_cubic(values: Array) -> Array:
-    """Distances (m, n) of values from the cubic through the two before and the two after; 0 at the ends."""
+    """Return distances (m, n) of values from the cubic through the two before and the two after; 0 at the ends."""
     out = np.zeros_like(values)
     out[2:-2] = np.abs(np.diff(values, n=4, axis=0)) / 6.0
     return out
@@ -180,7 +193,7 @@ def _off_cubic(values: Array) -> Array:
 def _bad_run(
     values: Array, dt: Array, among: tuple[int, int], beside: int, least: Array, tuning: Tuning
 ) -> Iterator[tuple[int, Array]]:
-    """Indices of the shortest run of bad samples `among` suspects, with their replacements."""
+    """Yield the indices of the shortest run of bad samples `among` suspects, with their replacements."""
     for length in range(1, tuning.longest_run + 1):
         for first in range(max(among[0] - 1, 2), min(among[1] + 1, len(values) - length - 1)):
             run = slice(first, first + length)
@@ -190,35 +203,35 @@ def _bad_run(
                 continue
             near, inner = values[low:high].copy(), slice(first - low, run.stop - low)
             ends = values[[first - 2, first - 1, run.stop, run.stop + 1]]
-            near[inner] = mended = _of_cubic(length) @ ends
+            near[inner] = cubic = _cubic_weights(length) @ ends
             band = np.maximum(tuning.band_beyond * _off_cubic(near).max(axis=0), least)
-            off = values[run] - mended
+            off = values[run] - cubic
             beyond = np.abs(off).max(axis=0) > band
-            held = np.all(np.ptp(values[run][:, beyond], axis=0) == 0.0)
-            if not (beyond.any() and held and _corrupt(off, dt[run], beyond, tuning)):
+            is_constant = np.all(np.ptp(values[run][:, beyond], axis=0) == 0.0)
+            if not (beyond.any() and is_constant and _is_corrupt(off, dt[run], beyond, tuning)):
                 continue
             about = slice(inner.start - 2, inner.stop + 2)
             others = _off_cubic(np.where(beyond, 0.0, near))
             far = np.delete(others, np.r_[about], axis=0).max(axis=0)
-            stirred = others[about].max(axis=0) > np.maximum(tuning.band_beyond * far, least)
-            if not stirred.any():  # where others are stirred, a lever arm feels a rate that steps
-                yield from ((first + i, row) for i, row in enumerate(np.where(beyond, mended, values[run])))
+            disturbed = others[about].max(axis=0) > np.maximum(tuning.band_beyond * far, least)
+            if not disturbed.any():  # else a step of the rate that acts on a lever arm
+                yield from ((first + i, row) for i, row in enumerate(np.where(beyond, cubic, values[run])))
                 return
 
 
 @cache
-def _of_cubic(length: int) -> Array:
-    """Weights (length, 4) of the two samples before and the two after a run of samples for the cubic within it."""
+def _cubic_weights(length: int) -> Array:
+    """Return weights (length, 4) of the two samples before and the two after a run for the cubic within it."""
     nodes, inside = np.array([-2.0, -1.0, length, length + 1.0]), np.arange(float(length))
     return np.array([np.prod([(inside - b) / (a - b) for b in nodes if b != a], axis=0) for a in nodes]).T
 
 
-def _corrupt(off: Array, dt: Array, beyond: BoolArray, tuning: Tuning) -> bool:
-    """Whether samples that are `off` by (k, 6) at intervals (k,), in the channels `beyond` their bands (6,), are no
+def _is_corrupt(off: Array, dt: Array, beyond: BoolArray, tuning: Tuning) -> bool:
+    """Return True if deviations (k, 6) at intervals (k,), in the channels `beyond` their bands (6,), cannot be
     motion."""
     size, kind = np.abs(off).max(axis=0), np.repeat([0, 1], 3)
     if np.any((off * np.sign(off[0])).min(axis=0)[beyond] < 0.5 * size[beyond]):
-        return False  # a step from one sample to the next, as of a table that starts at once
+        return False  # a step from one sample to the next, as of a table that starts abruptly
     if beyond.sum() == 1:
         (one,) = np.flatnonzero(beyond)
         others = (kind == kind[one]) & ~beyond
@@ -228,33 +241,30 @@ def _corrupt(off: Array, dt: Array, beyond: BoolArray, tuning: Tuning) -> bool:
     return moved > tuning.violent_velocity or turned > tuning.violent_angle
 
 
-# Notes
-
-
 def blemish_notes(reduction: Reduction, spans: Sequence[Stretch]) -> tuple[str, ...]:
-    """A note that counts the bad samples which were left out of rests."""
+    """Return a note that counts the bad samples left out of rests."""
     inside = [
-        (number, one)
+        (number, b)
         for number, span in enumerate(spans, 1)
-        for one in reduction.blemishes
-        if one.file == span.file and span.first <= one.first < span.last
+        for b in reduction.blemishes
+        if b.file == span.file and span.first <= b.first < span.last
     ]
     if not inside:
         return ()
-    bad, rests = sum(one.samples for _, one in inside), sorted({number for number, _ in inside})
-    left_out = _counted(bad, "about", "left out of rest", [str(number) for number in rests])
+    count, rests = sum(b.samples for _, b in inside), sorted({number for number, _ in inside})
+    left_out = _counted(count, "about", "left out of rest", [str(number) for number in rests])
     return (f"{left_out}, with a tenth of a second each; the first at {inside[0][1].start:.1f} s",)
 
 
 def bad_sample_notes(bad: BadSamples, first: IntArray) -> tuple[str, ...]:
-    """A note that counts the bad samples which were replaced in turns from rests `first` (K,)."""
+    """Return a note that counts the bad samples replaced in turns from rests `first` (K,)."""
     turns = [f"{i} to {i + 1}" for i in (np.unique(first[bad.turn]) + 1).tolist()]
     replaced = "replaced by what is between these in the turn"
     return (_counted(len(bad.at), "beside", replaced, turns),) if turns else ()
 
 
 def _counted(count: int, where: str, what: str, names: list[str]) -> str:
-    """Such as "2 bad samples, far off those beside them, left out of rests 4, 6"."""
+    """Return, for example, "2 bad samples, far off those beside them, left out of rests 4, 6"."""
     bad, them = ("1 bad sample", "it") if count == 1 else (f"{count} bad samples", "them")
     plural, more = "s" if len(names) > 1 else "", f" and {len(names) - 5} more" if len(names) > 5 else ""
     return f"{bad}, far off those {where} {them}, {what}{plural} {', '.join(names[:5])}{more}"

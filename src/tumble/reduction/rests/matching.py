@@ -1,13 +1,13 @@
-"""The rests of a log matched to the positions of a programme, without what a session excludes.
+"""Matching of the rests of a log to the positions of a programme, and exclusions of a session.
 
-Verticals are compared, freed from bias by the median difference, and for programmes in order also the turns as the
-gyros saw them. Rests that follow each other without a turn between them are one position. Without gyros, successive
-rests with one vertical are the successive positions that have it; in a programme in any order they are one position. A
-rest that cannot be the position of the programme, a missing or a surplus one, is a `ProgrammeError` that names it.
+Verticals are compared, freed from bias by the median difference, and for ordered programmes also the turns according to
+the gyros. Consecutive rests without a turn between them are one position. Without gyros, consecutive rests with one
+vertical are the consecutive positions that have it, or one position of a programme in any order. A missing or surplus
+rest, or one that fits no position, raises a `ProgrammeError` that names it.
 
-Times that [[exclude]] of session.toml excludes are removed from the rests before: the longest part of a rest remains,
-if it is long enough. Rests and turns that are excluded by number have the numbers of the results, and are removed after
-the matching, so that such a rest of a programme is not missing.
+Times in [[exclude]] of session.toml are removed from the rests before matching: the longest part of a rest remains, if
+it is long enough. Rests and turns excluded by number have the numbers of the results, and are removed after matching,
+so that such a rest is not missing from a programme.
 """
 
 from __future__ import annotations
@@ -21,29 +21,23 @@ from tumble.errors import ProgrammeError, SessionError
 from tumble.programme.positions import Programme
 from tumble.recording.session import Exclusion, ProgrammeSpec, Session
 from tumble.reduction.blocks.reducer import BLOCK_SECONDS, FileBlocks, Reduction
-from tumble.reduction.rests.segmentation import Segmentation, Stretch, unrecorded
+from tumble.reduction.rests.segmentation import Segmentation, Stretch, gap_between
 from tumble.rotation import onto_body, unit_vector
 from tumble.sensors.model import Block
 from tumble.units import DEGREE, Array, IntArray
 
-POSITION_LIMIT = 7.0 * DEGREE
-"""How far a vertical may be from the programme's: table and mounting errors of up to 5° each, and bias."""
-
-BIAS_LIMIT = 0.15  # of g: beyond, the difference is the programme, not the sensors
-TURN_LIMIT = 25.0 * DEGREE
-SAME_ATTITUDE = 2.0 * DEGREE
-SHORTEST_STATED = 1.0
-"""s: below, a rest has too few blocks for the noise of its mean."""
+POSITION_LIMIT = 7.0 * DEGREE  # of a vertical from that of its position: table and mounting up to 5° each, and bias
+BIAS_LIMIT = 0.15  # g: a larger difference is due to the programme, not to the sensors
+TURN_LIMIT = 25.0 * DEGREE  # of a turn from that of the programme
+SAME_ATTITUDE = 2.0 * DEGREE  # turn between rests of one position
+SHORTEST_STATED = 1.0  # s: a shorter rest has too few blocks for the noise of its mean
 
 
 def match_rests(session: Session, reduction: Reduction, segmentation: Segmentation) -> Segmentation:
-    """The rests to use: all that were found where no programme is given, else those of the programme's positions.
+    """Assign the rests of a session's log to the positions of its programme, if it has one.
 
-    Raises
-    ------
-    ProgrammeError
-        If the recording does not go through the programme.
-    """
+    Rests with stated times replace those found there. Raises ProgrammeError if the recording does not follow the
+    programme."""
     spec = session.programme
     if spec is None:
         return segmentation
@@ -56,7 +50,7 @@ def match_rests(session: Session, reduction: Reduction, segmentation: Segmentati
     means = np.array([by_file[s.file].accel.mean(s.first, s.last) for s in rests])
     readings = means @ onto_body(session.log.accel.axes).T
     expected = np.array([p.vertical_b for p in listed.positions])
-    verticals = freed_verticals(readings, expected, session.site.gravity)
+    verticals = bias_free_verticals(readings, expected, session.site.gravity)
     off = np.arccos(np.clip(expected @ verticals.T, -1.0, 1.0))
     why_missing = (
         f"was it skipped or shorter than {segmentation.tuning.still} s? "
@@ -64,14 +58,14 @@ def match_rests(session: Session, reduction: Reduction, segmentation: Segmentati
         + "`tumble inspect` shows what was found and rejected"
     )
     if not listed.ordered:
-        return replace(segmentation, position=_any_order(listed, rests, verticals, off, why_missing))
+        return replace(segmentation, position=_match_unordered(listed, rests, verticals, off, why_missing))
     if session.log.gyro is None:
         groups = _groups_by_vertical(expected, verticals)
     else:
-        groups = [[0]]  # those without a turn between them together
+        groups = [[0]]  # rests without a turn between them
         for i in range(1, len(rests)):
-            turned = _rotation_between(session, reduction, rests[i - 1], rests[i])
-            if turned is not None and float(np.linalg.norm(turned)) < SAME_ATTITUDE:
+            turn = _rotation_between(session, reduction, rests[i - 1], rests[i])
+            if turn is not None and float(np.linalg.norm(turn)) < SAME_ATTITUDE:
                 groups[-1].append(i)
             else:
                 groups.append([i])
@@ -83,10 +77,9 @@ def match_rests(session: Session, reduction: Reduction, segmentation: Segmentati
 
 
 def _with_stated(
-    listed: Programme, reduction: Reduction, found: tuple[Stretch, ...], spec: ProgrammeSpec
+    listed: Programme, reduction: Reduction, rests: tuple[Stretch, ...], spec: ProgrammeSpec
 ) -> tuple[Stretch, ...]:
-    """The rests that were found, those replaced whose times a position of the programme states. Stated times are in the
-    first file, and long enough for the noise of a mean."""
+    """Return the rests, replacing those whose times a position of the programme states, in the first file."""
     file, stated = reduction.files[0], []
     for k, p in enumerate(spec.position or ()):
         if p.start is None or p.stop is None:
@@ -102,25 +95,27 @@ def _with_stated(
                 f"found start {p.start:g} s and stop {p.stop:g} s"
             )
         stated.append(Stretch.between(file, p.start, p.stop))
-    kept = [s for s in found if not any(s.file == t.file and s.start < t.stop and t.start < s.stop for t in stated)]
+    kept = [s for s in rests if not any(s.file == t.file and s.start < t.stop and t.start < s.stop for t in stated)]
     return tuple(sorted([*kept, *stated], key=lambda s: (s.file, s.start)))
 
 
 def _rotation_between(session: Session, reduction: Reduction, before: Stretch, after: Stretch) -> Array | None:
-    """Sum of the gyro increments (3,) between two rests, rad, without the rate at rest: the rotation vector of a turn
-    about one axis. None where there are no gyros, or another file."""
+    """Return the sum of the gyro increments (3,) between two rests, rad, less the rate at rest: the rotation vector of
+    a turn about one axis. None without gyros, and for rests of different files."""
     blocks = reduction.by_file[before.file]
     if session.log.gyro is None or before.file != after.file:
         return None
     level = 0.5 * (blocks.gyro.mean(before.first, before.last) + blocks.gyro.mean(after.first, after.last))
     between = slice(before.last, after.first)
-    turned = ((blocks.gyro.means[between] - level) * np.diff(blocks.edges)[between, None]).sum(axis=0)
-    return np.asarray(onto_body(session.log.gyro.axes) @ turned)
+    turn = ((blocks.gyro.means[between] - level) * np.diff(blocks.edges)[between, None]).sum(axis=0)
+    return np.asarray(onto_body(session.log.gyro.axes) @ turn)
 
 
 def _groups_by_vertical(expected: Array, verticals: Array) -> list[list[int]]:
-    """Indices of rests by position, without gyros. A turn about the vertical hardly shows, so that successive rests
-    with one vertical belong to all successive positions that have it."""
+    """Return the indices of the rests of each position, without gyros.
+
+    A turn about the vertical hardly shows, so that consecutive rests with one vertical are divided among the
+    consecutive positions that have it."""
     same = np.argmax(expected @ expected.T > 1.0 - 1e-9, axis=1)
     nearest = same[np.argmax(verticals @ expected.T, axis=1)]
     lengths: dict[int, list[int]] = {}
@@ -135,9 +130,11 @@ def _groups_by_vertical(expected: Array, verticals: Array) -> list[list[int]]:
     return groups
 
 
-def freed_verticals(readings: Array, expected: Array, gravity: float) -> Array:
-    """Directions of the vertical in the body (N, 3), freed from bias by the median difference from the nearest expected
-    ones. With one or two readings nothing is subtracted: the difference may be an error of the attitude."""
+def bias_free_verticals(readings: Array, expected: Array, gravity: float) -> Array:
+    """Return the verticals in the body (N, 3) of mean specific forces (N, 3), m/s², freed from accelerometer bias.
+
+    The bias is the median difference from the nearest `expected` vertical (P, 3) times gravity. With one or two
+    readings nothing is subtracted, since the difference may be an error of the attitude."""
     bias = np.median(readings - gravity * expected[np.argmax(unit_vector(readings) @ expected.T, axis=1)], axis=0)
     plausible = len(readings) > 2 and np.linalg.norm(bias) < BIAS_LIMIT * gravity
     return unit_vector(readings - bias if plausible else readings)
@@ -148,12 +145,12 @@ def _named(listed: Programme, k: int) -> str:
     return f"position {k + 1} of {len(listed.positions)} ({position.attitude!r}, {position.label})"
 
 
-def _seen(vertical: Array) -> str:
+def _text(vertical: Array) -> str:
     return "(" + ", ".join(f"{v:+.2f}" for v in vertical) + ")"
 
 
 def _check_order(listed: Programme, rests: list[Stretch], verticals: Array, off: Array, why_missing: str) -> None:
-    """Raise ProgrammeError unless every position has its rest, in order. off[k, j], rad, is the angle between the
+    """Raise ProgrammeError unless every position has its rest, in order; off[k, j], rad, is the angle between the
     verticals of position k and rest j."""
     expected = len(listed.positions)
     if len(rests) == expected:
@@ -163,12 +160,12 @@ def _check_order(listed: Programme, rests: list[Stretch], verticals: Array, off:
                 like = f", which is that of {_named(listed, others[0])}" if others else ""
                 raise ProgrammeError(
                     f"programme {listed.name}, {_named(listed, k)}: expected the vertical "
-                    f"{_seen(listed.positions[k].vertical_b)} in the body, found {_seen(vertical)} at "
+                    f"{_text(listed.positions[k].vertical_b)} in the body, found {_text(vertical)} at "
                     f"{rest.start:.1f}–{rest.stop:.1f} s, {off[k, k] / DEGREE:.1f}° off{like}; at most "
                     f"{POSITION_LIMIT / DEGREE:.0f}° can be the same position"
                 )
         return
-    # positions without a rest and rests without a position, by the alignment of both lists that leaves the fewest
+    # alignment of both lists with the fewest positions without a rest and rests without a position
     i, j = off.shape
     cost = np.where(off <= POSITION_LIMIT, off, np.inf)
     total = np.add.outer(np.arange(i + 1.0), np.arange(j + 1.0))
@@ -189,7 +186,7 @@ def _check_order(listed: Programme, rests: list[Stretch], verticals: Array, off:
         raise ProgrammeError(f"{counted}; no rest for {_named(listed, missing[0])}: {why_missing}")
     rest = rests[surplus[0]]
     raise ProgrammeError(
-        f"{counted}; the rest at {rest.start:.1f}–{rest.stop:.1f} s with the vertical {_seen(verticals[surplus[0]])} "
+        f"{counted}; the rest at {rest.start:.1f}–{rest.stop:.1f} s with the vertical {_text(verticals[surplus[0]])} "
         "in the body is surplus: list the positions as they were taken under [[programme.position]]"
     )
 
@@ -197,37 +194,38 @@ def _check_order(listed: Programme, rests: list[Stretch], verticals: Array, off:
 def _check_turns(
     session: Session, reduction: Reduction, listed: Programme, rests: tuple[Stretch, ...], groups: list[list[int]]
 ) -> None:
-    """Raise ProgrammeError unless the gyros saw the turns of the programme, in their directions."""
+    """Raise ProgrammeError unless the gyros measured the turns of the programme, in their directions."""
     for k, move in enumerate(listed.moves):
         before, after = rests[groups[k][-1]], rests[groups[k + 1][0]]
-        turned = _rotation_between(session, reduction, before, after)
-        if move.axis is None or move.angle is None or turned is None:
+        turn = _rotation_between(session, reduction, before, after)
+        if move.axis is None or move.angle is None or turn is None:
             continue
         axis_b = listed.positions[k].matrix.T @ move.axis
-        if np.linalg.norm(turned - move.angle * axis_b) > TURN_LIMIT:
-            across = float(np.linalg.norm(turned - axis_b * (turned @ axis_b)))
+        if np.linalg.norm(turn - move.angle * axis_b) > TURN_LIMIT:
+            across = float(np.linalg.norm(turn - axis_b * (turn @ axis_b)))
             raise ProgrammeError(
                 f"programme {listed.name}, turn from {_named(listed, k)} to {_named(listed, k + 1)}: expected "
-                f"{move.angle / DEGREE:+.0f}° about body {_seen(axis_b)}, the gyros saw "
-                f"{float(turned @ axis_b) / DEGREE:+.0f}° about it and {across / DEGREE:.0f}° across "
+                f"{move.angle / DEGREE:+.0f}° about body {_text(axis_b)}, the gyros saw "
+                f"{float(turn @ axis_b) / DEGREE:+.0f}° about it and {across / DEGREE:.0f}° across "
                 f"it ({before.stop:.1f}–{after.start:.1f} s); check the direction of the turn, the unit and the "
                 "signs of the gyros"
             )
 
 
-def _any_order(
+def _match_unordered(
     listed: Programme, rests: tuple[Stretch, ...], verticals: Array, off: Array, why_missing: str
 ) -> IntArray:
-    """The position (N,) of every rest. Every position has to have one, once: successive rests in it, as of a cube that
-    is turned on its face, count as one."""
+    """Return the position of every rest (N,), and raise ProgrammeError unless every position was taken exactly once.
+
+    Consecutive rests in a position, as of a cube that is turned on its face, count as one."""
     nearest = np.argmin(off, axis=0)
     for j, rest in enumerate(rests):
         k = int(nearest[j])
         if off[k, j] > POSITION_LIMIT:
             raise ProgrammeError(
                 f"programme {listed.name}: the rest at {rest.start:.1f}–{rest.stop:.1f} s is in none of the "
-                f"{len(listed.positions)} positions; expected the vertical {_seen(listed.positions[k].vertical_b)} in "
-                f"the body as in the nearest, {_named(listed, k)}, found {_seen(verticals[j])}, "
+                f"{len(listed.positions)} positions; expected the vertical {_text(listed.positions[k].vertical_b)} in "
+                f"the body as in the nearest, {_named(listed, k)}, found {_text(verticals[j])}, "
                 f"{off[k, j] / DEGREE:.1f}° off; at most {POSITION_LIMIT / DEGREE:.0f}° can be the same position"
             )
     taken: dict[int, list[Stretch]] = {}
@@ -251,62 +249,59 @@ def _any_order(
     return np.asarray(nearest)
 
 
-# What a session excludes
+def without_times(reduction: Reduction, segmentation: Segmentation, excluded: tuple[Exclusion, ...]) -> Segmentation:
+    """Return the rests of a log without excluded times; the longest part of a rest remains."""
+    rests = list(segmentation.rests)
+    for e in excluded:
+        if e.start is not None and e.stop is not None:
+            parts = [_longest_part(reduction, rest, (e.file or 1) - 1, e.start, e.stop) for rest in rests]
+            rests = [rest for rest in parts if rest is not None]
+    return replace(segmentation, rests=tuple(rests))
 
 
-def without_times(reduction: Reduction, found: Segmentation, excluded: tuple[Exclusion, ...]) -> Segmentation:
-    """The rests of a log without excluded stretches of time; the longest part of a rest remains."""
-    rests = list(found.rests)
-    for one in excluded:
-        if one.start is not None and one.stop is not None:
-            parts = [_longest(reduction, span, (one.file or 1) - 1, one.start, one.stop) for span in rests]
-            rests = [span for span in parts if span is not None]
-    return replace(found, rests=tuple(rests))
-
-
-def _longest(reduction: Reduction, span: Stretch, file: int, start: float, stop: float) -> Stretch | None:
-    """The longer part of a rest before or after a stretch of time. None where neither is long enough."""
-    if span.file != file or start >= span.stop or stop <= span.start:
-        return span
+def _longest_part(reduction: Reduction, rest: Stretch, file: int, start: float, stop: float) -> Stretch | None:
+    """Return the longer part of a rest before or after a time span, None if both are too short."""
+    if rest.file != file or start >= rest.stop or stop <= rest.start:
+        return rest
     edges = reduction.by_file[file].edges
-    before = span.first, min(span.last, int(np.searchsorted(edges, start + 1e-9, side="right")) - 1)
-    after = max(span.first, int(np.searchsorted(edges, stop - 1e-9))), span.last
+    before = rest.first, min(rest.last, int(np.searchsorted(edges, start + 1e-9, side="right")) - 1)
+    after = max(rest.first, int(np.searchsorted(edges, stop - 1e-9))), rest.last
     first, last = max(before, after, key=lambda part: part[1] - part[0])
     if last <= first or edges[last] - edges[first] < reduction.tuning.rest:
         return None
-    lasts = span.lasts and last == span.last
-    return replace(span, first=first, last=last, start=float(edges[first]), stop=float(edges[last]), lasts=lasts)
+    start, stop, reaches_end = float(edges[first]), float(edges[last]), rest.reaches_end and last == rest.last
+    return replace(rest, first=first, last=last, start=start, stop=stop, reaches_end=reaches_end)
 
 
 def without_numbered(
-    reduction: Reduction, found: Segmentation, excluded: tuple[Exclusion, ...]
+    reduction: Reduction, segmentation: Segmentation, excluded: tuple[Exclusion, ...]
 ) -> tuple[Reduction, Segmentation]:
-    """Exclude turns and rests by their numbers: the reduction has the excluded turns as gaps, the segmentation has no
-    excluded rests. Raises SessionError for a number beyond the last."""
-    counts, numbers = {"turn": len(found.rests) - 1, "rest": len(found.rests)}, dict[str, list[int]]()
-    for what, count in counts.items():
-        stated = [(one.by, getattr(one, what)) for one in excluded if getattr(one, what) is not None]
+    """Exclude rests and turns by number: excluded turns become gaps of the reduction, excluded rests are removed.
+
+    Raises SessionError for a number beyond the last rest or turn."""
+    rests, numbers = segmentation.rests, dict[str, list[int]]()
+    for what, count in (("turn", len(rests) - 1), ("rest", len(rests))):
+        stated = [(e.by, getattr(e, what)) for e in excluded if getattr(e, what) is not None]
         for by, number in stated:
             if number > count:
                 where = "without" if by == "request" else f"session.toml: exclude.{what}"
                 raise SessionError(f"{where}: expected a {what} from 1 to {count}, found {number}")
         numbers[what] = [number for _, number in stated]
-    ends = [found.rests[turn - 1 : turn + 1] for turn in numbers["turn"]]
-    gaps = [unrecorded(before, after, 1, "left out", why="") for before, after in ends]  # the note is `left_out`
+    # `exclusion_notes` explains these gaps
+    gaps = [gap_between(rests[k - 1], rests[k], 1, "left out", why="") for k in numbers["turn"]]
     reduction = replace(reduction, gaps=(*reduction.gaps, *gaps)) if gaps else reduction
     if not numbers["rest"]:
-        return reduction, found
-    kept = [i for i in range(len(found.rests)) if i + 1 not in numbers["rest"]]
-    position = None if found.position is None else found.position[kept]
-    return reduction, replace(found, rests=tuple(found.rests[i] for i in kept), position=position)
+        return reduction, segmentation
+    kept = [i for i in range(len(rests)) if i + 1 not in numbers["rest"]]
+    position = None if segmentation.position is None else segmentation.position[kept]
+    return reduction, replace(segmentation, rests=tuple(rests[i] for i in kept), position=position)
 
 
-def without_jump(reduction: Reduction, found: Segmentation, gyro: Block | None) -> Reduction:
-    """A reduction without the jump of the biases of the gyros: it is subtracted from all that follows, and the turn in
-    which they jump is a gap."""
-    rests, jump = found.rests, found.jump
-    before = 0 if jump is None else sum((rest.file, rest.start) < (jump.file, jump.time) for rest in rests)
-    if jump is None or gyro is None or not 0 < before < len(rests):
+def without_jump(reduction: Reduction, segmentation: Segmentation, gyro: Block | None) -> Reduction:
+    """Return a reduction without the jump of the gyro biases: it is subtracted from all later readings, and the turn in
+    which it happens becomes a gap."""
+    rests, jump, before = segmentation.rests, segmentation.jump, segmentation.rests_before_jump
+    if jump is None or gyro is None or not before:
         return reduction
     last, first = rests[before - 1 : before + 1]
     step, files = gyro.axes @ jump.step, list[FileBlocks]()
@@ -320,18 +315,18 @@ def without_jump(reduction: Reduction, found: Segmentation, gyro: Block | None) 
         files.append(replace(file, gyro=series))
     samples, gaps = reduction.samples, reduction.gaps
     if samples is not None:
-        samples = samples.less(reduction.by_file[first.file].sample_at(first.first), jump.step)
+        samples = samples.with_rate_subtracted(reduction.by_file[first.file].sample_at(first.first), jump.step)
     if last.file == first.file:
-        gaps = (*gaps, unrecorded(last, first, 1, "left out", why=""))
+        gaps = (*gaps, gap_between(last, first, 1, "left out", why=""))
     return replace(reduction, files=tuple(files), samples=samples, gaps=gaps)
 
 
-def left_out(excluded: tuple[Exclusion, ...]) -> tuple[str, ...]:
-    """Notes on what a session excludes."""
+def exclusion_notes(excluded: tuple[Exclusion, ...]) -> tuple[str, ...]:
+    """Return notes on what a session excludes."""
     notes = []
-    for one in excluded:
-        in_file = f" of file {one.file}" if (one.file or 1) > 1 else ""
-        what = f"{one.start:g}–{one.stop:g} s{in_file}" if one.start is not None else f"turn {one.turn}"
-        what = what if one.rest is None else f"rest {one.rest}"
-        notes.append(f"left out by {one.by}: {what}" + (f": {one.reason}" if one.reason else ""))
+    for e in excluded:
+        in_file = f" of file {e.file}" if (e.file or 1) > 1 else ""
+        what = f"{e.start:g}–{e.stop:g} s{in_file}" if e.start is not None else f"turn {e.turn}"
+        what = what if e.rest is None else f"rest {e.rest}"
+        notes.append(f"left out by {e.by}: {what}" + (f": {e.reason}" if e.reason else ""))
     return tuple(notes)

@@ -1,8 +1,8 @@
 """Rests: mean readings with covariance, drift, noise and temperatures, from the blocks of a log.
 
-The covariance of a mean is that of coloured noise (`coloured_noise`), fitted to the means of the blocks within all
-rests, and of rounding (`rounding`). What is not noise is taken off the blocks before: what goes with the temperature
-(`warming`), and what a device that is held in the hand sways by (`sway`).
+The covariance of a mean is that of coloured noise (`coloured_noise`), fitted to the block means within all rests, and
+of rounding (`rounding`). What is not noise is subtracted from the blocks before: the dependence on temperature
+(`warming`), and the sway of a device in the hand (`sway`).
 """
 
 from __future__ import annotations
@@ -24,19 +24,18 @@ from tumble.rotation import onto_body, tangent_basis
 from tumble.sensors.model import Block
 from tumble.units import Array, IntArray
 
-ACCEL_FLOOR, GYRO_FLOOR = 1e-9, 1e-11
-"""m/s² and rad/s: no mean is taken to be better known, a simulation without noise included."""
+ACCEL_FLOOR, GYRO_FLOOR = 1e-9, 1e-11  # m/s², rad/s: smallest standard uncertainty, even in a noise-free simulation
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Rests:
-    """Mean readings of N rests, with n sensors of a kind; 0 gyros where there are none.
+    """Mean readings of N rests, with n sensors of a kind (n = 0 for missing gyros).
 
     `file`, `start`, `stop`: file and times (N,), s. `accel`, `gyro`: mean readings (N, n), m/s² and rad/s, with
-    their covariances (N, n, n). `accel_drift`, `gyro_drift`: changes of the readings (N, n) over each rest, slope
-    times duration. `accel_noise`, `gyro_noise`: densities of the noise (N, n), unit/√Hz. `temperatures`: means
-    (N, T) of the thermometers, K, None without any. `magnetometer`, `magnetometer_covariance`: mean readings (N, 3)
-    in the unit of the magnetometer and their covariances (N, 3, 3), None without one."""
+    covariances (N, n, n). `accel_drift`, `gyro_drift`: changes of the readings over each rest (N, n), slope times
+    duration. `accel_noise`, `gyro_noise`: noise densities (N, n), unit/√Hz. `temperatures`: means of the thermometers
+    (N, T), K, None without any. `magnetometer`: mean readings (N, 3) in their unit, with covariances (N, 3, 3), None
+    without one."""
 
     file: IntArray
     start: Array
@@ -66,7 +65,8 @@ class Rests:
         densities: tuple[float, float],
         temperatures: Array | None = None,
     ) -> Rests:
-        """Rests of one file with mean readings (N, n) in white noise, by the densities for accelerometers and gyros."""
+        """Return rests of one file with mean readings (N, n) in white noise of these densities of accelerometers and
+        gyros."""
 
         def covariance(readings: Array, density: float, floor: float) -> Array:
             variance = density**2 / (stop - start) + floor**2
@@ -89,35 +89,34 @@ class Rests:
 
     @property
     def temperature(self) -> Array | None:
-        """The mean over the thermometers (N,), K."""
+        """Mean over the thermometers (N,), K."""
         return None if self.temperatures is None else np.asarray(self.temperatures.mean(axis=1))
 
 
 _Arrays = TypeVar("_Arrays", bound=Any)
-"""Arrays of as many rows, or None."""
 
 
-def rows_of(whole: _Arrays, rows: slice | IntArray) -> _Arrays:
-    """Some rows of all arrays of a record."""
-    columns = {field.name: getattr(whole, field.name) for field in fields(whole)}
-    return replace(whole, **{name: None if values is None else values[rows] for name, values in columns.items()})
+def rows_of(record: _Arrays, rows: slice | IntArray) -> _Arrays:
+    """Return some rows of all arrays of a record, whose fields are arrays with equally many rows, or None."""
+    columns = {field.name: getattr(record, field.name) for field in fields(record)}
+    return replace(record, **{name: None if values is None else values[rows] for name, values in columns.items()})
 
 
 def reduced_rests(
     reduction: Reduction, spans: tuple[Stretch, ...], accel: Block, gyro: Block | None, sway: Sway | None = None
 ) -> tuple[Rests, list[Array], ColouredNoise | None, dict[str, Rounding]]:
-    """Reduce the blocks of rests, at least one, to means with covariance.
+    """Reduce the blocks of at least one rest to means with covariance.
 
     Returns
     -------
     rests
         The rests.
-    accel_quiet
-        Block means (K, n) of the accelerometers in each rest, m/s², to which their noise is fitted.
+    accel_detrended
+        Block means (K, n) of the accelerometers in each rest, m/s², to which their noise was fitted.
     gyro_noise
-        The noise of the gyros. None without gyros.
+        Noise of the gyros, None without gyros.
     rounded
-        For "accel" and "gyro", the resolution of the readings.
+        Resolution of the readings of "accel" and "gyro".
     """
     by_file, kinds = reduction.by_file, ("accel", "gyro", "magnetometer")
     pairs = [(by_file[s.file], slice(s.first, s.last)) for s in spans]
@@ -125,84 +124,84 @@ def reduced_rests(
     mean = {kind: np.array([getattr(f, kind).mean(span.start, span.stop) for f, span in pairs]) for kind in kinds}
     seconds = np.array([s.stop - s.start for s in spans])[:, None]
     kelvin = [f.temperature[span] for f, span in pairs if f.temperature is not None]
-    of_lag: KelvinAtLag | None = None
+    kelvin_at_lag: KelvinAtLag | None = None
     if len(kelvin) == len(pairs):
         thermometers, read = thermometers_of(reduction), np.concatenate(kelvin)
-        file = np.repeat([s.file for s in spans], [len(of_rest) for of_rest in kelvin])
+        file = np.repeat([s.file for s in spans], [len(part) for part in kelvin])
         time = np.concatenate([f.edges[1:][span] for f, span in pairs])
 
         def warmth(lag: float) -> Array:
-            """Temperatures (K, T) at the blocks of all rests, with a lag behind the thermometers."""
+            """Return temperatures (K, T) at the blocks of all rests, with a lag behind the thermometers, s."""
             return read if lag == 0.0 else thermometers.means(file, time, time, lag).kelvin
 
-        of_lag = warmth
+        kelvin_at_lag = warmth
     rounded: dict[str, Rounding] = {}
 
-    def spread(kind: Literal["accel", "gyro", "magnetometer"], by_noise: Array, floor: float) -> Array:
-        """Covariances (N, n, n) of the means by noise and rounding, which is added to `rounded`."""
+    def total_covariance(kind: Literal["accel", "gyro", "magnetometer"], noise: Array, floor: float) -> Array:
+        """Return covariances (N, n, n) of the means from noise and rounding, which is added to `rounded`."""
         channels: Sequence[ChannelState] = getattr(reduction, f"{kind}_channels")
         ends = {f.file: getattr(f, kind).ends for f in reduction.files}
-        every, of_rests = list(ends.values()), [ends[s.file][s.first : s.last] for s in spans]
-        rounded[kind] = rounding(every[0] if len(every) == 1 else np.concatenate(every), of_rests, channels)
-        return np.asarray(by_noise + np.diag(floor**2 + rounded[kind].of_rest ** 2))
+        whole, in_rests = list(ends.values()), [ends[s.file][s.first : s.last] for s in spans]
+        rounded[kind] = rounding(whole[0] if len(whole) == 1 else np.concatenate(whole), in_rests, channels)
+        return np.asarray(noise + np.diag(floor**2 + rounded[kind].rest_u ** 2))
 
-    def of_means(noise: ColouredNoise, kind: str) -> Array:
+    def noise_covariance(noise: ColouredNoise, kind: str) -> Array:
         return np.array([noise.covariance_of_mean(len(s), i) for i, s in enumerate(series[kind])])
 
     def density(covariance: Array) -> Array:
-        """Noise density (N, n), unit/√Hz, behind the covariance of the means."""
+        """Return the noise densities (N, n), unit/√Hz, that correspond to covariances of the means."""
         return np.asarray(np.sqrt(np.diagonal(covariance, axis1=1, axis2=2) * seconds))
 
     accel_series = series["accel"]
     if sway is not None:
         accel_series = [y - force @ accel.axes.T for y, force in zip(accel_series, sway.force, strict=True)]
-    accel_quiet = without_warming(accel_series, of_lag, accel.thermometer)
-    accel_spread = spread("accel", accel_covariance(accel_quiet, accel), ACCEL_FLOOR)
-    gyro_noise, gyro_spread = None, np.empty((len(spans), 0, 0))
+    accel_detrended = without_warming(accel_series, kelvin_at_lag, accel.thermometer)
+    accel_total = total_covariance("accel", accel_covariance(accel_detrended, accel), ACCEL_FLOOR)
+    gyro_noise, gyro_total = None, np.empty((len(spans), 0, 0))
     if gyro is not None:
-        gyro_noise = fit_coloured_noise(without_warming(series["gyro"], of_lag, gyro.thermometer))
-        gyro_spread = spread("gyro", of_means(gyro_noise, "gyro"), GYRO_FLOOR)
-    field_spread = None
+        gyro_noise = fit_coloured_noise(without_warming(series["gyro"], kelvin_at_lag, gyro.thermometer))
+        gyro_total = total_covariance("gyro", noise_covariance(gyro_noise, "gyro"), GYRO_FLOOR)
+    field_total = None
     if reduction.magnetometer_channels:
         field_noise = fit_coloured_noise(series["magnetometer"])
-        field_spread = spread("magnetometer", of_means(field_noise, "magnetometer"), 0.0)
+        field_total = total_covariance("magnetometer", noise_covariance(field_noise, "magnetometer"), 0.0)
         del rounded["magnetometer"]
     rests = Rests(
         file=np.array([s.file for s in spans]),
         start=np.array([s.start for s in spans]),
         stop=np.array([s.stop for s in spans]),
         accel=mean["accel"],
-        accel_covariance=accel_spread,
+        accel_covariance=accel_total,
         accel_drift=drift(series["accel"]),
-        accel_noise=density(accel_spread),
+        accel_noise=density(accel_total),
         gyro=mean["gyro"],
-        gyro_covariance=gyro_spread,
+        gyro_covariance=gyro_total,
         gyro_drift=drift(series["gyro"]),
-        gyro_noise=density(gyro_spread),
-        temperatures=None if of_lag is None else np.array([of_rest.mean(axis=0) for of_rest in kelvin]),
-        magnetometer=None if field_spread is None else mean["magnetometer"],
-        magnetometer_covariance=field_spread,
+        gyro_noise=density(gyro_total),
+        temperatures=None if kelvin_at_lag is None else np.array([part.mean(axis=0) for part in kelvin]),
+        magnetometer=None if field_total is None else mean["magnetometer"],
+        magnetometer_covariance=field_total,
     )
-    return rests, accel_quiet, gyro_noise, rounded
+    return rests, accel_detrended, gyro_noise, rounded
 
 
 def thermometers_of(reduction: Reduction) -> Thermometers:
-    """The records of the thermometers, at the ends of the blocks."""
+    """Return the records of the thermometers, at the ends of the blocks."""
     return Thermometers.of({f.file: (f.edges[1:], f.temperature) for f in reduction.files if f.temperature is not None})
 
 
 def accel_covariance(series: list[Array], block: Block) -> Array:
-    """Covariance (N, n, n) of the mean accelerometer readings, from the block means (K, n) within each rest.
+    """Return covariances (N, n, n) of the mean accelerometer readings, from the block means (K, n) within each rest.
 
-    A slow tilt of the body shows in the horizontal directions, where it would pass for sensor noise; the vertical, and
-    for n > 3 the directions that no specific force explains, are free of it to first order. The noise of the two kinds
-    of direction is therefore estimated separately. Channels are first divided by their noise from block to block, and a
-    rough bias is subtracted, which would turn the directions."""
+    A slow tilt of the body appears in the horizontal directions, where it would count as sensor noise; the vertical,
+    and for n > 3 the directions that no specific force explains, are free of it to first order. The noise is therefore
+    estimated separately for the two kinds of directions. Channels are first divided by their noise from block to block,
+    and a rough bias, which would rotate the directions, is subtracted."""
     size = np.sqrt(np.median([np.diff(s, axis=0).var(axis=0) for s in series], axis=0))
     size = np.where(size > 0.0, size, 1.0)
     mean = np.array([s.mean(axis=0) for s in series])
     force = mean @ onto_body(block.axes).T
-    # the centre of the sphere through the specific forces is the bias, where they determine it
+    # the centre of the sphere through the specific forces is the bias, if they determine it
     rows = np.column_stack([2.0 * force, np.ones(len(force))])
     (*centre, _), _, rank, singular = np.linalg.lstsq(rows, (force**2).sum(axis=1))
     determined = rank == 4 and len(force) >= 6 and singular[-1] > 0.1
@@ -222,7 +221,7 @@ def accel_covariance(series: list[Array], block: Block) -> Array:
 
 
 def drift(series: list[Array]) -> Array:
-    """Change of the readings over each rest: least-squares slope times duration."""
+    """Return the change of the readings over each rest: least-squares slope times duration."""
     out = []
     for s in series:
         x = np.arange(len(s)) - 0.5 * (len(s) - 1)
@@ -231,11 +230,21 @@ def drift(series: list[Array]) -> Array:
 
 
 def sphere_through(points: Array, least: float | None = None) -> tuple[Array, float]:
-    """Centre (3,) and radius of the sphere nearest to points (N, 3), the bias and the scale where these are readings of
-    a vector of constant length: |y|² = 2 y·c + r² − |c|² by least squares about their mean. Along directions in which
-    they are spread by less than the part `least` of the widest the centre is their mean."""
+    """Fit a sphere to points: the bias and scale of readings of a vector of constant length.
+
+    Parameters
+    ----------
+    points
+        Points (N, 3).
+    least
+        Relative singular value below which the centre is the mean of the points along a direction.
+
+    Returns
+    -------
+    tuple of Array and float
+        Centre (3,) and radius, from |y|² = 2 y·c + r² − |c|² by least squares about the mean."""
     mean = points.mean(axis=0)
-    away = points - mean
-    square = (away**2).sum(axis=1)
-    offset = np.linalg.lstsq(2.0 * away, square - square.mean(), rcond=least)[0]
-    return mean + offset, float(np.sqrt(square.mean() + offset @ offset))
+    offsets = points - mean
+    square = (offsets**2).sum(axis=1)
+    centre = np.linalg.lstsq(2.0 * offsets, square - square.mean(), rcond=least)[0]
+    return mean + centre, float(np.sqrt(square.mean() + centre @ centre))

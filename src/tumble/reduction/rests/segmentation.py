@@ -1,31 +1,32 @@
-"""Rests and turns in a log.
+"""Rests and turns of a log.
 
-`find_rests` works on the blocks of a `Reduction` and sets its limits from the whole log, by its `Tuning`:
+`find_rests` works on the blocks of a `Reduction` and derives its limits from the whole log, with the factors of
+`Tuning`:
 
-1. The level of the gyros at rest is the densest point of the one-second means of the angular rate where the
-   accelerometers are quiet, their scatter within `quiet_factor` of its floor: turns have many directions, rests all
-   read the bias (and the Earth's rate, within 2Ω), and slow turns that take most of the log are not quiet.
-2. The noise floor of the distance from that level is a clipped median, started from the tenth percentile,
-   or, where no rest is found with that, from the second: a device in the hand rests but now and then. A
-   block belongs to a rest where the distance is below `floor_factor` floors (and 2Ω for the Earth's rate), and
-   the scatter of the accelerometers in the same second below `scatter_factor` of its own floor. Vibration that
-   averages out over a second raises both floors and their quantities alike, so nothing has to be set by hand.
-   The level follows slow drift: it is interpolated between the rests found, and the search repeated.
-3. A rest is extended block by block while single blocks stay within `edge` sigmas of its own mean, then
-   shortened by a margin for settling at both ends, except where the file itself begins or ends. What lies between two
-   rests of a file is a turn.
-4. Gyros that feel specific force have another level in every attitude, those that warm in every rest. Quiet and steady
-   stretches off the level are therefore examined again (`gyro_levels`): where a linear function of the specific force
-   and of time explains the levels, it is subtracted from the rates, and steps 1 and 2 are repeated. A stretch is
-   accepted only if the others predict its level: a slow turn about the vertical stays a turn.
-5. A recording whose stretches are nearly all too short was made so: it is searched again with windows of half a second
-   and margins of a tenth, and a rest then has at least `short_rest` between these. One in which nothing rests is
-   searched for moments of rest with windows of two tenths, only to say that they are too short.
-6. A stretch in which the vertical moves by more than `tilt`, and by what the biases of accelerometers change with its
-   temperature, is no rest: where nothing rests, the floors are those of the movement.
+1. The gyro level at rest is the densest point of the one-second means of the rate where the accelerometer scatter is
+   within `quiet_factor` of its floor: turns have many directions, whereas all rests read the bias (and the Earth's
+   rate, within 2Ω), and slow turns that fill most of a log are not quiet.
+2. The noise floor of the distance from that level is a clipped median, started from the tenth percentile, or from the
+   second if that yields no rest (a device in the hand rests only now and then). A block belongs to a rest if its
+   distance is below `floor_factor` floors (plus 2Ω for the Earth's rate) and the accelerometer scatter in the same
+   second is below `scatter_factor` times its own floor. Vibration that averages out over a second raises the floors
+   and the quantities alike. The level is interpolated between the rests, so that it follows slow drift, and the search
+   is repeated.
+3. A rest is extended block by block while single blocks stay within `edge` standard deviations of its mean, and then
+   shortened at both ends by a margin for settling, except where the file begins or ends. The time between two rests of
+   a file is a turn.
+4. Gyros with g-sensitivity have another level in every attitude, and gyros that warm up in every rest. Quiet and steady
+   stretches off the level are therefore examined again (`gyro_levels`): if a linear function of specific force and time
+   explains their levels, it is subtracted from the rates, and steps 1 and 2 are repeated. A stretch is accepted only if
+   the other stretches predict its level, so that a slow turn about the vertical remains a turn.
+5. If nearly all stretches are too short, the log is searched again with windows of half a second and margins of a
+   tenth; a rest then lasts at least `short_rest` between its margins. If nothing rests, windows of two tenths find
+   moments of rest, which are only reported as too short.
+6. A stretch in which the vertical moves by more than `tilt`, plus what the temperature change of the accelerometer
+   biases allows, is no rest: if nothing rests, the floors are those of motion.
 
-Without gyros the accelerometers decide alone: by their scatter, and by the step between the means of two neighbouring
-seconds, which shows a turn about a nearly vertical axis by the little it tilts.
+Without gyros, the accelerometer scatter decides, together with the step between the means of neighbouring seconds,
+which reveals a turn about a nearly vertical axis by its small tilt.
 """
 
 from __future__ import annotations
@@ -45,27 +46,24 @@ from tumble.rotation import onto_body
 from tumble.sensors.model import Block
 from tumble.units import DEGREE, Array, BoolArray, IntArray
 
-DENSITY_POINTS = 1000
-AT_A_TIME = 16
-"""Points whose distances from all others stay in the cache."""
-ACCEL_ROUNDING = 1e-5  # m/s²: what single-precision increments leave in a block mean
-GYRO_ROUNDING = 1e-7  # rad/s
-MOST_SPANS = 20
-"""Stretches that are listed one by one."""
-_STRIDE = 256
-"""Blocks that are looked at together where a stretch is extended."""
+DENSITY_POINTS = 1000  # points among which the densest is sought
+DENSITY_BATCH = 16  # points whose distances from all others fit into the cache
+ACCEL_ROUNDING = 1e-5  # m/s²: rounding of block means from single-precision increments
+GYRO_ROUNDING = 1e-7  # rad/s: the same
+LONGEST_LIST = 20  # stretches that a message lists one by one
+EXTENSION_STRIDE = 256  # blocks compared at a time when a stretch is extended
 
 Fails = Literal["duration", "scatter", "vertical", "level"]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Stretch:
-    """A quiet stretch of a log: a rest, or what fails to be one.
+    """A quiet stretch of a log: a rest, or a stretch that fails a criterion.
 
-    `file`, `first`, `last`: blocks first … last − 1 of a file. `start`, `stop`: its times, s. `lasts`: whether it
-    reaches the end of the log, but for a single block, which may be off by chance. `fails`: what keeps it from being a
-    rest, None of a rest: its duration, the scatter of the accelerometers, the constancy of the vertical or the level of
-    the gyros. `reason`: the same in words, with the number that decided."""
+    `file`, `first`, `last`: blocks first … last − 1 of a file. `start`, `stop`: its times, s. `reaches_end`: whether it
+    reaches the end of the log, up to a single block, which may be off by chance. `fails`: the criterion that it fails
+    (its duration, the accelerometer scatter, the constancy of the vertical or the gyro level), None for a rest.
+    `reason`: the same in words, with the number that decided."""
 
     json_fields: ClassVar = ("file", "start", "stop", "fails", "reason")
 
@@ -74,45 +72,39 @@ class Stretch:
     last: int
     start: float
     stop: float
-    lasts: bool = False
+    reaches_end: bool = False
     fails: Fails | None = None
     reason: str = ""
 
     @staticmethod
     def between(f: FileBlocks, start: float, stop: float) -> Stretch:
-        """The whole blocks between two times of a file, s."""
+        """Return the whole blocks of a file between two times, s."""
         first = int(np.searchsorted(f.edges, start - 1e-9))
         last = int(np.searchsorted(f.edges, stop + 1e-9, side="right")) - 1
         return Stretch.of_blocks(f, (first, last))
 
     @staticmethod
-    def of_blocks(f: FileBlocks, span: Span) -> Stretch:
-        """The blocks of a span of a file."""
+    def of_blocks(f: FileBlocks, span: Span, fails: Fails | None = None, reason: str = "") -> Stretch:
+        """Return the stretch of a span of blocks of a file."""
         start, stop = (float(f.edges[i]) for i in span)
-        return Stretch(file=f.file, first=span[0], last=span[1], start=start, stop=stop)
-
-    @staticmethod
-    def rejected(f: FileBlocks, span: Span, fails: Fails, reason: str) -> Stretch:
-        """The blocks of a span of a file, which are no rest."""
-        return replace(Stretch.of_blocks(f, span), fails=fails, reason=reason)
+        return Stretch(file=f.file, first=span[0], last=span[1], start=start, stop=stop, fails=fails, reason=reason)
 
     @staticmethod
     def too_short(f: FileBlocks, span: Span, tuning: Tuning) -> Stretch:
-        """The blocks of a span of a file in which nothing moves, but not for long enough."""
+        """Return a motionless span of blocks that is too short for a rest."""
         reason = f"{f.edges[span[1]] - f.edges[span[0]]:.1f} s is too short: rests of {tuning.still} s are long enough"
-        return Stretch.rejected(f, span, "duration", reason)
+        return Stretch.of_blocks(f, span, "duration", reason)
 
 
-def unrecorded(before: Stretch, after: Stretch, samples: int, what: str, why: str) -> Gap:
-    """The gap that a turn between two rests is, if it counts as not recorded because of so many of its samples."""
+def gap_between(before: Stretch, after: Stretch, samples: int, what: str, why: str) -> Gap:
+    """Return the turn between two rests as a gap of the log, because of so many of its samples."""
     at, stop = before.stop, after.start
     return Gap(file=before.file, row=0, time=at, samples=samples, what=what, stop=stop, integrable=False, why=why)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class LevelJump:
-    """A jump of the level of the gyros at rest, by a `step` (3,), rad/s, at the beginning of a rest: its file and time,
-    s."""
+    """A jump of the gyro level at rest by `step` (3,), rad/s, at `time`, s, of a file, where a rest begins."""
 
     file: int
     time: float
@@ -123,13 +115,12 @@ class LevelJump:
 class Segmentation:
     """The rests of a log.
 
-    `rests`, `rejected`: the rests, and the quiet stretches that are none, in the order of time. `rate_limit`,
-    `scatter_limit`: distance of the rate from its level at rest, rad/s, and scatter of the specific force, m/s², up
-    to which nothing moves, the first None without gyros. `jump`: where the level of the gyros at rest jumps.
-    `stated_rate`: samples per second, Hz, where no time in the log shows them: what is a second, and so a rest,
-    hangs on it. `tuning`: thresholds of the search. `still`: whether nothing moves at the end of the log.
-    `programme`, `position`: the programme that the rests were matched to, and the index (N,) of the position of
-    each in it."""
+    `rests`, `rejected`: the rests, and the quiet stretches that are no rests, in order of time. `rate_limit`,
+    `scatter_limit`: limits of motion, for the distance of the rate from its level at rest, rad/s (None without gyros),
+    and for the scatter of the specific force, m/s². `jump`: jump of the gyro level at rest. `stated_rate`: sample rate,
+    Hz, of a log without time stamps, on which durations depend. `tuning`: thresholds of the search. `still`: whether
+    the device is motionless at the end of the log. `programme`, `position`: the programme to which the rests were
+    matched, and the position index (N,) of each rest in it."""
 
     json_fields: ClassVar = ("scatter_limit", "rate_limit", "rejected")
 
@@ -146,53 +137,60 @@ class Segmentation:
 
     @property
     def lasting(self) -> bool:
-        """Whether the last of the rests reaches the end of the log."""
-        return bool(self.rests) and self.rests[-1].lasts
+        """Whether the last rest reaches the end of the log."""
+        return bool(self.rests) and self.rests[-1].reaches_end
+
+    @property
+    def rests_before_jump(self) -> int:
+        """Number of rests before the jump of the gyro level, 0 if no jump lies between two rests."""
+        if self.jump is None:
+            return 0
+        before = sum((r.file, r.start) < (self.jump.file, self.jump.time) for r in self.rests)
+        return before if before < len(self.rests) else 0
 
     def jumped(self) -> tuple[str, ...]:
-        """A sentence on a jump of the level of the gyros between two of the rests, and what to do; none without it."""
-        jump = self.jump
-        before = 0 if jump is None else sum((r.file, r.start) < (jump.file, jump.time) for r in self.rests)
-        if jump is None or not 0 < before < len(self.rests):
+        """Return a sentence on the jump of the gyro level between two rests, with a remedy, if there is one."""
+        before = self.rests_before_jump
+        if self.jump is None or not before:
             return ()
-        size = float(np.linalg.norm(jump.step))
         return (
-            f"the level of the gyros at rest jumps by {size / DEGREE:.2g} °/s between rest {before} (to "
-            f"{self.rests[before - 1].stop:z.1f} s) and rest {before + 1} (from {self.rests[before].start:z.1f} s) and "
-            "stays there: a driver that measured the bias anew, or another device; calibrate the "
-            f"{before} rests before it and the {len(self.rests) - before} after it as launches of their own, each with "
-            "the times of the others in [[exclude]]",
+            f"the level of the gyros at rest jumps by {np.linalg.norm(self.jump.step) / DEGREE:.2g} °/s between rest "
+            f"{before} (to {self.rests[before - 1].stop:z.1f} s) and rest {before + 1} (from "
+            f"{self.rests[before].start:z.1f} s) and stays there: a driver that measured the bias anew, or another "
+            f"device; calibrate the {before} rests before it and the {len(self.rests) - before} after it as launches "
+            "of their own, each with the times of the others in [[exclude]]",
         )
 
     @property
     def shaken(self) -> tuple[Stretch, ...]:
-        """Stretches that are rests by the gyros, while the accelerometers are shaken. None where the gyros at rest are
-        known so badly that in a window a device may turn by more than a rest may tilt: then it moves."""
+        """Stretches in which the gyros are at rest and the accelerometers are shaken; none if the rate limit allows a
+        turn by more than `tilt` within a window, since the device may then be moving."""
         if self.rate_limit is None or self.rate_limit * self.tuning.window > self.tuning.tilt:
             return ()
-        return tuple(stretch for stretch in self.rejected if stretch.fails in ("scatter", "vertical"))
+        return self._failing("scatter", "vertical")
+
+    def _failing(self, *criteria: Fails) -> tuple[Stretch, ...]:
+        return tuple(stretch for stretch in self.rejected if stretch.fails in criteria)
 
     def passed_over(self) -> tuple[str, ...]:
-        """Sentences that count the quiet stretches that were nearly rests: too short, off the level of the gyros, or
-        shaken."""
+        """Return sentences that count the stretches that were nearly rests, by the criterion that they fail."""
         by = "" if self.stated_rate is None else f", by log.rate_hz = {self.stated_rate:g}, which no time confirms"
-        too_short, off_level = (tuple(r for r in self.rejected if r.fails == fails) for fails in ("duration", "level"))
         reasons = {
-            f"too short: rests of {self.tuning.still} s are long enough{by}": too_short,
-            "discarded because the gyros read otherwise than at rest": off_level,
+            f"too short: rests of {self.tuning.still} s are long enough{by}": self._failing("duration"),
+            "discarded because the gyros read otherwise than at rest": self._failing("level"),
             "shaken: the gyros are at rest, the accelerometers are not; put it where nothing vibrates": self.shaken,
         }
         sentences = []
         for why, stretches in reasons.items():
             if seconds := sorted(r.stop - r.start for r in stretches):
-                alike = seconds[-1] - seconds[0] < 0.05
-                length = f"{seconds[0]:.1f} s" if alike else f"{seconds[0]:.1f}–{seconds[-1]:.1f} s"
-                many = f"{len(seconds)} quiet stretches of {length} are"
-                sentences.append(f"{f'a quiet stretch of {length} is' if len(seconds) == 1 else many} {why}")
+                similar = seconds[-1] - seconds[0] < 0.05
+                length = f"{seconds[0]:.1f} s" if similar else f"{seconds[0]:.1f}–{seconds[-1]:.1f} s"
+                several = f"{len(seconds)} quiet stretches of {length} are"
+                sentences.append(f"{f'a quiet stretch of {length} is' if len(seconds) == 1 else several} {why}")
         return tuple(sentences)
 
     def unused(self) -> tuple[str, ...]:
-        """A sentence for each reason why quiet stretches are no rests, with their times and duration."""
+        """Return a sentence for each failed criterion, with the times and total duration of the stretches."""
         reasons: dict[Fails, str] = {
             "level": "the accelerometers are quiet, but the gyros read otherwise than at rest",
             "scatter": "the gyros are quiet, but the accelerometers are not",
@@ -201,9 +199,9 @@ class Segmentation:
         }
         sentences = []
         for fails, why in reasons.items():
-            if quiet := [r for r in self.rejected if r.fails == fails]:
-                spans = ", ".join(f"{r.start:z.1f}–{r.stop:z.1f}" for r in quiet[:MOST_SPANS])
-                more = f" and {len(quiet) - MOST_SPANS} more" if len(quiet) > MOST_SPANS else ""
+            if quiet := self._failing(fails):
+                spans = ", ".join(f"{r.start:z.1f}–{r.stop:z.1f}" for r in quiet[:LONGEST_LIST])
+                more = f" and {len(quiet) - LONGEST_LIST} more" if len(quiet) > LONGEST_LIST else ""
                 total, because = sum(r.stop - r.start for r in quiet), quiet[0].reason if len(quiet) == 1 else why
                 sentences.append(f"not used as rests: {spans} s{more}, {total:.1f} s in all: {because}")
         return tuple(sentences)
@@ -217,43 +215,45 @@ def find_rests(reduction: Reduction, accel: Block, gyro: Block | None) -> Segmen
     reduction
         The blocks of the log, with the thresholds of the search.
     accel, gyro
-        The accelerometers and the gyros. None where the accelerometers are to decide alone.
+        The accelerometers and the gyros. None to search with the accelerometers alone.
 
     Returns
     -------
     Segmentation
-        The rests, the stretches that are none, and the thresholds that were set from the whole log.
+        The rests, the rejected stretches, and the limits derived from the whole log.
     """
     tuning = reduction.tuning
-    usual = _RestSearch(reduction, accel, gyro, tuning).rests()
-    short = sum(r.fails == "duration" and r.stop - r.start >= tuning.short_rest for r in usual.rejected)
-    if not usual.rests and not short:
-        few = _RestSearch(reduction, accel, gyro, tuning.for_few_rests).rests()
+    usual = _RestSearch(reduction, accel, gyro, tuning).run()
+    n_short = sum(r.fails == "duration" and r.stop - r.start >= tuning.short_rest for r in usual.rejected)
+    if not usual.rests and not n_short:
+        # lower floors, for a device that moves most of the time
+        few = _RestSearch(reduction, accel, gyro, replace(tuning, quiet_share=tuning.few_share)).run()
         if few.rests:
             return replace(few, tuning=tuning)
-        moments = _RestSearch(reduction, accel, gyro, tuning.for_moments).rests().rests
-        rejected = tuple(
-            Stretch.too_short(reduction.by_file[one.file], (one.first, one.last), tuning) for one in moments
-        )
+        shortest = replace(tuning, window=tuning.moment, rest=tuning.moment, margin_least=0.0, margin_fraction=0.0)
+        moments = _RestSearch(reduction, accel, gyro, shortest).run().rests
+        rejected = tuple(Stretch.too_short(reduction.by_file[r.file], (r.first, r.last), tuning) for r in moments)
         return replace(usual, rejected=rejected or usual.rejected)
-    if short <= 2 * len(usual.rests):
+    if n_short <= 2 * len(usual.rests):
         return usual
-    again = _RestSearch(reduction, accel, gyro, tuning.for_short_rests(reduction.rate)).rests()
-    # the advice how long to lie still is that for any other recording
+    rest = max(tuning.short_rest, tuning.short_samples / reduction.rate)
+    short = replace(tuning, window=tuning.short_window, rest=rest, margin_least=tuning.short_margin)
+    again = _RestSearch(reduction, accel, gyro, short).run()
+    # the usual thresholds are kept for the advice on how long to lie still
     return replace(again, tuning=tuning) if len(again.rests) >= len(usual.rests) + tuning.fewest_short else usual
 
 
 class _RestSearch:
     """The search of a log with one set of thresholds.
 
-    `window`: blocks of a window. `forces`, `rates`: by file the block means (K, 3) of the specific force, m/s², and
-    of the rate, rad/s, in the body. No rates without gyros. `force_step`, `rate_step`: changes of these by the
-    resolution of the channels, without movement."""
+    `window`: blocks of a window. `forces`, `rates`: by file, block means (K, 3) of the specific force, m/s², and of the
+    rate, rad/s (None without gyros), in the body. `force_step`, `rate_step`: changes of these without motion, by the
+    resolution of the channels."""
 
     def __init__(self, reduction: Reduction, accel: Block, gyro: Block | None, tuning: Tuning) -> None:
         self.files, self.tuning, self.usual = reduction.files, tuning, reduction.tuning
         self.window = max(2, round(tuning.window * reduction.rate / self.files[0].size))
-        # column after column in memory: sums over three numbers a row are slow
+        # column-major: sums over rows of three numbers are slow
         self.forces = [np.asfortranarray(f.accel.means @ onto_body(accel.axes).T) for f in self.files]
         self.rates: list[Array] | None = None
         if gyro is not None:
@@ -266,39 +266,39 @@ class _RestSearch:
             )
         )
 
-    def rests(self) -> Segmentation:
-        """Steps 1 to 4 and 6 of the module docstring."""
+    def run(self) -> Segmentation:
+        """Carry out steps 1 to 4 and 6 of the module docstring."""
         tuning, window, rates = self.tuning, self.window, self.rates
         scatter = [_moving_scatter(force, window) for force in self.forces]
         floor = self._floor(np.concatenate(scatter))
         factor = tuning.floor_factor if rates is None else tuning.scatter_factor
         scatter_limit = factor * floor + self.force_step
-        calm = [s < scatter_limit for s in scatter]
+        is_calm = [s < scatter_limit for s in scatter]
         if rates is None:
-            step = []  # between the means of the windows before and after each block, at the ends that of the nearest
+            steps = []  # of the means from the window before each block to the one after it
             for force in self.forces:
-                wide = min(window, len(force) // 2)
-                mean = inner_mean(force, wide)
-                steps = np.linalg.norm(mean[wide:] - mean[:-wide], axis=1)
-                step.append(steps[np.clip(np.arange(len(force)) - wide, 0, len(steps) - 1)])
-            step_limit = tuning.floor_factor * self._floor(np.concatenate(step)) + self.force_step
-            spans = [_runs(c & (s < step_limit)) for c, s in zip(calm, step, strict=True)]
-            return self._assembled(spans, None, scatter_limit, None, [])
-        quiet = [s < tuning.quiet_factor * floor + self.force_step for s in scatter]
-        spans, unmoved, rate_limit = self._still(rates, calm, quiet)
-        off = self._off_level(rates, calm, spans, rate_limit)
+                width = min(window, len(force) // 2)
+                mean = sliding_mean(force, width)
+                step = np.linalg.norm(mean[width:] - mean[:-width], axis=1)
+                steps.append(step[np.clip(np.arange(len(force)) - width, 0, len(step) - 1)])
+            step_limit = tuning.floor_factor * self._floor(np.concatenate(steps)) + self.force_step
+            spans = [_runs(calm & (step < step_limit)) for calm, step in zip(is_calm, steps, strict=True)]
+            return self._segmentation(spans, None, scatter_limit, None, [])
+        is_quiet = [s < tuning.quiet_factor * floor + self.force_step for s in scatter]
+        spans, unmoved, rate_limit = self._find_still(rates, is_calm, is_quiet)
+        off = self._find_off_level(rates, is_calm, spans, rate_limit)
         # the limit for levels of whole stretches, from the noise within them
         stretches = [(k, i, j) for k, of_file in enumerate(spans) for i, j in of_file if j - i >= 2 * window]
         stretches += [(s.place, s.first, s.last) for s in off]
         noise = [np.sqrt(rates[k][slice(*core(i, j, window))].var(axis=0).sum() / window) for k, i, j in stretches]
         noise_limit = self._rate_limit(np.array([*noise, 0.0]))
-        goes_with = self.forces, times_of([f.edges for f in self.files])
-        level = level_function(rates, goes_with, spans, off, noise_limit, window, tuning)
+        times = times_of([f.edges for f in self.files])
+        level = level_function(rates, self.forces, times, spans, off, noise_limit, window, tuning)
         if level is not None:
-            rates = level.without(rates, *goes_with)
-            spans, unmoved, rate_limit = self._still(rates, calm, quiet)
-            spans = [_overlapping(new, like) for new, like in zip(spans, level.accepted, strict=True)]
-            off = self._off_level(rates, calm, spans, rate_limit)
+            rates = level.subtracted_from(rates, self.forces, times)
+            spans, unmoved, rate_limit = self._find_still(rates, is_calm, is_quiet)
+            spans = [_overlapping(new, accepted) for new, accepted in zip(spans, level.accepted, strict=True)]
+            off = self._find_off_level(rates, is_calm, spans, rate_limit)
         rejected = []
         for s in off:
             reason = (
@@ -306,78 +306,78 @@ class _RestSearch:
                 f"their level at rest, more than {rate_limit / DEGREE:.2g} °/s: a slow turn, or a bias that depends on "
                 "attitude"
             )
-            rejected.append(Stretch.rejected(self.files[s.place], (s.first, s.last), "level", reason))
-        for f, shaken, still, c in zip(self.files, scatter, unmoved, calm, strict=True):
-            for i, j in still:
-                if not c[i:j].any() and f.edges[j] - f.edges[i] >= tuning.rest:
-                    reason = f"accelerometer scatter {shaken[i:j].max():.2g} m/s^2 within a second is above "
-                    rejected.append(Stretch.rejected(f, (i, j), "scatter", f"{reason}{scatter_limit:.2g} m/s^2"))
-        whole = self._assembled(spans, rates, scatter_limit, rate_limit, rejected)
+            rejected.append(Stretch.of_blocks(self.files[s.place], (s.first, s.last), "level", reason))
+        for f, shaking, of_file, calm in zip(self.files, scatter, unmoved, is_calm, strict=True):
+            for i, j in of_file:
+                if not calm[i:j].any() and f.edges[j] - f.edges[i] >= tuning.rest:
+                    reason = f"accelerometer scatter {shaking[i:j].max():.2g} m/s^2 within a second is above "
+                    rejected.append(Stretch.of_blocks(f, (i, j), "scatter", f"{reason}{scatter_limit:.2g} m/s^2"))
+        whole = self._segmentation(spans, rates, scatter_limit, rate_limit, rejected)
         if level is None or not np.any(level.step):
             return whole
-        time = dict(zip((f.file for f in self.files), goes_with[1], strict=True))
+        time = dict(zip((f.file for f in self.files), times, strict=True))
         later = [r for r in whole.rests if float(time[r.file][(r.first + r.last) // 2]) > level.step_at]
-        if not later:  # only stretches that are too short for a rest have the other level
+        if not later:  # all stretches with the other level are too short for a rest
             return whole
         return replace(whole, jump=LevelJump(file=later[0].file, time=later[0].start, step=level.step))
 
-    def _still(
-        self, rates: list[Array], calm: list[BoolArray], quiet: list[BoolArray]
+    def _find_still(
+        self, rates: list[Array], is_calm: list[BoolArray], is_quiet: list[BoolArray]
     ) -> tuple[list[list[Span]], list[list[Span]], float]:
-        """Stretches of blocks, by file, that are calm and do not turn, those that only do not turn, and the limit of
-        the rate, rad/s."""
-        smooth = [_moving_mean(w, self.window) for w in rates]
-        in_quiet = np.concatenate(quiet)
-        densest = _densest(np.concatenate([s[q][:: self.window] for s, q in zip(smooth, quiet, strict=True)]))
-        level = [np.broadcast_to(densest, s.shape) for s in smooth]
+        """Return by file the spans that are calm and do not turn, those that do not turn, and the rate limit, rad/s."""
+        smooth = [_moving_mean(rate, self.window) for rate in rates]
+        quiet_blocks = np.concatenate(is_quiet)
+        sparse = [s[quiet][:: self.window] for s, quiet in zip(smooth, is_quiet, strict=True)]
+        level = [np.broadcast_to(_densest(np.concatenate(sparse)), s.shape) for s in smooth]
         spans: list[list[Span]] = [[] for _ in rates]
-        still, limit = calm, 0.0
+        is_still, limit = is_calm, 0.0
         for _ in range(5):  # the level follows slow drift from rest to rest
             distance = [np.linalg.norm(s - at, axis=1) for s, at in zip(smooth, level, strict=True)]
-            limit = self._rate_limit(np.concatenate(distance)[in_quiet])
-            still = [d < limit for d in distance]
-            before, spans = spans, [_runs(s & c) for s, c in zip(still, calm, strict=True)]
-            if spans == before:
+            limit = self._rate_limit(np.concatenate(distance)[quiet_blocks])
+            is_still = [d < limit for d in distance]
+            previous, spans = spans, [_runs(still & calm) for still, calm in zip(is_still, is_calm, strict=True)]
+            if spans == previous:
                 break
-            level = [self._interpolated_level(w, s, at) for w, s, at in zip(rates, spans, level, strict=True)]
-        return spans, [_runs(s) for s in still], limit
+            level = [self._interpolated_level(*each) for each in zip(rates, spans, level, strict=True)]
+        return spans, [_runs(still) for still in is_still], limit
 
-    def _off_level(
-        self, rates: list[Array], calm: list[BoolArray], spans: list[list[Span]], limit: float
+    def _find_off_level(
+        self, rates: list[Array], is_calm: list[BoolArray], spans: list[list[Span]], limit: float
     ) -> list[OffLevel]:
-        """Quiet stretches with steady gyros, off their level at rest by more than `limit` and less than `level_spread`,
-        in which the vertical moves by less than a turn of that rate would move it."""
+        """Return quiet, steady stretches whose gyros are off the level at rest by `limit` to `level_spread`, and in
+        which the vertical moves less than a turn at that rate would move it."""
         tuning, window = self.tuning, self.window
-        at_rest = [w[i:j] for w, of_file in zip(rates, spans, strict=True) for i, j in of_file]
+        at_rest = [rate[i:j] for rate, of_file in zip(rates, spans, strict=True) for i, j in of_file]
         if not at_rest:
             return []
         default = np.concatenate(at_rest).mean(axis=0)
-        scatter = [_moving_scatter(w, window) for w in rates]
+        scatter = [_moving_scatter(rate, window) for rate in rates]
         steady_limit = tuning.scatter_factor * self._floor(np.concatenate(scatter))
         out = []
-        for k, (f, w, s, c, force) in enumerate(zip(self.files, rates, scatter, calm, self.forces, strict=True)):
-            level = self._interpolated_level(w, spans[k], np.broadcast_to(default, w.shape))
-            for i, j in _runs(c & (s < steady_limit)):
+        for k, (f, rate, s, calm, force) in enumerate(
+            zip(self.files, rates, scatter, is_calm, self.forces, strict=True)
+        ):
+            level = self._interpolated_level(rate, spans[k], np.broadcast_to(default, rate.shape))
+            for i, j in _runs(calm & (s < steady_limit)):
                 seconds = float(f.edges[j] - f.edges[i])
                 covered = sum(min(j, b) - max(i, a) for a, b in _overlapping(spans[k], [(i, j)]))
                 if seconds < tuning.rest or j - i < 2 * window or covered > 0.5 * (j - i):
                     continue
-                rate = w[slice(*core(i, j, window))].mean(axis=0) - level[(i + j) // 2]
+                offset = rate[slice(*core(i, j, window))].mean(axis=0) - level[(i + j) // 2]
                 first, last = force[i : i + window].mean(axis=0), force[j - window : j].mean(axis=0)
                 moved, size = float(np.linalg.norm(last - first)), float(np.linalg.norm(first))
-                turned = float(np.linalg.norm(np.cross(rate, first))) * (seconds - tuning.window)
-                stays = moved < max(tuning.vertical_moves * turned, tuning.vertical_stays * size)
-                if limit < float(np.linalg.norm(rate)) < tuning.level_spread and stays:
-                    out.append(OffLevel(place=k, first=i, last=j, rate=rate))
+                by_turn = float(np.linalg.norm(np.cross(offset, first))) * (seconds - tuning.window)
+                vertical_stays = moved < max(tuning.vertical_moves * by_turn, tuning.vertical_stays * size)
+                if limit < float(np.linalg.norm(offset)) < tuning.level_spread and vertical_stays:
+                    out.append(OffLevel(place=k, first=i, last=j, rate=offset))
         return out
 
     def _rate_limit(self, distances: Array) -> float:
-        """The largest distance of the gyros from their level at rest, rad/s, from the distances of quiet blocks."""
+        """Return the largest distance of the gyros from their level at rest, rad/s, given those of quiet blocks."""
         return self.tuning.floor_factor * self._floor(distances) + 2.0 * EARTH_RATE + self.rate_step
 
     def _floor(self, values: Array) -> float:
-        """The level of the quiet part of a positive quantity: a median clipped at `floor_factor` times itself, started
-        from the quantile `quiet_share`."""
+        """Return the median of positive values clipped at `floor_factor` medians, started from `quiet_share`."""
         floor = float(np.quantile(values, self.tuning.quiet_share))
         for _ in range(50):
             median = float(np.median(values[values <= self.tuning.floor_factor * floor]))
@@ -387,7 +387,7 @@ class _RestSearch:
         return floor
 
     def _interpolated_level(self, rate: Array, spans: list[Span], default: Array) -> Array:
-        """The gyro level of every block, interpolated between the means of the stretches found."""
+        """Return the gyro level (K, 3) at every block, interpolated between the means of long spans."""
         long = [(i, j) for i, j in spans if j - i >= self.tuning.level_blocks]
         if not long:
             return default
@@ -395,7 +395,7 @@ class _RestSearch:
         means = np.array([rate[i:j].mean(axis=0) for i, j in long])
         return np.column_stack([np.interp(np.arange(len(rate)), centres, column) for column in means.T])
 
-    def _assembled(
+    def _segmentation(
         self,
         spans: list[list[Span]],
         rates: list[Array] | None,
@@ -403,38 +403,39 @@ class _RestSearch:
         rate_limit: float | None,
         rejected: list[Stretch],
     ) -> Segmentation:
-        """Extend the stretches, remove the margins, and keep those that are long enough and do not tilt."""
+        """Extend the spans, remove the margins, and keep those that are long enough and do not tilt."""
         tuning, rests = self.tuning, list[Stretch]()
         for k, (f, force) in enumerate(zip(self.files, self.forces, strict=True)):
             signals = [(force, self.force_step)] + ([] if rates is None else [(rates[k], self.rate_step)])
-            joined: list[Span] = []
+            merged: list[Span] = []
             for first, last in sorted(self._extended(signals, i, j) for i, j in spans[k]):
-                if joined and first < joined[-1][1]:
-                    joined[-1] = joined[-1][0], max(last, joined[-1][1])
+                if merged and first < merged[-1][1]:
+                    merged[-1] = merged[-1][0], max(last, merged[-1][1])
                 elif last > first:
-                    joined.append((first, last))
-            for first, last in joined:
+                    merged.append((first, last))
+            for first, last in merged:
                 duration = float(f.edges[last] - f.edges[first])
                 margin = tuning.margin_of(duration)
                 before, after = margin if first > 0 else 0.0, margin if last < len(f) else 0.0
-                span = Stretch.between(f, f.edges[first] + before, f.edges[last] - after)
+                rest = Stretch.between(f, f.edges[first] + before, f.edges[last] - after)
                 too_short = duration - before - after < tuning.rest - 1e-9
                 mean = force[first:last].mean(axis=0)
                 off = np.linalg.norm(_moving_mean(force[first:last], self.window) - mean, axis=1).max()
                 tilt = float(off / np.linalg.norm(mean))
-                warmed = 0.0 if f.temperature is None else float(np.ptp(f.temperature[first:last], axis=0).max())
-                if too_short or span.last - span.first < tuning.fewest_blocks:
+                warming = 0.0 if f.temperature is None else float(np.ptp(f.temperature[first:last], axis=0).max())
+                tilt_limit = tuning.tilt + tuning.tilt_per_kelvin * warming
+                if too_short or rest.last - rest.first < tuning.fewest_blocks:
                     if duration > 0.5:
                         rejected.append(Stretch.too_short(f, (first, last), self.usual))
-                elif tilt > (limit := tuning.tilt + tuning.tilt_per_kelvin * warmed):
-                    at_most = f"in a rest at most {limit / DEGREE:.2g}°"
+                elif tilt > tilt_limit:
+                    at_most = f"in a rest at most {tilt_limit / DEGREE:.2g}°"
                     reason = f"the vertical moves by {tilt / DEGREE:.0f}°, {at_most}"
-                    rejected.append(Stretch.rejected(f, (first, last), "vertical", reason))
+                    rejected.append(Stretch.of_blocks(f, (first, last), "vertical", reason))
                 else:
-                    rests.append(replace(span, lasts=f is self.files[-1] and span.last >= len(f) - 1))
+                    rests.append(replace(rest, reaches_end=f is self.files[-1] and rest.last >= len(f) - 1))
         return Segmentation(
             rests=tuple(rests),
-            still=bool(rests) and rests[-1].lasts,
+            still=bool(rests) and rests[-1].reaches_end,
             rejected=tuple(sorted(rejected, key=lambda r: (r.file, r.start))),
             rate_limit=rate_limit,
             scatter_limit=scatter_limit,
@@ -442,24 +443,25 @@ class _RestSearch:
         )
 
     def _extended(self, signals: list[tuple[Array, float]], first: int, last: int) -> Span:
-        """A stretch of blocks whose ends are where single blocks are more than `edge` sigmas of its scatter off: the
-        moving window has blurred them by half its length."""
+        """Move the ends of a span, blurred by half a window, to where single blocks are more than `edge` standard
+        deviations off its mean."""
         tenth = (last - first) // 10
         cores = [values[first + tenth : last - tenth] for values, _ in signals]
         means, sigmas = [core.mean(axis=0) for core in cores], [np.sqrt(core.var(axis=0).sum()) for core in cores]
 
         def end(block: int, way: int) -> int:
-            """The first block that is unlike the stretch, backwards (−1) or forwards (1) from one within it."""
+            """Return the first block unlike the span, backwards (way = −1) or forwards (1) from one within it."""
             while True:
-                rows = slice(max(0, block - _STRIDE), block) if way < 0 else slice(block, block + _STRIDE)
-                each = [
+                edge = max(0, block + way * EXTENSION_STRIDE)
+                rows = slice(min(edge, block), max(edge, block))
+                within = [
                     np.linalg.norm(values[rows] - mean, axis=1) <= self.tuning.edge * sigma + rounding
                     for (values, rounding), mean, sigma in zip(signals, means, sigmas, strict=True)
                 ]
-                inside = np.logical_and.reduce(each)[::way]
-                alike = len(inside) if inside.all() else int(np.argmin(inside))
-                block += way * alike
-                if alike < _STRIDE:
+                inside = np.logical_and.reduce(within)[::way]
+                n_inside = len(inside) if inside.all() else int(np.argmin(inside))
+                block += way * n_inside
+                if n_inside < EXTENSION_STRIDE:
                     return block
 
         half = min(self.window, last - first) // 2
@@ -467,56 +469,56 @@ class _RestSearch:
 
 
 def _overlapping(spans: list[Span], others: list[Span]) -> list[Span]:
-    """The spans that overlap one of the others."""
+    """Return the spans that overlap one of the others."""
     return [(i, j) for i, j in spans if any(i < b and a < j for a, b in others)]
 
 
 def _moving_mean(values: Array, window: int) -> Array:
-    """Mean over the `window` rows about each row, at the ends over the first and the last `window` rows."""
+    """Return the mean over `window` rows about each row, at the ends over the first and the last `window` rows."""
     window = min(window, len(values))
-    return inner_mean(values, window)[_window_of(len(values), window)]
+    return sliding_mean(values, window)[_window_of_row(len(values), window)]
 
 
 def _moving_scatter(values: Array, window: int) -> Array:
-    """Root of the summed variances of the columns in the same windows."""
+    """Return the root of the summed variances of the columns over the same windows."""
     window = min(window, len(values))
-    variance = inner_variance(values, inner_mean(values, window), window).sum(axis=1)
-    return np.asarray(np.sqrt(variance)[_window_of(len(values), window)])
+    variance = sliding_variance(values, sliding_mean(values, window), window).sum(axis=1)
+    return np.asarray(np.sqrt(variance)[_window_of_row(len(values), window)])
 
 
-def inner_mean(values: Array, window: int) -> Array:
-    """Mean of every `window` consecutive rows."""
+def sliding_mean(values: Array, window: int) -> Array:
+    """Return the mean of every `window` consecutive rows."""
     out = np.zeros((len(values) - window + 1, values.shape[1]), order="F")
     for i in range(window):
         out += values[i : len(out) + i]
     return out / window
 
 
-def inner_variance(values: Array, mean: Array, window: int) -> Array:
-    """Variance of every `window` consecutive rows about their mean."""
+def sliding_variance(values: Array, mean: Array, window: int) -> Array:
+    """Return the variance of every `window` consecutive rows about their mean."""
     out = np.zeros_like(mean)
     for i in range(window):
         out += (values[i : len(out) + i] - mean) ** 2
     return out / window
 
 
-def _window_of(rows: int, window: int) -> IntArray:
-    """First row of the window that belongs to each row."""
+def _window_of_row(rows: int, window: int) -> IntArray:
+    """Return the first row of the window about each row."""
     return np.clip(np.arange(rows) - window // 2, 0, rows - window)
 
 
 def _densest(points: Array) -> Array:
-    """The point of a cloud with the nearest neighbours, from at most DENSITY_POINTS of them evenly spread."""
+    """Return the point with the nearest neighbours among at most DENSITY_POINTS evenly spread ones."""
     points = points[:: -(-len(points) // DENSITY_POINTS)]
     neighbour, nearest = min(len(points) - 1, max(3, len(points) // 20)), []
-    for i in range(0, len(points), AT_A_TIME):
-        some = points[i : i + AT_A_TIME]
-        squares = sum((own[:, None] - column) ** 2 for own, column in zip(some.T, points.T, strict=True))
+    for i in range(0, len(points), DENSITY_BATCH):
+        batch = points[i : i + DENSITY_BATCH]
+        squares = sum((mine[:, None] - column) ** 2 for mine, column in zip(batch.T, points.T, strict=True))
         nearest.append(np.partition(squares, neighbour, axis=1)[:, neighbour])
     return np.asarray(points[np.argmin(np.concatenate(nearest))])
 
 
 def _runs(flags: BoolArray) -> list[Span]:
-    """[first, last) of every row of true values."""
+    """Return [first, last) of every run of true values."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]])))
     return [(int(i), int(j)) for i, j in edges.reshape(-1, 2)]

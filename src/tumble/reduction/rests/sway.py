@@ -1,19 +1,19 @@
-"""Sway of a device that is held in the hand while it rests: what it moves by, and whether it does.
+"""Sway of a device that is held in the hand while it rests.
 
 A body that sways by small angles α(t) about its mean attitude reads the specific force
 
     f̄ + f̄ × α + α̈ × r,        |mean f| = g (1 − ½ mean |û × α|²)
 
-at a distance r from the point it sways about, û along f̄. Its gyros read α too, as the integral of the rate, so that the
-two agree where the body moves, and are independent where sensors are noisy, whatever the colour of the noise. In
-stretches of a second, with what is across û as block means less its mean and slope, let δ be the forces and p_j the
-m = 4 columns û × α and ω̇ × e_j. Without sway the sums s_j = Σ p_j·δ of the n stretches have the mean 0 (Hotelling's
-test): with t = Σ s and W = tᵀ (Σ s sᵀ)⁻¹ t, (n − m) W / m (n − W) has Fisher's distribution of m and n − m degrees of
-freedom. Both see the part of |û × α|² that a fit of δ by these columns explains of |δ|².
+at a distance r from the point it sways about, û along f̄. Its gyros read α too, as the integral of the rate: the two
+agree if the body moves, and are independent if sensors are noisy, whatever the colour of the noise. In stretches of a
+second, let δ be the forces and p_j the m = 4 columns û × α and ω̇ × e_j, all as block means across û, less their mean
+and slope. Without sway, the sums s_j = Σ p_j·δ of the n stretches have mean 0 (Hotelling's test): with t = Σ s and
+W = tᵀ (Σ s sᵀ)⁻¹ t, (n − m) W / m (n − W) has Fisher's distribution with m and n − m degrees of freedom. The variance
+of the tilt that both kinds of sensors show is the part of |δ|² that a fit by these columns explains.
 
-The noise of the gyros beside the sway is that of their samples, by differences of fourth order, in which there is next
-to nothing of a hand. The noise of the mean of a rest is that of the forces less f̄ × α: turns go from mean attitude to
-mean attitude, so that a rest which sways is known as well as one that does not.
+The noise of the gyros apart from the sway is that of their samples, from differences of fourth order, in which the
+motion of a hand is negligible. The noise of the mean of a rest is that of the forces less f̄ × α: turns go from mean
+attitude to mean attitude, so that a rest with sway is as well determined as one without.
 """
 
 from __future__ import annotations
@@ -30,26 +30,21 @@ from tumble.reduction.rests.segmentation import Stretch
 from tumble.rotation import skew, unit_vector
 from tumble.units import DEGREE, Array
 
-FOURTH_DIFFERENCES = 70.0
-"""Variance of the fourth differences, 1 −4 6 −4 1, of independent samples, in parts of theirs."""
-STRETCH = 10
-"""Blocks, 1 s, of a stretch."""
-LONGEST = 200
-"""Blocks, 20 s, of a rest that are looked at: as long as a hand holds still, and enough stretches of a longer rest."""
-CHANCE = 1e-5
-"""Probability of sums that are as large without sway, below which there is sway."""
-LEAST = 1e-12
-"""Of a normal matrix, below which a direction in it is none."""
+FOURTH_DIFFERENCES = 70.0  # variance of the fourth differences, 1 −4 6 −4 1, of independent samples, over theirs
+STRETCH = 10  # blocks of a stretch: 1 s
+LONGEST = 200  # blocks of a rest that are tested: 20 s, as long as a hand holds still
+SWAY_SIGNIFICANCE = 1e-5  # p-value of the sums below which there is sway
+SINGULAR = 1e-12  # relative singular value of a normal matrix that counts as zero
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Sway:
     """Sway of a device in its rests.
 
-    `angle`: root mean square an axis about the mean attitude of a rest, of the median rest, rad. `shortened`: part
-    (N,) by which the mean specific force of each rest is shortened. `force`: what sway adds to the specific force
-    of each rest, means of blocks (K, 3) in the body, m/s², of mean 0. `density`: density (3, 3) of the noise of the
-    gyros in the body without sway, rad²/s."""
+    `angle`: root mean square per axis about the mean attitude of a rest, in the median rest, rad. `shortened`: relative
+    decrease of the mean specific force of each rest (N,). `force`: effect of the sway on the specific force of each
+    rest, block means (K, 3) in the body, m/s², of mean 0. `density`: density (3, 3) of the gyro noise in the body
+    without sway, rad²/s."""
 
     angle: float
     shortened: Array
@@ -59,17 +54,17 @@ class Sway:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Motion:
-    """How a body moves in a rest.
+    """Motion of a body in a rest.
 
-    `up`: direction (3,) of the mean specific force in the body, and `size` (m/s²) of that. `path`, `turning`,
-    `force`: means of the K blocks (K, 3): the angle about the mean attitude, rad, the angular acceleration, rad/s²,
-    and the specific force, m/s². `angle`, `tilt`: variance of the angle an axis, and of the angle about horizontal
-    axes, both axes together, rad². `density`: density (3,) of the noise of the gyros, rad²/s."""
+    `up`, `size`: direction (3,) of the mean specific force in the body, and its magnitude, m/s². `path`,
+    `acceleration`, `force`: means of the K blocks (K, 3) of the angle about the mean attitude, rad, the angular
+    acceleration, rad/s², and the specific force, m/s². `angle`, `tilt`: variances of the angle per axis, and of the
+    angle about both horizontal axes, rad². `density`: of the gyro noise (3,), rad²/s."""
 
     up: Array
     size: float
     path: Array
-    turning: Array
+    acceleration: Array
     force: Array
     angle: float
     tilt: float
@@ -77,52 +72,40 @@ class _Motion:
 
     @staticmethod
     def of(samples: MotionSamples, f: FileBlocks, first: int, last: int) -> _Motion:
-        """That of blocks first … last − 1 of a file."""
+        """Return the motion in blocks first … last − 1 of a file."""
         rate, force, dt = samples.read(f.sample_at(first), f.sample_at(last))
         path = np.cumsum((rate - rate.mean(axis=0)) * dt[:, None], axis=0)
         path -= path.mean(axis=0)
         squares, mean = path.T @ path / len(path), force.mean(axis=0)
-        up, differences = unit_vector(mean), np.diff(rate * dt[:, None], n=4, axis=0)
-        beside = np.concatenate([2.0 * rate[:1] - rate[1:2], rate, 2.0 * rate[-1:] - rate[-2:-1]])
+        up, fourth = unit_vector(mean), np.diff(rate * dt[:, None], n=4, axis=0)
+        padded = np.concatenate([2.0 * rate[:1] - rate[1:2], rate, 2.0 * rate[-1:] - rate[-2:-1]])
         return _Motion(
             up=up,
             size=float(np.linalg.norm(mean)),
             path=path.reshape(-1, f.size, 3).mean(axis=1),
-            turning=0.5 * np.diff(beside[: -1 : f.size] + beside[1 :: f.size], axis=0) / (f.size * dt.mean()),
+            acceleration=0.5 * np.diff(padded[: -1 : f.size] + padded[1 :: f.size], axis=0) / (f.size * dt.mean()),
             force=force.reshape(-1, f.size, 3).mean(axis=1),
             angle=float(np.trace(squares)) / 3.0,
             tilt=float(np.trace(squares) - up @ squares @ up),
-            density=(differences**2).sum(axis=0) / (FOURTH_DIFFERENCES * dt[4:].sum()),
+            density=(fourth**2).sum(axis=0) / (FOURTH_DIFFERENCES * dt[4:].sum()),
         )
 
     @property
     def columns(self) -> Array:
-        """What forces across the vertical go with (s, STRETCH, 3, 4): û × α and ω̇ × e_j."""
-        levers = skew(self.turning)
+        """Regressors û × α and ω̇ × e_j of the forces across the vertical (s, STRETCH, 3, 4)."""
+        levers = skew(self.acceleration)
         levers = levers - self.up[:, None] * (self.up @ levers)[:, None]
-        return _level(np.concatenate([np.cross(self.up, self.path)[..., None], levers], axis=2))
+        return _detrended(np.concatenate([np.cross(self.up, self.path)[..., None], levers], axis=2))
 
     @property
     def across(self) -> Array:
-        """The forces across the vertical (s, STRETCH, 3)."""
-        return _level((self.force - (self.force @ self.up)[:, None] * self.up)[..., None])[..., 0]
+        """Forces across the vertical (s, STRETCH, 3)."""
+        return _detrended((self.force - (self.force @ self.up)[:, None] * self.up)[..., None])[..., 0]
 
 
 def sway_of(reduction: Reduction, spans: Sequence[Stretch]) -> Sway | None:
-    """Find out whether a device sways in its rests by more than the noise of its gyros adds up to in one.
-
-    Parameters
-    ----------
-    reduction
-        The reduction of a log.
-    spans
-        The rests.
-
-    Returns
-    -------
-    Sway or None
-        None where the device lies still, where the noise of the gyros hides what it does, and without gyros.
-    """
+    """Return the sway of a device in its rests, None if it lies still, if gyro noise hides its sway, and without
+    gyros."""
     if reduction.samples is None:
         return None
     files, samples = [reduction.by_file[span.file] for span in spans], reduction.samples
@@ -136,11 +119,11 @@ def sway_of(reduction: Reduction, spans: Sequence[Stretch]) -> Sway | None:
         return None  # too short, or damaged
     s, p = s / size, p / size
     t, normal, (n, m) = s.sum(axis=0), np.einsum("ikcj,ikcl->jl", p, p), s.shape
-    W = float(t @ np.linalg.lstsq(s.T @ s, t, rcond=LEAST)[0])
-    if n <= m or scipy.special.fdtrc(m, n - m, (n - m) / m * W / max(n - W, LEAST)) > CHANCE:
+    W = float(t @ np.linalg.lstsq(s.T @ s, t, rcond=SINGULAR)[0])
+    if n <= m or scipy.special.fdtrc(m, n - m, (n - m) / m * W / max(n - W, SINGULAR)) > SWAY_SIGNIFICANCE:
         return None
-    # the variance of the tilt that both see, and that of the angle by which gyro noise grows in the median rest
-    explained = float(t @ np.linalg.lstsq(normal, t, rcond=LEAST)[0] / (δ**2).sum()) * size[0] ** 2 / (δ.size / 3)
+    # variance of the tilt that both kinds of sensors show, and that of the integrated gyro noise in the median rest
+    explained = float(t @ np.linalg.lstsq(normal, t, rcond=SINGULAR)[0] / (δ**2).sum()) * size[0] ** 2 / (δ.size / 3)
     density, longest = np.median([m.density for m in motions], axis=0), np.median([r.stop - r.start for r in spans])
     if 0.5 * explained <= density.mean() * longest / 3.0:
         return None
@@ -153,8 +136,8 @@ def sway_of(reduction: Reduction, spans: Sequence[Stretch]) -> Sway | None:
     )
 
 
-def _level(values: Array) -> Array:
-    """Means of blocks (K, 3, m) in stretches (s, STRETCH, 3, m), less the mean and the slope of each."""
+def _detrended(values: Array) -> Array:
+    """Return block means (K, 3, m) in stretches (s, STRETCH, 3, m), less the mean and slope of each."""
     stretches = values[: len(values) // STRETCH * STRETCH].reshape(-1, STRETCH, *values.shape[1:])
     x = np.arange(STRETCH) - 0.5 * (STRETCH - 1)
     x /= np.linalg.norm(x)
@@ -163,7 +146,7 @@ def _level(values: Array) -> Array:
 
 
 def sway_notes(sway: Sway | None) -> tuple[str, ...]:
-    """That a device sways, and what to do about it, as notes."""
+    """Return a note on the sway of a device and its remedy."""
     if sway is None:
         return ()
     return (

@@ -1,14 +1,13 @@
-"""Readings at rest without the change of temperature within each rest.
+"""Readings at rest without the effect of temperature changes within each rest.
 
-A sensor that gets warmer drifts, and the drift would pass for noise of a long memory. It is none in the estimate, where
-parameters follow the temperature. So the part that depends on the temperature alike in all rests is subtracted, block
-by block,
+A sensor that warms up drifts, and the drift would count as noise with a long memory. In the estimate, parameters follow
+the temperature. The temperature dependence common to all rests is therefore subtracted from the blocks,
 
     y − ȳ = (a + c m)(T − T̄) + (b + d m)((T − T₀)² − mean),    m = ȳ less its mean over the rests,
 
-with a and b of biases, c and d of scale factors: four numbers a channel, so that slow noise of the rests remains. Over
-a range of temperatures T is that of the sensors, which follow the thermometer with the lag of the least residual: where
-a ramp begins or bends they fall behind it, which is no noise either.
+with a and b for biases, c and d for scale factors: four numbers per channel, so that slow noise of the rests remains.
+If the rests span a range of temperatures, T is that of the sensors, which follow the thermometer with the lag of the
+least residual: at the ends of a ramp they lag behind it, which is no noise either.
 """
 
 from __future__ import annotations
@@ -20,54 +19,51 @@ import numpy as np
 
 from tumble.units import Array, IntArray
 
-WARMED = 0.1
-"""K: where no rest warms or cools by more, nothing is subtracted."""
-OVER_TEMPERATURE = 10.0
-"""K: where the rests span less, no lag is sought."""
-LAGS = np.array([-200.0, -100.0, -50.0, -25.0, 0.0, 25.0, 50.0, 100.0, 200.0, 400.0, 800.0])
-CLOSER, BETWEEN = 4, 7
-"""The best of LAGS, s, is refined CLOSER times, each time among BETWEEN values between its neighbours."""
+WARMED = 0.1  # K: if no rest changes by more, nothing is subtracted
+OVER_TEMPERATURE = 10.0  # K: if the rests span less, no lag is fitted
+LAGS = np.array([-200.0, -100.0, -50.0, -25.0, 0.0, 25.0, 50.0, 100.0, 200.0, 400.0, 800.0])  # s
+REFINEMENTS, REFINED_LAGS = 4, 7  # the best lag is refined so often, among so many values between its neighbours
 
 KelvinAtLag = Callable[[float], Array]
-"""From a lag, s, to the temperatures (K, T), K, at the blocks of all rests of bodies that follow the thermometers."""
+"""Temperatures (K, T), K, at the blocks of all rests, of bodies that follow the thermometers with a lag, s."""
 
 
 def without_warming(series: Sequence[Array], kelvin: KelvinAtLag | None, thermometer: IntArray) -> list[Array]:
-    """Subtract from the block means (K, c) of every rest what depends on the temperature within it. `kelvin` is
-    None without thermometers; `thermometer` (c,) is that of each channel."""
+    """Subtract from the block means (K, c) of every rest the effect of the temperature within it; `kelvin` is None
+    without thermometers, `thermometer` (c,) that of each channel."""
     if kelvin is None or not len(thermometer):
         return list(series)
-    read = np.split(kelvin(0.0), np.cumsum([len(each) for each in series])[:-1])
-    if max(warming_of(of_rest) for of_rest in read) < WARMED:
+    by_rest = np.split(kelvin(0.0), np.cumsum([len(s) for s in series])[:-1])
+    if max(map(warming_of, by_rest)) < WARMED:
         return list(series)
-    with_one = {t: _Rests.of([each[:, thermometer == t] for each in series]) for t in np.unique(thermometer).tolist()}
+    fits = {t: _WarmingFit.of([s[:, thermometer == t] for s in series]) for t in np.unique(thermometer).tolist()}
 
     def explained(lag: float) -> float:
-        """The fall of the sum of squares with a lag, s."""
+        """Return the decrease of the sum of squares with a lag, s."""
         warm = kelvin(lag)
-        return sum(rests.explained(warm[:, t]) for t, rests in with_one.items())
+        return sum(fit.explained(warm[:, t]) for t, fit in fits.items())
 
-    sought = np.ptp([each.mean(axis=0) for each in read], axis=0).max() >= OVER_TEMPERATURE
-    lags, best = (LAGS, 0) if sought else (np.zeros(1), 0)
-    for closer in range(1 + CLOSER if sought else 0):
-        if closer:
-            lags = np.linspace(lags[max(best - 1, 0)], lags[min(best + 1, len(lags) - 1)], BETWEEN)
+    fit_lag = np.ptp([k.mean(axis=0) for k in by_rest], axis=0).max() >= OVER_TEMPERATURE
+    lags, best = (LAGS, 0) if fit_lag else (np.zeros(1), 0)
+    for refinement in range(1 + REFINEMENTS if fit_lag else 0):
+        if refinement:
+            lags = np.linspace(lags[max(best - 1, 0)], lags[min(best + 1, len(lags) - 1)], REFINED_LAGS)
         best = int(np.argmax([explained(lag) for lag in lags.tolist()]))
     warm = kelvin(float(lags[best]))
     out = [np.empty_like(each) for each in series]
-    for t, rests in with_one.items():
-        for whole, quiet in zip(out, rests.without(warm[:, t]), strict=True):
+    for t, fit in fits.items():
+        for whole, quiet in zip(out, fit.without(warm[:, t]), strict=True):
             whole[:, thermometer == t] = quiet
     return out
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _Rests:
-    """Block means of N rests, of the c channels of one thermometer.
+class _WarmingFit:
+    """Fit of the temperature dependence of the block means of N rests, of the c channels of one thermometer.
 
-    `means`, `off`: means of the rests (c, N), and the differences (c, K) of the blocks from these. `first`,
-    `count`: first block and number of blocks (N,) of each rest. `noise`: standard deviation (c,) of the differences
-    from block to block."""
+    `means`, `off`: means of the rests (c, N), and differences of the blocks from these (c, K). `first`, `count`: first
+    block and number of blocks of each rest (N,). `noise`: standard deviation of the differences from block to block
+    (c,)."""
 
     means: Array
     off: Array
@@ -76,11 +72,11 @@ class _Rests:
     noise: Array
 
     @staticmethod
-    def of(series: Sequence[Array]) -> _Rests:
+    def of(series: Sequence[Array]) -> _WarmingFit:
         means, count = np.array([each.mean(axis=0) for each in series]), np.array([len(each) for each in series])
         off = np.concatenate([each - mean for each, mean in zip(series, means, strict=True)])
         noise = np.concatenate([np.diff(each, axis=0) for each in series]).std(axis=0)
-        return _Rests(
+        return _WarmingFit(
             means=means.T,
             off=np.ascontiguousarray(off.T),
             first=np.cumsum(count) - count,
@@ -89,27 +85,27 @@ class _Rests:
         )
 
     def explained(self, kelvin: Array) -> float:
-        """The fall of the sum of squares, in units of the noise."""
+        """Return the decrease of the sum of squares, in units of the noise."""
         _, coefficients, along = self._fitted(kelvin)
         return float(((coefficients * along).sum(axis=1) / self.noise**2).sum())
 
     def without(self, kelvin: Array) -> list[Array]:
-        """Block means (K, c) of the rests without the part that depends on the temperature."""
+        """Return block means (K, c) of the rests without the part that depends on the temperature."""
         columns, coefficients, _ = self._fitted(kelvin)
-        of_bias, of_scale = coefficients[:, :2, None], coefficients[:, 2:, None]
-        slopes = np.repeat(of_bias + self._apart[:, None] * of_scale, self.count, axis=2)
+        bias_slopes, scale_slopes = coefficients[:, :2, None], coefficients[:, 2:, None]
+        slopes = np.repeat(bias_slopes + self._offsets[:, None] * scale_slopes, self.count, axis=2)
         quiet = self.off - np.einsum("jk,cjk->ck", columns, slopes) + np.repeat(self.means, self.count, axis=1)
         return np.split(quiet.T, self.first[1:])
 
     def _fitted(self, kelvin: Array) -> tuple[Array, Array, Array]:
-        """Solve the normal equations, their columns scaled to length 1: T and its square (2, K) about their means in
-        each rest, their coefficients (c, 4), and the products of the columns with the readings (c, 4)."""
+        """Solve the normal equations, with columns scaled to length 1. Return T and its square (2, K) about their means
+        in each rest, their coefficients (c, 4), and the products of the columns with the readings (c, 4)."""
         warmer = kelvin - self._mean(kelvin).mean()
         columns = np.stack([warmer, warmer**2])
         columns -= np.repeat(self._mean(columns), self.count, axis=1)
         square = np.add.reduceat(columns[:, None] * columns, self.first, axis=2)
         with_read = np.add.reduceat(columns[:, None] * self.off, self.first, axis=2)
-        powers = self._apart ** np.arange(3)[:, None, None]
+        powers = self._offsets ** np.arange(3)[:, None, None]
         one, first, second = np.einsum("dcn,ijn->dcij", powers, square)
         normal = np.concatenate([np.concatenate([one, first], axis=2), np.concatenate([first, second], axis=2)], axis=1)
         along = np.einsum("dcn,icn->cdi", powers[:2], with_read).reshape(-1, 4)
@@ -118,16 +114,16 @@ class _Rests:
         return columns, np.einsum("cij,cj->ci", inverse, along / size) / size, along
 
     @property
-    def _apart(self) -> Array:
-        """The means (c, N) about their mean over the rests."""
+    def _offsets(self) -> Array:
+        """Means of the rests less their mean (c, N)."""
         return np.asarray(self.means - self.means.mean(axis=1, keepdims=True))
 
     def _mean(self, values: Array) -> Array:
-        """Means (·, N) over the rests of values (·, K)."""
+        """Return the means over the rests (·, N) of values (·, K)."""
         return np.asarray(np.add.reduceat(values, self.first, axis=-1) / self.count)
 
 
 def warming_of(kelvin: Array) -> float:
-    """The largest change of temperatures (K, T) from the first to the last tenth."""
+    """Return the largest change of temperatures (K, T) from the first to the last tenth."""
     tenth = max(len(kelvin) // 10, 1)
     return float(np.abs(kelvin[-tenth:].mean(axis=0) - kelvin[:tenth].mean(axis=0)).max())

@@ -1,21 +1,22 @@
-"""Moments of a turn: integrals over its samples that know no parameter, and the columns they give for any parameter.
+"""Moments of a turn: parameter-free integrals over its samples, from which the columns of any parameter follow.
 
-A turn is seen from the non-rotating frame of the body at its start; C(t) takes the body at t to it. With compensated
-rate ω and specific force f of the body and the thirteen regressors β = (1, ω_k, f_k, f_k f_l), k ≤ l,
+A turn is described in the non-rotating frame that is the body frame at its start, to which C(t) rotates the body frame
+at t. With the compensated rate ω and specific force f of the body and the regressors β = (1, ω_k, f_k, f_k f_l), k ≤ l,
 
     Φ_ijb = ∫ C_ij β_b dt,     Ψ_jb = ∫ Φ_jb × dV  (b < 7),     W_ij,kl = ∫ C_ij ω_k ω_l dt,     V = ∫ C f dt,
 
-which together with C and the sweep ∫ (C[ω×])_im f_l dt are the statistic of the turn: docs/explanation/mathematics.md
-(8). Let sensor p read a_pᵀω or a_pᵀf plus Σ_m θ_m Σ_b w_pbm β_b, and let s_p be column p of the left inverse with which
-the readings were compensated. Then a group of parameters is the constant array w alone:
+together with C and the sweep ∫ (C[ω×])_im f_l dt, are the statistic of the turn: docs/explanation/mathematics.md (8).
+Let sensor p read a_pᵀω or a_pᵀf plus Σ_m θ_m Σ_b w_pbm β_b, and let s_p be column p of the left inverse with which the
+readings were compensated. A group of parameters then enters only through the constant array w:
 
     gyros           ∂φ = −Φ_ijb s_jp w_pbm,   ∂V = −Ψ_ijb s_jp w_pbm                                    (9)
     accelerometers  ∂V = −Φ_ijb s_jp w_pbm
 
-with C(θ) = exp([∂φ δθ ×]) C. Terms in |a_p·x| and (a_p·x)³, x = ω or f, have sums of their own, for the axes asked for.
+with C(θ) = exp([∂φ δθ ×]) C. Terms in |a_p·x| and (a_p·x)³, x = ω or f, have own-axis sums, which are computed for the
+axes asked for.
 
-The effect of accelerometer parameters on the rate through g-sensitivity, and of gyro parameters on the force through
-the delay, is left out of the columns: it is of second order, and gone when the turn is integrated about the new values.
+The columns neglect the effect of accelerometer parameters on the rate through g-sensitivity, and of gyro parameters on
+the force through the delay. It is of second order, and vanishes when the turn is integrated about the new values.
 """
 
 from __future__ import annotations
@@ -34,21 +35,17 @@ from tumble.sensors.parameters import PAIRS
 from tumble.units import Array, IntArray
 
 NO_AXES: Array = np.empty((0, 3))
-PARTS = 8
-"""Parts of a turn in which something grows: a staircase of n steps has 1 − 1/n² of what a line does."""
-
-
-# What the samples are compensated with -------------------------------------------------------------------------
+GROWTH_PARTS = 8  # parts of a turn with constant time weight: n steps have 1 − 1/n² of the effect of a line
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class BlockCompensation:
-    """How the body vector x is had from y, the body vector of nominal sensors: of
+    """Compensation of a block of sensors: the body vector x from the body vector y of nominal sensors,
 
-        x = A (y − c − Σ_p P_p (K₂ u² + K₃ u³ + κ |u|)),     u = a_pᵀx,
+        x = A (y − c − Σ_p P_p (K₂ u² + K₃ u³ + κ |u|)),     u = a_pᵀx.
 
-    `axes` a_p (n, 3), `to_body` P = pinv(axes) (3, n), `matrix` A (3, 3), `bias` c (3,) and `terms` (n, 3): K₂, K₃ and
-    κ of every sensor in the units of its reading per power of u."""
+    `axes`: a_p (n, 3). `to_body`: P = pinv(axes) (3, n). `matrix`: A (3, 3). `bias`: c (3,). `terms`: K₂, K₃ and κ of
+    every sensor (n, 3), in the units of its reading per power of u."""
 
     axes: Array
     to_body: Array
@@ -58,8 +55,7 @@ class BlockCompensation:
 
     @classmethod
     def of(cls, axes: Array, model: SensorModel, terms: Array | None = None) -> BlockCompensation:
-        """The compensation of sensors with nominal `axes` (n, 3) for a sensor model, and for nonlinear `terms` if
-        they have any."""
+        """Return the compensation of sensors with nominal `axes` (n, 3) for a sensor model and nonlinear `terms`."""
         to_body = np.asarray(onto_body(axes), dtype=float)
         return cls(
             axes=np.ascontiguousarray(axes, dtype=float),
@@ -71,23 +67,23 @@ class BlockCompensation:
 
     @property
     def left_inverse(self) -> Array:
-        """s (3, n): column p is the change of the body vector with the reading of sensor p."""
+        """s (3, n), whose column p is the derivative of the body vector by the reading of sensor p."""
         return np.asarray(self.matrix @ self.to_body)
 
     def _kernel_terms(self) -> _kernels.Terms:
-        """Arguments of the compiled loops, with the sensors that have nonlinear terms alone."""
-        linear, has = np.empty((3, 4)), self.terms.any(axis=1)
-        linear[:, :3], linear[:, 3] = self.matrix, -self.matrix @ self.bias
-        return linear, np.hstack([self.axes[has], self.terms[has], self.left_inverse.T[has]])
+        """Return the arguments of the compiled loops; only sensors with nonlinear terms are listed."""
+        affine, nonlinear = np.empty((3, 4)), self.terms.any(axis=1)
+        affine[:, :3], affine[:, 3] = self.matrix, -self.matrix @ self.bias
+        return affine, np.hstack([self.axes[nonlinear], self.terms[nonlinear], self.left_inverse.T[nonlinear]])
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Compensation:
-    """The values a turn is integrated about: gyros and accelerometers, `g_sensitivity` G (3, 3) of the body rate, rad/s
-    per m/s², and `delay` τ, s, by which the accelerometers are late.
+    """Values about which a turn is integrated: gyros, accelerometers, the `g_sensitivity` G (3, 3) of the body rate,
+    rad/s per m/s², and the `delay` τ of the accelerometers, s.
 
-    In the order of A1: f from its readings; ω; f moved by −τ ω̄×f + ½τ² ω̄×(ω̄×f), ω̄ = ω − ½τ ω̇; then ω again, with G
-    times the moved f. Nonlinear terms are solved by two fixed-point steps."""
+    The order is: f from its readings; ω; f moved by −τ ω̄×f + ½τ² ω̄×(ω̄×f), ω̄ = ω − ½τ ω̇; then ω again, with G times
+    the moved f. Nonlinear terms are solved by two fixed-point steps."""
 
     gyro: BlockCompensation
     accel: BlockCompensation
@@ -95,22 +91,19 @@ class Compensation:
     delay: float
 
     def _kernel_model(self) -> _kernels.Model:
-        """Arguments of the compiled loops."""
+        """Return the arguments of the compiled loops."""
         G = self.gyro.matrix @ self.g_sensitivity
         return self.gyro._kernel_terms(), self.accel._kernel_terms(), np.ascontiguousarray(G), float(self.delay)
 
 
-# The moments ---------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Moments:
-    """Moments of K turns or pieces of turns; n gyros and m accelerometers whose own-axis sums were asked for (0 else).
+    """Moments of K turns or pieces of turns, resolved in the body frame at the start of the turn.
 
-    Integrals with C are resolved in the body at the start of the turn."""
+    n and m are the numbers of gyros and accelerometers whose own-axis sums were asked for."""
 
     C: Array
-    """Rotation (K, 3, 3), body at the end → body at the start."""
+    """Rotation (K, 3, 3) from the body at the end to the body at the start."""
     V: Array
     """Velocity increment ∫ C f dt (K, 3), m/s."""
     P: Array
@@ -126,17 +119,17 @@ class Moments:
     Phi_gyro: Array
     """∫ C_ij |a_p·ω| dt, and then ∫ C_ij (a_p·ω)³ dt (K, 3, 3, 2, n)."""
     Psi_gyro: Array
-    """The same as Ψ for |a_p·ω|, and then for (a_p·ω)³ (K, 3, 3, 2, n)."""
+    """Ψ for |a_p·ω|, and then for (a_p·ω)³ (K, 3, 3, 2, n)."""
     Phi_accel: Array
     """∫ C_ij |a_p·f| dt, and then ∫ C_ij (a_p·f)³ dt (K, 3, 3, 2, m)."""
     body: Array
-    """∫ β_b dt (K, 13) in the body, without C: the first is the duration, s."""
+    """∫ β_b dt (K, 13) in the rotating body frame; the first is the duration, s."""
     body_rates: Array
     """∫ ω_k ω_l dt (K, 6)."""
     body_gyro: Array
     """∫ |a_p·ω| dt, ∫ (a_p·ω)³ dt (K, 2, n)."""
     jumps: Array
-    """Σ Δt² |f − f'|² (K,), m²/s², with f' of the sample before: docs/explanation/mathematics.md (18)."""
+    """Σ Δt² |f − f'|² (K,), m²/s², f' being the previous sample: docs/explanation/mathematics.md (18)."""
 
     def __len__(self) -> int:
         return len(self.C)
@@ -149,8 +142,7 @@ class Moments:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class OwnAxes:
-    """Axes of the gyros (n, 3) and the accelerometers (m, 3) whose own-axis sums are wanted: those with asymmetry or a
-    cubic term."""
+    """Axes of the gyros (n, 3) and accelerometers (m, 3) with asymmetry or a cubic term, which need own-axis sums."""
 
     gyro: Array
     accel: Array
@@ -161,10 +153,11 @@ NO_OWN_AXES = OwnAxes(gyro=NO_AXES, accel=NO_AXES)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Pieces:
-    """Samples of pieces of turns: `rates` (S, 3) rad/s and `forces` (S, 3) m/s² of the body from nominal sensors,
-    `intervals` (S,) s; piece j belongs to turn[j] and is samples start[j] … stop[j] − 1. The two samples before a piece
-    are those before it in time, unless it starts at 0 or 1: the last gives the first step its coning and sculling
-    terms, both the rate of change of the rate."""
+    """Samples of pieces of turns: samples start[j] … stop[j] − 1 for piece j, which belongs to turn[j].
+
+    `rates` (S, 3), rad/s, and `forces` (S, 3), m/s², in the body from nominal sensors; `intervals` (S,), s. Unless a
+    piece starts at sample 0 or 1, the two samples before it are also those before it in time: the last one gives the
+    coning and sculling terms of the first step, both of them the derivative of the rate."""
 
     rates: Array
     forces: Array
@@ -175,7 +168,7 @@ class Pieces:
 
 
 def moments_of(pieces: Pieces, compensation: Compensation, own: OwnAxes = NO_OWN_AXES) -> Moments:
-    """Moments of every piece by itself."""
+    """Return the moments of every single piece."""
     count = len(pieces.start)
     return integrate([replace(pieces, turn=np.arange(count))], count, compensation, own)
 
@@ -186,14 +179,28 @@ def integrate(
     compensation: Compensation | Sequence[Compensation],
     own: OwnAxes = NO_OWN_AXES,
 ) -> Moments:
-    """Moments of turns by the step about the middle attitude (docs/explanation/mathematics.md (6)), with one
-    compensation or one for each; every batch holds at most one piece of a turn, in order of time.
+    """Return moments of turns by the step about the middle attitude, docs/explanation/mathematics.md (6).
 
-    Errors of arithmetic are below 1e-12 while a sample turns by less than 0.5 rad."""
+    Parameters
+    ----------
+    batches
+        Samples, each batch with at most one piece of a turn, in order of time.
+    turns
+        Number K of turns.
+    compensation
+        One compensation, or one for each turn.
+    own
+        Axes of the own-axis sums.
+
+    Returns
+    -------
+    Moments
+        Of the K turns. Rounding errors are below 1e-12 while a sample turns by less than 0.5 rad.
+    """
     count, n, m, linear = turns, len(own.gyro), len(own.accel), _kernels.LINEAR
-    # regressors: 1, ω, f; of the gyros' own axes; f f, ω ω; of the accelerometers' own axes
+    # regressors: 1, ω, f; own axes of the gyros; f f; ω ω; own axes of the accelerometers
     firsts = np.cumsum([0, linear, 2 * n, 6, 6, 2 * m])
-    one, of_gyros, forces_2, rates_2, of_accels = (slice(a, b) for a, b in pairwise(firsts.tolist()))
+    one, own_gyro, forces_2, rates_2, own_accel = (slice(a, b) for a, b in pairwise(firsts.tolist()))
     rows, moved_rows = (-(-width // _kernels.BLOCK) * _kernels.BLOCK for width in firsts[[-1, 2]].tolist())
     attitude, jumps = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)), np.zeros(count)
     V, P = np.zeros((count, 3)), np.zeros((count, 3))
@@ -210,13 +217,13 @@ def integrate(
             parts = [(slice(None), compensation)]
         else:
             parts = [(slice(i, i + 1), compensation[k]) for i, k in enumerate(turn)]
-        for part, by in parts:
+        for part, values in parts:
             where = turn[part], start[part], stop[part]
-            _kernels.integrate_pieces((rates, forces, intervals), where, by._kernel_model(), axes, sums)
-        del pieces, rates, forces, intervals  # before the next are read
+            _kernels.integrate_pieces((rates, forces, intervals), where, values._kernel_model(), axes, sums)
+        del pieces, rates, forces, intervals  # free the memory before the next batch is read
     cross = skew(attitude[:, 1:])  # of unit quaternions, scalar first
     Phi, body = products[:, :9].reshape(count, 3, 3, rows), products[:, 9]
-    with np.errstate(over="ignore", invalid="ignore"):  # of turns of damaged samples, which are judged later
+    with np.errstate(over="ignore", invalid="ignore"):  # damaged samples are judged later
         Psi = _crossed(Phi[..., :moved_rows], V) - moved.reshape(count, 3, 3, moved_rows)
         return Moments(
             C=np.eye(3) + 2.0 * (attitude[:, 0, None, None] * cross + cross @ cross),
@@ -226,23 +233,23 @@ def integrate(
             Psi=Psi[..., one],
             W=Phi[..., rates_2],
             sweep=sweep[..., :3].reshape(count, 3, 3, 3),
-            Phi_gyro=Phi[..., of_gyros].reshape(count, 3, 3, 2, n),
-            Psi_gyro=Psi[..., of_gyros].reshape(count, 3, 3, 2, n),
-            Phi_accel=Phi[..., of_accels].reshape(count, 3, 3, 2, m),
+            Phi_gyro=Phi[..., own_gyro].reshape(count, 3, 3, 2, n),
+            Psi_gyro=Psi[..., own_gyro].reshape(count, 3, 3, 2, n),
+            Phi_accel=Phi[..., own_accel].reshape(count, 3, 3, 2, m),
             body=np.hstack([body[:, one], body[:, forces_2]]),
             body_rates=body[:, rates_2],
-            body_gyro=body[:, of_gyros].reshape(count, 2, n),
+            body_gyro=body[:, own_gyro].reshape(count, 2, n),
             jumps=jumps,
         )
 
 
 def _crossed(matrices: Array, V: Array) -> Array:
-    """The columns M_jb (K, 3, 3, R) of each turn times its V (K, 3): (M_jb × V)_i = −([V×] M_jb)_i."""
-    return _turned(-skew(V), matrices)
+    """Return (M_jb × V)_i = −([V×] M_jb)_i of the columns M_jb (K, 3, 3, R) and V (K, 3) of each turn."""
+    return _rotated(-skew(V), matrices)
 
 
-def _turned(C: Array, matrices: Array) -> Array:
-    """C (K, 3, 3) times the columns of (K, 3, …)."""
+def _rotated(C: Array, matrices: Array) -> Array:
+    """Return C (K, 3, 3) times the columns of (K, 3, …)."""
     flat = matrices.reshape(*matrices.shape[:2], math.prod(matrices.shape[2:]))
     return np.asarray((C @ flat).reshape(matrices.shape))
 
@@ -250,31 +257,31 @@ def _turned(C: Array, matrices: Array) -> Array:
 def integrate_in_parts(
     batches: Iterable[Pieces], lengths: IntArray, parts: int, compensation: Compensation
 ) -> tuple[Moments, Array, Array]:
-    """Moments of equal parts of turns, and the path of each turn through them.
+    """Return moments of equal parts of turns, and the path of each turn.
 
     Parameters
     ----------
-    batches : iterable of Pieces
-        As for `integrate`.
-    lengths : IntArray (K,)
-        The numbers of samples of the turns.
-    parts : int
-        The number of parts n of each turn.
-    compensation : Compensation
-        What the samples are compensated with.
+    batches
+        Samples, as for `integrate`.
+    lengths
+        Numbers of samples (K,) of the turns.
+    parts
+        Number n of parts of each turn.
+    compensation
+        Compensation of the samples.
 
     Returns
     -------
     Moments
-        Those of the K n parts, resolved in the body at the start of each, turn after turn.
-    C : Array (K, n + 1, 3, 3)
-        Rotation, body → body at the start of the turn, before each part and at the end.
-    V : Array (K, n + 1, 3)
-        Velocity increment there, m/s.
+        Of the K n parts, resolved in the body at the start of each, turn after turn.
+    C
+        Rotation from the body to the body at the start of the turn, before each part and at the end (K, n + 1, 3, 3).
+    V
+        Velocity increment at these times (K, n + 1, 3), m/s.
     """
 
     def split() -> Iterator[Pieces]:
-        """The same samples in pieces of parts."""
+        """Yield the samples in pieces that do not exceed a part."""
         done = np.zeros(len(lengths), dtype=np.int64)
         for pieces in batches:
             spans = []
@@ -286,44 +293,40 @@ def integrate_in_parts(
             yield replace(pieces, turn=turn, start=first, stop=last)
 
     moments = integrate(split(), parts * len(lengths), compensation)
-    steps, gained = moments.C.reshape(-1, parts, 3, 3), moments.V.reshape(-1, parts, 3)
+    rotation, velocity = moments.C.reshape(-1, parts, 3, 3), moments.V.reshape(-1, parts, 3)
     C, V = np.empty((len(lengths), parts + 1, 3, 3)), np.zeros((len(lengths), parts + 1, 3))
     C[:, 0] = np.eye(3)
     for j in range(parts):
-        C[:, j + 1] = C[:, j] @ steps[:, j]
-        V[:, j + 1] = V[:, j] + _turned(C[:, j], gained[:, j])
+        C[:, j + 1] = C[:, j] @ rotation[:, j]
+        V[:, j + 1] = V[:, j] + _rotated(C[:, j], velocity[:, j])
     return moments, C, V
 
 
 def growing_moments(batches: Iterable[Pieces], lengths: IntArray, compensation: Compensation) -> tuple[Array, Array]:
-    """Φ (K, 3, 3, 13) and Ψ (K, 3, 3, 7) of turns of so many samples (K,), weighted with the time, s, from the middle
-    of each: what a coefficient does that grows by 1 a second within a turn. From PARTS of each, in which the weight is
-    that of the middle; with C of what is before a part, and V′ of what comes after it,
+    """Return Φ (K, 3, 3, 13) and Ψ (K, 3, 3, 7) of turns with these numbers of samples (K,), weighted with the time
+    from the middle of each turn, s: the effect of a coefficient that grows by 1 per second within a turn.
 
-        Σ t C Φ,    Σ t (C Ψ + C Φ × V′)
-    """
-    moments, C, V = integrate_in_parts(batches, lengths, PARTS, compensation)
-    T, before = moments.T.reshape(-1, PARTS), C[:, :-1].reshape(-1, 3, 3)
+    The weight t is constant within each of GROWTH_PARTS parts. With C of the turn before a part, and V′ of what follows
+    it, the sums are Σ t C Φ and Σ t (C Ψ + C Φ × V′)."""
+    moments, C, V = integrate_in_parts(batches, lengths, GROWTH_PARTS, compensation)
+    T, before = moments.T.reshape(-1, GROWTH_PARTS), C[:, :-1].reshape(-1, 3, 3)
     weight = np.cumsum(T, axis=1) - 0.5 * T - 0.5 * T.sum(axis=1, keepdims=True)
-    Phi = _turned(before, moments.Phi)
+    Phi = _rotated(before, moments.Phi)
     after = (V[:, -1:] - V[:, 1:]).reshape(-1, 3)
-    Psi = _turned(before, moments.Psi) + _crossed(Phi[..., : _kernels.LINEAR], after)
-    Phi, Psi = (np.einsum("kp,kp...->k...", weight, each.reshape(-1, PARTS, *each.shape[1:])) for each in (Phi, Psi))
+    Psi = _rotated(before, moments.Psi) + _crossed(Phi[..., : _kernels.LINEAR], after)
+    Phi, Psi = (np.einsum("kp,kp...->k...", weight, x.reshape(-1, GROWTH_PARTS, *x.shape[1:])) for x in (Phi, Psi))
     return Phi, Psi
 
 
-# Columns -------------------------------------------------------------------------------------------------------
-
-
 def lever_columns(moments: Moments, left_inverse: Array, sensitivities: Array, rates: tuple[Array, Array]) -> Array:
-    """∂V = −A_r (K, 3, 3 n), s⁻¹, of the lever arms r_p (three numbers a sensor) of accelerometers.
+    """Return ∂V = −A_r (K, 3, 3 n), s⁻¹, of the lever arms r_p (three numbers a sensor) of accelerometers.
 
-    Eq. (10) of docs/explanation/mathematics.md, integrated by parts, with the terms at both ends:
+    This is Eq. (10) of docs/explanation/mathematics.md, integrated by parts, with the terms at both ends:
 
         A_r = ∫ C (s_p a_pᵀ [ω×] − [ω×] s_p a_pᵀ) [ω×] dt + [C s_p a_pᵀ [ω×]]
 
-    with the rows (1 + k) a_p of `sensitivities` (n, 3) and the columns s_p of their `left_inverse` (3, n). `rates`
-    (K, 3) are those of the body at the start and at the end, at rest the Earth's. Turns of no time have zeros."""
+    with the rows (1 + k) a_p of `sensitivities` (n, 3) and the columns s_p of their `left_inverse` (3, n). `rates` are
+    those of the body at the start and at the end (K, 3), the Earth's rate at rest. Turns of duration 0 have zeros."""
     along = np.einsum("jp,pa->pja", left_inverse, sensitivities)
     first, second = (skew(np.eye(3)[list(each)]) for each in zip(*PAIRS, strict=True))
     weights = np.zeros((3, len(PAIRS), len(sensitivities), 3))
@@ -339,18 +342,18 @@ def lever_columns(moments: Moments, left_inverse: Array, sensitivities: Array, r
 
 
 def delay_column(moments: Moments) -> Array:
-    """∂V = −∫ C (ω × f) dt (K, 3), m/s², of a delay common to all accelerometers: the sum in Eq. (11)."""
+    """Return ∂V = −∫ C (ω × f) dt (K, 3), m/s², of a delay common to all accelerometers: the sum in Eq. (11)."""
     return np.asarray(-np.einsum("kijj->ki", moments.sweep))
 
 
 def single_delay_columns(
     moments: Moments, left_inverse: Array, sensitivities: Array, ends: tuple[Array, Array]
 ) -> Array:
-    """∂V (K, 3, n), m/s², of the delays of single accelerometers: Eq. (11), integrated by parts.
+    """Return ∂V (K, 3, n), m/s², of the delays of single accelerometers: Eq. (11), integrated by parts.
 
         A_τ = ∫ C (ω × s_p)(a_p·f) dt − [C s_p (a_p·f)]
 
-    `ends` are the specific forces (K, 3) in the body at rest, at the start and at the end. Turns that take no time have
+    `ends` are the specific forces in the body at rest, at the start and at the end (K, 3). Turns of duration 0 have
     zeros."""
     swept = np.einsum("kiml,mp,pl->kip", moments.sweep, left_inverse, sensitivities)
     first, last = ((force @ sensitivities.T)[:, None, :] for force in ends)

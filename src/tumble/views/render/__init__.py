@@ -1,1 +1,1 @@
-"""Blocks on a terminal, as HTML, as PDF, in a notebook; results as JSON; pictures as files."""
+"""Rendering of blocks: terminal, HTML, PDF, pictures."""

@@ -1,4 +1,4 @@
-"""Text as a page shows it: no character of it acts, hides or is missing; numbers have a real minus."""
+"""Text for pages: control and invisible characters are replaced, numbers have a real minus."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ _HIDDEN = frozenset({"Cc", "Cf", "Cn", "Co", "Cs"})
 
 
 def visible(text: str) -> str:
-    """The text with control characters, invisible ones and those that reverse what follows as their code: [U+202E]."""
+    """Replace control characters, invisible ones and those that reverse the text direction by their code: [U+202E]."""
     return "".join(_code(c) if unicodedata.category(c) in _HIDDEN else c for c in text)
 
 
 def drawable(text: str) -> str:
-    """The visible text with characters that the fonts of the figures and of the PDF lack as their code."""
+    """Also replace characters that are missing in the fonts of figures and PDF by their code."""
     return "".join(c if ord(c) in _glyphs() else _code(c) for c in visible(text))
 
 
 def everywhere(content: Any, change: Callable[[str], str], *, except_key: str) -> Any:
-    """Nested dictionaries and sequences with `change` made to every string but those under `except_key`."""
+    """Apply `change` to every string of nested dictionaries and sequences, except those under `except_key`."""
     if isinstance(content, str):
         return change(content)
     if isinstance(content, dict):
@@ -36,8 +36,8 @@ def everywhere(content: Any, change: Callable[[str], str], *, except_key: str) -
 
 
 def printed(document: Document, change: Callable[[str], str]) -> dict[str, Any]:
-    """The content of a document for a template: `change` made to all texts, in columns of numbers real minuses, and a
-    dash where there is none."""
+    """Return the content of a document for a template: all texts changed by `change`; in columns of numbers real
+    minuses, and a dash in empty cells."""
     content: dict[str, Any] = everywhere(asdict(document), change, except_key="svg")
     blocks = (block for part in content["parts"] for section in part["sections"] for block in section["blocks"])
     for table in (block for block in blocks if block["kind"] == "table"):
@@ -57,7 +57,7 @@ def _code(character: str) -> str:
 
 @cache
 def _glyphs() -> frozenset[int]:
-    """The characters of DejaVu Sans, which comes with matplotlib, in both weights."""
+    """Return the characters of DejaVu Sans, which comes with matplotlib, in both weights."""
     from matplotlib import get_data_path
     from matplotlib.ft2font import FT2Font
 

@@ -1,8 +1,8 @@
-"""A document as a page of HTML, and as PDF/A-2b.
+"""Documents as pages of HTML, and as PDF/A-2b.
 
-The page needs nothing else: no script, no font, no other file; styles for print are in it. The PDF, of certificates, is
-set by typst from the same content, with the fonts of typst and matplotlib, so that it is the same bytes on every
-machine. What comes from files is data to the templates, never markup.
+A page needs no other file: no script, no font; styles for print are included. PDFs, for certificates, are set by typst
+with the fonts of typst and matplotlib, so that they have the same bytes on every machine. Content that comes from files
+is data to the templates, never markup.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from tumble.views.render.characters import drawable, printed, visible
 
 
 def page(document: Document) -> str:
-    """The HTML of a document. All text is escaped, in CSS by the code of every character, so that none can end a
-    string; only the figures, which hold no text, are markup, of which a page needs no name spaces."""
+    """Return the HTML of a document. All text is escaped, in CSS every character by its code; only figures, which
+    contain no text, are markup, without name spaces."""
     environment = Environment(
         loader=PackageLoader("tumble.views.render"),
         autoescape=True,
@@ -40,7 +40,7 @@ def page(document: Document) -> str:
 
 
 def pdf(document: Document) -> bytes:
-    """The PDF of a document. Its date is that of the calibration; 1970 where that has none."""
+    """Return the PDF of a document, dated by its calibration, or 1970 without a date."""
     content = printed(document, drawable)
     if content["letterhead"] is not None:
         content["letterhead"]["logo"] = list(base64.b64decode(content["letterhead"]["logo"]))
@@ -51,7 +51,7 @@ def pdf(document: Document) -> bytes:
 
 
 def set_in_type(template: str, content: str, *, timestamp: int) -> bytes:
-    """The PDF/A-2b that a template makes of `content`, as JSON, with a date in seconds since 1970."""
+    """Return the PDF/A-2b of a template with `content` as JSON, dated in seconds since 1970."""
     with needs_extra("a PDF", "lab", "matplotlib", "typst"):
         import typst
         from matplotlib import get_data_path

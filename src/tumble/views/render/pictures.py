@@ -1,5 +1,6 @@
-"""Pictures: as files (svg, png, pdf), and as SVG for a page of HTML and for typst, whose letters are outlines, which
-loads nothing, no font either. The same numbers give the same bytes.
+"""Pictures as files (svg, png, pdf), and as SVG for pages, with letters as outlines and without external references.
+
+The same numbers give the same bytes.
 """
 
 from __future__ import annotations
@@ -19,10 +20,8 @@ if TYPE_CHECKING:
 
 INK, GREY, FAINT = "#1c2733", "#6b7785", "#d5dae0"
 COLOURS = ("#1f4e79", "#c0561a", "#3d7d52", "#7d4f93", "#a08020", "#58728c")
-"""For accelerometers, gyros, or the sensors of a block in turn."""
-
-PAGE = 6.7
-"""Width of a figure as wide as the page, inches."""
+"""Colours of accelerometers and gyros, or of the sensors of a block."""
+PAGE_WIDTH = 6.7  # inches
 
 STYLE: Any = {
     "svg.fonttype": "path",
@@ -48,16 +47,15 @@ STYLE: Any = {
     "legend.fontsize": 7.5,
     "lines.linewidth": 1.2,
 }
-"""How every picture looks."""
 
-_DATA_OF_THE_FILE = {"Creator": None, "Date": None, "Format": None, "Type": None}
+_NO_METADATA = {"Creator": None, "Date": None, "Format": None, "Type": None}
 _UNDATED: Mapping[str, dict[str, Any]] = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
 
 
 def write_picture(path: Path, what: str, size: tuple[float, float], draw: Callable[[Figure], None]) -> None:
-    """Write a picture of this size in inches that `draw` fills, by the ending of the file; letters of an SVG are text.
+    """Write a picture of this size in inches, filled by `draw`, in the format of the suffix. Text of an SVG stays text.
 
-    Raises MissingExtraError, saying `what` it is, without matplotlib, InputError for another ending."""
+    Raises MissingExtraError, which names the picture as `what`, without matplotlib, InputError for another suffix."""
     ending = ending_in(path, ".svg", ".png", ".pdf")
     with needs_extra(what, "lab", "matplotlib"):
         from matplotlib import rc_context
@@ -69,9 +67,10 @@ def write_picture(path: Path, what: str, size: tuple[float, float], draw: Callab
             figure.savefig(temporary, dpi=150, metadata=_UNDATED.get(ending))
 
 
-def drawn(name: str, width: float, height: float, draw: Callable[[Figure], None]) -> str:
-    """The svg element of a figure of this size in inches that `draw` fills, without comments. `name` is put before
-    every identifier in it: several figures of a page share one name space."""
+def svg_of(name: str, width: float, height: float, draw: Callable[[Figure], None]) -> str:
+    """Return a figure of this size in inches, filled by `draw`, as an svg element without comments.
+
+    `name` becomes the prefix of its identifiers, because the figures of a page share one name space."""
     with needs_extra("a figure", "lab", "matplotlib"):
         from matplotlib import rc_context
         from matplotlib.figure import Figure
@@ -80,22 +79,22 @@ def drawn(name: str, width: float, height: float, draw: Callable[[Figure], None]
         draw(figure)
         layout = figure.get_layout_engine()
         assert layout is not None
-        layout.execute(figure)  # once: savefig would draw the figure twice to lay it out
+        layout.execute(figure)  # savefig would draw the figure twice for the layout
         figure.set_layout_engine("none")
         out = io.StringIO()
-        figure.savefig(out, format="svg", metadata=_DATA_OF_THE_FILE, transparent=True)
+        figure.savefig(out, format="svg", metadata=_NO_METADATA, transparent=True)
     svg = re.sub(r"<!--.*?-->", "", out.getvalue()[out.getvalue().index("<svg") :], flags=re.DOTALL)
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
-    svg = re.sub(r'\b(?:d|x|y)="[^"]*"', _to_a_tenth, svg)
-    own = {each: f"{name}-{i}" for i, each in enumerate(dict.fromkeys(re.findall(r'(?:href="|url\()#([^")]+)', svg)))}
-    svg = re.sub(r' id="([^"]*)"', lambda found: f' id="{own[found[1]]}"' if found[1] in own else "", svg)
-    svg = re.sub(r'(href="|url\()#([^")]+)', lambda found: f"{found[1]}#{own[found[2]]}", svg)
+    svg = re.sub(r'\b(?:d|x|y)="[^"]*"', _round_coordinates, svg)
+    references = dict.fromkeys(re.findall(r'(?:href="|url\()#([^")]+)', svg))
+    ids = {reference: f"{name}-{i}" for i, reference in enumerate(references)}
+    svg = re.sub(r' id="([^"]*)"', lambda match: f' id="{ids[match[1]]}"' if match[1] in ids else "", svg)
+    svg = re.sub(r'(href="|url\()#([^")]+)', lambda match: f"{match[1]}#{ids[match[2]]}", svg)
     return re.sub(r"\s*\n\s*", "\n", svg).strip()
 
 
-def _to_a_tenth(attribute: re.Match[str]) -> str:
-    """Coordinates to a tenth of a point, which no eye tells apart, on one line; a line to that follows one is not
-    named again."""
+def _round_coordinates(attribute: re.Match[str]) -> str:
+    """Round coordinates to a tenth of a point, and leave out repeated commands "L" of a path."""
     words, command = [], ""
     for word in re.sub(r"\d+\.\d+", lambda number: f"{float(number[0]):.1f}", attribute[0]).split():
         if word == "L" and command in ("M", "L"):
@@ -106,6 +105,6 @@ def _to_a_tenth(attribute: re.Match[str]) -> str:
 
 
 def grid(axes: Axes) -> None:
-    """Faint lines at the ticks of the values."""
+    """Draw faint lines at the ticks of the values."""
     axes.grid(axis="y", color=FAINT, linewidth=0.5)
     axes.set_axisbelow(True)

@@ -1,4 +1,4 @@
-"""How a calibration is applied, in a report: frame, model, matrices, and the whole correction with test vectors."""
+"""Section of a report on the correction: frame, model, matrices, the whole correction, test vectors."""
 
 from __future__ import annotations
 
@@ -16,12 +16,9 @@ from tumble.units import Array
 from tumble.views.blocks import Block, Formula, Matrices, Matrix, Section, Text, section, table
 from tumble.views.numbers import fixed, significant, unit_text
 
-_WARMER = 10.0
-"""K above the reference temperature, of the test vector of a calibration over temperature."""
-_MOST_UNHALVED = 12
-"""Rows of a narrow table from which on it stands in halves."""
-MODEL_DIGITS, TRUE_DIGITS = 10, 8
-"""Digits behind the point of matrices and biases (SI), and of the true values of test vectors that they give."""
+_WARMING = 10.0  # K above the reference temperature, of test vectors over temperature
+_MAX_UNHALVED_ROWS = 12  # of a narrow table; a longer one is set in halves
+MODEL_DIGITS, TRUE_DIGITS = 10, 8  # decimals of matrices and biases (SI), and of true values of test vectors
 _WORDS: Mapping[str, Any] = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 _OVER_TEMPERATURE = {
     f"{kind}.{what}.t1": f"(T − T₀) θ₁ + (T − T₀)² θ₂ ({kind}.{what}.t1, .t2)"
@@ -31,8 +28,7 @@ _OVER_TEMPERATURE = {
 
 
 def application(calibration: Calibration) -> Section:
-    """The model and its frame, what a reading is, the matrices and a test vector for each block, and what is beyond
-    them."""
+    """Return the section: model and frame, definition of a reading, matrices with test vectors, and further terms."""
     models = {"accel": calibration.accel, "gyro": calibration.gyro, "mag": calibration.mag}
     present = {kind: model for kind, model in models.items() if model is not None}
     frame = _WORDS["frames"].get(calibration.frame, "It is described in the documentation of the software.")
@@ -43,36 +39,37 @@ def application(calibration: Calibration) -> Section:
         "The sensors follow the model",
         Formula(name="model"),
     ]
-    meant = (
+    model_text = (
         "with the specific force (m/s²; at rest, axis up, +g) or the angular rate (rad/s) in the body frame as the "
         "true value. "
     )
     if calibration.frame == "paper" and calibration.accel is not None:
-        meant += (
+        model_text += (
             "The parameters of the accelerometers are those of the frame “paper”: k belongs to the diagonal of the "
             "matrix, and the angles xy, xz and yz, times the diagonal element of their row, stand above it. Other "
             "sensors follow the formula below. "
         )
-    meant += "The rows of the matrix are the sensitivities of the sensors times their axes"
+    model_text += "The rows of the matrix are the sensitivities of the sensors times their axes"
     triads = any(len(model.matrix) <= 3 for model in present.values()) or not present
     if triads:
-        three = (
-            f"{meant}: for three sensors along the body axes, k being the scale-factor errors and γ the axis angles,"
-        )
-        corrected = "A reading is corrected by"
-        blocks += [three, Formula(name="axes"), corrected, Formula(name="apply")]
+        blocks += [
+            f"{model_text}: for three sensors along the body axes, k being the scale-factor errors and γ the axis "
+            "angles,",
+            Formula(name="axes"),
+            "A reading is corrected by",
+            Formula(name="apply"),
+        ]
     if any(len(model.matrix) > 3 for model in present.values()):
         least = "by least squares, matrix⁺ being the pseudo-inverse:"
-        which = f"One of more sensors {least}" if triads else f"{meant}. A reading is corrected {least}"
-        blocks += [which, Formula(name="apply_redundant")]
-    blocks += _what_a_reading_is(calibration, present or models)
-    left_over = left_by_matrix(calibration)
-    if left_over:
-        linear = f"This is the linear model, {left_over}; the whole correction is at the end of the section."
-        blocks.append(linear)
+        redundant = f"One of more sensors {least}" if triads else f"{model_text}. A reading is corrected {least}"
+        blocks += [redundant, Formula(name="apply_redundant")]
+    blocks += _reading_blocks(calibration, present or models)
+    errors = left_by_matrix(calibration)
+    if errors:
+        blocks.append(f"This is the linear model, {errors}; the whole correction is at the end of the section.")
     if not present:
         blocks.append("No matrix can be given: a parameter it needs was not determined.")
-    for kind, model in present.items():  # matrix, its inverse and bias, and a reading with what comes out
+    for kind, model in present.items():
         unit = _unit(calibration, kind)
         symbol = "pseudo-inverse matrix⁺" if len(model.matrix) > 3 else "matrix⁻¹"
         bias = Matrix(symbol="bias", rows=_numbers(model.bias[:, None]), unit=unit)
@@ -83,11 +80,11 @@ def application(calibration: Calibration) -> Section:
             "Test vector: with these numbers, this reading gives this true value.",
             _test_vector(linear_example(kind, model), unit),
         ]
-    return section("How to apply it", *blocks, *(_whole_correction(calibration) if left_over else ()))
+    return section("How to apply it", *blocks, *(_whole_correction(calibration) if errors else ()))
 
 
-def _what_a_reading_is(calibration: Calibration, kinds: Container[str]) -> list[Block]:
-    """What the readings of these kinds of sensors are made from."""
+def _reading_blocks(calibration: Calibration, kinds: Container[str]) -> list[Block]:
+    """Return the definition of readings of these kinds of sensors."""
     rows = [
         {
             "column of the log": column,
@@ -102,14 +99,14 @@ def _what_a_reading_is(calibration: Calibration, kinds: Container[str]) -> list[
     ]
     if not rows:
         return ["A reading is the output in SI after the nominal scale and offset of the device."]
-    meant = "A reading is the output in SI after the nominal scale and offset: (raw − offset) / scale"
+    definition = "A reading is the output in SI after the nominal scale and offset: (raw − offset) / scale"
     if any(readings.increments for readings in calibration.provenance.readings.values()):
-        meant += ", for increments divided by the interval of the sample"
-    return [meant + ".", table(rows, words=("column of the log", "sensor", "raw unit"))]
+        definition += ", for increments divided by the interval of the sample"
+    return [definition + ".", table(rows, words=("column of the log", "sensor", "raw unit"))]
 
 
 def _unit(calibration: Calibration, kind: str) -> str:
-    """The unit of a block's readings and biases."""
+    """Return the unit of the readings and biases of a block."""
     unit = next((p.unit for p in calibration.parameters if group_name(p.name) == f"{kind}.bias"), "")
     return unit_text(unit)
 
@@ -125,18 +122,18 @@ def _test_vector(worked: Example, unit: str) -> Matrices:
 
 
 def added_terms(calibration: Calibration) -> str:
-    """What the whole correction takes from a reading beside matrix and bias, in formulas."""
+    """Return formulas of the terms of the whole correction beyond matrix and bias."""
     return "; ".join(_present(calibration, {**_WORDS["terms"], **_WORDS["in_motion"], **_OVER_TEMPERATURE}))
 
 
 def _present(calibration: Calibration, terms: Mapping[str, str]) -> list[str]:
-    """The terms of the groups that a calibration has."""
+    """Return the terms of the groups that a calibration has."""
     groups = {group_name(p.name) for p in calibration.parameters}
     return [words for group, words in terms.items() if group in groups]
 
 
 def _whole_correction(calibration: Calibration) -> Iterator[Block]:
-    """What the groups beyond the linear model add to a reading, their values in full, and a test vector."""
+    """Yield the formulas of the groups beyond the linear model, their values, and a test vector."""
     compensator = calibration.compensator
     further = [p for p in further_parameters(calibration.parameters) if variable_of(p.name) != "time"]
     static, moving = ("; ".join(_present(calibration, terms)) for terms in (_WORDS["terms"], _WORDS["in_motion"]))
@@ -160,14 +157,14 @@ def _whole_correction(calibration: Calibration) -> Iterator[Block]:
     yield Text(text="The whole correction", tone="label")
     yield " ".join(sentences)
     rows = [{"parameter": p.name, "value, SI": significant(p.value, 8), "unit": unit_text(p.unit)} for p in further]
-    yield table(rows, dense=True, halves=len(rows) > _MOST_UNHALVED)
+    yield table(rows, dense=True, halves=len(rows) > _MAX_UNHALVED_ROWS)
     kinds: tuple[SensorKind, ...] = ("accel",) if calibration.gyro is None else ("accel", "gyro")
-    warm = f" and {_WARMER:.0f} K above the reference temperature" if compensator.warm else ""
+    warm = f" and {_WARMING:.0f} K above the reference temperature" if compensator.warm else ""
     yield (
         f"Test vector of the whole correction, at a constant rate{warm}: these readings together give these true "
         "values."
     )
-    for kind, worked in examples(compensator, kinds, _WARMER).items():
+    for kind, worked in examples(compensator, kinds, _WARMING).items():
         yield _test_vector(worked, _unit(calibration, kind))
 
 

@@ -1,5 +1,7 @@
-"""A report: from calibration files to a document, what matters first, then how the calibration is applied, then what it
-rests on; and from that to a page."""
+"""Reports: from calibration files to a document, and from that to a page.
+
+The result comes first, then how it is applied, then the evidence.
+"""
 
 from __future__ import annotations
 
@@ -20,13 +22,12 @@ from tumble.views.numbers import NONE, device_name, fixed, significant
 from tumble.views.report import application, over_temperature, recording, result
 from tumble.views.uncertainty_budget import budget_section
 
-_MOST_MOMENTS = 3
-"""Of more recordings only the days are listed."""
+_MAX_TIMES = 3  # of more recordings only the days are listed
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ReportedFile:
-    """A calibration with the name of its file and the SHA-256 of what was read from it."""
+    """A calibration with the name of its file and the SHA-256 of the content."""
 
     file: str
     sha256: str
@@ -42,12 +43,12 @@ def write_report(calibrations: Calibration | FilePath | Sequence[Calibration | F
     calibrations
         A calibration or its file, or several of one device.
     out
-        The file to write: .html. To have a PDF print the page.
+        The file to write: .html. For a PDF, print the page.
 
     Returns
     -------
     list of str
-        Why a calibration is not accepted.
+        Reasons why calibrations are not accepted.
 
     Raises
     ------
@@ -76,7 +77,7 @@ def write_report(calibrations: Calibration | FilePath | Sequence[Calibration | F
 
 
 def sources_of(calibrations: Calibration | FilePath | Sequence[Calibration | FilePath]) -> list[ReportedFile]:
-    """Calibrations with the names of their files and the SHA-256 of what is in them."""
+    """Return calibrations with the names of their files and the SHA-256 of their content."""
     listed = [calibrations] if isinstance(calibrations, Calibration | str | os.PathLike) else calibrations
     sources = []
     for each in listed:
@@ -88,8 +89,9 @@ def sources_of(calibrations: Calibration | FilePath | Sequence[Calibration | Fil
 
 
 def write_document(document: Document, out: FilePath) -> None:
-    """Write a document as HTML or PDF by the ending of `out`. Raises InputError where it cannot be written, and
-    MissingExtraError without the extra `tumble[lab]`."""
+    """Write a document as HTML or PDF, by the suffix of `out`.
+
+    Raises InputError if it cannot be written, MissingExtraError without the extra `tumble[lab]`."""
     out = Path(out)
     from tumble.views.render.pages import page, pdf
 
@@ -102,8 +104,9 @@ def write_document(document: Document, out: FilePath) -> None:
 
 
 def report_of(sources: Sequence[ReportedFile], further_sections: Sequence[Sequence[Section]] = ()) -> Document:
-    """The report of calibrations of one device, with further sections after the result of each. Raises InputError for
-    calibrations of several devices."""
+    """Return the report of calibrations of one device, with further sections after the result of each.
+
+    Raises InputError for calibrations of several devices."""
     calibrations, first, several = [source.calibration for source in sources], sources[0].calibration, len(sources) > 1
     for source in sources[1:]:
         if source.calibration.serial != first.serial:
@@ -111,7 +114,7 @@ def report_of(sources: Sequence[ReportedFile], further_sections: Sequence[Sequen
                 f"{source.file}: expected a calibration of device {first.serial!r} like {sources[0].file}, "
                 f"found {source.calibration.serial!r}; make a report for each device"
             )
-    titles = titles_of(calibrations)
+    titles = _titles(calibrations)
     parts = []
     for i, (source, title) in enumerate(zip(sources, titles, strict=True)):
         inserted = further_sections[i] if further_sections else ()
@@ -130,8 +133,8 @@ def report_of(sources: Sequence[ReportedFile], further_sections: Sequence[Sequen
     )
 
 
-def titles_of(calibrations: Sequence[Calibration]) -> list[str]:
-    """Calibrations by their methods, or where these are alike by a number and the date of the recording."""
+def _titles(calibrations: Sequence[Calibration]) -> list[str]:
+    """Name calibrations by their methods, if these are equal also by a number and the date of the recording."""
     titles = [calibration.method for calibration in calibrations]
     if len(set(titles)) == len(titles):
         return titles
@@ -140,7 +143,7 @@ def titles_of(calibrations: Sequence[Calibration]) -> list[str]:
 
 
 def verdict_on(calibrations: Sequence[Calibration]) -> tuple[str, Tone]:
-    """The worst verdict on calibrations, and its colour."""
+    """Return the worst verdict on calibrations, and its tone."""
     outcomes = [calibration.outcome for calibration in calibrations]
     if all(outcome.accepted for outcome in outcomes):
         remarks = any(outcome.remarks for outcome in outcomes)
@@ -152,15 +155,15 @@ def verdict_on(calibrations: Sequence[Calibration]) -> tuple[str, Tone]:
 
 
 def reasons_of(sources: Sequence[ReportedFile]) -> list[str]:
-    """Why calibrations are not accepted, each reason with its file."""
+    """Return the reasons why calibrations are not accepted, each with its file."""
     return [f"{source.file}: {reason}" for source in sources for reason in source.calibration.outcome.reasons]
 
 
-# -------------------- the sections --------------------
+# -------------------- sections --------------------
 
 
 def _sections(source: ReportedFile, inserted: Sequence[Section], key: str) -> Iterator[Section | None]:
-    """All sections on a calibration in their order; `key` begins the names of its figures."""
+    """Yield all sections on a calibration; `key` is the prefix of its figures."""
     calibration = source.calibration
     yield result.result(calibration, f"{key}-improvement")
     yield from inserted
@@ -172,8 +175,8 @@ def _sections(source: ReportedFile, inserted: Sequence[Section], key: str) -> It
 
 
 def annexes(calibration: Calibration, key: str, *, short: bool = False) -> Iterator[Section | None]:
-    """How a calibration is applied, and what it rests on; `short`, as in a certificate, without figures of recordings
-    and budget, and of the groups beyond the linear model with their parameters alone."""
+    """Yield the sections on the correction and the evidence; for a certificate `short`, without figures of recordings,
+    budgets of parameters and tables of groups."""
     recordings = recording.recordings(calibration)
     yield application.application(calibration)
     yield result.launches(calibration)
@@ -188,38 +191,38 @@ def annexes(calibration: Calibration, key: str, *, short: bool = False) -> Itera
 
 
 def notes(*sentences: str) -> Section | None:
-    """What is to be known of the recording and of U."""
+    """Return a section of notes, None without any."""
     return section("Notes", Items(items=sentences)) if sentences else None
 
 
 def provenance(source: ReportedFile) -> Section:
-    """The calibration file, the log and the software."""
+    """Return the section on the calibration file, the log and the software."""
     origin = source.calibration.provenance
     rows = (
         ("data annex", f"the calibration file {source.file}: all values, u, k, ν and covariances in SI"),
         ("its SHA-256", source.sha256),
         ("SHA-256 of the log" + ("s" if source.calibration.evidence.launches else ""), origin.log_sha256 or NONE),
         ("software", origin.software or NONE),
-        ("computed", _in_words(origin.created or NONE)),
+        ("computed", _time_text(origin.created or NONE)),
         ("method", source.calibration.method),
     )
     return section("Provenance", Facts(rows=rows))
 
 
-# -------------------- the first page --------------------
+# -------------------- first page --------------------
 
 
 def front(first: Calibration, titles: Sequence[str]) -> tuple[tuple[str, str], ...]:
-    """The device; of a single calibration also when, where and how it was recorded, the air, the operator and the
-    equipment, as far as they are known."""
+    """Return facts on the device, and for a single calibration on its recording, the air, the operator and
+    equipment."""
     rows = [("serial number", first.serial), ("model", first.model or NONE)]
     if len(titles) > 1:
         return (*rows, ("calibrations", ", ".join(titles)))
     recordings, moments = recording.recordings(first), recorded_on(first)
-    if len(moments) > _MOST_MOMENTS:
+    if len(moments) > _MAX_TIMES:
         moments = list(dict.fromkeys(moment[:10] for moment in moments))
     rows += [
-        ("recorded", ", ".join(map(_in_words, moments)) or "date not stated"),
+        ("recorded", ", ".join(map(_time_text, moments)) or "date not stated"),
         ("method", f"{first.method}, frame “{first.frame}”"),
         ("programme", first.provenance.programme or "none"),
         ("launches", str(len(recordings))),
@@ -239,6 +242,6 @@ def front(first: Calibration, titles: Sequence[str]) -> tuple[tuple[str, str], .
     return (*rows, *((("equipment", "; ".join(circumstances.equipment)),) if circumstances.equipment else ()))
 
 
-def _in_words(moment: str) -> str:
-    """A moment by ISO 8601 as it is read."""
+def _time_text(moment: str) -> str:
+    """Return an ISO 8601 time without "T"."""
     return moment.replace("T", " ").replace("+00:00", " UTC")

@@ -1,4 +1,4 @@
-"""Figures of a report: errors before and after, and residuals."""
+"""Figures of a report: errors before and after the calibration, and residuals."""
 
 from __future__ import annotations
 
@@ -17,18 +17,17 @@ from tumble.result.parts import RestResult, TurnResult
 from tumble.sensors.model import WORDS
 from tumble.sensors.parameters import group_name, sensor_kind, within_kind
 from tumble.units import DEGREE, G_STANDARD, engineering
-from tumble.views.render.pictures import COLOURS, FAINT, GREY, PAGE, drawn, grid
+from tumble.views.render.pictures import COLOURS, FAINT, GREY, PAGE_WIDTH, grid, svg_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_MOST_TICKS = 25
-"""Rests that are numbered below a figure."""
+_MAX_TICKS = 25  # numbers of rests below a figure
 
 
 def before_and_after(name: str, calibration: Calibration) -> str:
-    """The error of a reading at 1 g, and at the rate of the session, that each parameter makes before the calibration,
-    and its standard uncertainty afterwards."""
+    """Draw, for each parameter, its error of a reading at 1 g or at the rate of the session before the calibration, and
+    its standard uncertainty afterwards."""
     rate, linear = session_rate(calibration), [p for p in linear_parameters(calibration.parameters) if p.u]
     shown = {kind: [p for p in linear if sensor_kind(p.name) == kind] for kind in accepted_kinds(calibration)}
     kinds = [kind for kind, parameters in shown.items() if parameters]
@@ -51,11 +50,11 @@ def before_and_after(name: str, calibration: Calibration) -> str:
         handles = {label: h for axes in figure.axes for h, label in zip(*axes.get_legend_handles_labels(), strict=True)}
         figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=3)
 
-    return drawn(name, PAGE, 0.8 + 0.15 * max(map(len, shown.values())), draw)
+    return svg_of(name, PAGE_WIDTH, 0.8 + 0.15 * max(map(len, shown.values())), draw)
 
 
 def residuals(name: str, rests: Sequence[RestResult], turns: Sequence[TurnResult]) -> str:
-    """Residual of every rest, and how many sigmas rests and turns are from the fit."""
+    """Draw the residuals of the rests, and the distance of rests and turns from the fit in sigmas."""
     numbers = np.arange(1, len(rests) + 1)
 
     def draw(figure: Figure) -> None:
@@ -75,7 +74,7 @@ def residuals(name: str, rests: Sequence[RestResult], turns: Sequence[TurnResult
         figure.legend(*bottom.get_legend_handles_labels(), loc="outside lower right", ncols=3)
         for axes in (top, bottom):
             grid(axes)
-        bottom.set_xticks(range(1, len(rests) + 1, math.ceil(len(rests) / _MOST_TICKS)))
+        bottom.set_xticks(range(1, len(rests) + 1, math.ceil(len(rests) / _MAX_TICKS)))
         bottom.set_xlim(0.4, len(rests) + 0.6)
 
-    return drawn(name, PAGE, 3.5, draw)
+    return svg_of(name, PAGE_WIDTH, 3.5, draw)

@@ -1,5 +1,4 @@
-"""The section on temperature: every parameter that changes with it over the range that was measured, with U; what lies
-beyond is drawn apart, as an extrapolation."""
+"""Section of a report on parameters over temperature, with U in the measured range, and extrapolations set apart."""
 
 from __future__ import annotations
 
@@ -25,20 +24,18 @@ from tumble.views.blocks import Figure, Section, Table
 from tumble.views.blocks import section as section_of
 from tumble.views.numbers import cells, fixed, units_of_values
 from tumble.views.render.characters import drawable
-from tumble.views.render.pictures import COLOURS, FAINT, GREY, PAGE, drawn, grid
+from tumble.views.render.pictures import COLOURS, FAINT, GREY, PAGE_WIDTH, grid, svg_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Canvas
 
-FEWEST_PARTS = 5
-"""Of a rest that is drawn."""
-BEYOND = 0.12
-"""How far beyond the measured range the picture goes, in parts of it."""
+MIN_PARTS = 5  # of a rest that is drawn
+EXTRAPOLATION = 0.12  # extent of the picture beyond the measured range, as a fraction of it
 
 
 def section(calibration: Calibration, name: str) -> Section | None:
-    """Parameters over temperature; None where none changes with it or all rests had one temperature."""
+    """Return the section; None if no parameter changes with temperature or all rests had one temperature."""
     measured, reference, names = measured_range(calibration), calibration.reference_temperature, changing(calibration)
     if measured is None or reference is None or not names:
         return None
@@ -59,8 +56,8 @@ def section(calibration: Calibration, name: str) -> Section | None:
         "range the curve is an extrapolation, for which U does not stand."
     )
     text += "".join(f" {sentence[0].upper()}{sentence[1:]}." for sentence in own_thermometers(calibration))
-    in_parts = any(True for each in names for _ in _readings(calibration, each, reference))
-    dots = "Dots: a rest in parts, moved onto the curve. " if in_parts else ""
+    has_dots = any(True for each in names for _ in _readings(calibration, each, reference))
+    dots = "Dots: a rest in parts, moved onto the curve. " if has_dots else ""
     over = Figure(
         svg=_curves(name, calibration, names, measured, reference),
         caption=f"Change from the value at {fixed(reference, 1)} °C (upright line), with the band ±U of the value. "
@@ -71,7 +68,7 @@ def section(calibration: Calibration, name: str) -> Section | None:
 
 
 def _curves(name: str, calibration: Calibration, names: Sequence[str], measured: Range, reference: float) -> str:
-    """A panel for each group: the change of every sensor's parameter from the reference, with ±U."""
+    """Draw, in a panel for each group, the change of the parameters from their reference values, with ±U."""
     by_group = {group: [names[i] for i in members] for group, members in positions_by_group(names).items()}
     rests = warm_rests(calibration)
 
@@ -88,12 +85,12 @@ def _curves(name: str, calibration: Calibration, names: Sequence[str], measured:
         for axes in panels[max(0, len(by_group) - 2) : len(by_group)]:
             axes.set_xlabel("°C")
 
-    return drawn(name, PAGE, 2.0 * -(-len(by_group) // 2) + 0.2, draw)
+    return svg_of(name, PAGE_WIDTH, 2.0 * -(-len(by_group) // 2) + 0.2, draw)
 
 
 def _readings(calibration: Calibration, member: str, reference: float) -> Iterator[tuple[Array, Array]]:
-    """Of each rest that was taken in parts the temperatures of a sensor, °C, and what it read, moved as a whole onto
-    the curve of its bias; nothing of another parameter."""
+    """Yield temperatures, °C, and readings of each rest in parts, shifted onto the curve of the bias; nothing for other
+    parameters."""
     kind = sensor_kind(member)
     block, _ = calibration.compensator.sensors(kind)
     if group_name(member) != f"{kind}.bias" or block is None:
@@ -102,7 +99,7 @@ def _readings(calibration: Calibration, member: str, reference: float) -> Iterat
     rests = [rest for rest in calibration.evidence.rests if getattr(rest, kind) is not None]
     begins = [not (b.file == a.file and b.start <= a.stop) for a, b in pairwise(rests)]
     for parts in np.split(np.arange(len(rests)), np.flatnonzero(begins) + 1):
-        if len(parts) >= FEWEST_PARTS:
+        if len(parts) >= MIN_PARTS:
             celsius = np.array([temperature_of(rests[k], kind) for k in parts])
             read = np.array([getattr(rests[k], kind).mean[channel] for k in parts])
             at = curve(calibration, member, np.append(celsius, reference)).value
@@ -110,7 +107,7 @@ def _readings(calibration: Calibration, member: str, reference: float) -> Iterat
 
 
 def _panel(axes: Axes, calibration: Calibration, members: Sequence[str], measured: Range, reference: float) -> None:
-    margin = BEYOND * (measured.high - measured.low)
+    margin = EXTRAPOLATION * (measured.high - measured.low)
     inside, curves = measured.temperatures(101), {}
     beyond = [np.linspace(start, start + margin, 15) for start in (measured.low - margin, measured.high)]
     for member in members:

@@ -1,4 +1,4 @@
-"""The recording in a report: site, programme and what was found, residuals."""
+"""Sections of a report on the recording: site, rests and turns against the programme, residuals."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tumble.diagnosis.verdict import against_normal
+from tumble.diagnosis.verdict import anomaly_text
 from tumble.errors import ProgrammeError
 from tumble.inference.estimate import Fit
 from tumble.programme.positions import Position, from_attitudes
@@ -24,27 +24,27 @@ from tumble.views.numbers import NONE, fixed, in_engineering, significant
 from tumble.views.report import figures
 
 MICRO_G = 1e-6 * G_STANDARD
-_MOST_TURNS = 8
-"""Rows of the table of turns from which on it stands in halves."""
+_MAX_UNHALVED_TURNS = 8  # rows; a longer table of turns is set in halves
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RecordedSession:
-    """One session behind a calibration, and what was `recorded` in it; of several launches each has a `title`."""
+    """A session of a calibration, with what was `recorded` in it; with several launches each has a `title`."""
 
     title: str
     calibration: Calibration
     recorded: Launch
 
     def verticals(self) -> Array | None:
-        """Vertical in the body (N, 3) at every rest from its corrected reading; None where it cannot be known."""
+        """Return the vertical in the body frame (N, 3) at every rest from its corrected reading; None if it is not
+        known."""
         readings = [rest.accel.mean for rest in self.recorded.rests if rest.accel is not None]
         if self.calibration.accel is None or len(readings) < len(self.recorded.rests):
             return None
         return unit_vector(self.calibration.accel.apply(np.array(readings)))
 
     def positions(self) -> list[Position | None]:
-        """The position of the programme at every rest; None where its attitude is none."""
+        """Return the programme's position at every rest; None for an attitude that is not one."""
         positions: list[Position | None] = []
         for rest in self.recorded.rests:
             try:
@@ -54,12 +54,12 @@ class RecordedSession:
         return positions
 
     def titled(self, title: str) -> str:
-        """A title of a section about this session."""
+        """Return the title of a section about this session."""
         return f"{title}: {self.title}" if self.title else title
 
 
 def recordings(calibration: Calibration) -> list[RecordedSession]:
-    """The sessions of a calibration: itself, or its launches."""
+    """Return the sessions of a calibration: itself, or its launches."""
     return [
         RecordedSession(title=launch.session, calibration=calibration, recorded=launch)
         for launch in calibration.evidence.launches or [calibration.as_launch("")]
@@ -67,7 +67,7 @@ def recordings(calibration: Calibration) -> list[RecordedSession]:
 
 
 def site_facts(site: Site | None) -> tuple[tuple[str, str], ...]:
-    """Where it was recorded, and gravity with its uncertainty."""
+    """Return place and gravity with its uncertainty."""
     if site is None:
         return (("site", "not in the calibration file"),)
     gravity = f"{fixed(site.gravity, 7)} m/s², U = {significant(2.0 * site.gravity_u, 2)} m/s² (k = 2)"
@@ -75,7 +75,7 @@ def site_facts(site: Site | None) -> tuple[tuple[str, str], ...]:
         gravity = f"not stated: g at the place is the unit, {fixed(site.gravity, 5)} m/s² stands for it"
     elif site.gravity_u == 0.0:
         gravity = f"{fixed(site.gravity, 7)} m/s², taken as exact: no uncertainty of it was stated"
-    against = None if site.gravity_is_unit else against_normal(site)
+    against = None if site.gravity_is_unit else anomaly_text(site)
     gravity += f"; {against}" if against is not None else ""
     if site.latitude is None:
         return (("latitude", NONE), ("gravity", gravity))
@@ -83,35 +83,34 @@ def site_facts(site: Site | None) -> tuple[tuple[str, str], ...]:
     return (*place, ("gravity", gravity))
 
 
-def sites(all_of_them: Sequence[RecordedSession]) -> Section | None:
-    """The site of each recording, where they are not at one."""
-    every = [recording.recorded.site for recording in all_of_them]
-    if all(site == every[0] for site in every):
+def sites(recordings: Sequence[RecordedSession]) -> Section | None:
+    """Return the sites of recordings; None if they are at one site."""
+    if all(recording.recorded.site == recordings[0].recorded.site for recording in recordings):
         return None
     blocks: list[Block] = []
-    for recording in all_of_them:
+    for recording in recordings:
         blocks += [Text(text=recording.title, tone="label"), Facts(rows=site_facts(recording.recorded.site))]
     return section("Sites", *blocks)
 
 
-# -------------------- programme and what was found --------------------
+# -------------------- rests and turns --------------------
 
 
 def found(recording: RecordedSession) -> Section | None:
-    """Every rest and every turn against the programme."""
+    """Return the section on the rests and turns against the programme."""
     if not recording.recorded.rests:
         return None
     rests, turns, _ = tables_of(recording)
-    return section(recording.titled("Programme and what was found"), _programme_said(recording), rests, turns)
+    return section(recording.titled("Programme and what was found"), _programme_text(recording), rests, turns)
 
 
 def tables_of(recording: RecordedSession) -> tuple[Table | None, Table | None, Table | None]:
-    """Rests, turns and fits."""
+    """Return tables of the rests, turns and fits."""
     recorded = recording.recorded
     return _rest_table(recording) if recorded.rests else None, _turn_table(recorded.turns), _fit_table(recorded.fits)
 
 
-def _programme_said(recording: RecordedSession) -> str:
+def _programme_text(recording: RecordedSession) -> str:
     count = f"{len(recording.recorded.rests)} rests"
     if recording.calibration.provenance.programme is None:
         return f"No programme: {count} were found, in attitudes that were not prescribed."
@@ -160,7 +159,7 @@ def _turn_table(turns: Sequence[TurnResult]) -> Table | None:
         row |= {"programme °": degrees(turn.programmed, 0)} if programmed else {}
         rows.append(row | {"found °": degrees(turn.angle, 2), "sigmas": f"{turn.sigmas:.1f}"})
     caption = "Turns. Found is the whole angle between two rests as the calibrated gyros saw it (0 to 180°)."
-    halves = len(rows) > _MOST_TURNS
+    halves = len(rows) > _MAX_UNHALVED_TURNS
     return table(rows, words=("turn from rest",), caption=caption, dense=True, halves=halves) if rows else None
 
 
@@ -168,7 +167,7 @@ def _turn_table(turns: Sequence[TurnResult]) -> Table | None:
 
 
 def residuals(recording: RecordedSession, name: str) -> Section | None:
-    """Residuals, with a `name` as a figure, and what chi-square says of them."""
+    """Return the section on residuals, with a figure if it has a `name`, and chi-square tests."""
     title, fits = recording.titled("Residuals"), _fit_table(recording.recorded.fits)
     if not recording.recorded.rests:
         return section(title, fits) if fits else None
@@ -180,7 +179,7 @@ def residuals(recording: RecordedSession, name: str) -> Section | None:
 
 
 def _fit_table(fits: Mapping[str, Fit]) -> Table | None:
-    """What chi-square says of each kind of residuals, and the scatter that was added."""
+    """Return a table of the chi-square of each kind of residuals, and the scatter that was added."""
     rows = [
         {
             "residuals of": name,
@@ -198,9 +197,9 @@ def _fit_table(fits: Mapping[str, Fit]) -> Table | None:
     return table(rows, words=("residuals of",), caption=caption) if rows else None
 
 
-def temperature(all_of_them: Sequence[RecordedSession]) -> str:
-    """The range of temperatures of the rests."""
-    celsius = [rest.temperature for r in all_of_them for rest in r.recorded.rests if rest.temperature is not None]
+def temperature(recordings: Sequence[RecordedSession]) -> str:
+    """Return the range of the temperatures of the rests."""
+    celsius = [rest.temperature for r in recordings for rest in r.recorded.rests if rest.temperature is not None]
     if not celsius:
         return "not recorded"
     return " to ".join(dict.fromkeys([fixed(min(celsius), 1), fixed(max(celsius), 1)])) + " °C (sensors)"

@@ -1,4 +1,4 @@
-"""The result in a report: verdict, parameters, launches, other calibrations beside it, correlations."""
+"""Sections of a report on the result: verdict, parameters, launches, correlations."""
 
 from __future__ import annotations
 
@@ -44,19 +44,15 @@ from tumble.views.report.application import added_terms
 from tumble.views.report.figures import before_and_after
 
 Cells = Callable[[Parameter, float], dict[str, str]]
-"""Further cells of a parameter by their headings; the number is the size in SI of the unit in which it is shown."""
+"""Function of a parameter and the size of its display unit in SI, which returns further cells by heading."""
 
-_STRONGEST = 8
-"""Correlations that are listed."""
-_MOST_ROWS = 26
-"""Rows of the table of results for which the first page has room."""
-_MOST_LARGE = 9
-"""Columns for which a page has room in the larger type."""
+_LISTED_CORRELATIONS = 8
+_MAX_ROWS = 26  # of the table of results, on the first page
+_MAX_LARGE_COLUMNS = 9  # for which a page has room in the larger type
 
 
 def result(calibration: Calibration, name: str) -> Section:
-    """Verdict and remarks, errors before and after in words and as a picture of this `name`, parameters with U, and
-    what corrected readings are known to."""
+    """Return the result: verdict, remarks, errors before and after as a figure of this `name`, parameters with U."""
     sentences = (*improvement(calibration), *calibration.outcome.remarks)
     blocks: list[Block] = [Items(items=tuple(f"{each[0].upper()}{each[1:]}" for each in sentences))]
     usable = accepted_kinds(calibration)
@@ -70,7 +66,7 @@ def result(calibration: Calibration, name: str) -> Section:
 
 
 def verdict_blocks(calibration: Calibration) -> list[Block]:
-    """Whether the values may be used, and the reasons against it."""
+    """State whether the values may be used, with the reasons if not."""
     outcome = calibration.outcome
     tone: Tone = "good"
     usable = [*(WORDS[kind] for kind in accepted_kinds(calibration)), *accepted_groups(calibration)]
@@ -98,31 +94,30 @@ def verdict_blocks(calibration: Calibration) -> list[Block]:
 
 
 def value_blocks(calibration: Calibration, further: Cells | None = None) -> list[Block]:
-    """Parameters of the linear model with U and `further` cells, what U means, and what corrected readings are known
-    to."""
+    """Return the linear parameters with U and `further` cells, the meaning of U, and the u of corrected readings."""
     blocks: list[Block] = []
     if calibration.parameters:
         if len(calibration.evidence.launches) > 1:
-            next_one = (
+            scope = (
                 f"It is of the mean of {len(calibration.evidence.launches)} power-ons; a single later one lies about "
                 "the mean with the standard deviation “run to run”, which comes on top."
             )
         elif calibration.evidence.together:
-            next_one = "It is of all recorded power-ons together; what changes at the next one comes on top."
+            scope = "It is of all recorded power-ons together; what changes at the next one comes on top."
         else:
-            next_one = "It is of the one power-on that was recorded; what changes at the next one is not in it."
+            scope = "It is of the one power-on that was recorded; what changes at the next one is not in it."
         meaning = (
             "U = k u is the expanded uncertainty, which covers 95.45 %: k = 2 where u is known, more, by Student's t "
-            f"with ν degrees of freedom, where it was estimated from few residuals. {next_one} "
+            f"with ν degrees of freedom, where it was estimated from few residuals. {scope} "
             '1 µg is 9.80665·10⁻⁶ m/s², " a second of arc.'
         )
         blocks += [_parameter_table(calibration, further), Text(text=meaning, tone="small")]
     if calibration.prediction is not None:
-        left_over = left_by_matrix(calibration)
-        alone = f", with the whole correction; {left_over}" if left_over else ""
-        blocks.append(f"Known to (standard uncertainty): {predicted(calibration.prediction)}{alone}.")
+        errors = left_by_matrix(calibration)
+        linear = f", with the whole correction; {errors}" if errors else ""
+        blocks.append(f"Known to (standard uncertainty): {predicted(calibration.prediction)}{linear}.")
         correction = "Matrix and bias: true = matrix⁻¹ · (reading − bias)."
-        if left_over:
+        if errors:
             correction += f" The whole correction takes from a reading besides: {added_terms(calibration)}."
         numbers = "Numbers, formulas and test vectors are in the section “How to apply it”."
         blocks.append(Text(text=f"{correction} {numbers}", tone="small"))
@@ -132,8 +127,8 @@ def value_blocks(calibration: Calibration, further: Cells | None = None) -> list
 
 
 def _parameter_table(calibration: Calibration, further: Cells | None) -> Table:
-    """Parameters of the linear model with U; where there are such, coverage factors other than 2 with the degrees of
-    freedom, and deviations from the systematic values and from launch to launch."""
+    """Return the linear parameters with U; if any, with coverage factors other than 2, and with deviations from the
+    systematic values and between launches."""
     parameters = linear_parameters(calibration.parameters)
     factors = other_factors(parameters)
     passport = any(p.deviation is not None for p in parameters)
@@ -147,16 +142,16 @@ def _parameter_table(calibration: Calibration, further: Cells | None) -> Table:
         row |= {"from nominal": to_digits_of(p.deviation, U, size)} if passport else {}
         return row | ({} if further is None else further(p, size))
 
-    halves = len(parameters) > _MOST_ROWS
+    halves = len(parameters) > _MAX_ROWS
     shown = quantity_table(parameters, shown_units(parameters), row, words=("",), halves=halves)
-    return replace(shown, dense=len(shown.columns) > _MOST_LARGE)
+    return replace(shown, dense=len(shown.columns) > _MAX_LARGE_COLUMNS)
 
 
 def beyond(calibration: Calibration, *, groups: bool) -> Section | None:
-    """The parameters beyond the linear model; before them, where `groups` are wanted, a line for each group and what
-    their priors decide."""
+    """Return the parameters beyond the linear model; with `groups` also a line for each group and what priors
+    decide."""
     further = further_parameters(calibration.parameters)
-    group_lines = group_table(calibration, of_a_page=True)
+    group_lines = group_table(calibration, on_page=True)
     if not (group_lines.rows if groups else further):
         return None
 
@@ -179,13 +174,13 @@ def beyond(calibration: Calibration, *, groups: bool) -> Section | None:
         decided = decided_by_priors(calibration)
         blocks += [group_lines, *([f"{decided[0].upper()}{decided[1:]}."] if decided else [])]
     if further:
-        halves = len(further) > _MOST_ROWS
+        halves = len(further) > _MAX_ROWS
         blocks.append(quantity_table(further, shown_units(further), row, caption=caption, dense=True, halves=halves))
     return section("Beyond bias, scale factors and axes", *blocks)
 
 
 def unknown(calibration: Calibration) -> Section | None:
-    """What was estimated of the model itself: scatter, in-run biases, sizes of groups."""
+    """Return the hyperparameters of the model: scatter, in-run biases, sizes of groups."""
     meaning = (
         "Scatter, in-run biases and the sizes of groups were estimated with the parameters, and U is an average over "
         "what they may be. The middle 68 % of each stands beside its value; a size over the usual one has no unit."
@@ -195,7 +190,7 @@ def unknown(calibration: Calibration) -> Section | None:
 
 
 def launches(calibration: Calibration) -> Section | None:
-    """Every launch beside the others: bias, scale and axes, then what is beyond the linear model."""
+    """Return the launches side by side: linear parameters, then the others."""
     if not calibration.evidence.launches:
         return None
     linear, further = linear_parameters(calibration.parameters), further_parameters(calibration.parameters)
@@ -204,11 +199,11 @@ def launches(calibration: Calibration) -> Section | None:
         "another; it is in the uncertainty of the mean."
     )
     side_by_side = replace(
-        launch_table(calibration, linear, of_a_page=True), dense=len(calibration.evidence.launches) > 4
+        launch_table(calibration, linear, on_page=True), dense=len(calibration.evidence.launches) > 4
     )
     blocks: list[Block] = [meaning, side_by_side]
     if further:
-        beyond_linear = replace(launch_table(calibration, further, of_a_page=True), dense=True)
+        beyond_linear = replace(launch_table(calibration, further, on_page=True), dense=True)
         blocks += ["Beyond the linear model:", beyond_linear]
     digests = tuple(
         (f"log of {launch.session}", f"SHA-256 {launch.log_sha256}" if launch.log_sha256 else NONE)
@@ -218,7 +213,7 @@ def launches(calibration: Calibration) -> Section | None:
 
 
 def correlations(calibration: Calibration) -> Section | None:
-    """What U covers and what not, and the strongest correlations."""
+    """State what U covers, with the strongest correlations."""
     if calibration.covariance is None:
         return None
     names = [p.name for p in calibration.parameters]
@@ -226,7 +221,7 @@ def correlations(calibration: Calibration) -> Section | None:
     scale = np.where(u > 0.0, u, 1.0)
     r = np.clip(calibration.covariance / scale[:, None] / scale, -1.0, 1.0)
     p, q = np.tril_indices(len(names), -1)
-    order = np.argsort(-np.abs(r[p, q]), kind="stable")[:_STRONGEST]
+    order = np.argsort(-np.abs(r[p, q]), kind="stable")[:_LISTED_CORRELATIONS]
     rows = [
         {"parameter": names[p[i]], "with": names[q[i]], "coefficient": fixed(float(r[p[i], q[i]]), 3)} for i in order
     ]
