@@ -12,7 +12,7 @@ from tumble.inference.hyperparameters import solution_at
 from tumble.inference.joint import joint
 from tumble.inference.lag import (
     LAGS,
-    greater_by,
+    added_covariance,
     log_odds_of_change,
     maximum_with_lags,
     resolved,
@@ -72,7 +72,7 @@ def test_u_of_a_mixture_is_half_its_half_width() -> None:
     def mixed(*others: tuple[float, float, float]) -> float:
         variances, values, weights = np.array(others).T
         every = np.stack([variances, values], axis=1)[:, None]
-        return float(np.sqrt(1.0 + greater_by(every, held, weights)[0, 0]))
+        return float(np.sqrt(1.0 + added_covariance(every, held, weights)[0, 0]))
 
     assert mixed((1.0, 0.0, 0.98), (1.0, 100.0, 0.02)) < 1.2
     assert mixed((1.0, 0.0, 0.5), (1.0, 100.0, 0.5)) == pytest.approx(0.5 * (100.0 + stats.norm.isf(0.091)), rel=1e-3)
