@@ -224,7 +224,7 @@ def recorded(which: str) -> str:
     """A table or list of the real recordings, by its name."""
     results = real.read_results()
     units = dict(real.ASKED)
-    heads = ["session", "program", "verdict", "left, accelerometers", "gyros", "rms", "largest", "covered"]
+    heads = ["session", "program", "verdict", "after/before, accel", "gyro", "rms of error/u", "largest", "covered"]
     return {
         "losses": lambda: real.real_losses(results),
         "sources": lambda: real.sources(results),

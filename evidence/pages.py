@@ -1,18 +1,17 @@
-"""What pages say of results: tables, pictures, and single figures.
+"""Tables, pictures and single figures of the results for the pages.
 
-    python -m evidence.pages            draws the pictures and puts the figures of evidence/results into the pages
+    python -m evidence.pages            draws the pictures and writes the figures of evidence/results into the pages
 
-Tables of the pages docs/evidence/simulated.md and real.md are made when the site is built (`docs/made.py`) by the
-functions of this module and of `evidence.real.page`. In a page that is written by hand a figure or a table of a result
-stands between two comments, which name it, and is put there by the command above (what stands in backticks is an
-example). Results are those of the benchmark and of studies (studies/results):
+The tables of docs/evidence/simulated.md and real.md are made by this module and `evidence.real.page` when the site is
+built (`docs/made.py`). In hand-written pages a figure or table is enclosed by two comments that name it, and the
+command above updates it. Results are those of the benchmark and of the studies (studies/results). Examples:
 
     `<!-- figure: simulated | tumble joint | all | covered -->95.2 %<!-- end -->`
     `<!-- figure: field_check | made | date -->2026-11-26<!-- end -->`
     `<!-- table: field_check | checks --> … <!-- end -->`
 
-A comment at the beginning of a line would end the paragraph, so a figure never stands there: `with_figures` moves it to
-the end of the line before.
+A comment at the beginning of a line would end the paragraph, so `with_figures` moves such a figure to the end of the
+line before.
 """
 
 from __future__ import annotations
@@ -34,14 +33,14 @@ from evidence.simulated.kinds import FURTHER, KINDS, Kind, seed_of
 
 ROOT = Path(__file__).parents[1]
 OURS = "tumble joint"
-"""The program that the others are held against."""
+"""The program to which the others are compared."""
 PICTURES = ROOT / "docs" / "pictures"
 ASKED = {"rms": 1.15, "beyond_3": 0.01, "covered": 0.92}
-"""What is asked of z and of 95 % intervals."""
+"""Required limits: largest rms of z and share beyond 3 u, smallest coverage of 95 % intervals."""
 GOOD = "accept"
 FIGURE = re.compile(r"(?<!`)(<!-- figure: ([^>]*?) -->)(.*?)(<!-- end -->)", re.S)
 AT_START = re.compile(r"[ ]*\n[ ]*(<!-- figure: )")
-"""A figure at the beginning of a line, where Markdown would take the comment for a block."""
+"""A figure at the beginning of a line, where Markdown takes the comment as a block."""
 TABLE = re.compile(r"(?<!`)(<!-- table: ([^>]*?) -->\n)(.*?)(<!-- end -->)", re.S)
 G0 = 9.80665
 UNITS = {
@@ -61,19 +60,19 @@ FAMILIES = {
     "still": ("accel.change", "gyro.change", "gyro.bias"),
     "magnetometer": ("mag.bias", "mag.scale", "mag.axis"),
 }
-"""Of recordings of other kinds: the groups of a table."""
+"""Groups of parameters in the tables of further recordings."""
 
 
 # -------------------- numbers --------------------
 
 
 def share(value: float | None) -> str:
-    """As per cent."""
+    """Format a share as per cent."""
     return "–" if value is None else f"{100.0 * value:.1f} %"
 
 
 def number(value: float | None, digits: int = 2) -> str:
-    """With so many decimals, fewer where it is large; a dash where there is none."""
+    """Format a number with the given decimals, fewer if it is large, or a dash for None."""
     if value is None or not np.isfinite(value):
         return "–"
     if abs(value) >= 1000.0:
@@ -82,7 +81,7 @@ def number(value: float | None, digits: int = 2) -> str:
 
 
 def digits(value: float, count: int = 2) -> str:
-    """A number with so many significant digits, without an exponent."""
+    """Format a number with the given count of significant digits, without an exponent."""
     if value == 0.0 or not np.isfinite(value):
         return f"{value:g}"
     places = max(0, count - 1 - int(np.floor(np.log10(abs(value)))))
@@ -90,20 +89,20 @@ def digits(value: float, count: int = 2) -> str:
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """In Markdown."""
+    """Return a Markdown table."""
     lines = [head, ["---"] * len(head), *rows]
     return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
 
 
 def verdicts(score: Score) -> str:
-    """How many were accepted, accepted with scatter, and not."""
+    """Return the numbers of sessions accepted, accepted with scatter, and not accepted."""
     count = score.verdicts.get
     return f"{count('accepted', 0)}, {count('with scatter', 0)}, {count('not accepted', 0) + count('gave up', 0)}"
 
 
 def over_ours(rows: Mapping[str, Row], ours: Mapping[str, Row], group: str) -> tuple[float, float, int] | None:
-    """The geometric mean of errors of a group over those of tumble's default method, the standard error of its
-    logarithm, and of how many cases; None of fewer than three."""
+    """Return the geometric mean of the ratio of a group's errors to those of the default method, the standard error of
+    its logarithm, and the number of cases; None for fewer than three."""
     logs = [
         np.log(row.errors[group][0] / ours[case].errors[group][0])
         for case, row in rows.items()
@@ -122,7 +121,7 @@ def _has(row: Row, group: str) -> bool:
 
 
 def losses(results: Results, kinds: Sequence[Kind]) -> str:
-    """Where tumble's default method is wrong, or behind others, as a list with a line for each sort of loss."""
+    """Return a list of the sessions in which the default method is wrong or worse than others."""
     rows = by([row for row in results.rows if row.program == OURS], "kind")
     silent, unexpected, short = [], [], []
     for row in (row for some in rows.values() for row in some if row.silent_wrong):
@@ -148,20 +147,20 @@ def losses(results: Results, kinds: Sequence[Kind]) -> str:
                 if ratio is not None and np.log(ratio[0]) < -2.0 * ratio[1] and ratio[0] < 0.95:
                     smaller.append(f"{program} {ratio[0]:.2f} of `{group}` in `{kind_name}` (N = {ratio[2]})")
     return listed({
-        "Accepted without a remark, and a parameter more than 4 u off": silent,
-        "A verdict other than expected": unexpected,
+        "Accepted without a remark although a parameter is wrong by more than 4 u": silent,
+        "Unexpected verdicts": unexpected,
         "u too small": short,
-        "Errors of others, divided by those of the default": smaller,
+        "Programs with smaller errors than the default (ratio of errors)": smaller,
     })  # fmt: skip
 
 
 def listed(said: Mapping[str, Sequence[str]]) -> str:
-    """A list with a line for each heading under which something is said."""
+    """Return a Markdown list with a line for each heading that has entries."""
     return "\n".join(f"* **{head}**: {'; '.join(lines)}." for head, lines in said.items() if lines)
 
 
 def falls_short(rows: Sequence[Row]) -> list[str]:
-    """In which of what is asked of u rows fall short, by more than the standard error over sessions."""
+    """Return the limits of ASKED that the rows miss by more than the standard error over sessions."""
     if len(rows) < 2:
         return []
     square, beyond, covered = (
@@ -186,9 +185,9 @@ def falls_short(rows: Sequence[Row]) -> list[str]:
 
 
 def kind_table(results: Results, kinds: Sequence[Kind]) -> str:
-    """The default method, a line for each kind, and all."""
+    """Return the table of the default method, with a row for each kind and one for all."""
     rows = by([row for row in results.rows if row.program == OURS], "kind")
-    head = ["kind", "what it is", "expected", "as expected", "verdicts", "wrong", "rms", "> 3 u", "covered"]
+    head = ["kind", "description", "expected", "as expected", "verdicts", "wrong", "rms", "> 3 u", "covered"]
     lines = []
     for name, words, expected in [*((k.name, k.words, k.expected) for k in kinds), ("all", "", "")]:
         score = score_of(rows[name] if name in rows else [r for some in rows.values() for r in some], results.expected)
@@ -200,7 +199,7 @@ def kind_table(results: Results, kinds: Sequence[Kind]) -> str:
 
 
 def program_table(results: Results, kinds: Sequence[Kind]) -> str:
-    """Verdicts and uncertainty on good recordings, a line for each program."""
+    """Return the table of verdicts and uncertainty on good recordings, with a row for each program."""
     good = {kind.name for kind in kinds if kind.expected == GOOD}
     head = ["program", "N", "calibrated", "wrong", "rms of error/u", "> 3 u", "covered", "s", "MB"]
     lines = []
@@ -217,7 +216,7 @@ def program_table(results: Results, kinds: Sequence[Kind]) -> str:
 
 
 def left_table(results: Results, kinds: Sequence[Kind]) -> str:
-    """What is left of the errors of the device in good recordings, a line for each program."""
+    """Return the table of errors after over before calibration in good recordings, with a row for each program."""
     good = {kind.name for kind in kinds if kind.expected == GOOD}
     lines = []
     for program, rows in by(results.rows, "program").items():
@@ -227,7 +226,7 @@ def left_table(results: Results, kinds: Sequence[Kind]) -> str:
 
 
 def ratio_table(results: Results, kinds: Sequence[Kind]) -> str:
-    """Errors of every program over those of the default method."""
+    """Return the table of ratios of every program's errors to those of the default method."""
     good = {kind.name for kind in kinds if kind.expected == GOOD}
     ours = {row.case: row for row in results.rows if row.program == OURS and row.kind in good}
     head = ["program", "N", *(f"{group.split('.')[0]} {WORDS[group]}" for group in GROUPS)]
@@ -243,7 +242,7 @@ def ratio_table(results: Results, kinds: Sequence[Kind]) -> str:
 
 
 def useless_table(results: Results, kinds: Sequence[Kind]) -> str:
-    """Of recordings that should not be used as they are, a line for each program."""
+    """Return the table of unusable recordings, with a row for each program."""
     expected, lines = {kind.name: kind.expected for kind in kinds}, []
     for program, rows in by(results.rows, "program").items():
         able = useless(rows, expected)
@@ -252,7 +251,7 @@ def useless_table(results: Results, kinds: Sequence[Kind]) -> str:
 
 
 def useless(rows: Sequence[Row], expected: Mapping[str, str]) -> list[Row]:
-    """Those of recordings that should not be used as they are, and that the program can run."""
+    """Return the rows of unusable recordings that the program can run."""
     bad = ("refuse", "name the cause")
     return [row for row in rows if expected.get(row.kind) in bad and row.verdict != "cannot run"]
 
@@ -261,15 +260,15 @@ def useless(rows: Sequence[Row], expected: Mapping[str, str]) -> list[Row]:
 
 
 def family_of(kind: Kind) -> str:
-    """Which table a kind is in."""
+    """Return the table in which a kind is listed."""
     if kind.sensors.sweep is not None or kind.gyros_alone:
         return "still"
     return "motion" if kind.sensors.magnetometer is None else "magnetometer"
 
 
 def further_table(results: Results, family: str) -> str:
-    """Of kinds of a family and programs that calibrate any of it: rms of the errors by group, in its unit and in per
-    cent of what there was to find, and what errors over u are."""
+    """Return the table of a family of kinds: rms error of each group, in its unit and in per cent of the true values,
+    and error over u, for the programs that calibrate any of it."""
     groups, lines = FAMILIES[family], []
     rows = by(results.rows, "kind")
     for kind in (kind for kind in FURTHER if family_of(kind) == family):
@@ -289,7 +288,7 @@ def further_table(results: Results, family: str) -> str:
 
 
 def rms_error(rows: Sequence[Row], group: str) -> str:
-    """The rms of the errors of a group in its unit, and the same over the rms of the truths."""
+    """Format the rms error of a group in its unit and in per cent of the rms of the true values."""
     pairs = np.array([row.errors[group] for row in rows if group in row.errors])
     if not len(pairs):
         return "–"
@@ -298,8 +297,8 @@ def rms_error(rows: Sequence[Row], group: str) -> str:
 
 
 def further_kinds() -> str:
-    """What these kinds are."""
-    return table(["kind", "what it is"], [[f"`{kind.name}`", kind.words] for kind in FURTHER])
+    """Return the table that describes these kinds."""
+    return table(["kind", "description"], [[f"`{kind.name}`", kind.words] for kind in FURTHER])
 
 
 # -------------------- pictures --------------------
@@ -330,8 +329,8 @@ def _saved(figure: Any, path: Path, of: str) -> None:
 
 
 def draw_kinds(results: Results, path: Path) -> None:
-    """rms of error over u and coverage of 95 % intervals of the default method, by kind, with standard errors of the
-    sessions; what is accepted without a remark is filled."""
+    """Draw rms of error over u and coverage of 95 % intervals of the default method, by kind, with standard errors over
+    the sessions; filled markers are sessions accepted without a remark."""
     rows = by([row for row in results.rows if row.program == OURS], "kind")
     kinds = [kind for kind in KINDS if any(row.z and row.verdict in USABLE for row in rows.get(kind.name, ()))]
     figure, (left, right) = _axes(6.3, 0.155 * len(kinds) + 0.9, 2)
@@ -372,7 +371,7 @@ def draw_kinds(results: Results, path: Path) -> None:
 
 
 def draw_programs(results: Results, path: Path) -> None:
-    """Errors of every program over those of the default method in the same good sessions, by group."""
+    """Draw the ratios of every program's errors to those of the default method in the same good sessions, by group."""
     good = {kind.name for kind in KINDS if kind.expected == GOOD}
     ours = {row.case: row for row in results.rows if row.program == OURS and row.kind in good}
     others = [name for name in by(results.rows, "program") if name != OURS]
@@ -400,7 +399,7 @@ def draw_programs(results: Results, path: Path) -> None:
 
 
 def digest(results: Results) -> str:
-    """Of rows alone: what pictures are made of."""
+    """Return a digest of the rows, from which the pictures are drawn."""
     return hashlib.sha256(repr(results.rows).encode()).hexdigest()[:16]
 
 
@@ -408,19 +407,19 @@ def digest(results: Results) -> str:
 
 
 def all_results() -> dict[str, Results]:
-    """What is in evidence/results of simulated cases; real ones have a page and a test of their own."""
+    """Return the stored results of the simulated cases; those of real recordings are in `evidence.real.page`."""
     paths = (RESULTS / f"{name}.json" for name in SESSIONS)
     return {path.stem: of_today(Results.read(path)) for path in paths if path.exists()}
 
 
 def of_today(results: Results) -> Results:
-    """Results without programs that the benchmark no longer has."""
+    """Return the results without programs that the benchmark no longer has."""
     there = {program.name for program in (*benchmark.PROGRAMS, *benchmark.FURTHER)}
     return replace(results, rows=tuple(row for row in results.rows if row.program in there))
 
 
 def with_figures(text: str, results: Mapping[str, Results]) -> str:
-    """A page with the figures and tables of today between its comments. Raises KeyError for one that no result has."""
+    """Return a page with the present figures and tables between its comments. Raises KeyError for an unknown one."""
 
     def put(match: re.Match[str]) -> str:
         return f"{match[1]}{figure(match[2], results)}{match[4]}"
@@ -432,7 +431,7 @@ def with_figures(text: str, results: Mapping[str, Results]) -> str:
 
 
 def of_study(name: str) -> Mapping[str, Any]:
-    """What a study has stored. Raises KeyError where there is nothing."""
+    """Return the stored results of a study. Raises KeyError if there are none."""
     path = ROOT / "studies" / "results" / f"{name}.json"
     if not path.exists():
         raise KeyError(name)
@@ -440,16 +439,16 @@ def of_study(name: str) -> Mapping[str, Any]:
 
 
 def table_of(name: str) -> str:
-    """A table by its name: study | table."""
+    """Return a table by its name: study | table."""
     study, table_name = (word.strip() for word in name.split("|"))
     head, *rows = of_study(study)["tables"][table_name]
     return table(head, rows)
 
 
 def figure(name: str, results: Mapping[str, Results]) -> str:
-    """A figure by its name: set | program | kind or all | score; set | over joint | program | group, errors over those
-    of the default method; set | useless | program, how many recordings of no use it calibrates without a word; set |
-    made | what is said of the run; of a study study | figures or made | which."""
+    """Return a figure by its name: set | program | kind or all | score; set | over joint | program | group, the
+    ratio of errors to those of the default method; set | useless | program, the number of unusable recordings
+    calibrated without a remark; set | made | item of the run; study | figures or made | item."""
     of_set, *keys = (word.strip() for word in name.split("|"))
     if of_set == "real":
         from evidence.real.page import real_figure
@@ -485,7 +484,7 @@ def figure(name: str, results: Mapping[str, Results]) -> str:
 
 
 def simulated_summary(results: Results) -> str:
-    """A line for each program: good recordings, and those of no use or with a cause that is to be named."""
+    """Return the summary: good recordings, and unusable ones, with a row for each program."""
     expected = {kind.name: kind.expected for kind in KINDS}
     lines = []
     for program, rows in by(results.rows, "program").items():
@@ -498,18 +497,18 @@ def simulated_summary(results: Results) -> str:
             f"{silent}" if score.rms is not None else "–",
             f"{sum(row.verdict == 'accepted' for row in bad)} of {len(bad)}",
         ])  # fmt: skip
-    head = ["program", "good ones calibrated", "rms of error/u", "covered", "wrong", "useless ones calibrated"]
+    head = ["program", "good, calibrated", "rms of error/u", "covered", "wrong", "unusable, calibrated"]
     return table(head, lines)
 
 
 def written_by_hand() -> list[Path]:
-    """Pages that may hold figures."""
+    """Return the pages that may contain figures."""
     patterns = ("paper/*.md", "docs/**/*.md", "studies/*.md")
     return sorted([ROOT / "README.md", *(path for pattern in patterns for path in ROOT.glob(pattern))])
 
 
 def write() -> None:
-    """Pictures and figures of today."""
+    """Draw the pictures and update the figures of the pages."""
     results = all_results()
     if "simulated" in results:
         draw_kinds(results["simulated"], PICTURES / "evidence-kinds.svg")

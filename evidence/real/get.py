@@ -109,7 +109,7 @@ SOURCES = (
     ),
     Source(
         name="kim",
-        title="Kim: an attitude reference by hand, three recordings",
+        title="Kim: an attitude reference turned by hand, three recordings",
         licence=NO_LICENCE,
         repository="ChanghyeonKim93/IMU_calibration_staticposes",
         commit="468a3dc3db1575a73222128461b1c19e565bd377",
@@ -144,7 +144,7 @@ SOURCES = (
     ),
     Source(
         name="wrona",
-        title="Wrona: readings of an accelerometer in 178 positions, and what Magneto makes of them",
+        title="Wrona: readings of an accelerometer in 178 positions, with the results of Magneto",
         licence=NO_LICENCE,
         repository="michaelwro/accelerometer-calibration",
         commit="8c80fa685c77086857b498792cb6c9fc2445ed6f",
@@ -168,7 +168,7 @@ SOURCES = (
     ),
     Source(
         name="broad",
-        title="Laidig and others: BROAD, an IMU with a magnetometer by hand, attitudes by cameras",
+        title="Laidig and others: BROAD, an IMU with a magnetometer moved by hand, attitudes from cameras",
         licence="CC-BY-4.0",
         repository="dlaidig/broad",
         commit="7e2f8189bb4a3ac91eae32c69b6bc87f08a6e2ad",

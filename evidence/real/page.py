@@ -20,11 +20,11 @@ WAYS: Mapping[str, Callable[[str, str], bool]] = {
     "a quarter of the rests of the same recording": lambda fitted, _: not _is_table(fitted) and "mimu" not in fitted,
     "every second row of a table": lambda fitted, _: _is_table(fitted),
 }
-"""What is predicted, and which pairs of names are that."""
+"""What is predicted, with the test whether a pair of names belongs to it."""
 SHORT = ("next session", "rests held out", "rows held out")
-"""The same in the heads of tables."""
+"""Headings of the table columns, in the order of WAYS."""
 ASKED = (("force", 1e6 / G0), ("tilt", 1e3))
-"""Scores of what is predicted, with the unit in which they are shown: µg, mrad."""
+"""Scores of the predictions with the factors to their units, µg and mrad."""
 
 
 COLUMNS = ("recordings", "devices", "licence", "address")
@@ -35,7 +35,7 @@ def _is_table(name: str) -> bool:
 
 
 def compared(rows: Iterable[Mapping[str, Any]], program: str, score: str) -> tuple[np.ndarray, np.ndarray]:
-    """Values of a program (N,) and the logarithms of their ratios to the first program's, where both have one."""
+    """Return the scores of a program (N,) and the logarithms of their ratios to those of the first program."""
     of = {(row["fitted"], row["predicted"], row["program"]): row.get(score) for row in rows}
     own = {key[:2]: value for key, value in of.items() if key[2] == program and value}
     first = {key[:2]: value for key, value in of.items() if key[2] == OURS and value}
@@ -44,12 +44,12 @@ def compared(rows: Iterable[Mapping[str, Any]], program: str, score: str) -> tup
 
 
 def score_of(score: str, way: str) -> str:
-    """Of another session of a device the biases are found anew."""
+    """Return the score to use: between sessions of a device the biases are estimated again."""
     return "shape" if score == "force" and "session" in way else score
 
 
 def ratio(logs: np.ndarray) -> str:
-    """The geometric mean of ratios with its standard error."""
+    """Return the geometric mean of ratios with its standard error, as text."""
     if not len(logs):
         return ""
     mean = float(np.exp(logs.mean()))
@@ -61,12 +61,12 @@ def ratio(logs: np.ndarray) -> str:
 
 
 def behind(logs: np.ndarray) -> bool:
-    """Whether the first program is behind beyond two standard errors."""
+    """Return True if the errors of the first program are larger by more than two standard errors."""
     return len(logs) >= 5 and logs.mean() + 2.0 * logs.std(ddof=1) / np.sqrt(len(logs)) < 0.0
 
 
 def predicted(results: Mapping[str, Any], score: str, unit: float) -> str:
-    """The table of a score: its median, and its ratio to the first program's with the number of pairs."""
+    """Return the table of a score: its median, and its ratio to the first program's with the number of pairs."""
     rows = []
     for program in programs_of(results):
         cells = [program]
@@ -135,19 +135,19 @@ def sources(results: Mapping[str, Any]) -> str:
 
 
 def read_results() -> dict[str, Any]:
-    """What is stored of the real recordings."""
+    """Return the stored results of the real recordings."""
     return json.loads(RESULTS.read_text(encoding="utf-8")) if RESULTS.exists() else {}
 
 
 def real_losses(results: Mapping[str, Any]) -> str:
-    """Where the first program is behind, as a list with a line for each score."""
+    """Return a list of the scores in which the first program is worse than others."""
     lost = listed({**behind_in(results), **repeats_better(results), "Refused": refused(results)})
-    none = "* **None** of the programs is ahead by two standard errors, or has numbers of sensors that are refused."
+    none = "* **None** of the programs is better by two standard errors or calibrates sensors that the default refuses."
     return lost or none
 
 
 def behind_in(results: Mapping[str, Any]) -> dict[str, list[str]]:
-    """Programs ahead of the first one beyond two standard errors, by what is predicted."""
+    """Return the programs better than the first one by more than two standard errors, by what is predicted."""
     said: dict[str, list[str]] = {}
     for (score, _), what in zip(ASKED, ("rests", "turns"), strict=True):
         for way, belongs in WAYS.items():
@@ -155,57 +155,49 @@ def behind_in(results: Mapping[str, Any]) -> dict[str, list[str]]:
             for program in programs_of(results):
                 _, logs = compared(pairs, program, score_of(score, way))
                 if program != OURS and behind(logs):
-                    said.setdefault(f"Errors over those of the default, {what} of {way}", []).append(
+                    said.setdefault(f"Ratio of errors to those of the default, {what} of {way}", []).append(
                         f"{program} {ratio(logs)}"
                     )
     return said
 
 
 def first_screen(results: Mapping[str, Any]) -> str:
-    """What the first screen of the README says of programs that are ahead of the first one: all of them, or none."""
+    """Return the sentence of the README that names the programs with smaller errors than the first one."""
     ahead = [f"{head.partition('default, ')[2]}: {', '.join(each)}" for head, each in behind_in(results).items()]
     if not ahead:
         words = (
-            "no program of the comparison predicts rests and turns that it has not seen better than the default method "
-            "by more than two standard errors."
+            "no program of the comparison predicts held-out rests and turns better than the default method by more "
+            "than two standard errors."
         )
     else:
         words = (
-            "these predict what they have not seen better than the default method by more than two standard errors "
-            f"(errors over those of the default, number of pairs): {'; '.join(ahead)}."
+            "the following programs predict held-out rests or turns better than the default method by more than two "
+            f"standard errors (ratio of the errors to those of the default, number of pairs): {'; '.join(ahead)}."
         )
     return textwrap.fill(words, 110, break_on_hyphens=False)
 
 
 def repeats_better(results: Mapping[str, Any]) -> dict[str, list[str]]:
-    """Programs whose scale factors and axes repeat better than those of the first one in the same sessions."""
+    """Return the programs whose scale factors and axes repeat better than those of the first one."""
     said: dict[str, list[str]] = {}
     for program in programs_of(results):
         for group, made in results["repeatability"].get(program, {}).items():
             over = made["over_first"]
             if program != OURS and not group.endswith("bias") and over is not None and over < 0.9:
-                head = f"Standard deviation of `{group}` from session to session, over that of the default"
+                head = f"Ratio of the standard deviation of `{group}` from session to session to that of the default"
                 said.setdefault(head, []).append(f"{program} {digits(over)}")
     return said
 
 
 def programs_of(results: Mapping[str, Any]) -> list[str]:
-    """Programs of the results that the benchmark still has."""
+    """Return the programs of the results that the benchmark still has."""
     there = {program.name for program in (*PROGRAMS, LINEAR)}
     return [program for program in results["made"]["programs"] if program in there]
 
 
-def fewer(made: Mapping[str, Any]) -> str:
-    """Which programs had only some chips of the array."""
-    given = made.get("fewer", {}).items()
-    return "".join(
-        f"{program}, which takes long, had {' and '.join(chips)} of the array alone. " for program, chips in given
-    )
-
-
 def refused(results: Mapping[str, Any]) -> list[str]:
-    """Accelerometers that the first program refuses and another method of tumble accepts, and in how many recordings
-    gyros are refused of which imu_tk has numbers."""
+    """Return the accelerometers that the first program refuses although method `ellipsoid` accepts them, and the number
+    of recordings whose gyros it refuses although imu_tk calibrates them."""
     of = {(row["case"], row["program"]): row for row in results["rows"] if row["kind"] != "simulated by others"}
     cases = [case for case, program in of if program == OURS]
     out = []
@@ -213,16 +205,16 @@ def refused(results: Mapping[str, Any]) -> list[str]:
         first, other = of[case, OURS], of[case, "tumble ellipsoid"]
         if not first["accel"] and other["accel"]:
             reason = first["said"].removeprefix("not accepted; ").partition(";")[0]
-            out.append(f"{case}, accelerometers, which `ellipsoid` accepts: {reason}")
+            out.append(f"accelerometers of {case}, which `ellipsoid` accepts: {reason}")
     gyros = [case for case in cases if of[case, "imu_tk"]["gyro"]]
     without = sum(not of[case, OURS]["gyro"] for case in gyros)
     if without:
-        out.append(f"gyros of {without} of the {len(gyros)} recordings of which imu_tk has numbers, by {OURS}")
+        out.append(f"gyros in {without} of the {len(gyros)} cases that imu_tk calibrates")
     return out
 
 
 def answered(results: Mapping[str, Any]) -> list[list[str]]:
-    """By program, of how many cases it gives what."""
+    """Return a row for each program: numbers of cases, of calibrated sensors, and seconds."""
     out = []
     for program in programs_of(results):
         rows = [row for row in results["rows"] if row["program"] == program and row["kind"] != "simulated by others"]
@@ -233,7 +225,7 @@ def answered(results: Mapping[str, Any]) -> list[list[str]]:
 
 
 def of_others(results: Mapping[str, Any]) -> list[list[str]]:
-    """By session and program, errors over u and what is left of the errors of the device."""
+    """Return a row for each session and program: ratio of errors after and before calibration, and error over u."""
     out = []
     for row in results["simulated_by_others"]:
         z = np.array([value for value in row["z"] if value is not None])

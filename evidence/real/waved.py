@@ -145,7 +145,7 @@ def results() -> dict[str, Any]:
 
 
 def waved_table(content: Mapping[str, Any]) -> str:
-    """A line for each program, of every recording the two scores in mrad; in brackets what it does not accept."""
+    """Return the table of both scores in mrad, in brackets if not accepted, with a row for each program."""
     names = list(dict.fromkeys(row["case"] for row in content["rows"]))
     of = {(row["case"], row["program"]): row for row in content["rows"]}
     lines = []

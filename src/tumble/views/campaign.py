@@ -23,7 +23,7 @@ def summary_blocks(lines: Sequence[SummaryLine]) -> list[Block]:
         if line.rms is not None and line.bias is not None and line.scatter is not None:
             size, unit = shown_in(line.group, line.unit, line.rms)
             sizes = {"bias": line.bias, "scatter": line.scatter, "rms": line.rms}
-            row = point if point != previous else dict.fromkeys(point, "")
+            row = dict(point) if point != previous else dict.fromkeys(point, "")
             row |= {"parameters": line.group} | {name: f"{value / size:.3g}" for name, value in sizes.items()}
             row |= {"unit": unit, "rms/bound": "" if line.to_bound is None else f"{line.to_bound:.3f}"}
             errors.append(row | {"coverage": "" if line.coverage is None else f"{line.coverage:.1%}"})
