@@ -111,7 +111,7 @@ def array_levers(moments: ArrayMoments, instrument: Instrument, values: Array) -
     n, order, E = accel.size, accel.channels[:-1], _rate_error(instrument, values)
     r, delay, variances = np.zeros((n, 3)), 0.0, np.ones(len(moments.counts))
     centre = np.concatenate([np.zeros(3 * n - 3), [delay], E.ravel()])
-    known = np.concatenate([np.full(3 * n - 3, LEVER), [DELAY], np.full(9, RATE_ERROR)]) ** -2.0
+    precision = np.concatenate([np.full(3 * n - 3, LEVER), [DELAY], np.full(9, RATE_ERROR)]) ** -2.0
     s = len(OWN) + 3  # unknowns of a sensor
     place = np.arange(n * s).reshape(n, s)
     kept, out = np.append(place[order, -3:].ravel(), n * s + np.arange(COMMON)), place[:, :-3].ravel()
@@ -132,7 +132,7 @@ def array_levers(moments: ArrayMoments, instrument: Instrument, values: Array) -
         normal, gradient = every[np.ix_(kept, kept)] - back @ solved[:, :-1], right[kept] - back @ solved[:, -1]
 
         about = np.concatenate([r[order].ravel(), [delay], E.ravel()])
-        step = np.linalg.solve(normal + np.diag(known), gradient - known * (about - centre))
+        step = np.linalg.solve(normal + np.diag(precision), gradient - precision * (about - centre))
         levers = np.zeros((n, 3))
         levers[order] = step[:-COMMON].reshape(-1, 3)
         of_sensors = np.column_stack([(solved[:, -1] - solved[:, :-1] @ step).reshape(n, s - 3), levers])
@@ -146,9 +146,9 @@ def array_levers(moments: ArrayMoments, instrument: Instrument, values: Array) -
     share = (1.0 - 2.0 / (n - 6)) ** 2
     normal, gradient = _with_floor(share * normal, share * gradient)
     size, direction = np.linalg.eigh(normal)
-    seen = size > OUT_OF_RANGE * size[-1]
-    root = np.sqrt(size[seen])[:, None] * direction[:, seen].T
-    excess = (direction[:, seen].T @ gradient) / np.sqrt(size[seen])
+    informative = size > OUT_OF_RANGE * size[-1]
+    root = np.sqrt(size[informative])[:, None] * direction[:, informative].T
+    excess = (direction[:, informative].T @ gradient) / np.sqrt(size[informative])
     return ArrayLevers(about=about, root=root, excess=excess)
 
 
